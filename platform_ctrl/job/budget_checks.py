@@ -6,7 +6,6 @@ import contextlib
 import math
 from collections.abc import Iterator
 from pathlib import Path as FilePath
-from typing import Any
 
 import numpy as np
 
@@ -16,92 +15,83 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source, unit_mistake
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.spectra import SPECTRA, LogSpectrum
-from platform_ctrl.plant.checks import number_of
 from platform_ctrl.plant.entry import Entry
-from platform_ctrl.plant.mistakes import Mistake, Path, given, tables, text_of, unique_names
+from platform_ctrl.plant.mistakes import Mistake, Path, given, unique_names
 from platform_ctrl.plant.platform import Platform
 
-Data = dict[str, Any]
 # A mean specific force so near to 1 is gravity in g rather than 1 m/s².
 NEAR_ONE = 0.05
 
 
-def budget_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
+def budget_mistakes(job: Entry, platform: Platform | None) -> Iterator[Mistake]:
     """Walk what can be said of the plain data; without a platform, what can be said without it."""
-    budget = data.get("budget")
-    if not isinstance(budget, dict):
-        return
-    path: Path = ("budget",)
-    low, high = number_of(budget, "from_hz"), number_of(budget, "to_hz")
+    budget = job.table("budget")
+    low, high, limits = budget.number("from_hz"), budget.number("to_hz"), budget.table("limits")
     if low is not None and high is not None and not low < high:
-        yield Mistake.wrong(budget, path, "to_hz", f"above from_hz = {given(budget['from_hz'])}")
-    limits = budget.get("limits")
+        yield budget.wrong("to_hz", f"above from_hz = {given(budget.data['from_hz'])}")
     for key in ("windowed_jitter", "smear"):
-        if isinstance(limits, dict) and key in limits and not budget.get("exposure"):
-            yield Mistake((*path, "limits", key), f"{key} has no effect without exposure, the exposure times in s")
+        if key in limits and not budget.data.get("exposure"):
+            yield limits.text_at(key, f"{key} has no effect without exposure, the exposure times in s")
     if platform is not None and platform.line_of_sight is None:
-        words = "limits: the plant has no line of sight to be limited; state its body and direction in [line_of_sight]"
-        own = [(*path, "source", k, "limit") for k, source in tables(budget, "source") if "limit" in source]
-        for place in [*([(*path, "limits")] if limits else []), *own]:
-            yield Mistake(place, words.replace("limits", str(place[-1]), 1))
-    yield from unique_names(budget, path, "source")
-    names = [name for _, source in tables(budget, "source") if (name := text_of(source, "name")) is not None]
-    for k, source in tables(budget, "source"):
-        yield from _source(source, (*path, "source", k), platform)
-    yield from _correlations(budget, path, names)
+        words = "the plant has no line of sight to be limited; state its body and direction in [line_of_sight]"
+        if limits.data:
+            yield budget.says("limits", words)
+        yield from (source.says("limit", words) for source in budget.tables("source") if "limit" in source)
+    yield from unique_names(budget.data, budget.path, "source")
+    for source in budget.tables("source"):
+        yield from _source(source, platform)
+    yield from _correlations(budget)
 
 
-def _source(source: Data, path: Path, platform: Platform | None) -> Iterator[Mistake]:
-    name = text_of(source, "kind")
+def _source(source: Entry, platform: Platform | None) -> Iterator[Mistake]:
+    name, gimbal, unit = (source.text(key) for key in ("kind", "gimbal", "unit"))
     if name not in SOURCE_KINDS:
         return
-    kind = SOURCE_KINDS[name]
+    kind, of = SOURCE_KINDS[name], f"kind = {given(name)}"
     for key, words in (("axis", "the root axis, 1 to 3"), ("gimbal", "the name of the gimbal")):
         if key == kind.place and key not in source:
-            yield Mistake.missing(path, key, f"kind = {given(name)} needs {words}")
+            yield source.missing(key, f"{of} needs {words}")
         elif key != kind.place and key in source:
-            yield Mistake.useless(source, path, key, f"with kind = {given(name)}, which takes {kind.place}")
-    gimbal, unit = text_of(source, "gimbal"), text_of(source, "unit")
+            yield source.useless(key, f"with {of}, which takes {kind.place}")
     if gimbal is not None and platform is not None and gimbal not in platform.gimbal_names:
-        yield Mistake.unknown_name(path, "gimbal", gimbal, "gimbal of the plant", platform.gimbal_names)
+        yield source.unknown("gimbal", gimbal, "gimbal of the plant", platform.gimbal_names)
     if unit is not None and unit not in kind.units:
-        known = " or ".join(f'"{unit}"' for unit in kind.units)
-        yield Mistake.wrong(source, path, "unit", f"{known} with kind = {given(name)}")
-    elif words := unit_mistake(name, unit, text_of(source, "column")):
-        yield Mistake((*path, "column"), f"column: {words.removeprefix('column ')}")
+        yield source.wrong("unit", f"{' or '.join(map(given, kind.units))} with {of}")
+    elif words := unit_mistake(name, unit, source.text("column")):
+        yield source.says("column", words.removeprefix("column "))
     if name == "specific-force" and platform is not None and not platform.unbalances:
         words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]] to it"
-        yield Mistake((*path, "kind"), f"kind: {words}")
-    profile = text_of(source, "profile")
+        yield source.says("kind", words)
+    profile = source.text("profile")
     if profile in PROFILES:
         if PROFILES[profile].kind != name:
-            words = f"profile {given(profile)} is of kind {given(PROFILES[profile].kind)}, got kind = {given(name)}"
+            words = f"profile {given(profile)} is of kind {given(PROFILES[profile].kind)}, got {of}"
             fitting = ", ".join(given(one.name) for one in PROFILES.values() if one.kind == name) or "none"
-            yield Mistake((*path, "profile"), f"{words}; profiles of this kind: {fitting}")
+            yield source.text_at("profile", f"{words}; profiles of this kind: {fitting}")
         if unit is not None:
-            yield Mistake.useless(source, path, "unit", "with a profile, which is in SI units; use scale")
+            yield source.useless("unit", "with a profile, which is in SI units; use scale")
     if "harmonics" in source and name != "torque":
-        yield Mistake((*path, "harmonics"), 'harmonics: a turning motor is a torque: kind = "torque" and a gimbal')
-    yield from Entry(source, path).of_length("densities", "frequencies_hz")
+        yield source.says("harmonics", 'a turning motor is a torque: kind = "torque" and a gimbal')
+    yield from source.of_length("densities", "frequencies_hz")
 
 
-def _correlations(budget: Data, path: Path, names: list[str]) -> Iterator[Mistake]:
+def _correlations(budget: Entry) -> Iterator[Mistake]:
+    names = budget.named("source")
     taken: dict[frozenset[str], int] = {}
-    for k, correlation in tables(budget, "correlation"):
-        between, own = correlation.get("between"), (*path, "correlation", k)
-        if not isinstance(between, list) or not all(isinstance(name, str) for name in between):
+    for one in budget.tables("correlation"):
+        between = one.names("between")
+        if between != one.data.get("between"):
             continue
         pair = frozenset(between)
         unknown = next((name for name in between if name not in names), None)
         if len(between) != 2 or len(pair) != 2:
-            yield Mistake.wrong(correlation, own, "between", "the names of two sources")
+            yield one.wrong("between", "the names of two sources")
         elif unknown is not None:
-            yield Mistake.unknown_name(own, "between", unknown, "[[budget.source]] of the job", names)
+            yield one.unknown("between", unknown, "[[budget.source]] of the job", names)
         elif pair in taken:
-            first = taken[pair] + 1
-            words = f"between: these two are in [[budget.correlation]] {first} already; leave one of them out"
-            yield Mistake((*own, "between"), words)
-        taken.setdefault(pair, k)
+            words = f"these two are in [[budget.correlation]] {taken[pair]} already; leave one of them out"
+            yield one.says("between", words)
+        taken.setdefault(pair, one.place)
 
 
 def with_logs(budget: Budget, folder: FilePath) -> tuple[Budget, list[Mistake]]:

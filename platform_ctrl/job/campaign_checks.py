@@ -12,9 +12,8 @@ from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.parameters import Parameter, drawn_value, nominal, parameters, unknown_parameter
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS, Vary
-from platform_ctrl.plant.checks import number_of
 from platform_ctrl.plant.entry import Entry
-from platform_ctrl.plant.mistakes import Mistake, Path, given, one_line, suggestion, tables, text_of
+from platform_ctrl.plant.mistakes import Mistake, given, one_line, suggestion
 
 Data = dict[str, Any]
 
@@ -27,86 +26,82 @@ FARTHEST = 8.0
 WIDEST = 10.0
 
 
-def campaign_mistakes(data: Data) -> Iterator[Mistake]:
+def campaign_mistakes(job: Entry) -> Iterator[Mistake]:
     """Walk what can be said of the plain data."""
-    campaign = data.get("campaign")
-    if not isinstance(campaign, dict):
+    if not isinstance(job.data.get("campaign"), dict):
         return
-    if not data.get("manoeuvre"):
-        yield Mistake(("campaign",), "[campaign] has no manoeuvre to simulate; add a [[manoeuvre]] to the job")
-    for kind, key, of in (("manoeuvre", "name", "manoeuvre"), ("fault", "fault", "fault")):
-        known = [name for _, table in tables(data, of) if (name := text_of(table, "name")) is not None]
+    campaign = job.table("campaign")
+    if not job.data.get("manoeuvre"):
+        words = "[campaign] has no manoeuvre to simulate; add a [[manoeuvre]] to the job"
+        yield job.text_at("campaign", words)
+    for kind, key in (("manoeuvre", "name"), ("fault", "fault")):
+        known = job.named(kind)
         taken: dict[str, int] = {}
-        for k, table in tables(campaign, kind):
-            name = text_of(table, key)
+        for one in campaign.tables(kind):
+            name = one.text(key)
             if name is None:
                 continue
-            path: Path = ("campaign", kind, k)
             if name not in known:
-                words = f"the name of a [[{of}]] of the job"
-                yield Mistake.wrong(table, path, key, words, f"; {suggestion(name, known)}")
+                yield one.wrong(key, f"the name of a [[{kind}]] of the job", f"; {suggestion(name, known)}")
             elif name in taken:
-                words = f"{given(name)} is in [[campaign.{kind}]] {taken[name] + 1} already; leave one of them out"
-                yield Mistake((*path, key), f"{key}: {words}")
-            taken.setdefault(name, k)
-    for k, table in tables(campaign, "vary"):
-        yield from _distribution(table, ("campaign", "vary", k))
+                words = f"is in [[campaign.{kind}]] {taken[name]} already; leave one of them out"
+                yield one.says(key, f"{given(name)} {words}")
+            taken.setdefault(name, one.place)
+    for vary in campaign.tables("vary"):
+        yield from _distribution(vary)
 
 
-def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
-    name = text_of(table, "distribution")
+def _distribution(vary: Entry) -> Iterator[Mistake]:
+    name = vary.text("distribution")
     keys = next((keys for known, keys in DISTRIBUTION_NUMBERS.items() if known == name), None)
     if keys is None:
         return
     choice = name == "choice"
     needed = ("values",) if choice else keys
     # A factor lies about 1 unless it is said otherwise; whether it is one is not known where that is written wrongly.
-    factor = table.get("relative") is True or not isinstance(table.get("relative", False), bool) or set(table) - _KEYS
+    relative = vary.data.get("relative", False)
+    factor = relative is True or not isinstance(relative, bool) or set(vary.data) - _KEYS
+    of = f"distribution = {given(name)}"
     for key in needed:
-        if key not in table and not (key in CENTRES and factor):
-            yield Mistake.missing(path, key, f"distribution = {given(name)} needs {', '.join(needed)}")
-    for key in (*_NUMBERS, "values", "weights"):
-        if key in table and key not in (("values", "weights") if choice else keys):
-            takes = ", ".join((*needed, *(("weights",) if choice else ())))
-            yield Mistake.useless(table, path, key, f"with distribution = {given(name)}, which takes {takes}")
+        if key not in vary and not (key in CENTRES and factor):
+            yield vary.missing(key, f"{of} needs {', '.join(needed)}")
+    yield from vary.takes(of, (), (*needed, "weights") if choice else needed, (*_NUMBERS, "values", "weights"))
     if choice:
-        yield from _weights(table, path)
+        yield from _weights(vary)
         return
-    n = {key: number for key in keys if (number := number_of(table, key)) is not None}
-    if "mean" not in n and "mean" in keys:
-        n["mean"] = 1.0
+    n = {key: number for key in keys if (number := vary.number(key)) is not None}
+    if "mean" in keys:
+        n.setdefault("mean", 1.0)
     if name == "log-normal" and n.get("deviation", 0.0) > WIDEST:
         far = f": one number in six would be e^{n['deviation']:.6g} times the median or more"
-        yield Mistake.wrong(table, path, "deviation", f"at most {WIDEST:g}", far)
+        yield vary.wrong("deviation", f"at most {WIDEST:g}", far)
     low, high = n.get("low"), n.get("high")
     if low is None or high is None:
         return
     if not low < high:
-        yield Mistake.wrong(table, path, "high", f"above low = {given(table['low'])}")
+        yield vary.wrong("high", f"above low = {given(vary.data['low'])}")
     elif name == "log-uniform" and low <= 0.0:
-        yield Mistake.wrong(table, path, "low", "a number > 0, which has a logarithm")
+        yield vary.wrong("low", "a number > 0, which has a logarithm")
     elif name == "triangular" and not low <= n.get("peak", 1.0) <= high:
         words = f"peak must be from low, {low:.6g}, to high, {high:.6g}, got {given(n.get('peak', 1.0))}"
-        yield Mistake((*path, "peak"), words)
+        yield vary.text_at("peak", words)
     elif name == "truncated-normal" and n.get("deviation", 0.0) > 0.0:
-        nearest = max(low - n["mean"], n["mean"] - high)
-        if nearest > FARTHEST * n["deviation"]:
-            words = f"at most {FARTHEST:g} deviations outside low and high"
-            far = f", {nearest / n['deviation']:.4g} deviations outside"
-            yield Mistake.wrong(n, path, "mean", words, far)
+        nearest = max(low - n["mean"], n["mean"] - high) / n["deviation"]
+        if nearest > FARTHEST:
+            words = f"mean must be at most {FARTHEST:g} deviations outside low and high, got {given(n['mean'])}"
+            yield vary.text_at("mean", f"{words}, {nearest:.4g} deviations outside")
 
 
-def _weights(table: Data, path: Path) -> Iterator[Mistake]:
-    values, weights = table.get("values"), table.get("weights")
+def _weights(vary: Entry) -> Iterator[Mistake]:
+    values, weights = vary.data.get("values"), vary.data.get("weights")
     if not isinstance(values, list) or not isinstance(weights, list):
         return
-    numbers = [number_of({"weight": weight}, "weight") for weight in weights]
-    if len(values) != len(weights):
-        yield from Entry(table, path).of_length("weights", "values")
-    elif all(number is not None for number in numbers):
-        found = [number for number in numbers if number is not None]
-        if min(found, default=0.0) < 0.0 or not any(found):
-            yield Mistake.wrong(table, path, "weights", "numbers >= 0, not all of them 0")
+    yield from vary.of_length("weights", "values")
+    found = [Entry({"weight": weight}).number("weight") for weight in weights]
+    if len(values) == len(weights) and None not in found:
+        numbers = [number for number in found if number is not None]
+        if min(numbers, default=0.0) < 0.0 or not any(numbers):
+            yield vary.wrong("weights", "numbers >= 0, not all of them 0")
 
 
 def variation_mistakes(job: Job) -> Iterator[Mistake]:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.drive import Drive, angle_sensors, drive_law
 from platform_ctrl.job.job import Job
-from platform_ctrl.plant.mistakes import Mistake, Path, given, one_line, suggestion, tables, text_of
+from platform_ctrl.plant.entry import Entry
+from platform_ctrl.plant.mistakes import Mistake, given, one_line, suggestion
 from platform_ctrl.plant.platform import Platform
-
-Data = dict[str, Any]
 
 # The keys that belong together: the first, and what has no effect without it.
 _WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",)}
@@ -19,26 +17,25 @@ _WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",
 _MOST = 2.0
 
 
-def drive_mistakes(data: Data) -> Iterator[Mistake]:
+def drive_mistakes(job: Entry) -> Iterator[Mistake]:
     """Walk what can be said of the plain data."""
     taken: dict[str, int] = {}
-    for k, drive in tables(data, "drive"):
-        path: Path = ("drive", k)
-        if not any(key in drive for key in _WITH):
-            yield Mistake.missing(path, "friction", "a drive needs friction with sensors, secant_of, or both")
+    for drive in job.tables("drive"):
+        there = [key for key in _WITH if key in drive]
+        if not there:
+            yield drive.missing("friction", "a drive needs friction with sensors, secant_of, or both")
         for key, others in _WITH.items():
             for other in others:
-                if key not in drive and other in drive and any(one in drive for one in _WITH):
-                    yield Mistake.useless(drive, path, other, f"without {key}; add it, or leave the key out")
-        if drive.get("friction") and not drive.get("sensors"):
+                if there and key not in drive and other in drive:
+                    yield drive.useless(other, f"without {key}; add it, or leave the key out")
+        if drive.data.get("friction") and not drive.data.get("sensors"):
             words = "friction is fed forward by the rate that rate sensors of the base or the gimbal show"
-            yield Mistake.missing(path, "sensors", words)
-        name = text_of(drive, "torquer")
+            yield drive.missing("sensors", words)
+        name = drive.text("torquer")
         if name is not None and name in taken:
-            words = f"torquer: {given(name)} has [[drive]] {taken[name] + 1} already; write both in one table"
-            yield Mistake((*path, "torquer"), words)
+            yield drive.says("torquer", f"{given(name)} has [[drive]] {taken[name]} already; write both in one table")
         elif name is not None:
-            taken[name] = k
+            taken[name] = drive.place
 
 
 def misplaced_drives(job: Job) -> Iterator[Mistake]:
