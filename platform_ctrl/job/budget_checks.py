@@ -16,7 +16,7 @@ from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source, unit_mistake
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.spectra import SPECTRA, LogSpectrum
 from platform_ctrl.plant.entry import Entry
-from platform_ctrl.plant.mistakes import Mistake, Path, given, unique_names
+from platform_ctrl.plant.mistakes import Mistake, Path, given
 from platform_ctrl.plant.platform import Platform
 
 # A mean specific force so near to 1 is gravity in g rather than 1 m/s².
@@ -37,7 +37,7 @@ def budget_mistakes(job: Entry, platform: Platform | None) -> Iterator[Mistake]:
         if limits.data:
             yield budget.says("limits", words)
         yield from (source.says("limit", words) for source in budget.tables("source") if "limit" in source)
-    yield from unique_names(budget.data, budget.path, "source")
+    yield from budget.unique("source")
     for source in budget.tables("source"):
         yield from _source(source, platform)
     yield from _correlations(budget)

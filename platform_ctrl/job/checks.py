@@ -18,7 +18,7 @@ from platform_ctrl.job.requirements import SCOPES, limit_keys
 from platform_ctrl.job.run_checks import run_mistakes
 from platform_ctrl.plant.entry import Entry
 from platform_ctrl.plant.fields import TURN
-from platform_ctrl.plant.mistakes import Mistake, given, listed, suggestion, unique_names
+from platform_ctrl.plant.mistakes import Mistake, given, listed, suggestion
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.tables import unknown_key
 
@@ -49,7 +49,7 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
     """Return what does not fit together in a job file; without a platform, what can be said without it."""
     job = Entry(data)
     return [
-        *(mistake for key in ("loop", "manoeuvre", "fault") for mistake in unique_names(data, (), key)),
+        *(mistake for key in ("loop", "manoeuvre", "fault") for mistake in job.unique(key)),
         *_sampling(job),
         *_sets(job),
         *_trims(job, platform),
@@ -200,7 +200,7 @@ def _designs(job: Entry, platform: Platform | None) -> Iterator[Mistake]:
             if isinstance(loop.data.get(table), dict):
                 yield from _limits(loop.table(table), kind, faults, platform)
         rate = loop.number("rate_hz") or job.table("sampling").number("rate_hz")
-        yield from unique_names(loop.data, loop.path, "design")
+        yield from loop.unique("design")
         for design in loop.tables("design"):
             yield from _design(design, kind, rate)
             yield from _design_signals(design, kind, platform, job)

@@ -150,7 +150,9 @@ def _after_the_end(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mista
     """Walk what would happen after the end of a run, or does nothing before it."""
     duration, sample = manoeuvre.duration, job.sampling.period * (1.0 - ROUNDING)
     end = f"before the run ends, at {duration:.6g} s"
-    shaken = (*((one.amplitude, "sine", k) for k, one in enumerate(manoeuvre.sines)),)
+    shaken: tuple[tuple[float, str, int | None], ...] = (
+        *((one.amplitude, "sine", k) for k, one in enumerate(manoeuvre.sines)),
+    )
     shaken += (*((one.amplitudes[1].max(), "vibration", k) for k, one in enumerate(manoeuvre.vibrations)),)
     shaken += ((manoeuvre.rate or 1.0, "rate", None), (manoeuvre.torque or 1.0, "torque", None))
     for size, key, place in shaken:

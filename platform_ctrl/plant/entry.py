@@ -70,15 +70,15 @@ class Entry:
 
     def wrong(self, key: str, words: str, more: str = "") -> Mistake:
         """Return what a key must be."""
-        return Mistake.wrong(self.data, self.path, key, words, more)
+        return self.text_at(key, f"{key} must be {words}, got {given(self.data.get(key))}{more}")
 
     def missing(self, key: str, words: str) -> Mistake:
         """Return that a key is missing, and what needs it."""
-        return Mistake.missing(self.path, key, words)
+        return self.text_at(key, f'the key "{key}" is missing; {words}')
 
     def useless(self, key: str, words: str) -> Mistake:
         """Return that a key has no effect, and with or without what."""
-        return Mistake.useless(self.data, self.path, key, words)
+        return self.text_at(key, f"{key} = {given(self.data[key])} has no effect {words}")
 
     def unknown(self, key: str, name: str, what: str, known: Iterable[str]) -> Mistake:
         """Return that a name under a key is no `what`."""
@@ -93,6 +93,18 @@ class Entry:
         for key in every:
             if key in self and key not in allowed:
                 yield self.useless(key, f"with {of}, which takes {', '.join(allowed) or 'at alone'}")
+
+    def unique(self, key: str) -> Iterator[Mistake]:
+        """Walk the tables of an array whose name another one has."""
+        taken: dict[str, int] = {}
+        for one in self.tables(key):
+            name = one.text("name")
+            if name in taken:
+                header = ".".join([*(step for step in self.path if isinstance(step, str)), key])
+                words = f"name = {given(name)} is the name of [[{header}]] {taken[name]} already; choose another"
+                yield one.text_at("name", words)
+            elif name is not None:
+                taken[name] = one.place
 
     def of_length(self, key: str, beside: str) -> Iterator[Mistake]:
         """Judge that two lists have as many elements."""

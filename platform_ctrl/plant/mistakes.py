@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,26 +34,6 @@ class Mistake:
     def words(self) -> str:
         """The text, found."""
         return self.text if isinstance(self.text, str) else self.text()
-
-    @classmethod
-    def missing(cls, path: Path, key: str, words: str) -> Mistake:
-        """Return that the table at `path` lacks a key, and what needs it."""
-        return cls((*path, key), f'the key "{key}" is missing; {words}')
-
-    @classmethod
-    def useless(cls, table: Mapping[str, Any], path: Path, key: str, words: str) -> Mistake:
-        """Return that a key of the table at `path` has no effect, and with or without what."""
-        return cls((*path, key), f"{key} = {given(table[key])} has no effect {words}")
-
-    @classmethod
-    def wrong(cls, table: Mapping[str, Any], path: Path, key: str, words: str, more: str = "") -> Mistake:
-        """Return what the key of the table at `path` must be."""
-        return cls((*path, key), f"{key} must be {words}, got {given(table.get(key))}{more}")
-
-    @classmethod
-    def unknown_name(cls, path: Path, key: str, name: str, what: str, known: Iterable[str]) -> Mistake:
-        """Return that a name under a key of the table at `path` is no `what`."""
-        return cls((*path, key), f"{key}: {given(name)} is no {what}; {suggestion(name, known)}")
 
 
 def given(item: object, depth: int = 0) -> str:
@@ -104,33 +84,6 @@ def listed(known: Iterable[str]) -> str:
         return "none is known"
     more = f" and {len(known) - LISTED} more" if len(known) > LISTED else ""
     return "known: " + ", ".join(given(name) for name in known[:LISTED]) + more
-
-
-def tables(data: Any, key: str) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Walk the array of tables `key` of `data`, passing over whatever is no table."""
-    entries = data.get(key)
-    if isinstance(entries, list):
-        yield from ((k, entry) for k, entry in enumerate(entries) if isinstance(entry, dict))
-
-
-def text_of(table: dict[str, Any], key: str) -> str | None:
-    """Return the string under `key`, or None where there is none (the structure check says so)."""
-    item = table.get(key)
-    return item if isinstance(item, str) else None
-
-
-def unique_names(data: dict[str, Any], path: Path, key: str) -> Iterator[Mistake]:
-    """Walk the tables `key` of `data`, which is at `path`, whose name another one has."""
-    taken: dict[str, int] = {}
-    for k, table in tables(data, key):
-        name = text_of(table, "name")
-        if name is None:
-            continue
-        if name in taken:
-            header = ".".join([*(step for step in path if isinstance(step, str)), key])
-            words = f"name = {given(name)} is the name of [[{header}]] {taken[name] + 1} already; choose another"
-            yield Mistake((*path, key, k, "name"), words)
-        taken.setdefault(name, k)
 
 
 def report(label: str, data: dict[str, Any], mistakes: Iterable[Mistake]) -> InputError:
