@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -25,7 +24,6 @@ from numba.core import cgutils
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, models, overload, register_model
-from numpy.typing import NDArray
 
 from platform_ctrl.common import parts
 from platform_ctrl.common.values import FloatArray
@@ -116,25 +114,6 @@ def inlined(function: F) -> F:
 
 # Said of functions below, which compiled ones alone call: a wrapper for C takes longer than what is in it.
 _INSIDE: Any = {"no_cfunc_wrapper": True}
-
-
-def apart() -> None:
-    """Said first by a function that many call: on a graphics processor it stays one, not copied into its callers."""
-
-
-@intrinsic
-def _not_inlined(typing: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        if "nvptx" in builder.module.triple:
-            builder.function.attributes.add("noinline")
-        return context.get_dummy_value()
-
-    return types.none(), generate
-
-
-@overload(apart, inline="always", strict=False, jit_options=_INSIDE)
-def _apart() -> Any:
-    return lambda: _not_inlined()
 
 
 def memory(slots: int, columns: int = LANES) -> FloatArray:
@@ -268,11 +247,6 @@ def store(memory: FloatArray, slot: int, lane: int | None, number: Number) -> No
         memory[slot, lane] = number
 
 
-def store_pairs(array: NDArray[np.complex128], first: int, re: Number, im: Number) -> None:
-    """Put complex numbers, as many as a number stands for, into a contiguous array from its element `first` on."""
-    array.flat[first] = complex(re, im)
-
-
 def columns(lane: int) -> tuple[int, int]:
     """Return the first column that `lane` stands for, and the one behind the last: for what goes one by one."""
     return lane, lane + 1
@@ -309,51 +283,10 @@ def _store_row(typing: Any, memory: Any, slot: Any, number: Any) -> Any:
     return types.none(memory, slot, number), generate
 
 
-@intrinsic
-def _store_pairs_of_lanes(typing: Any, array: Any, first: Any, re: Any, im: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        pairs = builder.bitcast(builder.gep(data, [args[1]]), _VECTOR.as_pointer())
-        for k in range(2):
-            order = [k * LANES // 2 + t // 2 + t % 2 * LANES for t in range(LANES)]
-            half = builder.shuffle_vector(args[2], args[3], ir.Constant(ir.VectorType(ir.IntType(32), LANES), order))
-            builder.store(half, builder.gep(pairs, [ir.Constant(ir.IntType(32), k)]), align=8)
-        return context.get_dummy_value()
-
-    return types.none(array, first, re, im), generate
-
-
-def _slot(context: Any, builder: Any, kind: Any, array: Any, slot: Any) -> Any:
-    return builder.gep(context.make_array(kind)(context, builder, array).data, [slot])
-
-
-# Where a scenario has a memory of its own, a slot is found by one addition: numba's own indexing looks at the sign and
-# the strides of every index, on a graphics processor several times the work of what is computed.
-
-
-@intrinsic
-def _load_slot(typing: Any, memory: Any, slot: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(_slot(context, builder, sig.args[0], *args))
-
-    return types.float64(memory, types.intp), generate
-
-
-@intrinsic
-def _store_slot(typing: Any, memory: Any, slot: Any, number: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(args[2], _slot(context, builder, sig.args[0], args[0], args[1]))
-        return context.get_dummy_value()
-
-    return types.none(memory, types.intp, types.float64), generate
-
-
 @overload(load, strict=False, jit_options=_INSIDE)
 def _load(memory: Any, slot: Any, lane: Any) -> Any:
     if isinstance(lane, types.NoneType):
         return lambda memory, slot, lane: _load_row(memory, slot)
-    if memory.ndim == 1:
-        return lambda memory, slot, lane: _load_slot(memory, slot)
     return lambda memory, slot, lane: memory[slot, lane]
 
 
@@ -361,20 +294,11 @@ def _load(memory: Any, slot: Any, lane: Any) -> Any:
 def _store(memory: Any, slot: Any, lane: Any, number: Any) -> Any:
     if isinstance(lane, types.NoneType):
         return lambda memory, slot, lane, number: _store_row(memory, slot, number)
-    if memory.ndim == 1:
-        return lambda memory, slot, lane, number: _store_slot(memory, slot, number)
 
     def put(memory, slot, lane, number):
         memory[slot, lane] = number
 
     return put
-
-
-@overload(store_pairs, strict=False, jit_options=_INSIDE)
-def _store_pairs(array: Any, first: Any, re: Any, im: Any) -> Any:
-    if re == im == _lane:
-        return lambda array, first, re, im: _store_pairs_of_lanes(array, first, re, im)
-    return None
 
 
 # Elementary functions.
@@ -410,11 +334,6 @@ def greater(a: Number, b: Number) -> Number:
     return choose(a > b, a, b)
 
 
-def fused(a: Number, b: Number, c: Number) -> Number:
-    """Return a b + c, rounded once."""
-    return float(Fraction(a) * Fraction(b) + Fraction(c))
-
-
 def power_of_two(k: Number) -> Number:
     """Return 2 to the whole number k, from -1022 to 1023."""
     return math.ldexp(1.0, int(k))
@@ -441,16 +360,6 @@ def _anywhere_in_lane(typing: Any, mask: Any) -> Any:
         return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
 
     return types.boolean(mask), generate
-
-
-@intrinsic
-def _fused_lanes(typing: Any, a: Any, b: Any, c: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        wide = [_widened(builder, kind, number) for kind, number in zip(sig.args, args, strict=True)]
-        kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
-        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{LANES}f64"), wide)
-
-    return _lane(a, b, c), generate
 
 
 def _by_llvm(name: str) -> Any:
@@ -523,11 +432,6 @@ def _root(x: Any) -> Any:
 @overload(whole, strict=False, jit_options=_INSIDE)
 def _whole(x: Any) -> Any:
     return (lambda x: _floor_of_lane(x)) if x == _lane else (lambda x: float(math.floor(x)))
-
-
-@overload(fused, strict=False, jit_options=_INSIDE)
-def _fused(a: Any, b: Any, c: Any) -> Any:
-    return (lambda a, b, c: _fused_lanes(a, b, c)) if _lane in (a, b, c) else None
 
 
 @overload(power_of_two, strict=False, jit_options=_INSIDE)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from platform_ctrl.common.simd import (
     Mask,
     Number,
-    apart,
     choose,
     columns,
     greater,
@@ -101,7 +100,6 @@ def new_torque(
     shared: Shared, mem: FloatArray, lane: int, layout: Layout, segment: int, source: int, t: Number
 ) -> None:
     """What the torquers work towards from t on: the limited command of sample `source`, and what fails of it."""
-    apart()
     nu = shared.targets.shape[0]
     for i in range(nu):
         slot = layout.torquer + i * TORQUER

@@ -30,7 +30,7 @@ Non-positive pivots give NaN, which the callers take as divergence.
 
 from __future__ import annotations
 
-from platform_ctrl.common.simd import Number, apart, choose, inlined, internal, load, root, store
+from platform_ctrl.common.simd import Number, choose, inlined, internal, load, root, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
     ACCELERATION,
@@ -266,7 +266,6 @@ def derivative(
     not turn: qdot = const (free root) or qdot = 0 (prescribed Omega; its momentum then means nothing). With `bare`
     rotors and force elements are left out.
     """
-    apart()
     n = at.n
     torque = dy + n + 3  # the joints' torques, replaced by their accelerations
     _outward(links, mem, lane, at, free, bare, y, around)
@@ -346,7 +345,6 @@ def runge_kutta(
     links: Links, mem: FloatArray, lane: int, at: At, free: bool, locking: bool, y: int, step: Number
 ) -> None:
     """One step of the classical Runge-Kutta method, in place; three blocks of surroundings hold what acts."""
-    apart()
     n, size = at.n, at.size
     now, dy, total = at.stages, at.stages + size, at.stages + 2 * size
     block = at.block

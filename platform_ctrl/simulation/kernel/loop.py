@@ -7,7 +7,6 @@ import math
 from platform_ctrl.common.simd import (
     Number,
     anywhere,
-    apart,
     choose,
     compiled,
     greater,
@@ -223,7 +222,6 @@ def _segment(
     contact: bool,
 ) -> bool:
     """Integrate over one segment of a period; return whether any gimbal lies on a stop at its end."""
-    apart()
     step = load(mem, layout.segments + segment, lane)
     nu = shared.targets.shape[0]
     contacts = layout.metrics + at.n + 3 + 2 * nu

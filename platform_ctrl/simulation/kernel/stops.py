@@ -6,7 +6,6 @@ from platform_ctrl.common.simd import (
     Mask,
     Number,
     anywhere,
-    apart,
     choose,
     greater,
     inlined,
@@ -180,7 +179,6 @@ def hold(
 @internal
 def _put_back(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, hit: Mask) -> None:
     """Put gimbals past their stops back on them; the momenta of the joints and of the platform stay as they are."""
-    apart()
     n, end = at.n, at.surroundings + 2 * at.block
     before, after, root = layout.velocity + n, at.stages, at.work + MOMENT
     if free:

@@ -6,7 +6,6 @@ import math
 
 from platform_ctrl.common.simd import (
     Number,
-    apart,
     choose,
     columns,
     greater,
@@ -189,7 +188,6 @@ def surround(
     t: Number,
 ) -> None:
     """Fill block `row` with what acts at t; with `turning`, vibrations go on by half a substep of the segment."""
-    apart()
     n, block = at.n, at.surroundings + row * at.block
     zero = 0.0 * t
     Omega, force = block + n + 3, block + n + 6
