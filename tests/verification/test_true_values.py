@@ -134,11 +134,19 @@ CASES = {
         (SLOW, Body("pitch", 0, (0, 1, 0), solid(0.01), 0.015, 0.016, driven=True)),
         1154.0, 1.2, 0.6, 230.0, 0.6, 3.7, 0.0355,
     ),
+    "two channels": Loop(
+        (
+            Body("yaw", -1, (0, 0, 1), solid(0.0106), 0.00347, 0.00526, driven=True),
+            Body("flap", 0, (0, 1, 0), solid(0.00516), 1.5, 0.0431),
+            Body("pitch", 1, (0, 1, 0), solid(0.01, 0.000212), 0.00347, 0.00263, (0, 0, 1.64e-5), True),
+        ),
+        3226.0, 1.411, 0.465, 411.0, 1.235, 24.3, 0.00792, pointing=True,
+    ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_slow_and_light_bodies_hide_nothing(name: str) -> None:
+def test_bodies_and_other_channels_hide_nothing(name: str) -> None:
     found = compared(CASES[name], KINDS)
     assert len(found) >= 15
     for kind, (true, reported) in found.items():
