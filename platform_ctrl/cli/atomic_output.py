@@ -24,15 +24,21 @@ def written_together(folder: Path) -> Iterator[Path]:
 
     If the work ends by an error or by Ctrl-C, none does.
     """
+    with beside(folder) as unfinished:
+        yield unfinished
+        with interrupts_deferred():
+            move_together({unfinished: folder})
+
+
+@contextmanager
+def beside(folder: Path) -> Iterator[Path]:
+    """Yield a folder to write into inside `folder`, which is made; without an error that stays."""
     made, inside = not folder.exists(), ""
     try:
         folder.mkdir(exist_ok=True)
         with unfinished_folder(folder) as unfinished:
             inside = str(unfinished)
             yield unfinished
-            with interrupts_deferred():
-                for path in sorted(unfinished.iterdir()):
-                    os.replace(path, folder / path.name)
         made = False
     except InputError as error:
         raise InputError(str(error).replace(inside, str(folder)) if inside else str(error)) from None
@@ -44,6 +50,26 @@ def written_together(folder: Path) -> Iterator[Path]:
         if made:
             with suppress(OSError):
                 folder.rmdir()
+
+
+def move_together(folders: Mapping[Path, Path]) -> None:
+    """Move the files of unfinished folders into others, over those there: all of them, or by an error none."""
+    moves = [(path, folder / path.name) for source, folder in folders.items() for path in sorted(source.iterdir())]
+    kept = {path: path.parent / "before" / path.name for path, _ in moves}
+    for source in folders:
+        (source / "before").mkdir()
+    try:
+        for path, target in moves:
+            if os.path.lexists(target):
+                os.replace(target, kept[path])
+            os.replace(path, target)
+    except BaseException:
+        for path, target in moves:
+            if os.path.lexists(kept[path]):
+                os.replace(kept[path], target)
+            elif not os.path.lexists(path):
+                os.unlink(target)
+        raise
 
 
 def expect_own(unfinished: Path, folder: Path, own: Mapping[str, str] | None = None) -> None:

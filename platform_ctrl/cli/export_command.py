@@ -127,15 +127,17 @@ def _write(
     say: Callable[[str], None],
 ) -> dict[Exporter, list[Path]]:
     """Write all forms or none, and return the files of each; what a folder has of an earlier export goes."""
-    from platform_ctrl.cli.atomic_output import expect_own, write_folder_record, written_together
+    from platform_ctrl.cli.atomic_output import beside, expect_own, move_together, write_folder_record
     from platform_ctrl.cli.interrupts import interrupts_deferred
 
     made: dict[Exporter, list[Path]] = {}
+    moves: dict[Path, Path] = {}
     with ExitStack() as all_or_none:
         for exporter, target in chosen.items():
             say(f"writing {target}")
             folder = target.parent if exporter.suffix else target
-            unfinished = all_or_none.enter_context(written_together(folder))
+            unfinished = all_or_none.enter_context(beside(folder))
+            moves[unfinished] = folder
             path = unfinished / target.name if exporter.suffix else unfinished
             exporter.write(work, path, target, **settings[exporter])
             if not exporter.suffix:
@@ -143,7 +145,7 @@ def _write(
             expect_own(unfinished, folder, owned.get(exporter))
             made[exporter] = [folder / one.name for one in sorted(unfinished.iterdir())]
         with interrupts_deferred():
-            all_or_none.close()
+            move_together(moves)
     for exporter, before in owned.items():
         for name in before.keys() - {path.name for path in made[exporter]}:
             (chosen[exporter] / name).unlink(missing_ok=True)

@@ -224,6 +224,24 @@ def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, mon
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_files_that_have_moved_go_back_when_another_cannot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "one").write_text("old")
+    moved, count = os.replace, 0
+
+    def stopped(old: Path, new: Path) -> None:
+        nonlocal count
+        count += 1
+        if count == 3:
+            raise KeyboardInterrupt
+        moved(old, new)
+
+    monkeypatch.setattr(os, "replace", stopped)
+    with pytest.raises(KeyboardInterrupt), written_together(tmp_path) as folder:  # noqa: PT012
+        (folder / "one").write_text("new")
+        (folder / "two").write_text("new")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"one": "old"}
+
+
 def test_what_killed_runs_left_goes_and_what_a_process_writes_stays(tmp_path: Path) -> None:
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
     left = [tmp_path / ".unfinished-a1b2c3d4", tmp_path / f".unfinished-{int(ended.stdout)}-x1"]
