@@ -25,8 +25,9 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.time_responses import time_response
 from platform_ctrl.common.values import FloatArray
 
-# Distance from 0 and from the Nyquist frequency, where L is real, relative to the latter: L has poles there.
-_END = 1e-8
+# Share of the slowest pole from which on L is followed, of Nyquist's below which a pole is one at 0; a gain like that
+# of an integrator at 0.
+_FIRST, _ZERO, _BEYOND = 1e-2, 1e-10, 1e8
 # How far |L| may be from 1, and its angle from ±180°, at such a frequency, relative.
 _AT = 1e-3
 # Points of a grid beside the eigenvalues; parts into which an interval with a crossing is cut, and how often.
@@ -41,12 +42,15 @@ def margins_of_channel(sensitivity: StateArrays) -> tuple[float, float]:
     loop = loop_of_sensitivity(sensitivity)
 
     def L(w: FloatArray) -> ComplexArray:
-        return np.asarray(1.0 / frequency_response(sensitivity, w)[0, 0] - 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(1.0 / frequency_response(sensitivity, w)[0, 0] - 1.0)
 
     own = np.concatenate([poles(sensitivity.A), poles(loop.A)])
     near = resonances(continuous_poles(own, loop.dt))
     real = _crossings(L, lambda x: x.imag, _frequencies(_real_pencil(loop), loop.dt), near, np.pi / loop.dt)
-    real = real[(real.real < 0.0) & (np.abs(real.imag) < _AT * np.abs(real.real))]
+    # L is real at zero frequency and at Nyquist's, too.
+    real = np.concatenate([real, L(np.array([0.0, np.pi / loop.dt]))])
+    real = real[(real.real < 0.0) & (np.abs(real) < _BEYOND) & (np.abs(real.imag) < _AT * np.abs(real.real))]
     unit = _crossings(L, lambda x: np.abs(x) - 1.0, _frequencies(_unit_pencil(loop), loop.dt), near, np.pi / loop.dt)
     unit = unit[np.abs(np.abs(unit) - 1.0) < _AT]
     gain = float(np.exp(np.abs(np.log(-real.real)).min(initial=np.inf)))
@@ -64,11 +68,9 @@ def _crossings(
 
     It is followed between `near` and the middles of what is known, in which each crossing stands alone.
     """
-    ends = np.array([_END, 1.0 - _END]) * nyquist
-    known = np.concatenate([known, ends])
-    low = 0.1 * near[near > ends[0]].min(initial=nyquist)
-    w = np.unique(np.concatenate([known, near, np.geomspace(max(low, ends[0]), ends[1], _GRID)]))
-    w = w[(w >= ends[0]) & (w <= ends[1])]
+    low = _FIRST * near[near > _ZERO * nyquist].min(initial=nyquist)
+    w = np.unique(np.concatenate([known, near, np.geomspace(low, nyquist, _GRID)]))
+    w = w[(w >= low) & (w < nyquist)]
     w = np.unique(np.concatenate([0.5 * (w[1:] + w[:-1]), w]))
     signs = np.sign(of(L(w)))
     at = np.flatnonzero(signs[1:] * signs[:-1] < 0.0)

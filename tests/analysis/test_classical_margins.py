@@ -35,6 +35,14 @@ def test_a_loop_that_may_lose_gain_has_a_margin_downwards():
         assert found == pytest.approx(margin, rel=1e-5)
 
 
+def test_a_slow_pole_hides_no_gain_at_zero_frequency():
+    """P = 1/(s - 0.2) under K = 0.3: |L(0)| = 1.5, and L turns away from there within a tenth of 1 rad/s."""
+    L = control.sample_system(control.ss([[0.2]], [[1.0]], [[0.3]], 0), 4e-4)
+    assert margins_of_channel(sensitivity(L))[0] == pytest.approx(1.5, rel=1e-9)
+    slow = control.sample_system(control.ss([[2e-5]], [[1.0]], [[3e-5]], 0), 4e-4)
+    assert margins_of_channel(sensitivity(slow))[0] == pytest.approx(1.5, rel=1e-6)
+
+
 @pytest.mark.parametrize("name", ["camera", pytest.param("three gyros", marks=pytest.mark.slow)])
 def test_a_grid_finds_nothing_worse(name):
     loops = camera_loop(use="one", design=[{"name": "one", "method": "hinf"}])
