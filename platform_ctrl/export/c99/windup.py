@@ -43,11 +43,7 @@ def back_calculation(controller: Controller) -> Windup:
     if not limited.any():
         return Windup(gain=none, remark="Anti-windup: none, for no output is limited.")
     A, B, C = scaled(K.A, K.B, K.C)
-    t, Z, k = (
-        schur(A, output="real", sort=lambda re, im=0.0: bool(abs(complex(re, im)) > 1.0 - _DECAY))
-        if len(A)
-        else (A, A, 0)
-    )
+    t, Z, k = schur(A, output="real", sort=_integrates) if len(A) else (A, A, 0)
     if not k:
         return Windup(gain=none, remark="Anti-windup: none, for no state integrates.")
     V, own = state_scaling(K.A, K.B, K.C)[:, None] * Z[:, :k], t[:k, :k]

@@ -17,10 +17,8 @@ from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export.mujoco.shapes import (
     Placed,
-    add_looks,
-    add_ring,
+    add_gimbal,
     add_root,
-    add_scene,
     add_wheel,
     children,
     placed,
@@ -84,10 +82,8 @@ def write_mjcf(
     )
     SubElement(option, "flag", contact="disable")
     bodies = placed(platform)
-    add_looks(top, bodies[0].radius)
     SubElement(SubElement(top, "default"), "geom", contype="0", conaffinity="0", group="1")
     world = SubElement(top, "worldbody")
-    add_scene(world, bodies[0].radius)
     hinges = _add_root(world, platform, bodies, root, step)
     controls = _add_actuators(top, platform, root)
     _add_sensors(top, platform, root)
@@ -122,7 +118,7 @@ def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Ro
             joint.set("armature", repr(PRESCRIBED * _whole(platform)))
     _add_inertia(element, bodies[0])
     SubElement(element, "site", name="root", pos="0 0 0", size="0.001", group="4")
-    add_root(element, platform, bodies)
+    add_root(element, bodies[0].radius)
     return _add_carried(element, platform, bodies, 0, 0, step)
 
 
@@ -134,14 +130,14 @@ def _add_carried(
         rates.append(_add_rotor(element, platform.rotors[k]))
     for child in children(platform, body):
         gimbal = platform.gimbals[child - 1]
-        inner = SubElement(element, "body", name=_line(gimbal.name), pos=text(bodies[child].position))
+        inner = SubElement(element, "body", name=_line(gimbal.name))
         joint = SubElement(inner, "joint", name=_line(gimbal.angle), type="hinge", axis=text(gimbal.axis))
         for key, item in _joint(platform, child - 1, step).items():
             joint.set(key, item)
         _add_inertia(inner, bodies[child])
         if gimbal.name in inertial_bodies(platform):
             SubElement(inner, "site", name=_line(gimbal.name), pos="0 0 0", size="0.001", group="4")
-        add_ring(inner, platform, child, bodies, depth + 1)
+        add_gimbal(inner, gimbal.axis, bodies[child].radius, depth + 1)
         rates += [0.0, *_add_carried(inner, platform, bodies, child, depth + 1, step)]
     return rates
 
