@@ -111,4 +111,8 @@ def _system(where: str, name: str, item: np.ndarray[Any, Any]) -> SystemRecord:
     ):
         raise InputError(f"{where}: is not one plain linear system; save {_READABLE}")
     names = {key: [str(np.squeeze(text)) for text in cell.ravel()] for key, cell in texts.items()}
-    return system_of(where, {**fields, **names, "name": name, "dt": period.item()})
+    shape = np.shape(fields.get("D", np.zeros(0)))
+    for key, letter, count in zip(("outputs", "inputs"), "yu", shape, strict=False):
+        names[key] = names[key] or [f"{letter}{k + 1}" for k in range(count)]
+    matrices = {key: item.tolist() for key, item in fields.items()}
+    return system_of(where, {**matrices, **names, "name": name, "dt": period.item()})

@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.plant_set import COMMAND
@@ -16,12 +14,11 @@ from platform_ctrl.common.json_text import write_json
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.plant.fields import finite_number
-from platform_ctrl.plant.mistakes import given, one_line
+from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.source import path_of, read_json
-from platform_ctrl.verification.result_file import SCHEMA
+from platform_ctrl.verification.result_file import SCHEMA, JSONTable
 
 if TYPE_CHECKING:
     import control
@@ -219,7 +216,7 @@ def read_systems(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
     Returns
     -------
     tuple of SystemRecord
-        In the file's order; what has no names gets u1, y1, x1 and so on.
+        In the file's order.
 
     Raises
     ------
@@ -236,110 +233,33 @@ def read_systems(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
     entries = data.get(key)
     if not isinstance(entries, list) or not 0 < len(entries) <= MOST_SYSTEMS:
         raise InputError(f'{label}: "{key}" must be a list of 1 to {MOST_SYSTEMS} systems, got {given(entries)}')
-    return tuple(_entry(f"{label}: {key} {number}", entry) for number, entry in enumerate(entries, 1))
+    return tuple(system_of(f"{label}: {key} {number}", entry) for number, entry in enumerate(entries, 1))
 
 
-def _entry(where: str, data: object) -> SystemRecord:
-    if not isinstance(data, Mapping):
-        raise InputError(f"{where}: must be a table with name, dt, A, B, C, D, ..., got {given(data)}")
-    return system_of(where, data)
-
-
-def system_of(where: str, data: Mapping[str, Any]) -> SystemRecord:
+def system_of(where: str, data: object) -> SystemRecord:
     """Return the system that a file describes; `where` is the file and the entry, for messages.
 
-    ``A`` to ``D`` are arrays or lists of rows; ``delay``, names, units and ``note`` may be missing.
+    ``A`` to ``D`` are lists of rows; ``delay``, names of states, units and ``note`` may be missing.
     """
-    D = _rows(where, "D", data)
-    A = _rows(where, "A", data)
-    B, C = _rows(where, "B", data), _rows(where, "C", data)
-    n = 0 if A.size == 0 else len(A)
-    p = max(len(C) if C.size else 0, len(D) if D.size else 0)
-    m = max(B.shape[1] if B.size else 0, D.shape[1] if D.size else 0)
-    if max(n, m, p) > MOST:
-        raise InputError(f"{where}: has {n} states, {m} inputs and {p} outputs; at most {MOST} of each are possible")
-    shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
-    arrays = {}
-    for key, item in (("A", A), ("B", B), ("C", C), ("D", D)):
-        wanted = shapes[key]
-        if item.size == 0 and 0 in wanted:
-            item = np.zeros(wanted)
-        if item.shape != wanted:
-            raise InputError(
-                f"{where}: {key}: must be {wanted[0]} x {wanted[1]}, got {item.shape[0]} x {item.shape[1]}"
-            )
-        arrays[key] = item
-    if not p or not m:
-        raise InputError(f"{where}: has {m} inputs and {p} outputs; it needs at least one of each")
-    dt, delay = (_time(where, key, data) for key in ("dt", "delay"))
+    table = JSONTable(where, data)
+    inputs, outputs = table.names("inputs"), table.names("outputs")
+    arrays = table.arrays(len(inputs), len(outputs), table.number("dt", "a finite number >= 0, s", least=0.0))
+    states = table.names("states") if table.data.get("states") else tuple(f"x{k + 1}" for k in range(len(arrays.A)))
+    if len(states) != len(arrays.A):
+        raise table.mistake(f"states: has {len(states)} names, but A has {len(arrays.A)} rows")
+    units = {key: tuple(map(str, table.data.get(key) or ())) for key in ("input_units", "output_units")}
     return SystemRecord(
-        **arrays,
-        name=_text(where, "name", data) or "system",
-        dt=dt,
-        delay=delay,
-        inputs=_names(where, "inputs", data, m, "u"),
-        outputs=_names(where, "outputs", data, p, "y"),
-        states=_names(where, "states", data, n, "x"),
-        input_units=_names(where, "input_units", data, m, None),
-        output_units=_names(where, "output_units", data, p, None),
-        note=_text(where, "note", data),
+        A=arrays.A,
+        B=arrays.B,
+        C=arrays.C,
+        D=arrays.D,
+        dt=arrays.dt,
+        name=table.text("name", "a name"),
+        delay=table.number("delay", "a finite number >= 0, s", least=0.0) if "delay" in table.data else 0.0,
+        inputs=inputs,
+        outputs=outputs,
+        states=states,
+        input_units=units["input_units"] or ("",) * len(inputs),
+        output_units=units["output_units"] or ("",) * len(outputs),
+        note=table.text("note", "text in one line", empty=True) if "note" in table.data else "",
     )
-
-
-def _rows(where: str, key: str, data: Mapping[str, Any]) -> FloatArray:
-    """Return a matrix; one without elements has the shape (0, 0)."""
-    item = data.get(key)
-    if item is None:
-        raise InputError(f'{where}: the matrix "{key}" is missing')
-    if isinstance(item, np.ndarray):
-        if item.dtype.kind not in "iufb" or item.ndim != 2:
-            raise InputError(f"{where}: {key}: must be a matrix of real numbers")
-        array = item.astype(np.float64)
-    else:
-        if not isinstance(item, list) or not all(isinstance(row, list) for row in item):
-            raise InputError(f"{where}: {key}: must be a list of rows, got {given(item)}")
-        widths = {len(row) for row in item}
-        if len(widths) > 1 or max([len(item), *widths]) > MOST:
-            raise InputError(
-                f"{where}: {key}: has {len(item)} rows of {sorted(widths)[:3]} numbers; rows must have the same "
-                f"length, at most {MOST} rows of at most {MOST} numbers"
-            )
-        numbers = [[finite_number(element) for element in row] for row in item]
-        array = np.array([[np.nan if x is None else x for x in row] for row in numbers], dtype=np.float64)
-    if array.size == 0:
-        return np.zeros((0, 0))
-    if not np.isfinite(array).all():
-        i, j = np.argwhere(~np.isfinite(array))[0]
-        raise InputError(f"{where}: {key}: element ({i + 1}, {j + 1}) must be a finite number")
-    return array
-
-
-def _time(where: str, key: str, data: Mapping[str, Any]) -> float:
-    item = data.get(key, 0.0)
-    number = finite_number(item)
-    if number is None or number < 0.0:
-        raise InputError(f"{where}: {key}: must be a finite number >= 0, s, got {given(item)}")
-    return number
-
-
-def _text(where: str, key: str, data: Mapping[str, Any]) -> str:
-    item = data.get(key, "")
-    if not isinstance(item, str) or not item.isprintable():
-        raise InputError(f"{where}: {key}: must be text in one line, got {given(item)}")
-    return item
-
-
-def _names(where: str, key: str, data: Mapping[str, Any], count: int, default: str | None) -> tuple[str, ...]:
-    """Return names of signals, each once; units (`default` None) may be alike, and are "" where there are none."""
-    item = data.get(key) or []
-    if not isinstance(item, Sequence) or isinstance(item, str) or not all(isinstance(name, str) for name in item):
-        raise InputError(f"{where}: {key}: must be a list of names, got {given(item)}")
-    if not any(item):
-        return ("",) * count if default is None else tuple(f"{default}{k}" for k in range(1, count + 1))
-    if len(item) != count:
-        raise InputError(f"{where}: {key}: has {len(item)} names, but the matrices have {count} signals or states")
-    for k, name in enumerate(item):
-        if not name.isprintable() or (default is not None and (not name.strip() or name in item[:k])):
-            wrong = f"name {k + 1} is {given(name)}"
-            raise InputError(one_line(f"{where}: {key}: {wrong}; each name must be unique, in one line"))
-    return tuple(item)

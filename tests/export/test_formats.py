@@ -88,15 +88,16 @@ def test_json_that_makes_no_sense_is_one_line(systems: tuple[SystemRecord, ...],
         assert "\n" not in str(caught.value)
         return str(caught.value).removeprefix(f"{file}: systems 1: ")
 
-    assert refused(A="gone") == 'the matrix "A" is missing'
-    assert refused(B=[[1.0, 2.0]]) == "B: must be 4 x 2, got 1 x 2"
-    assert refused(D=[[1.0, None], [0.0, 0.0]]) == "D: element (1, 2) must be a finite number"
-    assert refused(dt=-1) == "dt: must be a finite number >= 0, s, got -1"
-    assert refused(inputs=["a"]) == "inputs: has 1 names, but the matrices have 2 signals or states"
-    assert refused(outputs=["a", "a"]) == 'outputs: name 2 is "a"; each name must be unique, in one line'
-    assert refused(C=[[0.0] * 4, [0.0] * 3]).startswith("C: has 2 rows of [3, 4] numbers")
-    assert refused(name=["x"]) == 'name: must be text in one line, got ["x"]'
-    assert refused(A=[[0.0] * 1001]).startswith("A: has 1 rows of [1001] numbers")
+    assert refused(A="gone") == 'the key "A" is missing; it must be a matrix as a list of rows'
+    assert refused(B=[[1.0, 2.0]]).startswith("B must be 4 x 2")
+    assert refused(D=[[1.0, None], [0.0, 0.0]]).startswith("D: element (1, 2) must be a finite number")
+    assert refused(dt=-1) == "dt must be a finite number >= 0, s, got -1"
+    assert refused(inputs=["a"]).startswith("B must be 4 x 1")
+    assert refused(outputs=["a", "a"]) == 'outputs: "a" is listed twice; leave one of them out'
+    assert refused(states=["a"]) == "states: has 1 names, but A has 4 rows"
+    assert refused(C=[[0.0] * 4, [0.0] * 3]).startswith("C must be 2 x 4")
+    assert refused(name=["x"]).startswith("name must be a name, got")
+    assert refused(A=[[0.0] * 1001]).startswith("A must be 1 x 1 (square)")
     (tmp_path / "list.json").write_text("[]")
     with pytest.raises(InputError, match="must be a JSON file with systems"):
         export.read_systems(tmp_path / "list.json")
@@ -144,10 +145,11 @@ def test_mat_that_is_no_plain_linear_system_is_refused_in_one_line(tmp_path: Pat
 
     matrices = {"A": -1.0, "B": 1.0, "C": 1.0, "D": 0.0}
     assert refused({"x": 1.0}).startswith("holds 0 structs; save 1 to 1000 structs")
-    assert refused({"s": matrices | {"A": "text"}}) == "s: A: must be a matrix of real numbers"
-    assert refused({"s": matrices | {"A": np.nan}}) == "s: A: element (1, 1) must be a finite number"
-    assert refused({"s": matrices | {"B": [[1.0, 2.0]]}}).startswith("s: D: must be 1 x 2, got 1 x 1")
-    assert refused({"s": matrices | {"Ts": -1.0}}).startswith("s: dt: must be a finite number")
+    assert refused({"s": matrices | {"A": "text"}}).startswith("s: A must be 1 x 1 (square)")
+    assert refused({"s": matrices | {"A": 1j}}).startswith("s: A: element (1, 1) must be a finite number")
+    assert refused({"s": matrices | {"A": np.nan}}).startswith("s: A: element (1, 1) must be a finite number")
+    assert refused({"s": matrices | {"B": [[1.0, 2.0]]}}).startswith("s: B must be 1 x 1")
+    assert refused({"s": matrices | {"Ts": -1.0}}).startswith("s: dt must be a finite number")
     for more in ({"InputName": 3.0}, {"OutputDelay": 2.0}, {"Ts": [1.0, 2.0]}):
         assert refused({"s": matrices | more}).startswith("s: is not one plain linear system; save")
     assert refused(b"\x89HDF\r\n").startswith("cannot be read")
