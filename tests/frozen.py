@@ -301,24 +301,6 @@ def linear_systems() -> dict[str, Any]:
     return out
 
 
-def riccati() -> dict[str, Any]:
-    """CAREX and DAREX: who is solved and the norm of the solution, or how it is refused."""
-    sys.path.insert(0, str(ROOT / "tests" / "support"))
-    from riccati_examples import carex, darex
-
-    out: dict[str, Any] = {}
-    for example in [*map(carex, range(1, 20)), *map(darex, range(1, 20))]:
-        n, m = example.B.shape
-        dt = float(example.discrete)
-        plant = control.StateSpace(example.A, example.B, np.eye(n), np.zeros((n, m)), dt, remove_useless_states=False)
-        try:
-            X = design.lqr(plant, example.Q, example.R, example.N).X
-            out[example.name] = {"norm": float(np.linalg.norm(X)), "trace": float(np.trace(X))}
-        except pc.PlatformCtrlError as error:
-            out[example.name] = type(error).__name__
-    return out
-
-
 def compleib(name: str) -> tuple[control.StateSpace, int, int]:
     p = {k: np.array(PROBLEMS[name][k], dtype=float) for k in ("A", "B1", "B", "C1", "C", "D11", "D12", "D21")}
     D = np.block([[p["D11"], p["D12"]], [p["D21"], np.zeros((len(p["C"]), p["B"].shape[1]))]])
@@ -449,7 +431,6 @@ PARTS = {
     "mechanics": Part(mechanics),
     # Where a maximum lies is found to the root of the rounding errors only.
     "linear": Part(linear_systems, ((r"/peak$", 1e-7, 0.0),)),
-    "riccati": Part(riccati),
     "synthesis": Part(synthesis),
     "export": Part(export),
     "flights": Part(flights),

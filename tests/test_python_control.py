@@ -16,7 +16,6 @@ import platform_ctrl as pc
 from platform_ctrl import analysis, design, simulation
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.design.classical.crossover import CrossoverDesign
 from platform_ctrl.design.loop import LoopDesign
 
 MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
@@ -43,22 +42,13 @@ JOB = {
 
 
 @pytest.fixture(scope="module")
-def crossover() -> CrossoverDesign:
-    return design.from_crossover_and_margin(
-        MODEL, ("9", "10"), crossover_hz=8.0, disk_margin=0.5, period=PERIOD, delay=1.5 * PERIOD
-    )
-
-
-@pytest.fixture(scope="module")
 def loop() -> LoopDesign:
     return design.loops(JOB)[0].closed
 
 
-@pytest.mark.parametrize("of", ["crossover", "loop"])
-def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(
-    of: str, request: pytest.FixtureRequest
-) -> None:
-    made = request.getfixturevalue(of)
+def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(loop: LoopDesign) -> None:
+    made = loop
+    assert made.plant is not None
     angles = list(made.controller.input_labels)
     assert made.plant.input_labels == [*made.controller.output_labels, *RATES]
     theirs = control.interconnect([made.plant, made.controller], inputs=RATES, outputs=angles)
@@ -97,9 +87,9 @@ def test_interconnect_closes_a_loop_that_was_shaped_in_complex_coordinates(perio
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-12 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("of", ["crossover", "loop"])
-def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(of: str, request: pytest.FixtureRequest) -> None:
-    plant = request.getfixturevalue(of).plant
+def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(loop: LoopDesign) -> None:
+    plant = loop.plant
+    assert plant is not None
     angles = list(plant.output_labels)
     # By python-control alone: a zero-order hold before the continuous plant.
     direct = control.sample_system(pc.state_space(MODEL, gimbals=("9", "10")), PERIOD)[angles, RATES]
@@ -114,27 +104,21 @@ def test_designs_of_a_job_name_the_states_of_their_plant(loop: LoopDesign) -> No
     assert all(name.startswith(("lag_Q", "Q9_held", "Q10_held")) for name in loop.plant.state_labels[4:])
 
 
-def test_names_of_states_last(crossover: CrossoverDesign) -> None:
+def test_names_of_states_last(loop: LoopDesign) -> None:
+    assert loop.plant is not None
     gyro = pc.state_space(MODEL, gimbals=("9", "10"))
     assert gyro.state_labels == STATES
     part = analysis.arrays.selected(gyro, ["beta10"], ["Q9"])
     assert part.state_labels == STATES
-    for made in (part, gyro, crossover.plant):
+    for made in (part, gyro, loop.plant):
         assert made.state_labels[:4] == STATES
     sampled = analysis.sampled(part, PERIOD, delay=PERIOD, lag=0.001)
     assert sampled.state_labels == [*STATES, "lag_Q9", "Q9_held1"]
-    plant, controller = crossover.plant, crossover.controller
+    plant, controller = loop.plant, loop.controller
     own, its = list(plant.state_labels), [f"controller_{name}" for name in controller.state_labels]
     assert analysis.closed_loop(plant, controller).state_labels == own + its
     assert analysis.loop_transfer(plant, controller, at="input").state_labels == own + its
     assert analysis.loop_transfer(plant, controller, at="output").state_labels == its + own
-
-
-def test_the_estimate_of_a_controller_is_named_after_the_state() -> None:
-    gyro = analysis.arrays.selected(pc.state_space(MODEL, gimbals=("9", "10")), ["alpha9", "beta10"], ["Q9", "Q10"])
-    made = design.lqg(gyro, np.eye(4), np.eye(2), np.eye(4), np.eye(2), integral=np.eye(2))
-    names = [f"estimate_{name}" for name in STATES] + ["integral_alpha9", "integral_beta10"]
-    assert made.controller.state_labels == names
 
 
 def arrays_of(item: Any) -> Iterator[tuple[np.ndarray, bool]]:

@@ -4,7 +4,6 @@ from .antiwindup.loop import limited_loop as limited_loop
 from .caging_claims import caging_largest_Omega as caging_largest_Omega
 from .classical.complex_coordinates import complex_plant as complex_plant
 from .classical.complex_shaping import complex_loop as complex_loop
-from .classical.crossover import from_crossover_and_margin as from_crossover_and_margin
 from .fixed_structure.pid import PID as PID
 from .fixed_structure.sections import Lead as Lead
 from .fixed_structure.sections import Notch as Notch
@@ -22,9 +21,5 @@ from .lmi.scheduled import scheduled as scheduled
 from .measured.data import read_measurement as read_measurement
 from .measured.design import measured_pid as measured_pid
 from .riccati.h2 import h2 as h2
-from .riccati.lq import lqe as lqe
-from .riccati.lq import lqg as lqg
-from .riccati.lq import lqr as lqr
-from .riccati.pole_placement import pole_placement as pole_placement
 from .riccati.sampled_hinf import sampled_hinf as sampled_hinf
 from .synthesis import hinf as hinf

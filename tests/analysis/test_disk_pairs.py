@@ -25,17 +25,34 @@ ALONE = r"(?:×|x) ([\d.]+) to ([\d.]+) alone, (?:phase )?(?:±|\+-)([\d.]+)"
 @pytest.fixture(scope="module")
 def channels():
     """The two channels of docs/first-loop.md, each with the other closed: loop transfer and disk margin."""
-    model = pc.linearise(pc.read_platform("three_gyro_platform"))
-    loop = pc.design.from_crossover_and_margin(
-        model,
-        ("9", "10"),
-        crossover_hz=40,
-        disk_margin=0.5,
-        period=0.0005,
-        delay=0.0005,
-        integral_hz=2,
-        lead_hz=7,
-    )
+    loop = pc.design.loops(
+        {
+            "schema": 2,
+            "name": "one gyro",
+            "plant": "three_gyro_platform",
+            "operation": {"Omega": [0.0, 0.0, 0.0]},
+            "sampling": {"rate_hz": 2000, "delay": 0.0005},
+            "loop": [
+                {
+                    "name": "caging",
+                    "kind": "caging",
+                    "gimbals": ["9", "10"],
+                    "use": "by hand",
+                    "design": [
+                        {
+                            "name": "by hand",
+                            "method": "classical",
+                            "crossover_hz": 40,
+                            "integral_hz": 2,
+                            "damping_hz": 43.5,
+                            "damping2_hz": 53.1,
+                            "lead_hz": 7,
+                        }
+                    ],
+                }
+            ],
+        }
+    )[0].closed
     L = analysis.loop_transfer(loop.plant, loop.controller)
     margins = analysis.loop_margins(loop.plant, loop.controller)
     out = {}

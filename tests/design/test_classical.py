@@ -1,26 +1,23 @@
 """The classical route: channels found from G, blocks against python-control, corners, tuning, certification."""
 
 import dataclasses
-import warnings
 
 import control
 import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from platform_ctrl.analysis.arrays import named_system, state_arrays
+from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design.cases import cases, changed
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
-from platform_ctrl.design.classical.crossover import from_crossover_and_margin
 from platform_ctrl.design.classical.stabilisation import platform_servo, rate_estimate
 from platform_ctrl.design.loop import Designed, LoopProblem, closed_loop_poles, measured, sampled_plant
 from platform_ctrl.design.partition import channels, first_order, gain, low_pass, notch, side_by_side
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.design.riccati.pole_placement import pole_placement
 from platform_ctrl.design.tuning import tune, worst_ratio
-from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, NotStabilisableError
+from platform_ctrl.errors import DesignError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.mechanics.linearisation import linearise
@@ -303,106 +300,6 @@ def test_rotors_of_two_spins_need_a_given_one(model):
     with pytest.raises(DesignError, match=r"one spin frequency, but 159\.2, 198\.9 Hz"):
         starting_values({"spin_notch_width": 0.2}, channel, 474.0, PERIOD)
     assert starting_values({"spin_notch_hz": 180.0}, channel, 474.0, PERIOD)["spin_notch_depth"] == 0.1
-
-
-PAIR = {"period": PERIOD, "delay": PERIOD, "integral_hz": 2.0, "lead_hz": 7.0, "rolloff_hz": 900.0}
-
-
-def test_crossover_and_margin_give_the_weakest_lead_that_has_the_margin(model, two_axis):
-    """The margin by the job's own measures; with 2 % less of the lead it is missed."""
-    found = from_crossover_and_margin(model, ("9", "10"), crossover_hz=40.0, disk_margin=0.5, **PAIR)
-    assert found.disk_margin == pytest.approx(0.5, rel=2e-3)
-    assert found.disk_margin >= 0.5
-    assert found.options["crossover_hz"] == 40.0
-    K = state_arrays(found.controller, "test")
-    assert measure(two_axis, K).disk_margin[0] == pytest.approx(found.disk_margin, rel=1e-6)
-    weaker = found.options | {name: 0.98 * found.options[name] for name in ("damping_hz", "damping2_hz")}
-    block = classical_controller(weaker, channels(model, [3, 4]), PERIOD)
-    assert measure(two_axis, block).disk_margin[0] < 0.5
-
-
-def test_a_phase_margin_is_the_disk_margin_that_holds_it(model):
-    found = from_crossover_and_margin(model, ("9", "10"), crossover_hz=40.0, phase_margin_deg=25.0, **PAIR)
-    assert found.disk_margin == pytest.approx(2.0 * np.tan(np.radians(12.5)), rel=2e-3)
-
-
-def test_the_error_for_an_unreachable_margin_gives_the_largest(model):
-    with pytest.raises(InfeasibleError, match=r"the largest disk margin is 0\.\d+, with a lead of"):
-        from_crossover_and_margin(model, ("9", "10"), crossover_hz=90.0, disk_margin=0.6, **PAIR)
-
-
-def test_crossover_and_margin_need_one_pair_and_one_margin(model):
-    wrong = {
-        "must be the two coupled gimbals of one gyro": {"gimbals": ("4", "5", "7")},
-        "give either disk_margin or phase_margin_deg": {"phase_margin_deg": 30.0},
-        "disk_margin: must be below 2, got 2.5": {"disk_margin": 2.5},
-        "damping_hz: follows from the margin": {"damping_hz": 30.0},
-        "has no meaning for this loop": {"inertial_lead_hz": 30.0},
-    }
-    for message, change in wrong.items():
-        arguments = {"gimbals": ("9", "10"), "crossover_hz": 40.0, "disk_margin": 0.5} | PAIR | change
-        with pytest.raises(ArgumentError, match=message):
-            from_crossover_and_margin(model, **arguments)
-    with pytest.raises(ArgumentError, match="must be below 90"):
-        from_crossover_and_margin(model, ("9", "10"), crossover_hz=40.0, phase_margin_deg=95.0, **PAIR)
-
-
-TORQUES_457 = ["Q4", "Q5", "Q7"]
-
-
-@pytest.mark.parametrize(
-    "poles",
-    [
-        [-100 + 400j, -100 - 400j, -50, -60, -70, -80],
-        [-60, -60, -60, -300, -300, -300],
-        [-1, -10, -100, -1000, -10000, -20000],
-    ],
-)
-def test_poles_are_placed_where_they_are_wanted(model, poles):
-    """4-5-7, where the rank of python-control's controllability matrix in SI is 3 of 6."""
-    plant = state_space(model, gimbals=("4", "5", "7"))
-    assert np.linalg.matrix_rank(control.ctrb(plant.A, plant.B[:, :3])) < 6
-    found = pole_placement(plant, poles, TORQUES_457)
-    assert found.error < 1e-6
-    closed = np.linalg.eigvals(plant.A - plant.B[:, :3] @ found.state_gain)
-    np.testing.assert_allclose(np.sort_complex(closed), np.sort_complex(found.poles), rtol=1e-6)
-    np.testing.assert_allclose(found.poles, poles, rtol=1e-6)
-
-
-def test_placed_poles_do_not_depend_on_units(model):
-    """Momenta in g cm²/s: python-control's `place` then gives a loop whose eigenvectors are hundreds of times worse."""
-    plant = state_space(model, gimbals=("9", "10"))[["alpha9", "beta10"], ["Q9", "Q10"]]
-    poles = [-100 + 400j, -100 - 400j, -50, -60]
-    unit = np.diag([1.0, 1.0, 1e7, 1e7])
-    other = control.ss(unit @ plant.A @ np.linalg.inv(unit), unit @ plant.B, plant.C @ np.linalg.inv(unit), plant.D)
-    one, two = pole_placement(plant, poles), pole_placement(other, poles)
-    assert one.condition < 5.0
-    assert two.condition < 5.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        theirs = control.place(other.A, other.B, poles) @ unit
-    balance = np.diag([1.0, 1.0, L, L])
-    closed = [
-        np.linalg.inv(balance) @ (plant.A - plant.B @ K) @ balance
-        for K in (one.state_gain, two.state_gain @ unit, theirs)
-    ]
-    conditions = [np.linalg.cond(np.linalg.eig(A)[1]) for A in closed]
-    assert max(conditions[:2]) < 0.05 * conditions[2]
-
-
-@pytest.mark.parametrize(
-    ("poles", "inputs", "error", "message"),
-    [
-        ([-1 + 1j, -1 + 1j, -3, -4], ["Q9", "Q10"], ArgumentError, "without its conjugate"),
-        ([-1, -2, -3], ["Q9", "Q10"], ArgumentError, "4 finite numbers, one for each state"),
-        ([-1, -1, -1, -3], ["Q9", "Q10"], ArgumentError, "at most 2 times, the rank of B, got -1.* 3 times"),
-        ([-1, -2, -3, -4], ["q9"], ArgumentError, "did you mean 'Q9'"),
-        ([-1, -2, -3, -4], ["Omega2"], NotStabilisableError, "no input moves the mode at"),
-    ],
-)
-def test_pole_placement_names_what_is_wrong(model, poles, inputs, error, message):
-    with pytest.raises(error, match=message):
-        pole_placement(state_space(model, gimbals=("9", "10")), poles, inputs)
 
 
 def test_python_controls_root_locus_follows_the_momentum_states(model):

@@ -101,7 +101,7 @@ def stabilising(H: FloatArray, axis: float = AXIS_DISTANCE) -> Subspace:
 def riccati_solution(equation: Equation) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return X, the gain F = −W⁻¹(B'X + N') that makes A + B F stable, and W = R, or None.
 
-    F as in the synthesis formulas of Zhou, Doyle and Glover, u = F x; the K of u = −K x that `lqr` returns is −F.
+    F as in the synthesis formulas of Zhou, Doyle and Glover, u = F x; the K of u = −K x is −F.
     Of all inputs that bring x to rest, the least of ∫ x'Qx + 2 x'Nu + u'Ru is x'Xx. R is positive definite; Q need not
     be. Discrete equations: W = R + B'XB and F = −W⁻¹(B'XA + N'). R may be singular, W must not be.
     """
