@@ -143,7 +143,7 @@ def quadratic_problem(options: dict[str, float], channel: Channels, plants: Plan
     torque, error = by_channel("largest_torque"), np.full(size, options["largest_error"])
     A, B, C, D, _ = between(channel.basis.T * torque, plants.of_torques(), channel.basis / error[:, None])
     from_rate = plants.B_Omega[0][: len(A)]
-    seen = seen_states(A[None], C[None], 0.0)
+    seen = seen_states(A[None], C[None])
     A, B, C, from_rate = A[np.ix_(seen, seen)], B[seen], C[:, seen], from_rate[seen]
     s = state_scaling(A, B, C)
     s *= np.sqrt(np.linalg.norm(B / s[:, None]) / np.linalg.norm(C * s))
