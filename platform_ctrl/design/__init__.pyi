@@ -21,5 +21,4 @@ from .lmi.scheduled import scheduled as scheduled
 from .measured.data import read_measurement as read_measurement
 from .measured.design import measured_pid as measured_pid
 from .riccati.h2 import h2 as h2
-from .riccati.sampled_hinf import sampled_hinf as sampled_hinf
 from .synthesis import hinf as hinf
