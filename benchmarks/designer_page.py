@@ -26,10 +26,7 @@ JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
 CAMERA = JOB.with_name("camera_gimbal.toml")
 ALLOWED = 100.0  # ms, from the event to the plots painted
 FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking")
-SLIDERS = (
-    *("speed", "robustness", "crossover_hz", "position_hz", "filter_hz", "damping_hz", "lead_hz"),
-    *("delay", "rate_hz", "spin 6", "Omega1"),
-)
+SLIDERS = ("speed", "robustness", "crossover_hz", "position_hz", "filter_hz", "damping_hz", "lead_hz")
 # Moves a slider `rounds` times around where it stands; each time waits until the answer is painted.
 MOVE = """async ([name, rounds, painted]) => {
   const slider = document.querySelector(`#sliders [data-slider="${name}"] input[type="range"]`);

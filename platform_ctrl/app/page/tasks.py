@@ -256,7 +256,7 @@ class PageTasks:
 
     def _show_busy(self, running: _Running, words: str) -> None:
         if self._running is running:
-            self._connection.answer(busy={"text": words, "share": None, "cancel": True})
+            self._connection.answer(busy={"text": words})
 
     def _run(self, running: _Running, work: Callable[[], Callable[[], None]]) -> None:
         """Do `work` of a task in a thread, and show what it returns unless it was cancelled."""

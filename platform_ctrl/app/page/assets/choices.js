@@ -135,8 +135,4 @@ on("busy", (given) => {
   byId("busy").hidden = given === null;
   if (given === null) return;
   byId("busy").querySelector(".words").textContent = given.text;
-  const progress = byId("busy").querySelector("progress");
-  if (given.share === null) progress.removeAttribute("value");
-  else progress.value = given.share;
-  byId("cancel").hidden = !given.cancel;
 });

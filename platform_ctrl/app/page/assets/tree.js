@@ -46,8 +46,7 @@ const pose = (angles = [], turn = [0, 0, 0]) => {
 
 pose();
 const all = scene.shapes.flatMap(({ body, points }) => points.map((point) => placed(point, body, [], [0, 0, 0])));
-const [xs, ys] = [0, 1].map((k) => all.map((point) => point[k]));
-const [left, top] = [Math.min(...xs) - 0.6, Math.min(...ys) - 0.6];
+const [xs, ys] = [0, 1].map((k) => all.map((point) => point[k])), [left, top] = [Math.min(...xs) - 0.6, Math.min(...ys) - 0.6];
 svg.setAttribute("viewBox", [left, top, Math.max(...xs) + 0.6 - left, Math.max(...ys) + 0.6 - top].join(" "));
 new ResizeObserver(() => {
   const scale = svg.getScreenCTM()?.a;
@@ -57,9 +56,7 @@ new ResizeObserver(() => {
 let run = null, factor = 1, playing = false, before = 0, now = 0;
 const between = (columns, k, share) => columns[k].map((x, j) => x + share * ((columns[k + 1] ?? columns[k])[j] - x));
 const show = () => {
-  const { t } = run;
-  let k = t.findLastIndex((one) => one <= now);
-  k = Math.max(0, k);
+  const { t } = run, k = Math.max(0, t.findLastIndex((one) => one <= now));
   const share = k + 1 < t.length ? (now - t[k]) / (t[k + 1] - t[k]) : 0;
   pose(between(run.angles, k, share).map((angle) => angle * factor), between(run.turns, k, share));
   slider.value = now;
