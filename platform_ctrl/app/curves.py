@@ -31,8 +31,10 @@ from platform_ctrl.plant.drawing import signal_series
 # Values beyond this are of a loop that diverges: no page has to draw them.
 _FARTHEST = 1e12
 # Distance of poles from one factor of the root locus to the next, as a share of what is shown, above which a factor is
-# put between, and how often.
-_STEP, _HALVINGS = 0.07, 3
+# put between, and how often; how often where a pair of poles becomes real, at which they turn at once.
+_STEP, _HALVINGS, _TURNS = 0.07, 3, 8
+# Imaginary part of a pole in z that counts as zero.
+_REAL = 1e-9
 # Points of a response over time.
 POINTS = 240
 
@@ -162,8 +164,10 @@ def gain_locus(plant: StateArrays, controller: StateArrays, reach: float) -> tup
     # From 0 on poles move as the root of the factor: closer steps there.
     gains = np.concatenate([np.linspace(0.0, 1.0, 9) ** 1.5, np.linspace(1.0, 2.5, 6)[1:]])
     z = poles(gains)
-    for _ in range(_HALVINGS):
+    for k in range(_HALVINGS + _TURNS):
         far = np.flatnonzero(_steps(continuous_poles(z, period), 1.5 * reach) > _STEP * reach)
+        if k >= _HALVINGS:
+            far = np.flatnonzero(np.diff((np.abs(z.imag) > _REAL).sum(axis=1)))
         between = 0.5 * (gains[far] + gains[far + 1])
         gains, z = np.insert(gains, far + 1, between), np.insert(z, far + 1, poles(between), axis=0)
     return gains, continuous_poles(pole_branches(z), period)
