@@ -192,7 +192,7 @@ def check(
         outcomes = outcomes_from(read, closed, others)
         result = check_job(read, outcomes, say, prove=prove)
         notes = unconfirmed(file, result)
-        record = report.keep(result)
+        record = report.keep(result, file)
         compared = None if accepted is None else compare(record, accepted, read.tolerance)
         more: dict[str, Any] = {}
         if compared is not None:
@@ -263,11 +263,15 @@ class Report:
         """Make sure before the work that all files can be written."""
         prepare_folder(self.folder, (RESULT, REPORT))
 
-    def keep(self, result: JobResult) -> Record:
-        """Write the result's file, before anything is drawn, and return its content."""
-        from platform_ctrl.verification.result_file import result_record, write_record
+    def keep(self, result: JobResult, checked: Path | None = None) -> Record:
+        """Write the result's file, before anything is drawn, and return its content.
 
-        return write_record(result_record(result), self.folder / RESULT)
+        The controllers of a file that was checked keep its sections.
+        """
+        from platform_ctrl.verification.result_file import result_record, with_sections, write_record
+
+        record = result_record(result)
+        return write_record(record if checked is None else with_sections(record, checked), self.folder / RESULT)
 
     def draw(
         self,

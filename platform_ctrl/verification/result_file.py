@@ -201,6 +201,18 @@ def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> Rec
     return written
 
 
+def with_sections(record: Record, source: str | os.PathLike[str]) -> Record:
+    """Return a record in which the controllers of a file that was checked keep the sections that it has of them."""
+    data: Any = read_json(source, "a JSON file with controllers")[1]
+    same = (*"ABCD", "inputs", "outputs")
+    for key in ("controllers", "alternatives"):
+        for K in record[key]:
+            for one in data.get(key) or ():
+                if all(one.get(name) == K[name] for name in same):
+                    K["sections"] = one.get("sections", [])
+    return record
+
+
 def read_record(path: str | os.PathLike[str]) -> Record:
     """Return the content of a ``result.json`` as it was written; InputError where it is empty or was altered since."""
     label, data = read_json(path, "a result.json")

@@ -31,10 +31,11 @@ CHECK = ["check", "job.toml", "-q", "--baseline", "out/result.json"]
 SLOW = [*CHECK, "--controllers", "slower/result.json"]
 
 
-@pytest.mark.usefixtures("there")
-def test_an_unchanged_loop_is_no_worse(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unchanged_loop_is_no_worse_and_keeps_its_sections(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(CHECK) == 0
     assert "baseline out/result.json: none of " in capsys.readouterr().out
+    [before, now] = (json.loads((there / name / "result.json").read_bytes()) for name in ("out", "check"))
+    assert now["controllers"][0]["sections"] == before["controllers"][0]["sections"] != []
 
 
 @pytest.mark.usefixtures("there")
