@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, null_space, qr
 
 from platform_ctrl.common.arguments import distinct, known_name, positive, real_array
-from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.kinematics import topology
@@ -157,19 +157,13 @@ class PrecessionPart:
         """Whether precession theory may be used without changes."""
         return not self.reasons
 
-    @property
-    def highest_frequency(self) -> float:
-        """Frequency above which what is dropped comes too near, rad/s; infinite where nothing is dropped."""
-        return float(self.nutation.min(initial=np.inf)) / self.required_separation
-
     @check_arguments
     def error(self, frequency: ArrayLike, momentum_states: bool = False) -> FloatArray:
         """Return the relative error of this subsystem's model over frequency (N,), rad/s: see `Precession.error`."""
         omega = np.atleast_1d(np.asarray(frequency))
         omega = real_array("frequency", omega, (omega.size,))
         if np.any(omega <= 0.0) or np.any(omega > _HIGHEST):
-            ends = f"{omega.min():g} to {omega.max():g}"
-            raise ArgumentError(f"frequency: must be above 0 and up to {_HIGHEST:g} rad/s, got {ends}")
+            raise ArgumentError(f"frequency: must be above 0 and up to {_HIGHEST:g} rad/s, got {short(frequency)}")
         T = np.linalg.inv(np.linalg.cholesky(self.M).T)
         V = np.linalg.inv(T) @ self._kept(momentum_states)
         inertia = V @ np.linalg.pinv(V)
@@ -341,10 +335,11 @@ class Precession:
         """
         lines = [] if self.parts else ["no gimbals: nothing precesses"]
         for part in self.parts:
-            verdict = "admissible" if part.admissible else "not admissible"
             figures = f"nutation from {part.nutation.min():.4g} rad/s, " if part.nutation.size else ""
             figures += f"judged for a loop at {part.loop_frequency:.4g} rad/s"
-            lines.append(f"{'-'.join(part.gimbals)}: precession theory {verdict}; {figures}")
+            lines.append(
+                f"{'-'.join(part.gimbals)}: precession theory {'' if part.admissible else 'not '}admissible; {figures}"
+            )
             lines += [f"  {line}" for line in (*part.reasons, *part.cures)]
         return "\n".join(lines)
 
@@ -438,11 +433,9 @@ def _tested(model: LinearModel, rows: list[int], loop_frequency: float | None, r
     if not turning:
         findings.insert(0, ("no rotor gives it any momentum", "give it a rotor that spins"))
     elif len(names):
-        singular = (
-            f"G_R is {n} x {n} and skew, so its determinant is 0" if n % 2 else f"G_R has rank {n - len(names)} of {n}"
-        )
-        has = "has" if len(names) == 1 else "have"
-        findings.insert(0, (f"{singular}: {', '.join(names)} {has} no gyroscopic stiffness", ""))
+        singular = f"{n} x {n} and skew, so its determinant is 0" if n % 2 else f"of rank {n - len(names)} of {n}"
+        nothing = f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} no gyroscopic stiffness"
+        findings.insert(0, (f"G_R is {singular}: {nothing}", ""))
     momenta = _in_words(kept, angles)
     states = "one momentum state, that" if len(momenta) == 1 else f"{len(momenta)} momentum states, those"
     which = "all momenta, that is the full equations" if len(momenta) == n else f"{states} of {', '.join(momenta)}"
@@ -531,8 +524,7 @@ def _too_near(lowest: float, loop: float, fastest: float, required: float) -> li
     nutation = f"nutation at {lowest:.4g} rad/s lies less than {required:g} times above"
     slower = f"close the loop below {lowest / required:.4g} rad/s, or spin the rotors faster"
     softer = "spin the rotors faster, or make the stiffness softer"
-    drives = "precession, which stiffness drives"
-    pairs = (("the loop", loop, slower), (drives, fastest, softer))
+    pairs = (("the loop", loop, slower), ("precession, which stiffness drives", fastest, softer))
     near = [one for one in pairs if lowest * (1.0 + _ROUNDING) < required * one[1]]
     return [(f"{nutation} {what} at {frequency:.4g} rad/s", remedy) for what, frequency, remedy in near]
 

@@ -16,8 +16,6 @@ from platform_ctrl.mechanics.kinematics import Topology, topology
 from platform_ctrl.mechanics.symbolic.equations import HIGHEST_ORDER, Terms
 from platform_ctrl.mechanics.symbolic.polynomials import Array, Expression, Polynomial, Polynomials
 from platform_ctrl.mechanics.symbolic.symbols import (
-    Element,
-    Inertia,
     NamedSymbol,
     Names,
     elements,
@@ -31,8 +29,6 @@ RowTerms = tuple[tuple[Expression, Expression], ...]
 
 # Trees whose exact trigonometric form can still be read.
 _MOST_GIMBALS, _DEEPEST = 5, 3
-# Singular values this small against the largest are zero.
-_SINGULAR = 1e-9
 
 
 @value
@@ -227,7 +223,7 @@ class _Core:
         tree, algebra = work.tree, self.algebra
         n = len(tree.parents)
         forms = algebra.zeros(1 + n, 3, 3)
-        for place, (_, body, i, j) in enumerate(work.inertias):
+        for place, (_, (body, i, j)) in enumerate(work.inertias):
             forms[body, i, j] = forms[body, j, i] = algebra.symbol(place)
         carried = [*forms]
         for k in reversed(tree.order):
@@ -255,11 +251,10 @@ class _Derivation:
             _not_too_large(platform, tree)
         names = Names()
         self.motion = motion = motion_symbols(platform, names)
-        self.inertias: list[Inertia] = inertia_symbols(platform, tree, names)
+        self.inertias = inertia_symbols(platform, tree, names)
         C, L = rotor_symbols(platform, names)
-        self._elements: list[Element]
         self._elements, self._notes = elements(platform, names)
-        self.known = [one.symbol for one in self.inertias] + [one for one in C if one is not None] + L
+        self.known = [symbol for symbol, _ in self.inertias] + [one for one in C if one is not None] + L
         self.known += [one.symbol for one in self._elements]
         places = {symbol.name: k for k, symbol in enumerate(self.known)}
         self.C = [None if one is None else places[one.name] for one in C]
@@ -322,7 +317,7 @@ class _Derivation:
             A_R=sympy.ImmutableDenseMatrix(m, m, lambda i, j: A_R[i] if i == j else 0),
             rows={key: tuple(self._written(linear, row) for row in some) for key, some in rows.items()},
             groups=tuple(tuple(self.platform.gimbal_names[k] for k in group) for group in groups),
-            notes=(*self._notes, *self._singular(linear, groups)),
+            notes=(*self._notes, *self._singular(groups)),
             **{key: algebra.matrix(array) for key, array in shown.items()},
         )
 
@@ -387,34 +382,15 @@ class _Derivation:
         kept = [k for k, s in enumerate(self.known) if s.kind in ("momentum", "element")]
         return core.algebra.select(polynomial, lambda powers: any(powers[k] for k in kept))
 
+    def _singular(self, groups: tuple[tuple[int, ...], ...]) -> list[str]:
+        """Say where G_R, which is skew, cannot be inverted: (15) without dampers does not determine the rates."""
+        odd = [", ".join(self.platform.gimbal_names[k] for k in group) for group in groups if len(group) % 2]
+        singular = "is singular, for it is skew and of odd order; (15) does not determine the rates: use (27)"
+        return [f"G_R of {'; of '.join(odd)} {singular}"] if odd and self.platform.rotors else []
+
     def _written(self, core: _Core, row: dict[int | None, Polynomial]) -> RowTerms:
         variables = {None: sympy.S.One} | dict(enumerate(self._symbols))
         return tuple((core.algebra.written(p), variables[at]) for at, p in row.items() if p)
-
-    def _singular(self, core: _Core, groups: tuple[tuple[int, ...], ...]) -> tuple[str, ...]:
-        """Say where G_R of a subsystem cannot be inverted, so that (15) does not determine its rates."""
-        if not self.platform.rotors:
-            return ()
-        numbers = {self._symbols[k]: s.value for k, s in enumerate(self.known)}
-        at_zero = core.algebra.matrix(core.algebra.at_zero(_gyroscopic(core, self._n))).subs(numbers)
-        G_R = np.array(at_zero.tolist(), dtype=np.float64).reshape(at_zero.shape)[3:, 3:]
-        damping = sum((one.rate * float(one.symbol.value or 0.0) for one in self._elements), np.zeros_like(G_R))
-        found: dict[str, list[str]] = {}
-        for group in groups:
-            block = np.ix_(group, group)
-            rank, order = _rank(G_R[block]), len(group)
-            if rank == order:
-                continue
-            odd = " (skew, and of odd order)" if order % 2 else ""
-            cured = _rank((G_R + damping)[block]) == order
-            then = (
-                "with the damping of the plant it is regular"
-                if cured
-                else "(15) does not determine the rates: use (27)"
-            )
-            line = f"is singular at zero angles, order {order}, rank {rank}{odd}; {then}"
-            found.setdefault(line, []).append(", ".join(self.platform.gimbal_names[k] for k in group))
-        return tuple(f"G_R of {'; of '.join(names)} {line}" for line, names in found.items())
 
 
 def _gyroscopic(core: _Core, n: int) -> Array:
@@ -436,8 +412,3 @@ def _not_too_large(platform: Platform, tree: Topology) -> None:
             f"order: None is possible up to {_MOST_GIMBALS} gimbals, {_DEEPEST} deep, not for {n}, {depth} deep; "
             f"take an order from 0 to {HIGHEST_ORDER}"
         )
-
-
-def _rank(matrix: FloatArray) -> int:
-    sizes = np.linalg.svd(matrix, compute_uv=False)
-    return int((sizes > _SINGULAR * sizes.max(initial=0.0)).sum()) if sizes.max(initial=0.0) > 0.0 else 0

@@ -110,17 +110,8 @@ def motion_symbols(platform: Platform, names: Names) -> Motion:
     return Motion(Omega, Omega_dot, accelerations, rates, angles, Q, M)
 
 
-class Inertia(NamedTuple):
-    """A symbol of the composite inertia of a body, and its entry."""
-
-    symbol: NamedSymbol
-    body: int
-    i: int
-    j: int
-
-
-def inertia_symbols(platform: Platform, tree: Topology, names: Names) -> list[Inertia]:
-    """Return the symbols of what turns with each body at zero angles, without C; body 0 is the whole."""
+def inertia_symbols(platform: Platform, tree: Topology, names: Names) -> list[tuple[NamedSymbol, tuple[int, int, int]]]:
+    """Return the symbols of what turns with each body at zero angles, without C; their body (0: all), row, column."""
     composites: FloatArray = tree.inertias.copy()
     for k in reversed(tree.order):
         composites[1 + tree.parents[k]] += composites[1 + k]
@@ -137,7 +128,8 @@ def inertia_symbols(platform: Platform, tree: Topology, names: Names) -> list[In
             about = f"inertia about axis {part}" if i == j else f"product of inertia, entry {i + 1}, {j + 1},"
             about += ", its own," * (i == j == own)
             shown = joined("J", part) if body == 0 else joined("J", label, "" if i == j == own else part)
-            out.append(Inertia(names.symbol(shown, "inertia", f"{about} of {of}", "kg m²", float(S[i, j])), body, i, j))
+            symbol = names.symbol(shown, "inertia", f"{about} of {of}", "kg m²", float(S[i, j]))
+            out.append((symbol, (body, i, j)))
     return out
 
 
