@@ -106,7 +106,7 @@ def test_precession_is_refused_for_the_odd_subsystem_alone(paper):
     assert paper.groups == (("4", "5", "7"), ("9", "10"))
     [note] = paper.notes
     assert note.startswith("G_R of 4, 5, 7 is singular")
-    assert "odd order; (15) does not determine the rates" in note
+    assert "odd order; without dampers (15) does not determine the rates" in note
 
 
 def test_exact_equations_hold_every_term_for_any_rate(exact):

@@ -385,7 +385,7 @@ class _Derivation:
     def _singular(self, groups: tuple[tuple[int, ...], ...]) -> list[str]:
         """Say where G_R, which is skew, cannot be inverted: (15) without dampers does not determine the rates."""
         odd = [", ".join(self.platform.gimbal_names[k] for k in group) for group in groups if len(group) % 2]
-        singular = "is singular, for it is skew and of odd order; (15) does not determine the rates: use (27)"
+        singular = "is singular, for it is skew and of odd order; without dampers (15) does not determine the rates"
         return [f"G_R of {'; of '.join(odd)} {singular}"] if odd and self.platform.rotors else []
 
     def _written(self, core: _Core, row: dict[int | None, Polynomial]) -> RowTerms:
