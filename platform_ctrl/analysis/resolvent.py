@@ -17,7 +17,7 @@ from platform_ctrl.common.values import FloatArray
 # Condition number of the eigenvectors from which on responses come from the Schur form.
 _MODAL = 1e6
 # |A| times a solution over the right-hand side, from which on it is refined: slow motion of fast systems.
-_GROWN = 1e5
+_GROWN = 1e6
 # States from which on LAPACK's real Schur form, made complex afterwards, takes less time than its complex one.
 _REAL = 64
 # Entries of the largest array at a time.
