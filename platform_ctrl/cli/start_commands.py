@@ -12,7 +12,7 @@ import typer
 
 from platform_ctrl.cli.job_arguments import Json, Quiet, one_of, option, prepare_folder
 from platform_ctrl.errors import InputError
-from platform_ctrl.mechanics.symbolic.equations import HIGHEST_ORDER, TERMS, WRITTEN
+from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
 
 # Valid as a file name on all systems and, unquoted, in a text.
 _NAME = re.compile(r"\w[\w.-]*")

@@ -13,7 +13,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.coupling import connected
 from platform_ctrl.mechanics.kinematics import Topology, topology
-from platform_ctrl.mechanics.symbolic.equations import HIGHEST_ORDER, Terms
+from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, Terms
 from platform_ctrl.mechanics.symbolic.polynomials import Array, Expression, Polynomial, Polynomials
 from platform_ctrl.mechanics.symbolic.symbols import (
     NamedSymbol,

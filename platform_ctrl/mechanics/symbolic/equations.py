@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, get_args, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, Form, Terms
 
 if TYPE_CHECKING:
     from platform_ctrl.mechanics.symbolic.derivation import Equations
     from platform_ctrl.plant.platform import Platform
-
-Written = Literal["text", "latex", "json"]
-Form = Literal[Written, "sympy"]
-# As in `linearise`.
-Terms = Literal["paper", "exact"]
-
-WRITTEN: tuple[Written, ...] = get_args(Written)
-TERMS: tuple[Terms, ...] = get_args(Terms)
-HIGHEST_ORDER = 3
 
 
 @overload
