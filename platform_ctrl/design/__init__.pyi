@@ -1,7 +1,3 @@
-from .antiwindup.compensator import anti_windup as anti_windup
-from .antiwindup.compensator import largest_Omega as largest_Omega
-from .antiwindup.loop import limited_loop as limited_loop
-from .caging_claims import caging_largest_Omega as caging_largest_Omega
 from .classical.complex_coordinates import complex_plant as complex_plant
 from .classical.complex_shaping import complex_loop as complex_loop
 from .fixed_structure.pid import PID as PID
@@ -14,10 +10,6 @@ from .fixed_structure.synthesis import structured as structured
 from .generalised import generalised_plant as generalised_plant
 from .generalised import with_controller as with_controller
 from .jobs import loops as loops
-from .lmi.caging import scheduled_caging as scheduled_caging
-from .lmi.multiobjective import multiobjective as multiobjective
-from .lmi.robust import robust as robust
-from .lmi.scheduled import scheduled as scheduled
 from .measured.data import read_measurement as read_measurement
 from .measured.design import measured_pid as measured_pid
 from .riccati.h2 import h2 as h2

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, selected, state_arrays
 from platform_ctrl.analysis.intersample import intersample_norm
+from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.sampling import with_lag
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
-from platform_ctrl.design.antiwindup.compensator import LargestOmega, largest_Omega
-from platform_ctrl.design.antiwindup.loop import LimitedLoop, limited_loop
-from platform_ctrl.design.cases import cases
-from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.errors import ArgumentError, DesignError
-from platform_ctrl.job.job import Job, Uncertainty
+from platform_ctrl.design.loop import LoopDesign, with_commands
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Torquer
@@ -28,19 +25,10 @@ if TYPE_CHECKING:
 
 # A torque for 1 rad/s below this share of the limit counts as zero: that rate does not load the loop.
 _NO_LOAD = 1e-6
-# How fast Omega rises where no manoeuvre of the job specifies it, s.
-_RISE = 0.5
 
 
-def shortest_rise(job: Job) -> float:
-    """Return how fast Omega rises in the fastest of the job's caged manoeuvres, 0.5 s without any."""
-    return min((m.rise for m in job.manoeuvres if m.mode == "caged" and m.rise > 0.0), default=_RISE)
-
-
-def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool, rise: float | None = None) -> LoopDesign:
-    """Return a caging design with its gains in continuous time and, where it is closed, its largest Omega.
-
-    `rise` is how fast Omega rises, s; default: `shortest_rise`.
+def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool) -> LoopDesign:
+    """Return a caging design with its gains in continuous time and, where it is closed, the rates that it can hold.
 
     The names end in their units. What does not exist for a loop is left out: the gains of an unstable loop, the largest
     Omega of torquers without limits or of an axis that loads none.
@@ -49,8 +37,36 @@ def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool, rise: floa
         return design
     claims = dict(design.claims) | _between_samples(job, design)
     if closed:
-        claims |= _at_the_limits(job, design, rise)
+        claims |= largest_rates(design)
     return dataclasses.replace(design, claims=claims)
+
+
+def largest_rates(design: LoopDesign) -> dict[str, float]:
+    """Return the constant rates about the root axes at which the first torquer comes to its limit, rad/s.
+
+    Those of the nominal plant, and where they are all stable the least over the plants of the parameter uncertainty.
+    They follow from the torques in the steady state; while Omega changes the torques may be larger.
+    """
+    plants, measures = design.plants, design.measures
+    assert plants is not None, "a caging loop has plants"
+    assert measures is not None, "and is measured"
+    A, B, C, D, _ = LoopSet(plants, with_commands(plants, design.controller)).arrays
+    torques, rates = slice(len(plants.torques)), slice(len(plants.torques), len(plants.torques) + 3)
+    varied = plants.of(("nominal", "uncertainty"))
+    chosen = varied if np.all(measures.decay[varied] > 0.0) else np.arange(len(A)) == 0
+    A, B, C, D = A[chosen], B[chosen][..., rates], C[chosen][:, torques], D[chosen][:, torques, rates]
+    try:
+        steady = D + C @ np.linalg.solve(np.eye(A.shape[-1]) - A, B)
+    except np.linalg.LinAlgError:
+        return {}
+    # Per axis: share of its limit that the most loaded torquer needs for 1 rad/s.
+    share = np.abs(steady / plants.torque_limit[:, None]).max(axis=1)
+    out = {}
+    for axis in map(int, np.flatnonzero(share[0] > _NO_LOAD)):
+        out[largest_Omega_name(axis + 1)] = float(1.0 / share[0, axis])
+        if len(share) > 1:
+            out[largest_Omega_name(axis + 1, worst_case=True)] = float(1.0 / share[:, axis].max())
+    return out
 
 
 def largest_Omega_name(axis: int, *, worst_case: bool = False) -> str:
@@ -67,20 +83,6 @@ def _between_samples(job: Job, design: LoopDesign) -> dict[str, float]:
         "intersample torque rejection, rad/(N m)": gains.torque_rejection,
         "intersample Omega rejection, rad/(rad/s)": gains.Omega_rejection,
     }
-
-
-def _at_the_limits(job: Job, design: LoopDesign, rise: float | None) -> dict[str, float]:
-    # Where one plant of the uncertainty is unstable, the claims are those of the nominal plant.
-    for requested in (job, dataclasses.replace(job, uncertainty=Uncertainty())):
-        try:
-            found = caging_largest_Omega(requested, design.controller, rise=rise)
-        except (ArgumentError, DesignError):
-            continue
-        out = {largest_Omega_name(one.axis): one.nominal.Omega for one in found}
-        if requested.uncertainty.inertia > 0.0 or requested.uncertainty.spin > 0.0:
-            out |= {largest_Omega_name(one.axis, worst_case=True): one.worst_case for one in found}
-        return out
-    return {}
 
 
 def _caged(platform: Platform, controller: control.StateSpace) -> tuple[list[Torquer], control.StateSpace]:
@@ -139,120 +141,3 @@ def caging_plant(job: Job, controller: control.StateSpace) -> tuple[control.Stat
     names = [f"disturbing_{name}" for name in torques] + [*OMEGA_NAMES, *torques]
     arrays = StateArrays(A, B, np.vstack([C, C]), np.vstack([D, D]), 0.0)
     return named_system(arrays, names, [*angles, *(f"measured_{name}" for name in angles)]), m, p
-
-
-@value
-class LoopLargestOmega:
-    """The largest Omega about one axis without saturation of a caging loop.
-
-    Attributes
-    ----------
-    axis
-        Root axis, 1 to 3.
-    rise
-        Length of the half-cosine in which Omega may rise and fall, s.
-    nominal
-        Of the plant as it is.
-    worst_case
-        The least over the plants of the parameter uncertainty (at rest), rad/s, each with a proof of its own.
-    worst_case_label
-        Which plant that is.
-    """
-
-    axis: int
-    rise: float
-    nominal: LargestOmega
-    worst_case: float
-    worst_case_label: str
-
-
-@check_arguments
-def caging_loop_limits(
-    job: Job,
-    controller: control.StateSpace,
-    axis: int,
-    *,
-    rise: float | None = None,
-    platform: Platform | None = None,
-) -> LimitedLoop:
-    """Return the loop of a caging controller with the limits, lags and stops of the plant file, while Omega turns.
-
-    `axis` is the root axis of Omega, 1 to 3, `rise` the length of the half-cosine, s (default: the shortest of the
-    job's caged manoeuvres, 0.5 s without any), `platform` takes the place of the job's. Raises an ArgumentError for
-    unknown signals, a torquer without limit and an unstable loop.
-    """
-    if axis not in (1, 2, 3):
-        raise ArgumentError(f"axis: must be 1, 2 or 3, got {axis!r}")
-    platform = job.platform if platform is None else platform
-    used, plant = _caged(platform, controller)
-    without = [t.name for t in used if t.limit is None]
-    if without:
-        raise ArgumentError(
-            f"torquer {without[0]!r}: must have a limit in the plant file: without one nothing winds up"
-        )
-    sensed = {s.name: s.gimbal for s in platform.pickoffs}
-    stops = {g.name: g.stops for g in platform.gimbals}
-    reach = [stops[sensed[name]] for name in controller.input_labels]
-    if rise is None:
-        rise = shortest_rise(job)
-    return limited_loop(
-        plant,
-        controller,
-        OMEGA_NAMES[axis - 1],
-        limits=[float(t.limit or 0.0) for t in used],
-        stops=[np.inf if s is None else min(-s[0], s[1]) for s in reach],
-        delay=job.sampling.delay,
-        lag=[t.lag for t in used],
-        rise=rise,
-    )
-
-
-@check_arguments
-def caging_largest_Omega(
-    job: Job, controller: control.StateSpace, *, rise: float | None = None, axes: Sequence[int] = (1, 2, 3)
-) -> tuple[LoopLargestOmega, ...]:
-    """Return the largest Omega without saturation about every root axis that loads a caging loop's torquers.
-
-    Parameters
-    ----------
-    job, controller
-        As in `caging_loop_limits`.
-    rise
-        As in `caging_loop_limits`, s.
-    axes
-        Root axes, 1 to 3.
-
-    Returns
-    -------
-    tuple of LoopLargestOmega
-        One for each axis that loads a torquer.
-
-    Raises
-    ------
-    ArgumentError
-        As in `caging_loop_limits`.
-    NotCertifiedError
-        A proof failed.
-    MechanicsError
-        The mass matrix is singular at rest (gimbal lock).
-    """
-    torquers = {t.name: str(t.gimbal) for t in job.platform.torquers}
-    gimbals = tuple(torquers[name] for name in controller.output_labels if name in torquers)
-    out = []
-    for axis in axes:
-        loop = caging_loop_limits(job, controller, axis, rise=rise)
-        if np.all(np.abs(loop.u_steady) < _NO_LOAD * loop.limits):
-            continue
-        nominal = largest_Omega(loop)
-        least, label = nominal.Omega, "nominal"
-        for case in cases(job, gimbals):
-            if case.group != "uncertainty":
-                continue
-            varied = caging_loop_limits(job, controller, axis, rise=rise, platform=case.platform)
-            found = largest_Omega(varied).Omega
-            if found < least:
-                least, label = found, case.label
-        out.append(
-            LoopLargestOmega(axis=axis, rise=loop.rise, nominal=nominal, worst_case=least, worst_case_label=label)
-        )
-    return tuple(out)

@@ -11,7 +11,7 @@ from platform_ctrl.common.progress import Local, Progress, shown
 from platform_ctrl.common.reasons import began_with_interrupt, reason
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
-from platform_ctrl.design.caging_claims import shortest_rise, with_caging_claims
+from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, evaluated, instability, with_commands
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
@@ -134,7 +134,7 @@ def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
                 _problem(job, spec, design, model, *own, progress)
                 for design, own in zip(spec.designs, directed, strict=True)
             ]
-        found = [_attempted(problem, shortest_rise(job)) for problem in problems]
+        found = [_attempted(problem) for problem in problems]
         for spec in specs:
             own = [
                 (problem.design, one)
@@ -146,14 +146,14 @@ def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
     return in_order(job, [made[spec.name] for spec in job.loops])
 
 
-def _attempted(problem: LoopProblem, rise: float) -> LoopDesign | Exception:
-    """Return the design of a problem, or why there is none; `rise` is as of `with_caging_claims`."""
+def _attempted(problem: LoopProblem) -> LoopDesign | Exception:
+    """Return the design of a problem, or why there is none."""
     spec, design = problem.spec, problem.design
     problem.progress(f"{spec.name}: {design.name}")
     try:
         made = evaluated(problem, resolved(known_method(design.method).design)(problem), stable=False)
         if spec.kind == "caging":
-            made = with_caging_claims(problem.job, made, closed=bool(spec.use), rise=rise)
+            made = with_caging_claims(problem.job, made, closed=bool(spec.use))
         return made
     except Exception as error:
         if began_with_interrupt(error):

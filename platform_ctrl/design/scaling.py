@@ -37,7 +37,12 @@ NEAR_AXIS = 1e-7
 RANK_LOSS = 1e-10
 # A direct path below this share of D11 counts as zero.
 NO_DIRECT_PATH = 1e-10
-REMEDIES = 'give method="lmi", which needs none of this, or regularise=1e-3'
+REGULARISE = "give regularise=1e-3"
+
+
+def remedy(where: str) -> str:
+    """Return what helps where an assumption of the Riccati equations does not hold."""
+    return f'{REGULARISE}, or method="lmi", which needs none of this' if where.startswith("hinf") else REGULARISE
 
 
 @value
@@ -236,7 +241,7 @@ def require_full_rank(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
         raise IllPosedError(
             f"{where}: D12 must have full column rank {nu}, but has {scaled.control_rank}: z does not contain "
             f"{named(lost, P.input_labels[-nu:])} directly; add a small weight on every control to z, or "
-            f"{REMEDIES}",
+            f"{remedy(where)}",
             P,
         )
     if scaled.measurement_rank < ny:
@@ -244,7 +249,7 @@ def require_full_rank(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
         raise IllPosedError(
             f"{where}: D21 must have full row rank {ny}, but has {scaled.measurement_rank}: no w disturbs "
             f"{named(lost, P.output_labels[-ny:])} directly; add a small noise on every measurement to w, or "
-            f"{REMEDIES}",
+            f"{remedy(where)}",
             P,
         )
 
@@ -283,7 +288,7 @@ def require_no_zero_on_axis(scaled: ScaledPlant, P: StateSpace, where: str) -> N
     raise IllPosedError(
         f"{where}: there must be no zero on the imaginary axis, but {what} at {place} in the states "
         f"{named(states * scaled.state, P.state_labels)}; shift the weight with that pole or zero to the left, or "
-        f"{REMEDIES}",
+        f"{remedy(where)}",
         P,
     )
 

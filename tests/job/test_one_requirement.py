@@ -94,28 +94,6 @@ def _fast(plants: PlantSet, K: StateArrays, k: int) -> np.ndarray:
     return control.StateSpace(*_closed(plants, K, k), plants.period).damp()[0] > plants.nutation / 10.0
 
 
-def test_a_matrix_inequality_holds_it(plants: PlantSet) -> None:
-    # The nominal plant with noise on torques and angles; all poles of the loop count, those of the controller too.
-    A, B, C = plants.A[0], plants.B[0], plants.C[0]
-    # Torques in units of L times the nutation frequency.
-    B = B * 0.15 * plants.nutation
-    n, m = B.shape
-    none, one = np.zeros((m, m)), np.eye(m)
-    P = control.StateSpace(
-        A,
-        np.hstack([B, np.zeros((n, m)), B]),
-        np.vstack([C, np.zeros((m, n)), C]),
-        np.block([[none, none, none], [none, none, one], [none, one, none]]),
-        plants.period,
-        remove_useless_states=False,
-    )
-    peak = requirement("H-infinity norm", 10.0, hard=False)
-    made = design.multiobjective(P, m, m, [DAMPED, peak])
-    outcome = next(one for one in made.outcomes if one.name == DAMPED.name)
-    assert outcome.passed
-    assert outcome.value == pytest.approx(DAMPED.check_closed_loop(made.closed_loop).value)
-
-
 def test_the_report_and_the_record_of_a_job_show_it(job: Job, plants: PlantSet) -> None:
     (spec,) = job.loops
     plain = dataclasses.replace(spec.designs[0], tune=False, options={"crossover_hz": 40.0, "rolloff_hz": 850.0})

@@ -156,7 +156,7 @@ def _controllers(plant: Partition, power: bool, time_limit: float) -> tuple[tupl
     P = _system(plant)
     cut = False
     for method in ("riccati", "lmi"):
-        if method == "lmi" and len(plant.A) > _LMI_STATES:
+        if method == "lmi" and (power or len(plant.A) > _LMI_STATES):
             continue
         try:
             found = _designed(P, plant, power, method, time_limit)
@@ -173,7 +173,7 @@ def _designed(P: StateSpace, plant: Partition, power: bool, method: str, time_li
     if power:
         from platform_ctrl.design.riccati.h2 import h2
 
-        return h2(P, ny, nu, method=method, time_limit=time_limit)  # type: ignore[arg-type]
+        return h2(P, ny, nu)
     return hinf(P, ny, nu, method=method, backoff=_BACKOFFS[0], time_limit=time_limit)  # type: ignore[arg-type]
 
 

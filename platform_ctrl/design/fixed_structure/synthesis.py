@@ -245,7 +245,7 @@ def _task(
 ) -> _Task:
     if not requirements:
         return _Task(plants=flat, soft=(Goal(plants=flat),), hard=(), decay=0.0)
-    from platform_ctrl.design.lmi.tasks import tasks
+    from platform_ctrl.design.fixed_structure.requested import tasks
 
     requested = [tasks(P, part, requirements, "structured") for P, part in zip(given, parts, strict=True)]
     decay = 0.0
@@ -253,7 +253,7 @@ def _task(
         if region.kind != "stability":
             raise ArgumentError(
                 "structured: requirements must be of kind 'H-infinity norm', 'H2 norm' or 'stability', got "
-                f'{region.kind!r}; for pole regions use design.multiobjective, or method = "structured" in a job'
+                f'{region.kind!r}; for pole regions use method = "structured" in a job'
             )
         period = parts[0].dt
         limit = region.limit if period == 0.0 else 2.0 / period * np.tanh(0.5 * region.limit * period)

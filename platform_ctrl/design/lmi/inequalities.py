@@ -68,8 +68,8 @@ class LinearLoop:
         self.out = cp.hstack([p.C1 @ self.X + p.D12 @ self.C, p.C1 + p.D12 @ self.D @ p.C2])
         self.direct = p.D11 + p.D12 @ self.D @ p.D21
 
-    def hinf_below(self, w: Sequence[int], z: Sequence[int], alpha: Any, beta: Any) -> Any:
-        """Inequality (6) for some of the signals w and z."""
+    def hinf_below(self, w: Sequence[int], z: Sequence[int], alpha: Any, beta: Any, margin: float = 0.0) -> Any:
+        """Inequality (6) for some of the signals w and z, at most −`margin`."""
         w, z = list(w), list(z)
         B, C, D = self.VB[:, w], self.out[z, :], self.direct[z, :][:, w]
         return _negative(
@@ -77,7 +77,8 @@ class LinearLoop:
                 [self.VA + self.VA.T, B, C.T],
                 [B.T, -alpha * np.eye(len(w)), D.T],
                 [C, D, -beta * np.eye(len(z))],
-            ]
+            ],
+            margin,
         )
 
     def outputs_below(self, z: Sequence[int], square: Any) -> list[Any]:
@@ -114,8 +115,9 @@ class LinearLoop:
         return StateArrays(np.linalg.solve(M, np.linalg.solve(N, rest).T).T, B_K, C_K, np.asarray(D))
 
 
-def _negative(blocks: list[list[Any]]) -> Any:
-    return cp.bmat(blocks) << 0
+def _negative(blocks: list[list[Any]], margin: float = 0.0) -> Any:
+    matrix = cp.bmat(blocks)
+    return matrix << (-margin * np.eye(matrix.shape[0]) if margin else 0)
 
 
 def sector(damping: float) -> tuple[FloatArray, FloatArray]:

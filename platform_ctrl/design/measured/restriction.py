@@ -17,12 +17,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.lmi.conic import Cones, Solver
 from platform_ctrl.design.measured.pid import CENTRES, OF_ANGLE, Limit, controller_response, ratios
-from platform_ctrl.errors import UnscalableError
+from platform_ctrl.errors import TimeLimitError, UnscalableError
+
+Cones = list[tuple[str, int]]
 
 # Limits are tightened by this share, so that they hold after the solver's rounding.
 RESERVE = 5e-4
@@ -99,14 +101,12 @@ class Restriction:
         rows = np.array([t, -t, missed, near - missed, near, -near])
         blocks = [integral.cones(v), *(one.cones(v) for one in limits)]
         A = np.concatenate([rows, *(A for A, _, _ in blocks)])
-        cones = [("NonnegativeConeT", (len(rows),)), *(cone for _, _, own in blocks for cone in own)]
+        cones = [("NonnegativeConeT", len(rows)), *(cone for _, _, own in blocks for cone in own)]
         reward, price = (_GAIN_WEIGHT, 1.0) if miss else (1.0, 0.0)
-        cure = "give another start or pattern, or looser limits"
-        solver = Solver(where="measured_pid", cure=cure, time_limit=time_limit, P=self.problem)
         for growth, tolerance in _TRIALS:
             b = np.concatenate([[growth, -least, miss, 0.0, nearest, _LARGEST_RESERVE], *(b for _, b, _ in blocks)])
             try:
-                x = solver.minimise(price * missed - reward * t, A, b, cones, "a convex step", tolerance)
+                x = _minimised(price * missed - reward * t, A, b, cones, tolerance, time_limit, self.problem)
                 break
             except UnscalableError:
                 if (growth, tolerance) == _TRIALS[-1]:
@@ -137,6 +137,28 @@ class Restriction:
         return out, distance
 
 
+def _minimised(
+    q: FloatArray, A: FloatArray, b: FloatArray, cones: Cones, tolerance: float, time_limit: float, problem: object
+) -> FloatArray:
+    """Return the x that minimises q'x with b − A x in the product of `cones`, Clarabel's names with their sizes."""
+    import clarabel
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.chordal_decomposition_enable, settings.time_limit = False, False, time_limit
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    none, size = csc_matrix((len(q), len(q))), [getattr(clarabel, kind)(size) for kind, size in cones]
+    found = clarabel.DefaultSolver(none, q, csc_matrix(A), b, size, settings).solve()
+    x, status = np.array(found.x), str(found.status)
+    if status == "MaxTime":
+        raise TimeLimitError(f"measured_pid: no convex step in {time_limit:.3g} s; give a larger time_limit", problem)
+    if status not in ("Solved", "AlmostSolved") or not np.all(np.isfinite(x)):
+        raise UnscalableError(
+            f"measured_pid: a convex step ended with {status!r}; give another start or pattern, or looser limits",
+            problem,
+        )
+    return x
+
+
 @value
 class _Inequalities:
     """Hermitian matrices that are linear in the gains and have to be positive semidefinite.
@@ -156,7 +178,7 @@ class _Inequalities:
         A[:, :, :v] = -rows.swapaxes(-1, -2)
         A[:, :, self.of] = -_triangle(self.slack)
         h = len(self.slack)
-        cone: Any = ("NonnegativeConeT", (1,)) if h == 1 else ("PSDTriangleConeT", (2 * h,))
+        cone = ("NonnegativeConeT", 1) if h == 1 else ("PSDTriangleConeT", 2 * h)
         return A.reshape(-1, v + 3), _triangle(self.offsets).ravel(), [cone] * len(rows)
 
 

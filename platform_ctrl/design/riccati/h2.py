@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lower_bounds import h2_lower_bound
@@ -32,7 +31,7 @@ from platform_ctrl.design.scaling import (
     without_direct_path,
     zero_on_axis,
 )
-from platform_ctrl.design.synthesis import Method, Synthesis, certify, require_regularisation, require_time_limit
+from platform_ctrl.design.synthesis import Synthesis, certify, require_regularisation
 from platform_ctrl.errors import UnscalableError
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ WHERE = "h2, riccati"
 TOLERANCE = 1e-6
 NO_SOLUTION = (
     "has no stabilising solution in the scaled units: u or y hardly reaches a mode on the stability boundary, or "
-    'a zero is near it; give method="lmi", or regularise=1e-3'
+    "a zero is near it; give regularise=1e-3"
 )
 
 
@@ -53,10 +52,7 @@ def h2(
     nmeas: int,
     ncon: int,
     *,
-    method: Method = "riccati",
     direct: bool = True,
-    backoff: float = 0.01,
-    time_limit: float = 60.0,
     regularise: float | None = None,
 ) -> Synthesis:
     """Full-order H2 output feedback (LQG in its general form), certified by the actual closed loop.
@@ -68,14 +64,8 @@ def h2(
         z for white w of unit density (sampled: unit variance).
     nmeas, ncon
         Number of measurements y and of controls u: the last outputs and the last inputs.
-    method
-        ``"riccati"``: two Riccati equations; ``"lmi"``: linear matrix inequalities, which need no rank of D12 and D21.
     direct
         Sampled plants: whether u[k] may use y[k]. False gives the best strictly proper controller.
-    backoff
-        LMI route alone: relative distance from the least norm, positive. The Riccati route attains the least norm.
-    time_limit
-        Longest time that one call of the LMI solver may take, s.
     regularise
         As in `hinf`, relative.
 
@@ -90,8 +80,8 @@ def h2(
         P, nmeas, ncon or an option do not make sense.
     NotStabilisableError, IllPosedError
         A mode is out of reach, or an assumption does not hold; the message names it.
-    UnscalableError, TimeLimitError, InfeasibleError
-        The route failed.
+    UnscalableError
+        The equations have no accurate solution.
     NotCertifiedError
         The controller does not reach what was promised.
 
@@ -99,43 +89,30 @@ def h2(
     ----------
     K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, section 14.5.
 
-    C. Scherer, P. Gahinet, M. Chilali, IEEE Trans. Automatic Control 42, 1997.
-
-    M. C. de Oliveira, J. C. Geromel, J. Bernussou, Int. J. Control 75, 2002.
     """
-    one_of("h2: method", method, ("riccati", "lmi"))
-    backoff = positive("h2: backoff", backoff)
-    require_time_limit("h2", time_limit)
-    require_regularisation("h2", method, regularise)
+    require_regularisation("h2", "riccati", regularise)
     plant = partition(P, nmeas, ncon, sampled=True)
     require_stabilisable(plant, P, "h2")
-    if method == "lmi":
-        from platform_ctrl.design.lmi.h2 import h2_lmi
-
-        made, least, residual = h2_lmi(plant, direct, backoff, time_limit, P)
-        tolerance = 0.01
-    else:
-        try:
-            if plant.dt:
-                made, least, residual = _sampled(plant, direct, P, regularise)
-            else:
-                made, least, residual = _continuous(plant, P, regularise)
-        except np.linalg.LinAlgError as error:
-            raise UnscalableError(
-                f'{WHERE}: {str(error).lower()} within the scaled problem; give method="lmi"', P
-            ) from None
-        backoff, tolerance = 0.0, TOLERANCE
+    try:
+        if plant.dt:
+            made, least, residual = _sampled(plant, direct, P, regularise)
+        else:
+            made, least, residual = _continuous(plant, P, regularise)
+    except np.linalg.LinAlgError as error:
+        raise UnscalableError(
+            f"{WHERE}: {str(error).lower()} within the scaled problem; give weights with less spread", P
+        ) from None
     return certify(
         P,
         plant,
         made,
         gamma_optimal=h2_lower_bound(plant, direct),
         least=least,
-        backoff=backoff,
-        method=f"h2, {method}",
+        backoff=0.0,
+        method=WHERE,
         residual=residual,
         norm="h2",
-        tolerance=tolerance,
+        tolerance=TOLERANCE,
     )
 
 

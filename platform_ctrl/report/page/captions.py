@@ -190,12 +190,12 @@ def run(one: Run, spinning: bool, loops: Sequence[LoopOutcome]) -> str:
         saturated=int(trajectory.saturated.sum()),
         contacts=int(trajectory.stop_contacts.sum()),
         spinning=spinning,
-        proved=_largest_rate(one, loops),
+        held=_largest_rate(one, loops),
     )
 
 
 def _largest_rate(run: Run, loops: Sequence[LoopOutcome]) -> tuple[float, float | None] | None:
-    """Return the rates about the run's axis up to which the closed loops are proved to keep within their limits."""
+    """Return the rates about the run's axis up to which the torques of the closed loops keep below their limits."""
     claims = [outcome.closed.claims for outcome in loops]
     nominal, varied = (
         min((own[name] for own in claims if name in own), default=None)
