@@ -7,10 +7,18 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.run_metrics import over_limit, worst_value
 from platform_ctrl.campaign.probability import CONFIDENCE, SIGNIFICANCE, Probability, clopper_pearson, holm
-from platform_ctrl.campaign.table import ENDED, MANOEUVRE, PASSED, Array, Table, batches, input_names, was_simulated
-from platform_ctrl.campaign.table_statistics import Limits, answer_columns, in_order, limits_of
+from platform_ctrl.campaign.table import (
+    ENDED,
+    MANOEUVRE,
+    PASSED,
+    Array,
+    Table,
+    input_names,
+    read_columns,
+    was_simulated,
+)
+from platform_ctrl.campaign.table_statistics import Limits, answer_columns, in_order, over_limits
 from platform_ctrl.common.values import FloatArray, value
 
 # A number with more values than this, or with about one for each run, is divided into thirds.
@@ -86,21 +94,14 @@ def influences(
     answers = answer_columns(table)
     metrics = [name for name in answers if name != PASSED]
     wanted = tuple(dict.fromkeys((MANOEUVRE, *names, *metrics, *answers.values(), ENDED)))
-    chunks = [{name: column[was_simulated(one)] for name, column in one.items()} for one in batches(table, wanted)]
-    if not any(len(one[MANOEUVRE]) for one in chunks):
-        return ()
-    data = {name: np.concatenate([one[name] for one in chunks]) for name in wanted}
-    manoeuvres, place = np.unique(data[MANOEUVRE].astype(str), return_inverse=True)
-    ratios: dict[str, FloatArray] = {}
-    for name in metrics:
-        bound = limits_of(manoeuvres, name, limits)[place]
-        metric = np.where(np.isfinite(data[name]), data[name], worst_value(name))
-        ratio = over_limit(name, metric, np.where(np.isnan(bound), 1.0, bound))
-        ratios[name] = np.where(np.isnan(bound), -np.inf, ratio)
-    ratios[PASSED] = np.max([*ratios.values()], axis=0) if ratios else np.zeros(len(place))
+    data = read_columns(table, wanted)
+    data = {name: column[was_simulated(data)] for name, column in data.items()}
+    manoeuvres = np.unique(data[MANOEUVRE].astype(str)).tolist()
+    ratios = dict(zip(metrics, over_limits(data, metrics, limits)[:, 2], strict=True))
+    ratios[PASSED] = np.max([*ratios.values()], axis=0) if ratios else np.zeros(len(data[MANOEUVRE]))
     out: list[Influence] = []
-    for manoeuvre in (None, *(in_order(manoeuvres.tolist(), limits) if len(manoeuvres) > 1 else ())):
-        here = np.ones(len(place), dtype=bool) if manoeuvre is None else manoeuvres[place] == manoeuvre
+    for manoeuvre in (None, *(in_order(manoeuvres, limits) if len(manoeuvres) > 1 else ())):
+        here = np.ones(len(data[MANOEUVRE]), dtype=bool) if manoeuvre is None else data[MANOEUVRE] == manoeuvre
         for requirement, column in answers.items():
             rows = here & (data[column] >= 0)
             given = {name: data[name][rows] for name in names if _varies(data[name][rows])}

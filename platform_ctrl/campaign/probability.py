@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.common.arguments import positive, real_numbers, whole
-from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -66,88 +64,3 @@ def holm(p_values: Sequence[float]) -> FloatArray:
     out = np.empty_like(p)
     out[order] = adjusted
     return out
-
-
-# Bins of equal width in the logarithm: a quantile is right to half of `RESOLUTION` of itself.
-RESOLUTION = 1e-3
-_LOWEST, _HIGHEST = 1e-12, 1e9
-_BINS = int(np.ceil(np.log(_HIGHEST / _LOWEST) / RESOLUTION))
-_EDGES_FROM = np.log(_LOWEST)
-
-
-class Distribution:
-    """Counts of a metric that is not negative, in logarithmic bins; where it is not finite it counts as beyond all.
-
-    The result is the same whether metrics are added at once or in chunks of any order.
-
-    Attributes
-    ----------
-    counts : (bins,)
-        Runs in each bin: the first for everything below 1e-12, the last for everything above 1e9, infinity included.
-    smallest, largest
-        The extremes, exactly, in the metric's unit; infinite where the largest is (a run that diverged).
-    """
-
-    __slots__ = ("counts", "largest", "smallest")
-
-    def __init__(self) -> None:
-        self.counts: NDArray[np.int64] = np.zeros(_BINS + 2, dtype=np.int64)
-        self.smallest, self.largest = np.inf, -np.inf
-
-    @property
-    def runs(self) -> int:
-        """How many metrics were counted."""
-        return int(self.counts.sum())
-
-    @check_arguments
-    def add(self, metrics: ArrayLike) -> None:
-        """Count more metrics, not negative, in one unit; what is not finite lies beyond all."""
-        values = real_numbers("Distribution.add: metrics", metrics).reshape(-1)
-        if not values.size:
-            return
-        values = np.where(np.isfinite(values), values, np.inf)
-        self.counts += np.bincount(_bin(values), minlength=_BINS + 2)
-        self.smallest = min(self.smallest, float(values.min()))
-        self.largest = max(self.largest, float(values.max()))
-
-    @check_arguments
-    def quantile(self, share: float) -> float:
-        """Return the least metric that a share (0 to 1) of the runs does not exceed; NaN without runs."""
-        runs = self.runs
-        if not runs:
-            return float("nan")
-        if share >= 1.0:
-            return float(self.largest)
-        rank = max(int(np.ceil(share * runs - 1e-9)), 1)
-        place = int(np.searchsorted(np.cumsum(self.counts), rank))
-        return float(np.clip(_middles(np.array([place]))[0], self.smallest, self.largest))
-
-    def exceedance(self) -> tuple[FloatArray, FloatArray]:
-        """Return levels (k,), increasing, in the metrics' unit, and the share of the runs above each (k,)."""
-        filled = np.flatnonzero(self.counts)
-        above = self.runs - np.cumsum(self.counts[filled])
-        return np.clip(_middles(filled), self.smallest, self.largest), above / max(self.runs, 1)
-
-    @check_arguments
-    def histogram(self, edges: FloatArray) -> NDArray[np.int64]:
-        """Return how many metrics lie between each two of the edges (k + 1,), increasing, in the metrics' unit.
-
-        What lies beyond the last is left out; a value next to an edge may be counted on its other side.
-        """
-        if edges.ndim != 1 or np.any(np.diff(edges) < 0.0):
-            raise ArgumentError(f"edges must be an increasing vector of numbers, got {short(edges)}")
-        filled = np.flatnonzero(self.counts)
-        middles = np.clip(_middles(filled), max(self.smallest, 0.0), self.largest)
-        counted, _ = np.histogram(middles, bins=edges, weights=self.counts[filled].astype(np.float64))
-        return np.asarray(np.rint(counted), dtype=np.int64)
-
-
-def _bin(values: FloatArray) -> NDArray[np.intp]:
-    with np.errstate(divide="ignore"):
-        place = (np.log(np.maximum(values, 0.0)) - _EDGES_FROM) / RESOLUTION
-    return np.asarray(np.clip(np.floor(np.clip(place, -1.0, _BINS)), -1, _BINS), dtype=np.intp) + 1
-
-
-def _middles(bins: NDArray[np.intp]) -> FloatArray:
-    middles = np.exp(_EDGES_FROM + (bins - 0.5) * RESOLUTION)
-    return np.asarray(np.where(bins == 0, 0.0, np.where(bins > _BINS, np.inf, middles)))

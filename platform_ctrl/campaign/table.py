@@ -1,9 +1,9 @@
-"""A campaign's table: its columns, and reading it a chunk at a time from Parquet files or from memory."""
+"""A campaign's table: its columns, read from Parquet files or from memory."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -20,8 +20,6 @@ COMPLETED, DIVERGED, NOT_SIMULATED = "completed", "diverged", "not simulated"
 OUTCOMES = frozenset(
     {RUN, *RUN_METRICS, *(f"{name}_passed" for name in RUN_METRICS), "stop_contacts", "saturated", PASSED, ENDED}
 )
-
-ROWS_AT_ONCE = 1 << 15
 
 Array = NDArray[Any]
 Columns = dict[str, Array]
@@ -52,32 +50,24 @@ def input_names(table: Table) -> tuple[str, ...]:
     return tuple(name for name in column_names(table) if name not in OUTCOMES)
 
 
-def batches(table: Table, names: Sequence[str]) -> Iterator[dict[str, Array]]:
-    """Yield the named columns a stretch of rows at a time, in the table's order.
+def read_columns(table: Table, names: Sequence[str]) -> dict[str, Array]:
+    """Return the named columns (N,), in the table's order.
 
-    Numbers come as float64 (`run` as int64), words as objects, yes and no as int8 where −1 says neither.
+    Numbers are float64 (`run` is int64), words objects, yes and no int8 where −1 says neither.
     """
     known = column_names(table)
     for name in names:
         if name not in known:
             raise ArgumentError(f"table has no column {name!r}: it must have {short(tuple(names))}")
     if isinstance(table, Mapping):
-        yield from _in_memory(table, names)
-        return
-    dataset = _dataset(table)
-    for batch in dataset.to_batches(columns=list(names), batch_size=ROWS_AT_ONCE):
-        if batch.num_rows:
-            yield {name: _column(name, batch.column(name).to_numpy(zero_copy_only=False)) for name in names}
-
-
-def _in_memory(table: Mapping[str, Any], names: Sequence[str]) -> Iterator[dict[str, Array]]:
-    columns = {name: np.asarray(table[name]) for name in names}
-    lengths = {name: column.shape for name, column in columns.items()}
-    if len(set(lengths.values())) != 1 or any(len(shape) != 1 for shape in lengths.values()):
-        raise ArgumentError(f"table: columns must be vectors of one length, got {short(lengths)}")
-    rows = len(next(iter(columns.values())))
-    for first in range(0, rows, ROWS_AT_ONCE):
-        yield {name: _column(name, column[first : first + ROWS_AT_ONCE]) for name, column in columns.items()}
+        columns = {name: np.asarray(table[name]) for name in names}
+        lengths = {name: column.shape for name, column in columns.items()}
+        if len(set(lengths.values())) != 1 or any(len(shape) != 1 for shape in lengths.values()):
+            raise ArgumentError(f"table: columns must be vectors of one length, got {short(lengths)}")
+    else:
+        data = _dataset(table).to_table(columns=list(names))
+        columns = {name: data.column(name).to_numpy() for name in names}
+    return {name: _column(name, column) for name, column in columns.items()}
 
 
 def _column(name: str, column: Array) -> Array:
@@ -114,11 +104,7 @@ def _dataset(table: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -
         raise InputError(f"{short(given)}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
 
 
-def was_simulated(batch: Mapping[str, Array]) -> NDArray[np.bool_]:
-    """Return which runs of a batch were simulated."""
-    return np.fromiter((not str(one).startswith(NOT_SIMULATED) for one in batch[ENDED]), bool, len(batch[ENDED]))
-
-
-def codes(words: Array, known: dict[str, int]) -> NDArray[np.intp]:
-    """Return a number for each word; words that are new get the next one in `known`."""
-    return np.fromiter((known.setdefault(str(word), len(known)) for word in words), np.intp, len(words))
+def was_simulated(columns: Mapping[str, Array]) -> NDArray[np.bool_]:
+    """Return which runs were simulated."""
+    ended = columns[ENDED]
+    return np.fromiter((not str(one).startswith(NOT_SIMULATED) for one in ended), bool, len(ended))

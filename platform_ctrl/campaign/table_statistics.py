@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS, over_limit, worst_value
-from platform_ctrl.campaign.probability import (
-    CONFIDENCE,
-    Distribution,
-    Probability,
-    clopper_pearson,
-)
+from platform_ctrl.campaign.probability import CONFIDENCE, Probability, clopper_pearson
 from platform_ctrl.campaign.table import (
     DIVERGED,
     ENDED,
@@ -23,9 +17,8 @@ from platform_ctrl.campaign.table import (
     RUN,
     Array,
     Table,
-    batches,
-    codes,
     column_names,
+    read_columns,
     was_simulated,
 )
 from platform_ctrl.common.signatures import check_arguments
@@ -72,8 +65,9 @@ class RequirementStatistics:
         Metric, in the unit of `limit`, by share of the runs; empty for ``"passed"``. Infinite where fewer completed.
     largest
         Largest metric, in the unit of `limit`.
-    distribution
-        Of the metric over these runs; None for ``"passed"``.
+    values
+        The metric of these runs, increasing, in the unit of `limit`; infinite where a run diverged; empty for
+        ``"passed"``.
     worst
         The runs with the largest metrics over their limits, the worst first.
     """
@@ -84,7 +78,7 @@ class RequirementStatistics:
     violation: Probability
     quantiles: dict[float, float]
     largest: float
-    distribution: Distribution | None
+    values: FloatArray
     worst: tuple[WorstRun, ...]
 
 
@@ -143,9 +137,6 @@ class CampaignStatistics:
 def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, worst: int = 10) -> CampaignStatistics:
     """Return what a campaign's table says about each requirement.
 
-    The table is read a chunk at a time; the memory needed does not grow with the runs. Quantiles are right to half a
-    thousandth of themselves, counts, bounds and extremes exactly.
-
     Parameters
     ----------
     table
@@ -167,27 +158,97 @@ def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, 
     """
     answers = answer_columns(table)
     metrics = tuple(name for name in RUN_METRICS if name in column_names(table))
-    counts = _Counts(metrics, answers, limits, worst)
+    data = read_columns(table, (RUN, MANOEUVRE, *metrics, *answers.values(), ENDED))
+    runs, rows = len(data[RUN]), was_simulated(data)
     endings: dict[str, int] = {}
-    runs = simulated = 0
-    for batch in batches(table, (RUN, MANOEUVRE, *metrics, *answers.values(), ENDED)):
-        for text, number in zip(*np.unique(batch[ENDED].astype(str), return_counts=True), strict=True):
-            kind = DIVERGED if text.startswith(DIVERGED) else str(text)
-            kind = kind if kind in endings or len(endings) < _MOST_ENDINGS else "other reasons"
-            endings[kind] = endings.get(kind, 0) + int(number)
-        rows = was_simulated(batch)
-        runs, simulated = runs + len(rows), simulated + int(rows.sum())
-        counts.add({name: column[rows] for name, column in batch.items()})
-    whole = counts.of(None, PASSED)
+    for text, number in zip(*np.unique(data[ENDED].astype(str), return_counts=True), strict=True):
+        kind = DIVERGED if text.startswith(DIVERGED) else str(text)
+        kind = kind if kind in endings or len(endings) < _MOST_ENDINGS else "other reasons"
+        endings[kind] = endings.get(kind, 0) + int(number)
+    data = {name: column[rows] for name, column in data.items()}
+    compared = over_limits(data, metrics, limits)
+    found: list[RequirementStatistics] = []
+    for manoeuvre in (None, *in_order(np.unique(data[MANOEUVRE].astype(str)).tolist(), limits)):
+        here = np.ones(len(data[RUN]), dtype=bool) if manoeuvre is None else data[MANOEUVRE] == manoeuvre
+        for requirement in (*RUN_METRICS, PASSED):
+            answer = data[answers[requirement]][here] if requirement in answers else np.zeros(0)
+            if not (answer >= 0).any():
+                continue
+            violation = clopper_pearson(int((answer == 0).sum()), int((answer >= 0).sum()), confidence)
+            limit, values = None, np.zeros(0)
+            if requirement in metrics:
+                # Over all manoeuvres relative to each limit: without one a metric means something else, as the
+                # attitude of a platform that is turned on purpose.
+                limit = 1.0 if manoeuvre is None else limits.get(manoeuvre, {}).get(requirement)
+                metric, bound, ratio = compared[metrics.index(requirement)]
+                values = np.sort(ratio[here & ~np.isnan(bound)] if manoeuvre is None else metric[here])
+            one = RequirementStatistics(
+                requirement=requirement,
+                manoeuvre=manoeuvre,
+                limit=limit,
+                violation=violation,
+                quantiles={share: quantile(values, share) for share in QUANTILES} if values.size else {},
+                largest=float(values[-1]) if values.size else float("nan"),
+                values=values,
+                worst=_worst(data, metrics, compared, here, requirement, worst),
+            )
+            found.append(one)
+    whole = next((one for one in found if (one.requirement, one.manoeuvre) == (PASSED, None)), None)
     return CampaignStatistics(
         runs=runs,
-        simulated=simulated,
+        simulated=int(rows.sum()),
         diverged=endings.get(DIVERGED, 0),
         endings=dict(sorted(endings.items(), key=lambda item: -item[1])),
-        violation=clopper_pearson(whole.violated, whole.limited, confidence),
-        requirements=counts.requirements(confidence),
-        worst=tuple(whole.worst),
+        violation=clopper_pearson(0, 0, confidence) if whole is None else whole.violation,
+        requirements=tuple(found),
+        worst=() if whole is None else whole.worst,
         confidence=confidence,
+    )
+
+
+def over_limits(data: Mapping[str, Array], metrics: Sequence[str], limits: Limits) -> FloatArray:
+    """Return each metric, its limit (NaN where the manoeuvre has none) and their ratio (−∞ there), (metrics, 3, N)."""
+    names, place = np.unique(data[MANOEUVRE].astype(str), return_inverse=True)
+    out = np.empty((len(metrics), 3, len(place)))
+    for name, row in zip(metrics, out, strict=True):
+        bound = limits_of(names, name, limits)[place]
+        value = np.where(np.isfinite(data[name]), data[name], worst_value(name))
+        ratio = over_limit(name, value, np.where(np.isnan(bound), 1.0, bound))
+        row[:] = value, bound, np.where(np.isnan(bound), -np.inf, ratio)
+    return out
+
+
+def quantile(values: FloatArray, share: float) -> float:
+    """Return the least of increasing values that a share (0 to 1) of them does not exceed."""
+    return float(values[max(int(np.ceil(share * len(values) - 1e-9)), 1) - 1])
+
+
+def _worst(
+    data: Mapping[str, Array],
+    metrics: Sequence[str],
+    compared: FloatArray,
+    here: NDArray[np.bool_],
+    requirement: str,
+    keep: int,
+) -> tuple[WorstRun, ...]:
+    """Return the runs with the largest ratios of a metric, or of any; ties go to the lower run."""
+    if not metrics:
+        return ()
+    which = compared[:, 2].argmax(axis=0) if requirement == PASSED else np.full(len(here), metrics.index(requirement))
+    value, limit, ratio = compared[which, :, np.arange(len(which))].T
+    rows = np.flatnonzero(here & (ratio > -np.inf))
+    rows = rows[np.lexsort((data[RUN][rows], -ratio[rows]))[:keep]]
+    return tuple(
+        WorstRun(
+            run=int(data[RUN][k]),
+            manoeuvre=str(data[MANOEUVRE][k]),
+            requirement=metrics[which[k]],
+            value=float(value[k]),
+            limit=float(limit[k]),
+            ratio=float(ratio[k]),
+            ended=str(data[ENDED][k]),
+        )
+        for k in rows
     )
 
 
@@ -205,105 +266,3 @@ def answer_columns(table: Table) -> dict[str, str]:
     """Return the columns that say whether requirements are met."""
     present = column_names(table)
     return {name: f"{name}_passed" for name in RUN_METRICS if f"{name}_passed" in present} | {PASSED: PASSED}
-
-
-@dataclass
-class _Count:
-    """Counts of one requirement, over all manoeuvres or within one."""
-
-    limited: int = 0  # runs with this limit
-    violated: int = 0
-    distribution: Distribution = field(default_factory=Distribution)
-    worst: list[WorstRun] = field(default_factory=list)
-
-
-class _Counts:
-    """Counts of all requirements, over all manoeuvres and within each."""
-
-    def __init__(self, metrics: tuple[str, ...], answers: Mapping[str, str], limits: Limits, keep: int) -> None:
-        self._metrics, self._answers, self._limits, self._keep = metrics, answers, limits, keep
-        self._found: dict[tuple[str | None, str], _Count] = {}
-        self._known: dict[str, int] = {}
-
-    def of(self, manoeuvre: str | None, requirement: str) -> _Count:
-        return self._found.setdefault((manoeuvre, requirement), _Count())
-
-    def add(self, batch: Mapping[str, Array]) -> None:
-        """Count some runs."""
-        place = codes(batch[MANOEUVRE], self._known)
-        if not place.size:
-            return
-        limit = np.array([limits_of(self._known, name, self._limits)[place] for name in self._metrics])
-        values = np.array(
-            [np.where(np.isfinite(batch[name]), batch[name], worst_value(name)) for name in self._metrics]
-        )
-        # Where there is no limit no metric is bad.
-        ratio = np.array([over_limit(name, *rows) for name, *rows in zip(self._metrics, values, limit, strict=True)])
-        ratio = np.where(np.isnan(limit), -np.inf, ratio.reshape(limit.shape))
-        for manoeuvre in (None, *self._known):
-            here = np.ones(len(place), dtype=bool) if manoeuvre is None else place == self._known[manoeuvre]
-            if not here.any():
-                continue
-            for requirement, column in self._answers.items():
-                count, answer = self.of(manoeuvre, requirement), batch[column][here]
-                count.limited += int((answer >= 0).sum())
-                count.violated += int((answer == 0).sum())
-            for k, name in enumerate(self._metrics):
-                # Over all manoeuvres relative to each limit: without one a metric means something else, as the attitude
-                # of a platform that is turned on purpose.
-                own = here & ~np.isnan(limit[k]) if manoeuvre is None else here
-                self.of(manoeuvre, name).distribution.add((ratio if manoeuvre is None else values)[k][own])
-            for k, name in enumerate((*self._metrics, PASSED) if self._metrics else ()):
-                which = ratio.argmax(axis=0) if name == PASSED else np.full(len(place), k)
-                self._worst(self.of(manoeuvre, name), batch, np.array([values, limit, ratio]), which, here)
-
-    def _worst(
-        self,
-        count: _Count,
-        batch: Mapping[str, Array],
-        numbers: FloatArray,
-        which: NDArray[np.intp],
-        here: NDArray[np.bool_],
-    ) -> None:
-        """Keep the runs with the largest ratios of the metric `which` of each; ties go to the lower run."""
-        found, limit, ratio = numbers[:, which, np.arange(len(which))]
-        least = count.worst[-1].ratio if len(count.worst) == self._keep else -np.inf
-        rows = np.flatnonzero(here & (ratio >= least) & (ratio > -np.inf))
-        rows = rows[np.lexsort((batch[RUN][rows], -ratio[rows]))[: self._keep]]
-        more = [
-            WorstRun(
-                run=int(batch[RUN][k]),
-                manoeuvre=str(batch[MANOEUVRE][k]),
-                requirement=self._metrics[which[k]],
-                value=float(found[k]),
-                limit=float(limit[k]),
-                ratio=float(ratio[k]),
-                ended=str(batch[ENDED][k]),
-            )
-            for k in rows
-        ]
-        count.worst = sorted(count.worst + more, key=lambda one: (-one.ratio, one.run))[: self._keep]
-
-    def requirements(self, confidence: float) -> tuple[RequirementStatistics, ...]:
-        """Return the statistics of every requirement that some run has."""
-        out = []
-        for manoeuvre in (None, *in_order(self._known, self._limits)):
-            for name in (*RUN_METRICS, PASSED):
-                count = self.of(manoeuvre, name)
-                if not count.limited:
-                    continue
-                shown = count.distribution if name in self._metrics else None
-                limit = 1.0 if manoeuvre is None else self._limits.get(manoeuvre, {}).get(name)
-                out.append(
-                    RequirementStatistics(
-                        requirement=name,
-                        manoeuvre=manoeuvre,
-                        limit=None if name == PASSED else limit,
-                        violation=clopper_pearson(count.violated, count.limited, confidence),
-                        quantiles={} if shown is None else {share: shown.quantile(share) for share in QUANTILES},
-                        largest=float("nan") if shown is None else shown.largest,
-                        distribution=shown,
-                        worst=tuple(count.worst),
-                    )
-                )
-        return tuple(out)

@@ -69,7 +69,7 @@ def _row(one: RequirementStatistics) -> ProbabilityRow:
         bounds=chances(one.violation.low, one.violation.high),
         median=shown.get(0.5, ""),
         high_quantile=shown.get(0.99, ""),
-        largest="" if one.distribution is None else figure_words(one.largest, unit, one.limit),
+        largest="" if not one.values.size else figure_words(one.largest, unit, one.limit),
         worst=one.worst[0].run if one.worst else None,
         numbers=one.violation,
     )

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.campaign.engine import CampaignResult
-from platform_ctrl.campaign.probability import Distribution
 from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import Table
@@ -150,18 +149,18 @@ def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int
 
 def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     """Draw the histogram of one metric in one manoeuvre, red beyond its limit."""
-    values, limit = distribution_of(one), one.limit
+    values, limit = one.values, one.limit
     assert limit is not None
     factor, unit = handy_unit(RUN_METRICS[name].unit, limit)
     usual = one.quantiles[0.9]
-    top = min(values.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit)) or limit
-    low = values.smallest if np.isfinite(values.smallest) and values.smallest > 0.5 * top else 0.0
+    top = min(one.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit)) or limit
+    low = values[0] if np.isfinite(values[0]) and values[0] > 0.5 * top else 0.0
     near = _LOW * low <= limit <= _FAR * max(top, 1e-300)
     low, high = 0.98 * (min(low, _BEFORE * limit) if near else low), 1.04 * top
     if near:
         high = max(high, low + (limit - low) / (1.0 - _BEYOND_LIMIT))
     edges = _edges(low, high, limit if near else None)
-    counts = values.histogram(edges)
+    counts = np.histogram(values[np.isfinite(values)], edges)[0]
     axes.stairs(counts, factor * edges, fill=True, color=SERIES[0], linewidth=0)
     beyond = edges[:-1] >= limit * (1.0 - 1e-9)
     if beyond.any():
@@ -217,12 +216,6 @@ def with_limit(found: CampaignStatistics, name: str) -> list[RequirementStatisti
     return [one for one in found.requirements if one.requirement == name and one.manoeuvre is not None and one.limit]
 
 
-def distribution_of(one: RequirementStatistics) -> Distribution:
-    """Return the distribution of a metric with a limit."""
-    assert one.distribution is not None
-    return one.distribution
-
-
 # Levels beyond so many times the limit are not drawn, unless half of the runs lie there.
 _REACH = 4.0
 
@@ -248,7 +241,8 @@ def exceedance_figure(found: CampaignStatistics) -> Figure:
 
 
 def _exceedance(one: RequirementStatistics) -> tuple[FloatArray, FloatArray]:
-    levels, shares = distribution_of(one).exceedance()
+    levels, last = np.unique(one.values, return_index=True)
+    shares = 1.0 - np.append(last[1:], len(one.values)) / len(one.values)
     assert one.limit is not None
     ratios, share = levels / one.limit, shares
     finite = np.isfinite(ratios)
