@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import argparse
 
+import matplotlib.pyplot as plt
+import numpy as np
+
 import platform_ctrl as pc
-from platform_ctrl.report import figures
 
 parser = argparse.ArgumentParser(description="Two-sided Nyquist plot of gyro 9-10.")
 parser.add_argument("--crossover", type=float, default=40.0, metavar="HZ", help="of the cross-axis gain")
@@ -37,5 +39,14 @@ print(f"disk margin {curve.disk_margin:.3f}, reached at {curve.margin_frequency 
 for frequency, margin in zip(curve.crossings, curve.phase_margins, strict=True):
     print(f"  |L| = 1 at {frequency / 6.2832:+7.1f} Hz, phase margin {margin * 57.29578:+.0f} degrees")
 
-figures.two_sided_nyquist(curve).savefig(given.o, dpi=120)
+figure, axes = plt.subplots(figsize=(7, 7))
+for side, label in ((1.0, "turning from alpha to beta"), (-1.0, "from beta to alpha")):
+    L = curve.loop_transfer[curve.frequency * side > 0.0]
+    L = np.where(np.abs(L) > 50.0, np.nan, L)  # through infinity at a pole: no line is drawn there
+    axes.plot(L.real, L.imag, label=label)
+axes.plot(-1.0, 0.0, "r+", markersize=12)
+axes.set(xlim=(-6, 6), ylim=(-6, 6), xlabel="real part of L", ylabel="imaginary part of L", aspect="equal")
+axes.grid(alpha=0.3)
+axes.legend()
+figure.savefig(given.o, dpi=120)
 print(f"saved {given.o}")

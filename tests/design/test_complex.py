@@ -201,26 +201,3 @@ def test_python_control_agrees_on_the_closed_real_loop(gyro, loop):
     plant = analysis.sampled(gyro, PERIOD, DELAY, [LAG, LAG])
     poles = control.feedback(plant, loop.real_controller, sign=1).poles()
     assert np.abs(poles).max() < 1.0
-
-
-def test_the_figure_shows_both_branches_the_critical_point_and_the_disk(loop):
-    from platform_ctrl.report.plots.nyquist import two_sided_nyquist as drawn
-    from platform_ctrl.report.style import settings
-
-    with settings():
-        figure = drawn(loop.nyquist)
-    wide, close = figure.axes
-    for axes in (wide, close):
-        points = [line.get_xydata() for line in axes.lines]
-        assert any(np.array_equal(xy, [[-1.0, 0.0]]) for xy in points)
-        labels = [text.get_text() for text in axes.texts]
-        assert any(label.startswith("+") for label in labels)
-        assert any(label.startswith("−") for label in labels)
-        # The disk that the margin keeps free: from −(2 + α)/(2 − α) to −(2 − α)/(2 + α).
-        [disk] = axes.patches
-        alpha, rim = loop.nyquist.disk_margin, disk.get_xy()[:, 0]
-        assert rim.min() == pytest.approx(-(2 + alpha) / (2 - alpha), rel=1e-3)
-        assert rim.max() == pytest.approx(-(2 - alpha) / (2 + alpha), rel=1e-3)
-        # L only touches it.
-        centre, radius = 0.5 * (rim.min() + rim.max()), 0.5 * (rim.max() - rim.min())
-        assert np.abs(loop.nyquist.loop_transfer - centre).min() == pytest.approx(radius, rel=1e-3)

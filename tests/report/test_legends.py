@@ -33,15 +33,8 @@ def platform() -> Platform:
 
 
 PLOTS: dict[str, Callable[[], Any]] = {
-    "bode": lambda: figures.bode(LOOPS),
     "nichols": lambda: figures.nichols(LOOPS),
-    "nyquist of one loop": lambda: figures.nyquist(FAST),
-    "nyquist of two loops": lambda: figures.nyquist(LOOPS),
     "disk margin": lambda: figures.disk_margin_region(LOOPS),
-    "gang of four": lambda: figures.gang_of_four(PLANT, PID),
-    "singular values": lambda: figures.singular_values(STABLE),
-    "step response": lambda: figures.step_response(STABLE),
-    "pole map": lambda: figures.pole_map(STABLE, zeros=True),
     "root locus": lambda: figures.root_locus(PLANT, PID),
 }
 
@@ -55,22 +48,6 @@ def test_every_legend_entry_of_a_plot_looks_like_a_curve_that_is_drawn(name: str
     drawn = figure_of(PLOTS[name]())
     assert drawn.legends
     assert without_a_curve(drawn) == []
-
-
-def test_every_legend_entry_of_a_plant_plot_looks_like_a_curve_that_is_drawn(platform: Platform) -> None:
-    gimbals = pc.state_space(pc.linearise(platform), gimbals=("9", "10"))
-    assert without_a_curve(figure_of(figures.campbell(platform))) == []
-    assert without_a_curve(figure_of(figures.Omega_sensitivity(gimbals, limit=0.01))) == []
-
-
-@pytest.mark.parametrize("loops", [FAST, LOOPS], ids=["one", "two"])
-def test_negative_frequencies_have_the_colour_of_their_loop_in_the_legend(loops: Any) -> None:
-    drawn = figure_of(figures.nyquist(loops))
-    [legend] = drawn.legends
-    thin = [line for line in drawn.axes[0].lines if line.get_linewidth() == 0.7 and line.get_color() in SERIES]
-    shown = [line for line in legend.findobj(type(thin[0])) if line.get_linewidth() == 0.7]
-    assert [line.get_color() for line in shown] == [line.get_color() for line in thin]
-    assert [line.get_linestyle() for line in shown] == [line.get_linestyle() for line in thin]
 
 
 def test_each_signal_has_one_colour_and_a_torque_that_of_its_angle(platform: Platform) -> None:

@@ -7,6 +7,7 @@ import json
 import sys
 import types
 
+import control
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -328,7 +329,7 @@ def test_show_opens_a_window_for_each_plot_and_for_no_other(gyro, monkeypatch):
     backend.FigureCanvas, backend.FigureManager = FigureCanvas, Manager
     monkeypatch.setitem(sys.modules, "backend_for_show", backend)
     tree = figures.campbell(gyro)
-    loop = figures.pole_map(pc.state_space(pc.linearise(gyro)))
+    loop = figures.nichols(control.tf([1.0], [1.0, 1.0]))
     assert pyplot.get_fignums() == []
     before = mpl.get_backend()
     pyplot.switch_backend("module://backend_for_show")

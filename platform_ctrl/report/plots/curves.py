@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.plots.systems import DrawnSystem, features, gaps, near, sorted_data
+from platform_ctrl.report.plots.systems import DrawnSystem, features, gaps, sorted_data
 
 # A step of the phase beyond which a pole or zero without damping is taken for its cause, degrees.
 _JUMP = 135.0
@@ -43,31 +43,6 @@ class Margins:
     gain_margins: FloatArray  # (j,), Factor on the gain that makes it 1 there
     stable: bool | None  # Whether the closed loop is; None: data cannot tell
     disk: DiskMargin | None  # Disk margin of this channel alone; None where there is none
-
-    @property
-    def phase_margin(self) -> tuple[float, float] | None:
-        """Smallest phase margin, degrees, and where, rad/s."""
-        if not self.phase_margins.size:
-            return None
-        k = int(np.argmin(np.abs(self.phase_margins)))
-        return float(self.phase_margins[k]), float(self.gain_crossovers[k])
-
-    @property
-    def highest_gain(self) -> tuple[float, float] | None:
-        """Smallest factor above 1 that the gain may not take, and where, rad/s."""
-        return self._nearest(self.gain_margins >= 1.0)
-
-    @property
-    def lowest_gain(self) -> tuple[float, float] | None:
-        """Largest factor below 1 that the gain may not take, and where, rad/s."""
-        return self._nearest(self.gain_margins < 1.0)
-
-    def _nearest(self, chosen: NDArray[np.bool_]) -> tuple[float, float] | None:
-        at = np.flatnonzero(chosen)
-        if not at.size:
-            return None
-        k = int(at[np.argmin(np.abs(np.log(self.gain_margins[at])))])
-        return float(self.gain_margins[k]), float(self.phase_crossovers[k])
 
 
 def channels(name: str, loop: DrawnSystem) -> tuple[DrawnSystem, ...]:
@@ -151,21 +126,6 @@ def curve(system: DrawnSystem, grid: FloatArray, label: str) -> Curve:
     """Return the response of a system with one input and one output along `grid`, with its phase."""
     frequency, response = system.along(grid)
     return _curve(system, frequency, response[0, 0], label)
-
-
-def entry_curves(system: DrawnSystem, grid: FloatArray, labels: Sequence[Sequence[str]]) -> list[list[Curve]]:
-    """Return the curves of all entries of a system; entries that are only rounding errors are no response."""
-    frequency, response = system.along(grid)
-    sizes = np.abs(response)
-    largest = np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=(0, 1), initial=0.0)
-    with np.errstate(invalid="ignore"):
-        # Next to a pole without damping rounding grows as well.
-        nothing = np.all(~(sizes > _ROUNDING * largest) | near(system.undamped, frequency, 0.02), axis=-1)
-    response[nothing] = complex(math.nan, math.nan)
-    return [
-        [_curve(_entry(system, i, j), frequency, response[i, j], label) for j, label in enumerate(row)]
-        for i, row in enumerate(labels)
-    ]
 
 
 def _curve(system: DrawnSystem, frequency: FloatArray, response: ComplexArray, label: str) -> Curve:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled
 from platform_ctrl.analysis.frequency_grids import around_resonances
@@ -28,10 +28,8 @@ from platform_ctrl.analysis.response import (
 )
 from platform_ctrl.analysis.singular_values import boundary_poles
 from platform_ctrl.common.signatures import short
-from platform_ctrl.common.text import LETTERS
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.plant.platform import FORCE_NAMES, ROOT_TORQUE_NAMES, is_rate
 
 if TYPE_CHECKING:
     import control
@@ -261,46 +259,6 @@ def gaps(response: ComplexArray) -> ComplexArray:
     return out
 
 
-def unit(signal: str) -> str:
-    """Return the unit of a signal of this package by its name: rad, rad/s, N m, m/s²; empty where it is not known."""
-    name = signal.removeprefix("noise_")
-    if is_rate(name):
-        return "rad/s"
-    if name in FORCE_NAMES:
-        return "m/s²"
-    if name in ROOT_TORQUE_NAMES or re.fullmatch(r"Q\d.*|Q_\w+", name):
-        return "N m"
-    letters = re.match(r"[A-Za-z]+", name)
-    if name.startswith("q_") or (letters and letters[0] in LETTERS):
-        return "rad"
-    return ""
-
-
-def unit_of_gain(system: DrawnSystem) -> str:
-    """Return the unit that all entries share, of an output over an input; empty where they differ or are not known."""
-    above, below = ({unit(name) for name in names} for names in (system.outputs, system.inputs))
-    if len(above) != 1 or len(below) != 1 or "" in above | below:
-        return ""
-    return ratio_unit(above.pop(), below.pop())
-
-
-def shared_unit(systems: Iterable[DrawnSystem]) -> str:
-    """Return the unit of gain that systems share; empty where they differ."""
-    units = {unit_of_gain(one) for one in systems}
-    return units.pop() if len(units) == 1 else ""
-
-
-def ratio_unit(above: str, below: str) -> str:
-    """Return the unit of `above` over `below`; ``1`` where they are the same."""
-    if above == below:
-        return "1"
-    if not above or not below:
-        return ""
-    return (
-        f"{above}/({below})" if " " in below else f"{above} per {below}" if "/" in above + below else f"{above}/{below}"
-    )
-
-
 def drawable(text: str) -> str:
     """Return a name as one short line of letters that the figures' font has."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
@@ -318,16 +276,6 @@ def _font() -> Any:
     from matplotlib.font_manager import findfont, get_font
 
     return get_font(findfont("DejaVu Sans"))
-
-
-def near(places: FloatArray, frequency: FloatArray, within: float) -> NDArray[np.bool_]:
-    """Return where `frequency` is closer than `within`, relatively, to one of the ascending `places`."""
-    if not places.size:
-        return np.zeros(len(frequency), dtype=np.bool_)
-    at = np.searchsorted(places, frequency)
-    left, right = places[np.maximum(at - 1, 0)], places[np.minimum(at, len(places) - 1)]
-    distance = np.minimum(np.abs(frequency - left), np.abs(frequency - right))
-    return np.asarray(distance < within * frequency)
 
 
 def as_state_space(name: str, system: DrawnSystem) -> control.StateSpace:
