@@ -98,12 +98,14 @@ class AxisResponse:
         p, m = self._D.shape
         if self._residues is None:
             return self._by_elimination(z)
-        shares = 1.0 / (z - np.diag(self._schur[0])[:, None])
-        largest = np.maximum(np.abs(shares.real), np.abs(shares.imag)).max(axis=0)
-        if not np.isfinite(largest).all():  # at a pole, which not every input may reach
+        gap = z - np.diag(self._schur[0])[:, None]
+        square = gap.real**2 + gap.imag**2
+        nearest = np.sqrt(square.min(axis=0))
+        shares = gap.conj() * (1.0 / square)
+        if not nearest.all():  # at a pole, which not every input may reach
             shares[~self._residues.any(axis=0)] = 0.0
         H = (self._residues @ shares).reshape(p, m, len(z))
-        near = np.isfinite(largest) & (largest * np.linalg.norm(self._A) > _GROWN)
+        near = (nearest > 0.0) & (np.linalg.norm(self._A) > _GROWN * nearest)
         if near.any():
             H[..., near] = self._by_elimination(z[near])
         return H
