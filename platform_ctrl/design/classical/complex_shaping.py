@@ -20,8 +20,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.certificates import Certificate
-from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles
@@ -29,7 +27,7 @@ from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.classical.complex_coordinates import ComplexSystem, complex_response, transfer
-from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotStabilisableError
+from platform_ctrl.errors import ArgumentError, NotStabilisableError
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
@@ -111,23 +109,6 @@ class ComplexLoop:
         A, B, C, D, dt = state_arrays(acting, "real_plant")
         arrays = StateArrays(A, np.hstack([B, self.plant.rate_input]), C, np.hstack([D, np.zeros((2, 3))]), dt)
         return named_system(arrays, [*acting.input_labels, *OMEGA_NAMES], acting.output_labels, acting.state_labels)
-
-    @property
-    def certificate(self) -> Certificate:
-        """Proof that the loop is stable, of plant and controller as complex matrices; made at each use.
-
-        A `NotCertifiedError` where none is found, or a continuous plant has dead time: no matrices close such a loop.
-        """
-        if self.plant.delay:
-            raise NotCertifiedError(
-                f"complex_loop: there is no proof with the dead time of {self.plant.delay:g} s of a continuous plant; "
-                "try complex_plant with a period, whose states contain it",
-                self,
-            )
-        A, B, C, D, dt = self.plant.real_arrays()
-        return stability_certificate(
-            A, dt, B=B, C=C, D=D, controller=self.controller.real_arrays(), label="complex loop"
-        )
 
 
 @check_arguments

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.certificates.intervals import Balls, balls, blocks, identity
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.riccati.balls import Balls, balls, blocks, identity
 
 # Eigenvalues of a Hamiltonian matrix nearer to the imaginary axis than this share of its norm lie on it.
 AXIS_DISTANCE = 1e-10
