@@ -297,9 +297,9 @@ class Truth:
             growing = left[1] > 1.5 * left[0]
             out["steady-state error"] = float(np.where(growing, 0.0, left[0]).max())
             out["ramp error"] = float(left[0].max() / slow[0]) if growing.all() else np.inf
-        band = self.grid(1e-2 * self.slow, 2.0 * np.pi * band_hz)
+        band = self.grid(3e-2 * self.slow, 2.0 * np.pi * band_hz)
         # A disturbance may be faster than what is sampled.
-        high = self.grid(1e-2 * self.slow, 3.0 * nyquist)
+        high = self.grid(3e-2 * self.slow, 3.0 * nyquist)
         images = [abs(2.0 * nyquist + sign * w[w > 1e-3 * nyquist]) for sign in (-1.0, 1.0)]
         high = np.unique(np.concatenate([high, *images]))
         high = high[(np.abs(high - 2.0 * nyquist) > 1e-3 * nyquist) & (high < 3.0 * nyquist)]
