@@ -110,7 +110,9 @@ def compared(one: CheckResult) -> tuple[str, str]:
         factor, name = handy_unit(one.unit, one.value)
     shown_limit = f"{plain(times(factor, one.limit), 6)} {name}".rstrip()
     if not math.isfinite(one.value):
-        return "diverged" if one.stage == "simulated" else "unstable", shown_limit
+        # A stable loop may do these, too.
+        words = {"ramp error": "unbounded", "settling time": "never"}.get(one.name.partition(",")[0], "unstable")
+        return "diverged" if one.stage == "simulated" else words, shown_limit
     if abs(one.value) * factor >= _TOO_LARGE:
         factor, name = handy_unit(one.unit, one.value)
     shown = plain(times(factor, one.value), distinguishing_digits(one), pessimistic_rounding(one))

@@ -357,7 +357,9 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     )
     named = named_system(arrays, names, outputs, [states[k] for k in kept])
     at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
-    left_out = tuple(name for name in model.angle_names if states.index(name) not in kept)
+    left_out = tuple(
+        name for name in model.angle_names if (k := states.index(name)) not in kept and not whole.A[:, k].any()
+    )
     return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth)
 
 

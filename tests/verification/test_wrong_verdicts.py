@@ -93,6 +93,38 @@ def test_a_gimbal_without_a_loop_that_falls_over_fails_the_coupled_check() -> No
     assert "no loop acts on outer: it moves away by itself" in stable.evidence
 
 
+@pytest.mark.parametrize("flap", [False, True])
+def test_slow_growth_of_a_gimbal_without_a_loop_is_seen_beside_a_light_damped_one(flap: bool) -> None:
+    """k = -J 0.0025: it grows at 0.05 1/s; the flap's own pole is at -1e5 1/s."""
+    raw = data("free-gimbal")
+    plant = raw["plant"]
+    plant["spring"][1]["stiffness"] = -0.03 * 0.05**2
+    if flap:
+        plant["gimbal"].append({"name": "flap", "parent": "outer", "axis": [0, 0, 1], "inertia": [1e-9] * 3})
+        plant["spring"].append({"gimbal": "flap", "stiffness": 1e-6})
+        plant["friction"] = [{"gimbal": "flap", "viscous": 1e-4}]
+    stable = results(pc.read_job(raw))["coupled", "minimum decay rate"]
+    assert stable.value == pytest.approx(-0.05, rel=1e-3)
+    assert not stable.passed
+
+
+@pytest.mark.parametrize("kind", ["rate", "pointing"])
+def test_a_loop_of_a_low_rate_against_its_spring_is_designed(kind: str) -> None:
+    """At a hundredth of 40 Hz the gimbal moves as its spring of 0.5 Hz lets it: against the sign of its inertia."""
+    raw = data("steady")
+    raw["sampling"] = {"rate_hz": 40, "delay": 0.0}
+    raw["plant"]["spring"][0]["stiffness"] = 0.01 * (2.0 * np.pi * 0.5) ** 2
+    loop = raw["loop"][0] | {"limits": {"disk_margin": 0.5}}
+    loop["design"] = [{"name": "PI", "method": "pi", "crossover_hz": 2, "integral_hz": 0.2}]
+    if kind == "pointing":
+        raw["plant"]["attitude_sensor"] = [{"name": "track", "body": "pitch", "axis": [0, 1, 0]}]
+        own = {"name": "PI", "method": "classical", "inertial_crossover_hz": 2, "integral_hz": 0.2}
+        loop |= {"kind": "pointing", "sensors": ["track"], "design": [own]}
+    raw["loop"] = [loop]
+    read = pc.read_job(raw)
+    assert check_job(read, design.loops(read)).passed
+
+
 def test_a_gimbal_is_locked_where_the_job_says_so_and_the_verdict_says_it_too() -> None:
     raw = data("free-gimbal")
     raw["operation"]["locked"] = ["outer"]
