@@ -167,16 +167,6 @@ def next_result(
                 raise ProcessTimeout from None
 
 
-# Inside a process: writes a result.
-_write_result: Callable[[object], None] | None = None
-
-
-def send_early(result: object) -> None:
-    """Send a result before the task is done; called by a function that a `TaskProcess` runs."""
-    assert _write_result is not None
-    _write_result(result)
-
-
 def collect_seldom() -> None:
     """Look for garbage seldom, and not again at the end: said first in a process that ends with its command.
 
@@ -207,8 +197,6 @@ def serve() -> None:
         pickle.dump(result, results, pickle.HIGHEST_PROTOCOL)
         results.flush()
 
-    global _write_result
-    _write_result = write
     threading.Thread(target=read, daemon=True).start()
     write(Started())
     while True:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 
 import numpy as np
@@ -39,17 +39,6 @@ def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float
         for r in platform.rotors
     )
     return replaced(platform, {"gimbals": gimbals, "rotors": rotors})
-
-
-def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
-    """Return the platform with other spins of its rotors, rad/s; those that are not named stay."""
-    rotors = tuple(
-        replaced(r, {"angular_momentum": r.axial_inertia * spins[r.name]})
-        if r.name in spins and spins[r.name] != r.spin
-        else r
-        for r in platform.rotors
-    )
-    return replaced(platform, {"rotors": rotors})
 
 
 @value
