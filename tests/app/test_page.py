@@ -569,7 +569,7 @@ def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> N
         page.evaluate(send, nonsense)
         until(page, lambda: "error" in (page.locator("#line").get_attribute("class") or "") and line(page, "e"))
     typed(page, "crossover_hz", "abc")
-    assert "must be a finite number" in line(page, "abc")
+    assert "must be a number" in line(page, "abc")
     shows(page, "crossover_hz", "40")
     typed(page, "crossover_hz", "39")
     shows(page, "crossover_hz", "39")
@@ -627,7 +627,7 @@ def test_messages_are_checked() -> None:
         assert parse_request(json.dumps(whole)).what == what
         for name, kind in [("n", int), *parts.items()]:
             if kind is not object:
-                with pytest.raises(InputError, match=f"{what}: {name} must be"):
+                with pytest.raises(InputError, match=f"{name} must be"):
                     parse_request(json.dumps(whole | {name: {"x": 1}}))
     huge = '{"n": 1, "what": "move", "gesture": 1, "moves": [{"slider": "a", "value": 1%s}]}'
     with pytest.raises(InputError, match="finite"):
