@@ -629,9 +629,6 @@ def test_messages_are_checked() -> None:
             if kind is not object:
                 with pytest.raises(InputError, match=f"{name} must be"):
                     parse_request(json.dumps(whole | {name: {"x": 1}}))
-    huge = '{"n": 1, "what": "move", "gesture": 1, "moves": [{"slider": "a", "value": 1%s}]}'
-    with pytest.raises(InputError, match="finite"):
-        parse_request(huge % ("0" * 400))
     for text in ("[" * 9000, '{"what": []}', "x" * 30_000, '{"n": -1, "what": "undo"}', '{"n": true, "what": "undo"}'):
         with pytest.raises(InputError):
             parse_request(text)
@@ -642,6 +639,9 @@ def test_choices_are_checked(backend: Backend) -> None:
     assert chosen(backend, start, "axis", 3, ()).axis == 3
     assert backend.with_overlay(start, "slower", True).overlays == ("slower",)
     assert chosen(backend, start, "mode", "caged", ()) is start
+    for huge in (10**400, 1e308, "1", True, None):
+        with pytest.raises(PlatformCtrlError, match="crossover_hz must be"):
+            backend.moved(start, "crossover_hz", huge)
     wrong = [
         ("axis", 4),
         ("axis", "1"),
