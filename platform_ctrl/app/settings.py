@@ -285,12 +285,12 @@ def with_options(settings: Settings, changes: Mapping[str, float]) -> Settings:
     return dataclasses.replace(settings, options={**settings.options, settings.loop: designs})
 
 
-def _number(name: str, given: float) -> float:
+def _number(name: str, given: object) -> float:
     try:
-        out = float(given)
-    except (TypeError, ValueError, OverflowError):
-        raise ArgumentError(f"{name} must be a number, got {short(given)}") from None
-    if isinstance(given, bool) or not math.isfinite(out):
+        out = float(given) if isinstance(given, int | float) and not isinstance(given, bool) else math.nan
+    except OverflowError:
+        out = math.inf
+    if not math.isfinite(out):
         raise ArgumentError(f"{name} must be a finite number, got {short(given)}")
     return out
 
