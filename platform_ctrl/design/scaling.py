@@ -31,6 +31,8 @@ RANK_TOLERANCE = 1e-8
 NEAR_UNITS = 4
 # Rounding of an eigenvalue with condition 1, and the largest rounding assumed, relative to A.
 ROUNDING, LARGEST_ROUNDING = 1e-14, 1e-9
+# Poles that are slow beside the norm of A, and the rounding errors of their block of a Schur form over that norm.
+_SLOW, _BLOCK_ROUNDING = 1e-3, 1e-15
 # Zeros nearer to the axis than this share of the size of A are checked for a loss of rank.
 NEAR_AXIS = 1e-7
 # Singular values below this share of the size of A count as a loss of rank.
@@ -80,14 +82,16 @@ def _unit_controls(B2: FloatArray, D12: FloatArray) -> tuple[FloatArray, int]:
 def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
     """Scale a plant: D22 shifted out, D12 and D21 to unit columns and rows, time, states; the norm scales by `gain`.
 
-    Time is measured by the geometric mean of the poles' moduli (of a sampled plant by its period, so that poles stay
-    where they are), states by Osborne's balancing of [A B; C 0].
+    Time is measured by the geometric mean of the poles' moduli (where all are 0 by the frequency at which a control
+    costs as much as what it does to the states; of a sampled plant by its period, so that poles stay), states by Osborne's balancing of [A B; C 0].
     """
     root = np.sqrt(gain)
     moduli = np.abs(np.linalg.eigvals(plant.A))
     # Poles at 0 are computed as rounding, defective ones as more: they give no unit of time.
     moduli = moduli[moduli > 1e-6 * np.max(moduli, initial=0.0)]
-    rate = float(np.exp(np.mean(np.log(moduli)))) if moduli.size and not plant.dt else 1.0
+    rate = 1.0
+    if not plant.dt:
+        rate = float(np.exp(np.mean(np.log(moduli)))) if moduli.size else _crossover(plant)
 
     A, B1, C1 = plant.A / rate, plant.B1 / rate / root, plant.C1 / root
     S, control_rank = _unit_controls(plant.B2 / rate, plant.D12 / root)
@@ -108,6 +112,30 @@ def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
         state=d, rate=rate, control=S, measurement=St.T, gain=gain, D22=plant.D22,
         control_rank=control_rank, measurement_rank=measurement_rank,
     )  # fmt: skip
+
+
+def _crossover(plant: Partition) -> float:
+    """Return the frequency, rad/s, from which on u counts less in z by way of the states than directly; else 1.
+
+    Or from which on w counts less in y by way of the states than directly, where u is not in z.
+    """
+    for one in (plant, plant.dual):
+        S, rank = _unit_controls(one.B2, one.D12)
+        if not rank:
+            continue
+
+        def ratio(frequency: float, one: Partition = one, S: FloatArray = S) -> float:
+            states = np.linalg.solve(1j * frequency * np.eye(len(one.A)) - one.A, one.B2 @ S)
+            return float(np.linalg.norm(one.C1 @ states, 2))
+
+        low, high = 1e-9, 1e9
+        if not ratio(low) > 1.0 > ratio(high):
+            continue
+        while high > 1.1 * low:
+            middle = float(np.sqrt(low * high))
+            low, high = (middle, high) if ratio(middle) > 1.0 else (low, middle)
+        return low
+    return 1.0
 
 
 def autoscaled_with_gain(plant: Partition) -> ScaledPlant:
@@ -191,28 +219,43 @@ def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
     pole is stable.
     """
     plant = scaled.plant
-    size = max(1.0, float(np.linalg.norm(plant.A, 2)))
     weakest = (float("inf"), "", 0j)
-    for pole in (one for one in not_stable(plant, size) if np.isfinite(one)):
-        shifted = plant.A - pole * np.eye(len(plant.A))
-        for word, pencil in (
-            ("stabilisable", np.hstack([shifted, plant.B2])),
-            ("detectable", np.vstack([shifted, plant.C2])),
-        ):
-            sigma = float(np.linalg.svd(pencil, compute_uv=False)[-1]) / size
+    for word, A, B in (("stabilisable", plant.A, plant.B2), ("detectable", plant.A.T, plant.C2.T)):
+        # Of the modes that are not fast and stable alone: in units of theirs, whatever the fastest pole is.
+        slow, into = _slow_part(A, B, plant.dt)
+        size = float(np.linalg.norm(np.hstack([slow, into]), 2)) if slow.size else 0.0
+        floor = _BLOCK_ROUNDING * float(np.linalg.norm(A, 2))
+        for pole in (one for one in not_stable(slow, size, plant.dt, floor) if np.isfinite(one)):
+            pencil = np.hstack([slow - pole * np.eye(len(slow)), into])
+            sigma = float(np.linalg.svd(pencil, compute_uv=False)[-1]) / size if size > 0.0 else 0.0
             if sigma < weakest[0]:
                 weakest = (sigma, word, pole * scaled.rate)
     return weakest
 
 
-def not_stable(plant: Partition, size: float) -> list[complex]:
-    """Return poles that are not stable by more than rounding, and the means of their clusters."""
+def _slow_part(A: FloatArray, B: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
+    """Return the motion of the modes that are unstable, or stable and slow beside the fastest, and what drives it."""
+    from scipy.linalg import schur
+
+    if not len(A) or not np.isfinite(A).all():
+        return A, B
+    edge = _SLOW * float(np.linalg.norm(A, 2))
+
+    def chosen(real: float, imaginary: float) -> bool:
+        return bool(dt) or np.hypot(real, imaginary) <= edge or real >= -edge
+
+    T, Z, count = schur(A.T, sort=chosen)
+    return np.asarray(T[:count, :count].T), np.asarray(Z[:, :count].T @ B)
+
+
+def not_stable(A: FloatArray, size: float, dt: float, floor: float = 0.0) -> list[complex]:
+    """Return poles that are not stable by more than rounding, at least `floor`, and the means of their clusters."""
     from scipy.linalg import eig
 
-    poles, left, right = eig(plant.A, left=True, right=True)
+    poles, left, right = eig(A, left=True, right=True)
     aligned = np.abs(np.sum(np.conj(left) * right, axis=0))
-    rounding = size * np.minimum(ROUNDING * len(poles) / np.maximum(aligned, ROUNDING), LARGEST_ROUNDING)
-    found = (np.abs(poles) - 1.0 if plant.dt else poles.real) >= -rounding
+    rounding = size * np.minimum(ROUNDING * len(poles) / np.maximum(aligned, ROUNDING), LARGEST_ROUNDING) + floor
+    found = (np.abs(poles) - 1.0 if dt else poles.real) >= -rounding
     return clustered(poles, size, found)
 
 
@@ -267,11 +310,13 @@ def zero_on_axis(p: Partition) -> tuple[str, float, FloatArray] | None:
         A, B, C, D = one.A, one.B2, one.C1, one.D12
         # D'D = I: zeros are eigenvalues of A − B D'C.
         for zero in clustered(np.linalg.eigvals(A - B @ D.T @ C), size):
-            if abs(zero.real) > NEAR_AXIS * size:
+            # In units of the zero, not of the fastest pole.
+            own = max(1.0, abs(zero)) + _BLOCK_ROUNDING / RANK_LOSS * size
+            if abs(zero.real) > NEAR_AXIS * own:
                 continue
             shifted = A - 1j * zero.imag * np.eye(len(A))
             _, sigma, Vh = np.linalg.svd(np.block([[shifted, B], [C, D]]))
-            if sigma[-1] < RANK_LOSS * size:
+            if sigma[-1] < RANK_LOSS * own:
                 return what, abs(zero.imag), np.abs(Vh[-1, : len(A)])
     return None
 
