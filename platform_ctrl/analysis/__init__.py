@@ -14,7 +14,6 @@ from platform_ctrl.analysis.feedback import (
     gang,
     loop_transfer,
 )
-from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
 from platform_ctrl.analysis.margins import (
     DiskMargin,
     disk_margin,
@@ -39,8 +38,6 @@ __all__ = [
     "gang",
     "h2_norm",
     "hinf_norm",
-    "intersample_h2",
-    "intersample_norm",
     "loop_margins",
     "loop_transfer",
     "noise_rms",

@@ -10,18 +10,12 @@ for the period alone.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_scaling
-from platform_ctrl.analysis.sampling import split_delay
-from platform_ctrl.common.signatures import short
+from platform_ctrl.analysis.arrays import StateArrays, state_scaling
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.errors import ArgumentError
-
-if TYPE_CHECKING:
-    import control
 
 # Short enough that the exponential of the Hamiltonian over it is near the identity: no conjugate point inside.
 _SHORT = 0.4
@@ -34,7 +28,7 @@ class PeriodExceedsLevel(Exception):
 
 
 class SampledPlant(NamedTuple):
-    """A continuous plant with inputs [w, u] and outputs [z, y] in a sampled loop; see `sampled_plant`."""
+    """A continuous plant with inputs [w, u] and outputs [z, y] in a sampled loop, its period and delay in periods."""
 
     A: FloatArray
     B1: FloatArray
@@ -63,32 +57,6 @@ class Step(NamedTuple):
     A: FloatArray
     G: FloatArray
     Q: FloatArray
-
-
-def sampled_plant(
-    P: control.StateSpace, nmeas: int, ncon: int, period: float, delay: float, where: str
-) -> SampledPlant:
-    """Split a continuous plant at its last `nmeas` outputs and `ncon` inputs; judge the sampler's and hold's data."""
-    A, B, C, D, dt = state_arrays(P, f"{where} (P)")
-    if dt != 0.0:
-        raise ArgumentError(f"{where}: P must be continuous, got dt = {dt} s; sampling is part of the analysis")
-    for name, number, total, what in (("nmeas", nmeas, C.shape[0], "outputs"), ("ncon", ncon, B.shape[1], "inputs")):
-        if not (isinstance(number, int | np.integer) and 1 <= number <= total):
-            raise ArgumentError(
-                f"{where}: {name} must be 1 to {total}, since P has {total} {what}, got {short(number)}"
-            )
-    period, whole, part = split_delay(where, period, delay, ncon)
-    nz, nw = C.shape[0] - nmeas, B.shape[1] - ncon
-    D21 = D[nz:, :nw]
-    if np.any(D21):
-        row, column = np.argwhere(D21)[0]
-        raise ArgumentError(
-            f"{where}: {P.output_labels[nz + row]} has a direct path from {P.input_labels[column]} (D21 is not zero): "
-            "an ideal sampler has no finite norm there; put an anti-alias filter in front of the sampler"
-        )
-    return SampledPlant(
-        A, B[:, :nw], B[:, nw:], C[:nz], C[nz:], D[:nz, :nw], D[:nz, nw:], D[nz:, nw:], period, whole, part
-    )  # fmt: skip
 
 
 def lifted_plant(plant: SampledPlant, level: float, scaling: FloatArray | None = None) -> StateArrays:
@@ -241,27 +209,4 @@ def factor(square: FloatArray) -> FloatArray:
 
 def _symmetric(matrix: FloatArray) -> FloatArray:
     out: FloatArray = 0.5 * (matrix + matrix.T)
-    return out
-
-
-def period_noise(plant: SampledPlant) -> float:
-    """Return ∫₀ᵀ ∫₀ᵗ ‖C1 exp(A s) B1‖² ds dt: what the noise of a period does to z before the period is over."""
-    A, B1, C1 = plant.A, plant.B1, plant.C1
-    n = len(A)
-    if n == 0:
-        return 0.0
-    s = state_scaling(A, B1, C1)
-    A, B1, C1 = A * s / s[:, None], B1 / s[:, None], C1 * s
-    from scipy.linalg import expm
-
-    step, doublings = _halved(A, B1 @ B1.T, C1.T @ C1, plant.period, level=False)
-    h = plant.period / 2.0**doublings
-    # ∫₀ʰ (h − s) ‖C1 exp(A s) B1‖² ds over so short a time: Gauss's rule is exact to rounding.
-    node, weight = np.polynomial.legendre.leggauss(10)
-    at = 0.5 * h * (node + 1.0)
-    response = C1 @ expm(A * at[:, None, None]) @ B1
-    out = 0.5 * h * float(np.sum(weight * (h - at) * np.sum(response**2, axis=(-2, -1))))
-    for _ in range(doublings):
-        out = 2.0 * out + float(np.sum(step.Q * step.G))
-        step = joined(step, step, finite=False)
     return out

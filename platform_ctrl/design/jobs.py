@@ -11,7 +11,7 @@ from platform_ctrl.common.progress import Local, Progress, shown
 from platform_ctrl.common.reasons import began_with_interrupt, reason
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
-from platform_ctrl.design.caging_claims import with_caging_claims
+from platform_ctrl.design.caging_claims import with_largest_rates
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, evaluated, instability, with_commands
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
@@ -152,9 +152,7 @@ def _attempted(problem: LoopProblem) -> LoopDesign | Exception:
     problem.progress(f"{spec.name}: {design.name}")
     try:
         made = evaluated(problem, resolved(known_method(design.method).design)(problem), stable=False)
-        if spec.kind == "caging":
-            made = with_caging_claims(problem.job, made, closed=bool(spec.use))
-        return made
+        return with_largest_rates(made) if spec.kind == "caging" and spec.use else made
     except Exception as error:
         if began_with_interrupt(error):
             raise

@@ -82,8 +82,9 @@ def _unit_controls(B2: FloatArray, D12: FloatArray) -> tuple[FloatArray, int]:
 def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
     """Scale a plant: D22 shifted out, D12 and D21 to unit columns and rows, time, states; the norm scales by `gain`.
 
-    Time is measured by the geometric mean of the poles' moduli (where all are 0 by the frequency at which a control
-    costs as much as what it does to the states; of a sampled plant by its period, so that poles stay), states by Osborne's balancing of [A B; C 0].
+    Time is measured by the geometric mean of the poles' moduli; where all are 0 by the frequency at which a control
+    costs as much as what it does to the states; of a sampled plant by its period, so that poles stay where they are.
+    States are balanced by Osborne's iteration on [A B; C 0].
     """
     root = np.sqrt(gain)
     moduli = np.abs(np.linalg.eigvals(plant.A))

@@ -31,7 +31,7 @@ BOUND = {"at least": "\u2265", "at most": "\u2264"}
 _UNITS = frozenset({"Hz", "rad/s", "rad", "s", "1/s", "N m", "N m/rad", "rad/(N m)", "rad/(rad/s)", "N m s/rad"})
 # Claims that are bounds from below and from above, by the first words of their names.
 _LEAST = ("largest Omega", "gamma_optimal", "disk_margin", "damping")
-_MOST = ("gamma", "bandwidth_bound", "intersample", "limit_ratio", "goal_ratio")
+_MOST = ("gamma", "bandwidth_bound", "limit_ratio", "goal_ratio")
 # Claims whose names are not words yet; the second is a share.
 _CLAIMED = {
     "gamma": "norm on the weights, γ",

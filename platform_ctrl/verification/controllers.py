@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.common.reasons import began_with_interrupt
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.design.caging_claims import with_caging_claims
+from platform_ctrl.design.caging_claims import with_largest_rates
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.jobs import FailedDesign, LoopOutcome, in_order
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, remeasured, with_commands
@@ -256,7 +256,7 @@ def _measured(
             model = linearise(job.platform)
             problem = LoopProblem(job=job, spec=spec, design=own, model=model, plant_set=plants, directions=directions)
             made = on_responses(problem, made)
-    return with_caging_claims(job, made, closed=closed) if spec.kind == "caging" else made
+    return with_largest_rates(made) if spec.kind == "caging" and closed else made
 
 
 def _free_name(name: str, taken: Sequence[str]) -> str:

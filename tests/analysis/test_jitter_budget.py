@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from platform_ctrl import analysis
+from noise_over_a_period import continuous_rms
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget
 from platform_ctrl.analysis.disturbances import RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
@@ -71,7 +71,7 @@ def test_shaped_noise_has_the_variance_of_the_covariance_over_a_period(
         delayed = delayed * control.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]], PERIOD)
     for output in (0, 1):
         P = control.ss(whole, inputs, seen[[1 + output, 0]], 0)
-        expected = analysis.intersample_h2(P, delayed, 1, 1, periods * PERIOD)
+        expected = continuous_rms(P, delayed, periods * PERIOD)
         assert found.rms[0, output] == pytest.approx(expected, rel=1e-9)
     assert found.error < 1e-9
 

@@ -500,3 +500,24 @@ def test_every_free_parameter_below_gamma_keeps_gamma(share):
     best = _trial(_sides(normal), (1.05 * least) ** -2).solution
     loop = closed_loop(normal, _central(normal, 1.05 * least, best, share))
     assert hinf_norm(control.ss(loop.A, loop.B, loop.C, loop.D))[0] <= 1.05 * least * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("method", ["lmi", None])
+@pytest.mark.parametrize("k", [1.0, 0.1, 0.01])
+def test_the_weight_of_a_force_on_a_mass_alone_scales_time(k, method):
+    """x'' = w + u, z = (x, k u): at most k, whatever k is, though D21 = 0."""
+    P = control.ss([[0, 1], [0, 0]], [[0, 0], [1, 1]], [[1, 0], [0, 0], [1, 0]], [[0, 0], [0, k], [0, 0]])
+    assert hinf(P, 1, 1, method=method).gamma == pytest.approx(k, rel=0.03)
+
+
+@pytest.mark.filterwarnings("ignore:connect")
+@pytest.mark.parametrize("pole", [1e5, 1e6])
+def test_the_pole_of_a_weight_far_away_hides_no_mode(pole):
+    """An unstable mode beside it is moved by u: the least norm hardly depends on the pole."""
+    s = control.tf("s")
+    plant = (s - 5) / (s**2 - s + 3)
+    weights = ((0.5 * s + 1) / (s + 0.01), (s + 1) / (s / pole + 1))
+    P = control.augw(control.ss(plant), *map(control.ss, weights))
+    near = control.augw(control.ss(plant), control.ss(weights[0]), control.ss((s + 1) / (s / 1e4 + 1)))
+    found, expected = (hinf(one, 1, 1, method="riccati").gamma_optimal for one in (P, near))
+    assert found == pytest.approx(expected, rel=0.01)
