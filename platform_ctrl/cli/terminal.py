@@ -148,22 +148,34 @@ def show_requirements(
 
     from platform_ctrl.report.page.tables import requirement_row
 
-    shown = [one for one in results if not _as_good_as_can_be(one)]
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for title in ("", "", "value", "limit", "margin"):
-        table.add_column(title, justify="right" if title else "left", no_wrap=bool(title), overflow="fold")
-    order = sorted(shown, key=lambda one: (_group_severity(one, shown), severity(one)))
-    for subject, own in groupby(order, key=subject_of):
-        if titles:
-            table.add_row("", subject, style="bold")
-        for one in own:
-            row = requirement_row(one, of)
-            name = f"{row.requirement}\n  {one.reason}" if one.reason and not one.passed else row.requirement
-            style = "dim" if not one.hard else "" if one.passed else "bold red"
-            mark = Text(_mark(one), "green" if one.hard and one.passed else "")
-            table.add_row(mark, name, row.value, row.limit, row.margin, style=style)
+    shown = [(one, requirement_row(one, of)) for one in results if not _as_good_as_can_be(one)]
+    heads = ("value", "limit", "margin")
+    widths = [max(len(head), *(len(getattr(row, head)) for _, row in shown)) for head in heads] if shown else []
+    mark = max((len(_mark(one)) for one, _ in shown), default=0)
+    room = max(console.width - mark - sum(widths) - 2 * (len(heads) + 1), 12)
+    name = min(max((len(row.requirement) for _, row in shown), default=0), room)
+
+    def table(*titles: str) -> Table:
+        out = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=bool(titles), header_style="dim")
+        for title, width in zip(titles or ("",) * 5, (mark, name, *widths), strict=True):
+            out.add_column(title, width=width)
+        for column in out.columns[2:]:
+            column.justify = "right"
+        return out
+
+    order = sorted(shown, key=lambda pair: (_group_severity(pair[0], [one for one, _ in shown]), severity(pair[0])))
     if shown:
-        console.print(table)
+        console.print(table("", "", *heads))
+    for subject, own in groupby(order, key=lambda pair: subject_of(pair[0])):
+        if titles:
+            show_words(console, subject, "bold")
+        rows = table()
+        for one, row in own:
+            words = f"{row.requirement}\n  {one.reason}" if one.reason and not one.passed else row.requirement
+            style = "dim" if not one.hard else "" if one.passed else "bold red"
+            marked = Text(_mark(one), "green" if one.hard and one.passed else "")
+            rows.add_row(marked, words, row.value, row.limit, row.margin, style=style)
+        console.print(rows)
     quiet = Counter(one.name for one in results if _as_good_as_can_be(one))
     if quiet:
         names = [name if number == 1 else f"{name} ({number} times)" for name, number in quiet.items()]
