@@ -11,6 +11,7 @@ does not decide this, the eigenvalues are computed with more digits.
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import warnings
 from collections.abc import Iterator
@@ -35,6 +36,8 @@ LEAST_STEP = 1e-18
 SMALLEST_COST = 1e-24
 # Residual over the largest term below which Newton's method converges at once, and most steps to get there.
 NEWTON_RESIDUAL, APPROACH_STEPS = 1e-2, 100
+# Whether there is python-flint, of the extra `proofs`; without it nearly singular weights are refused more often.
+MANY_BITS = importlib.util.find_spec("flint") is not None
 # Bits of a residual, and the number of states up to which it is computed with them.
 RESIDUAL_BITS, RESIDUAL_STATES = 128, 128
 # A pole is off the stability boundary if it decays by this many times its rounding, or by this share of the norm of the
@@ -109,7 +112,7 @@ def riccati_solution(equation: Equation) -> tuple[FloatArray, FloatArray, FloatA
         found = _refined(equation, start)
         if found is not None:
             return found if _off_boundary(equation, *found) else None
-    if len(equation.A) <= EIGENVALUE_STATES:
+    if len(equation.A) <= EIGENVALUE_STATES and MANY_BITS:
         eigenvalues, X = _eigenvalues_in_many_bits(equation)
         if _on_boundary(eigenvalues):
             return None
@@ -230,7 +233,7 @@ def _stable(equation: Equation, X: FloatArray) -> Evaluation | None:
 
 
 def _evaluated(equation: Equation, X: FloatArray) -> Evaluation:
-    return _in_many_bits(equation, X) if len(X) <= RESIDUAL_STATES else _in_doubles(equation, X)
+    return _in_many_bits(equation, X) if len(X) <= RESIDUAL_STATES and MANY_BITS else _in_doubles(equation, X)
 
 
 def _in_doubles(equation: Equation, X: FloatArray) -> Evaluation:
@@ -291,7 +294,7 @@ def _off_boundary(equation: Equation, X: FloatArray, F: FloatArray, W: FloatArra
     # Multiple poles in one point (the states of a delay) have too few eigenvectors.
     if np.all(apart | (decay > SAFE_DECAY * scale)):
         return True
-    if n <= EIGENVALUE_STATES:
+    if n <= EIGENVALUE_STATES and MANY_BITS:
         return not _on_boundary(_eigenvalues_in_many_bits(equation)[0])
     return bool(np.all(decay > SAFE_DECAY_WITHOUT_TEST * scale))
 
