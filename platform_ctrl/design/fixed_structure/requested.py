@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 REGIONS = ("stability", "damping", "fastest pole")
 NORMS = ("H-infinity norm", "H2 norm")
 CONTROLLER = "fastest controller pole"
-# Singular value of [A − sI, B2] (or its dual), relative to A, below which a mode cannot be moved.
-FIXED = 1e-9
 
 
 @value
