@@ -32,13 +32,14 @@ from scipy.sparse.csgraph import connected_components
 from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.inequalities import LinearLoop, balancing, cp, half_plane, in_states, sector, solve
 from platform_ctrl.design.lmi.shared import sharing
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
-from platform_ctrl.design.partition import Channels, Partition, between, gain, split, whole
+from platform_ctrl.design.partition import Channels, Partition, between, closed_loop, gain, split, whole
 from platform_ctrl.design.riccati.weighted_loop import default_weights, error_weight, signal_names, torque_units
 from platform_ctrl.design.scaling import autoscale, balance, unscale
 from platform_ctrl.design.synthesis import hinf
@@ -74,7 +75,7 @@ def lmi_options(design: DesignSpec, channel: Channels, nutation: float, period: 
 
 
 def lmi_design(problem: LoopProblem) -> Designed:
-    """Return the loop. Claims: ``gamma_optimal`` and, in N m, ``torque_noise_bound``."""
+    """Return the loop. Claims: ``gamma`` of the performance, its least value, ν, plants that share a matrix."""
     channel, plants = problem.channel, problem.plants.regular()
     options = lmi_options(problem.design, channel, plants.nutation, plants.period)
 
@@ -88,7 +89,7 @@ def lmi_design(problem: LoopProblem) -> Designed:
     loops = LoopSet(plants, controller._replace(dt=plants.period))
     if loops.decay[0] > 0.0:
         shared = sharing(loops.own_arrays.A, options["time_limit"])
-        claims |= {"plants_with_one_lyapunov_matrix": float(shared), "plants": float(len(plants.labels))}
+        claims |= {"plants with one Lyapunov matrix": float(shared), "plants": float(len(plants.labels))}
     return Designed(controller=controller, options=options, claims=claims)
 
 
@@ -131,8 +132,9 @@ def _synthesis(
     W_e = error_weight(*(np.concatenate([part.weight[k] for part in parts])[back] for k in (0, 1)))
     K = series(W_e, StateArrays(A, B[:, back], C[back], D[np.ix_(back, back)]))
     claims = {
+        "gamma": max(_gamma(part, made) for part, (made, _, _) in zip(parts, found, strict=True)),
         "gamma_optimal": max(gamma for _, gamma, _ in found),
-        "torque_noise_bound": float(np.linalg.norm([bound for _, _, bound in found])),
+        "torque noise bound, N m": float(np.linalg.norm([bound for _, _, bound in found])),
     }
     return between(channel.basis, from_w_plane(K, plants.period), channel.basis.T * unit), claims
 
@@ -311,12 +313,23 @@ def _designed(problem: LoopProblem, part: _Weighted, options: dict[str, float]) 
     return unscale(loop.controller(), scaled), gamma, float(np.sqrt(least * scaled.rate)) * part.unit
 
 
+def _performance(part: _Weighted) -> Partition:
+    """Return the weighted plant with the signals of the performance alone."""
+    (n, d, _), (z, *_), p = part.w, part.z, part.plant
+    return replace(p, B1=p.B1[:, n + d], D21=p.D21[:, n + d], C1=p.C1[z], D12=p.D12[z], D11=p.D11[np.ix_(z, n + d)])
+
+
 def _least(part: _Weighted) -> float:
     """Return the least γ of the performance alone, by Riccati equations."""
-    (n, d, _), (z, *_), p, k = part.w, part.z, part.plant, len(part.channels)
-    own = replace(p, B1=p.B1[:, n + d], D21=p.D21[:, n + d], C1=p.C1[z], D12=p.D12[z], D11=p.D11[np.ix_(z, n + d)])
-    found = hinf(named_system(whole(own), *signal_names(k)), k, k, method="riccati")
+    k = len(part.channels)
+    found = hinf(named_system(whole(_performance(part)), *signal_names(k)), k, k, method="riccati")
     return found.level / (1.0 + found.backoff)
+
+
+def _gamma(part: _Weighted, controller: StateArrays) -> float:
+    """Return γ of the performance with a controller; infinite where it does not stabilise."""
+    loop = closed_loop(_performance(part), controller)
+    return float(hinf_norm(loop)[0]) if np.linalg.eigvals(loop.A).real.max() < 0.0 else float("inf")
 
 
 def _first_states(p: Partition, part: _Weighted) -> FloatArray:
