@@ -359,11 +359,11 @@ def test_a_design_made_in_the_background_is_that_of_its_method(bench: Backend) -
         picture.bode.magnitude,
         rtol=0.05,
     )
-    bandwidth = next(k for k in bench.sliders(settings) if k.name == "bandwidth_hz")
-    assert bandwidth.background
-    assert not bandwidth.tunable
+    torque = next(k for k in bench.sliders(settings) if k.name == "largest_torque")
+    assert torque.background
+    assert torque.tunable
     with pytest.raises(DesignError, match="is not designed yet"):
-        bench.save(bench.moved(settings, "bandwidth_hz", 1.1 * bandwidth.value), "unwritten.toml")
+        bench.save(bench.moved(settings, "largest_torque", 1.1 * torque.value), "unwritten.toml")
 
 
 def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path: Path) -> None:
