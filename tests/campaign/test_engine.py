@@ -207,7 +207,7 @@ def test_a_damaged_part_is_simulated_again(tmp_path: Path) -> None:
     kept = stopped_halfway(made, tmp_path)
     _, _, third, *_ = parts(tmp_path)
     third.write_bytes(third.read_bytes()[:100])
-    (tmp_path / "campaign.parquet" / ".half.1.tmp").write_bytes(b"PAR1")
+    (tmp_path / "campaign.parquet" / ".unfinished-999999999-left").mkdir()
     seen: list[int] = []
     found = carried_out(made, tmp_path, progress=lambda done, amiss: seen.append(done))
     assert seen[0] == kept - 8 > 0
@@ -307,10 +307,10 @@ def test_two_processes_that_share_a_folder_write_the_same(tmp_path: Path) -> Non
 
 @pytest.mark.usefixtures("here")
 def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(handle: int) -> None:
+    def full(table: Any, file: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("os.fsync", full)
+    monkeypatch.setattr("pyarrow.parquet.write_table", full)
     with pytest.raises(
         InputError, match=r"No space left on device; the runs simulated so far are kept: make room"
     ) as one:
