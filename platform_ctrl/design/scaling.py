@@ -120,7 +120,8 @@ def _crossover(plant: Partition) -> float:
 
     Or from which on w counts less in y by way of the states than directly, where u is not in z.
     """
-    for one in (plant, plant.dual):
+    # The unit of a single integrator is that of its state.
+    for one in (plant, plant.dual) if len(plant.A) > 1 else ():
         S, rank = _unit_controls(one.B2, one.D12)
         if not rank:
             continue

@@ -24,7 +24,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.riccati.balls import Balls, balls, blocks, identity
 
 # Eigenvalues of a Hamiltonian matrix nearer to the imaginary axis than this share of its norm lie on it.
-AXIS_DISTANCE = 1e-13
+AXIS_DISTANCE = 1e-12
 # Largest asymmetry of a Riccati solution before it is made symmetric, relative to it, and what counts as zero when
 # the matrices of the equation are near one: the solution 0 comes out as rounding.
 LARGEST_ASYMMETRY, SOLUTION_ROUNDING = 1e-6, 1e-9
