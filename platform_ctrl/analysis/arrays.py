@@ -21,9 +21,6 @@ ComplexArray = NDArray[np.complex128]
 # Which systems of a stack, or which inputs or outputs.
 Index = Sequence[int] | NDArray[np.intp] | np.integer[Any] | slice | int | None
 
-# From so many states on, LAPACK reduces a matrix faster than our compiled code, and a narrow band is looked for first.
-MANY_STATES = 48
-
 
 class StateArrays(NamedTuple):
     """A, B, C, D (each may carry leading batch axes) and the sample period `dt` (0: continuous).

@@ -112,12 +112,6 @@ class TaskProcess:
                     pipe.close()
         return code
 
-    def exit_code(self) -> int:
-        """Return the exit code of a process that has closed its pipe, which is ended if it lingers."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(_END_LIMIT)
-        return self.end()
-
     def _send(self, message: bytes) -> None:
         # In a thread: a pipe whose other end is not read blocks, and nothing here may wait beyond the limit.
         threading.Thread(target=self._write, args=(message,), daemon=True).start()
