@@ -59,34 +59,6 @@ def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(lo
     np.testing.assert_allclose(analysis.frequency_response(theirs, w), expected, rtol=1e-8)
 
 
-@pytest.mark.parametrize("period", [None, PERIOD])
-def test_interconnect_closes_a_loop_that_was_shaped_in_complex_coordinates(period: float | None) -> None:
-    plant = design.complex_plant(MODEL, ("9", "10"), period=period, delay=PERIOD if period else 0.0, balance=True)
-    made = design.complex_loop(
-        plant, crossover_hz=8.0, integral_hz=1.0, damping_hz=30.0, lead_hz=20.0, rolloff_hz=800.0
-    )
-    angles = list(made.real_controller.input_labels)
-    theirs = control.interconnect([made.real_plant, made.real_controller], inputs=RATES, outputs=angles)
-    assert is_stable(theirs)
-    assert made.real_plant.state_labels[:4] == STATES
-    # The same plant by other means: lags and delay in the torques' way, the rate held.
-    whole = pc.state_space(MODEL, gimbals=("9", "10"))
-    torques, lag = ["Q9", "Q10"], MODEL.platform.torquers[3].lag
-    w = np.geomspace(1.0, 3000.0, 20)
-    if period is None:
-        expected = analysis.frequency_response(analysis.arrays.selected(whole, angles, RATES), w)
-    else:
-        expected = analysis.frequency_response(control.sample_system(whole, period)[angles, RATES], w)
-        late = analysis.sampled(analysis.arrays.selected(whole, angles, torques), period, PERIOD, lag)
-        np.testing.assert_allclose(
-            analysis.frequency_response(analysis.arrays.selected(made.real_plant, angles, torques), w),
-            analysis.frequency_response(late, w),
-            rtol=1e-8,
-        )
-    found = analysis.frequency_response(analysis.arrays.selected(made.real_plant, angles, RATES), w)
-    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-12 * np.abs(expected).max())
-
-
 def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(loop: LoopDesign) -> None:
     plant = loop.plant
     assert plant is not None

@@ -1,5 +1,3 @@
-from .classical.complex_coordinates import complex_plant as complex_plant
-from .classical.complex_shaping import complex_loop as complex_loop
 from .fixed_structure.pid import PID as PID
 from .fixed_structure.sections import Lead as Lead
 from .fixed_structure.sections import Notch as Notch
