@@ -88,3 +88,11 @@ def test_the_readme_names_files_that_exist() -> None:
     named = set(re.findall(r"\b(?:examples|models|benchmarks|tests)/[\w/]+\.\w+", readme))
     assert named
     assert [name for name in sorted(named) if not (ROOT / name).is_file()] == []
+
+
+def test_the_table_of_where_to_look_names_files_that_exist() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    table = page.partition("| to find | look in |")[2].partition("\n\n")[0]
+    named = set(re.findall(r"`([a-z0-9_]+/[\w/.]*)`", table))
+    assert len(named) > 30
+    assert [name for name in sorted(named) if not (ROOT / "platform_ctrl" / name).exists()] == []
