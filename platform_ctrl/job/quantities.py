@@ -218,6 +218,12 @@ def added_words(platform: Platform) -> str:
     return f", with {listed(named)} added that the device does not have" if named else ""
 
 
+def _assuming(statements: Sequence[str]) -> str:
+    """Return the statements as one clause, each with its own "that": some hold lists; nothing where there are none."""
+    words = [f"that {statement}" for statement in statements]
+    return f", assuming {', and '.join([', '.join(words[:-1]), words[-1]][-len(words) :])}" if words else ""
+
+
 def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tuple[str, ...] = ()) -> str:
     """Return what the verdict rests on, to go with it; nothing where that is nothing.
 
@@ -232,7 +238,7 @@ def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tup
     if uncontrolled:
         words.append(f"no loop acts on gimbal{'' if len(uncontrolled) == 1 else 's'} {listed(uncontrolled)}")
     if not {spec.kind for spec in job.loops} & {"rate", "pointing"}:
-        return f", assuming that {listed(words)}" if words else ""
+        return _assuming(words)
     rate = float(max(job.Omega))
     if any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
         fed = " less what is fed forward" if any(drive.friction for drive in job.drives) else ""
@@ -243,8 +249,8 @@ def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tup
         for name, values in job.angles.items()
         if set(values) - {0.0}
     ]
-    words.append(f"the gimbal angles are {'; '.join(checked) if checked else 'zero alone'}")
-    return f", assuming that {listed(words)}"
+    words.append(f"the gimbal angles are {'; '.join(checked) if checked else 'all zero'}")
+    return _assuming(words)
 
 
 def simulated_words(job: Job, manoeuvres: Sequence[Manoeuvre]) -> str:
@@ -257,7 +263,7 @@ def simulated_words(job: Job, manoeuvres: Sequence[Manoeuvre]) -> str:
         angles & set(m.initial) for m in manoeuvres
     ):
         words.append("the gimbals start at the angles zero")
-    return f", assuming that {listed(words)}" if words else ""
+    return _assuming(words)
 
 
 _RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")

@@ -377,8 +377,8 @@ def test_the_verdict_names_what_it_rests_on_and_rows_have_the_units_of_rates():
     angles = {"Omega": [0.2, 0.2, 0.2], "angles": {"q_el": [0.6]}}
     job = pc.read_job(camera_job(operation=angles, loop=camera_loop(limits={"controller_gain": 100.0})))
     assert assumed_words(job) == (
-        ", assuming that dry friction is a describing function at 0.2 rad/s and the gimbal angles are q_el = 0 and 0.6 "
-        "rad"
+        ", assuming that dry friction is a describing function at 0.2 rad/s, and that the gimbal angles are "
+        "q_el = 0 and 0.6 rad"
     )
     gain = next(one for one in design.loops(job)[0].closed.results if one.name == "gain of the controller")
     assert gain.unit == "N m/(rad/s)"
