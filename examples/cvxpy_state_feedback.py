@@ -48,7 +48,8 @@ names = {"inputs": ["alpha9", "beta10"], "outputs": ["Q9", "Q10"]}
 found = control.ss(A_K, B_K, np.hstack([F @ update, G]), F @ gain, plant.dt, **names)
 closed = pc.design.with_controller(loop, found, name="cvxpy")
 for one in closed.closed.results:
-    print(f"{one.name}: {one.value:.3g} {one.unit}, {one.sense} {one.limit:g}: {'met' if one.passed else 'not met'}")
+    value, limit = (f"{x:.3g} {one.unit}".rstrip() for x in (one.value, one.limit))
+    print(f"{one.name}: {value}, {one.sense} {limit}: {'met' if one.passed else 'not met'}")
 
 hz = np.geomspace(1.0, 990.0, 600)
 figure, axes = plt.subplots()

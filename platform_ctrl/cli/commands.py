@@ -23,7 +23,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
     epilog="Exit code: 0 done, every requirement met; 1 done, a requirement not met, or no controller found; 2 the "
-    "input is wrong; 130 interrupted. See platform-ctrl COMMAND --help, with examples.",
+    "input is wrong; 130 interrupted. COMMAND --help gives examples.",
 )
 START, DESIGN, SIMULATE, EXPORT = "Start", "Design and check", "Simulate on the non-linear plant", "Export"
 
@@ -66,6 +66,6 @@ app.command(rich_help_panel=DESIGN)(design)
 app.command(rich_help_panel=DESIGN)(check)
 app.command(rich_help_panel=DESIGN)(budget)
 app.command(rich_help_panel=DESIGN)(serve)
-app.command(rich_help_panel=SIMULATE)(simulate)
-app.command(rich_help_panel=SIMULATE)(campaign)
+app.command(rich_help_panel=SIMULATE, short_help="Simulate one manoeuvre, or one run of a campaign again.")(simulate)
+app.command(rich_help_panel=SIMULATE, short_help="Simulate many runs, with variations.")(campaign)
 app.command(rich_help_panel=EXPORT)(export)
