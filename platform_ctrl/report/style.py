@@ -280,7 +280,7 @@ _STRIP = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|<style
 _LEGEND = re.compile(r' id="legend_\d+"')
 _NAMES = re.compile(r' id="(?!m[0-9a-f]|p[0-9a-f]|h[0-9a-f])[^"]*"')
 _TAG = re.compile(r"<[^>]*>")
-_FRACTION = re.compile(r"(\.\d\d)\d+")
+_FRACTION = re.compile(r"(?<=\.\d\d)\d+")
 _FONT = re.compile(r"font: ((?:bold |700 )?)([0-9.]+)px [^;\"]*")
 
 
@@ -295,12 +295,11 @@ def svg(figure: Figure, description: str) -> str:
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     figure.savefig(out, format="svg", facecolor="none", metadata=nothing)  # on the page's own ground
     text = _STRIP.sub("", out.getvalue())
-    # Hundredths of a point are fine enough; numbers between tags are what the reader reads.
-    text = _TAG.sub(lambda found: _FRACTION.sub(r"\1", found[0]), text)
     text = _LEGEND.sub(' class="legend"', text)
     text = _NAMES.sub("", text).replace("xlink:href", "href")
     text = _FONT.sub(lambda found: f"font-size: {found[2]}px" + ("; font-weight: 600" if found[1] else ""), text)
-    text = _TAG.sub(lambda found: _COLOUR.sub(_themed, found[0]), text)
+    # Hundredths of a point are fine enough; numbers between tags are what the reader reads.
+    text = _TAG.sub(lambda found: _COLOUR.sub(_themed, _FRACTION.sub("", found[0])), text)
     text = re.sub(r"\s*\n\s*", "\n", text[text.index("<svg") :])
     escaped = description.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
     head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escaped}"{_scales(figure)}>'

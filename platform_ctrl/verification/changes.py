@@ -1,4 +1,4 @@
-"""What would move the requirements of a checked job away from their limits, and what that costs elsewhere.
+"""What would take missed requirements of a checked job to their limits, and what that costs elsewhere.
 
 Nothing is designed again: options are moved of designs that are built from them directly, the gain of others is scaled,
 another design of the loop is closed, a source of the budget is made smaller. A change is measured in its own loop, in a
@@ -15,22 +15,19 @@ import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.tuning import ResultChange, Score, largest_loss
-from platform_ctrl.job.judging import STABLE, CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.verification.budget_limits import LINE_OF_SIGHT, reduced_source
-from platform_ctrl.verification.coupled import ALL_LOOPS
 from platform_ctrl.verification.linear_trials import Key, LinearTrials, Trial
 
 if TYPE_CHECKING:
     from platform_ctrl.verification.verdict import JobResult
 
-# Rows that are returned; requirements that are looked at for them: missed ones, and where none is missed the tightest.
-_ROWS, _TARGETS, _TIGHTEST = 5, 8, 2
-# Of a requirement that is met the ratio is to fall by this share; one further from its limit than this is no target.
-GAIN, FAR = 0.05, 0.5
+# Rows that are returned; missed requirements that are looked at for them.
+_ROWS, _TARGETS = 5, 8
 # Ratio that is wanted of a missed requirement: moves are estimated, and not all errors are on one side.
 _MET = 0.99
-# Share of what is wanted that a change has to gain.
-_LEAST = 0.5
+# Share of what is wanted, and of the ratio, that a change has to gain: the less of the two.
+_LEAST, _GAIN = 0.5, 0.05
 # How much it counts that a missed limit is still missed, beside the share that is left of it.
 _MISSED = 0.5
 # How much lost margin counts beside limits that are violated, and the largest ratio that is told from others.
@@ -79,19 +76,20 @@ class Change:
 
 
 def changes(result: JobResult) -> tuple[Change, ...]:
-    """Return at most five changes, those first that are for requirements that are nearest to their limits.
+    """Return at most five changes for missed requirements: what takes each to its limit, or nearer to it.
 
-    Where requirements are missed they are for these alone: what takes each to its limit, or nearer to it. Else they are
-    for what limits the job: what it costs to gain 5 %. There is none for a requirement of which no single change gains
-    half of that, and none that only a new design or a simulated run could measure.
+    There is none for a requirement of which no single change gains half of that, and none that only a new design or a
+    simulated run could measure.
     """
+    if result.passed:
+        return ()
     trials = LinearTrials(result)
     out: dict[tuple[str, str, float], Change] = {}
     with np.errstate(all="ignore"):
         targets = _targets(trials.before)
         queues: dict[Key, list[Trial | Change]] = {}
-        # The best for each target; a second one only of what is missed.
-        for key in targets * 2 if any(one.ratio > 1.0 for one in trials.before.values()) else targets:
+        # The best for each target, then a second one.
+        for key in targets * 2:
             if key not in queues:
                 queues[key] = _ranked(result, trials, key)
             found = _next(trials, key, queues[key], out)
@@ -103,16 +101,9 @@ def changes(result: JobResult) -> tuple[Change, ...]:
 
 
 def _targets(before: dict[Key, CheckResult]) -> list[Key]:
-    """Return the requirements that are missed, those by most first, or those that limit what passes."""
-    keys = sorted(before, key=lambda key: before[key].margin)
-    missed = [key for key in keys if before[key].ratio > 1.0]
-    if missed:
-        return missed[:_TARGETS]
-    near = [key for key in keys if before[key].margin <= FAR and before[key].name != STABLE.name]
-    # Each subject once before the others; last the coupled system, of which each trial costs a coupled check.
-    first = list({before[key].subject: key for key in reversed(near)}.values())[::-1]
-    ordered = [*first, *(key for key in near if key not in first)]
-    return sorted(ordered, key=lambda key: before[key].subject == ALL_LOOPS)[:_TIGHTEST]
+    """Return the requirements that are missed, those by most first."""
+    missed = [key for key in before if before[key].ratio > 1.0]
+    return sorted(missed, key=lambda key: before[key].margin)[:_TARGETS]
 
 
 def _ranked(result: JobResult, trials: LinearTrials, target: Key) -> list[Trial | Change]:
@@ -122,7 +113,7 @@ def _ranked(result: JobResult, trials: LinearTrials, target: Key) -> list[Trial 
     """
     own, keys = trials.before[target], list(trials.before)
     ratios = np.array([one.ratio for one in trials.before.values()])
-    score = _score(keys.index(target), ratios, _MET if own.ratio > 1.0 else own.ratio * (1.0 - GAIN))
+    score = _score(keys.index(target), ratios)
     scope = trials.scope(target)
     scored = []
     for loop in trials.loops_for(target):
@@ -153,10 +144,10 @@ def _next(
     return None
 
 
-def _score(at: int, before: FloatArray, wanted: float) -> Score:
-    """Return how far from `wanted` ratio `at` is left, and what is violated for that; inf without a gain."""
-    size = before[at] - wanted
-    least = min(_LEAST * size, GAIN * before[at])
+def _score(at: int, before: FloatArray) -> Score:
+    """Return how far from its limit ratio `at` is left, and what is violated for that; inf without a gain."""
+    size = before[at] - _MET
+    least = min(_LEAST * size, _GAIN * before[at])
     known = np.clip(before, 0.0, _WORST)
 
     def of(ratios: FloatArray) -> float:
@@ -167,7 +158,7 @@ def _score(at: int, before: FloatArray, wanted: float) -> Score:
         now = np.clip(np.nan_to_num(ratios, nan=_WORST), 0.0, _WORST)
         others = np.delete(now, at)
         allowed = np.maximum(np.delete(known, at), 1.0)
-        short = max(ratios[at] - wanted, 0.0) / (size if np.isfinite(size) else 1.0)
+        short = max(ratios[at] - _MET, 0.0) / (size if np.isfinite(size) else 1.0)
         lost = float((others - np.delete(known, at)).max(initial=0.0))
         missed = _MISSED if now[at] > 1.0 else 0.0
         return float(short + missed + np.maximum(others - allowed, 0.0).sum() + _LOSS * lost)

@@ -12,7 +12,7 @@ import pytest
 from camera_job import camera_job
 from platform_ctrl.design.loop import remeasured
 from platform_ctrl.verification import JobResult
-from platform_ctrl.verification.changes import GAIN, Change, changes
+from platform_ctrl.verification.changes import Change, changes
 from platform_ctrl.verification.linear_trials import keyed
 from report_jobs import caging, checked, classical, job, turn
 
@@ -32,8 +32,8 @@ TRACK = {
     "around": "rate",
     "sensors": ["yaw_error", "pitch_error"],
     "use": "pi",
-    "limits": {"disk_margin": 1.3},
-    "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0}],
+    "limits": {"disk_margin": 1.6},
+    "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0, "integral_hz": 0.3}],
 }
 
 
@@ -96,29 +96,6 @@ def test_a_missed_bandwidth_is_met_by_a_larger_crossover_and_the_row_says_what_t
     promised(rows, GYRO)
 
 
-def test_of_a_job_that_passes_rows_say_what_more_would_cost() -> None:
-    # Each 3 % from what is reached: 42.9 Hz, 0.363, 0.338 and 3.6 mN m.
-    limits = {"bandwidth_hz": 41.6, "disk_margin_worst_case": 0.352, "damping": 0.328, "torque_noise": 3.7e-3}
-    data = job(loop=[caging(classical("fast", 60), limits=limits)])
-    result = checked(data)
-    assert result.passed
-    rows = changes(result)
-    assert 2 <= len(rows) <= 5
-    for row in rows:
-        assert row.target.before.passed
-        assert row.target.after.ratio <= row.target.before.ratio * (1.0 - 0.4 * GAIN)
-        assert all(not one.after.passed for one in row.violated)
-    by_target = {row.target.before.name: row for row in rows}
-    # Speed costs damping of nutation, and robustness.
-    faster = by_target["bandwidth"]
-    assert faster.name == "crossover_hz"
-    assert faster.after > faster.before
-    assert faster.violated[0].after.name == "damping"
-    assert faster.loss is not None
-    assert faster.loss.after.name == "damping"
-    promised(rows, data)
-
-
 def test_what_a_method_would_have_to_design_again_is_shown_by_its_gain() -> None:
     data = copy.deepcopy(GYRO)
     design = {"name": "H-infinity", "method": "hinf", "bandwidth_hz": 20.0}
@@ -137,7 +114,7 @@ def test_what_a_method_would_have_to_design_again_is_shown_by_its_gain() -> None
 
 
 def test_the_loop_around_the_one_that_is_changed_is_measured_too() -> None:
-    data = camera({"disk_margin": 1.05, "bandwidth_hz": 10}, TRACK)
+    data = camera({"disk_margin": 1.55, "bandwidth_hz": 10}, TRACK)
     rows = changes(checked(data))
     assert {row.loop for row in rows} == {"rate", "track"}
     promised(rows, data)
@@ -167,7 +144,7 @@ def test_a_job_whose_runs_alone_fail_has_no_rows() -> None:
     data = job(loop=[caging(classical(), limits={"disk_margin": 0.1})], manoeuvre=[turn(limits={"angle": 1e-7})])
     result = checked(data)
     assert [one.stage for one in result.requirements if not one.passed] == ["simulated"]
-    assert all(row.target.before.passed for row in changes(result))
+    assert changes(result) == ()
 
 
 def test_a_limit_out_of_reach_has_no_rows() -> None:

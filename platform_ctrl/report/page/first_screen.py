@@ -46,7 +46,7 @@ from platform_ctrl.report.plots.curves import loop_phase
 from platform_ctrl.report.plots.nichols import exclusion
 from platform_ctrl.report.plots.panels import gains
 from platform_ctrl.report.style import BAND, LIMIT, MUTED, REFERENCE, legend, line_style, panels
-from platform_ctrl.verification.changes import FAR, GAIN, Change
+from platform_ctrl.verification.changes import Change
 from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
@@ -302,12 +302,12 @@ def section_verdict(results: Sequence[CheckResult]) -> tuple[str, bool]:
 
 
 def change_part(result: JobResult, rows: tuple[Change, ...]) -> tuple[Block, ...]:
-    """Return the rows under their heading; nothing for a job without requirements."""
-    if not result.requirements:
-        return ()
+    """Return the rows under their heading; nothing for a job that meets its requirements."""
     missed = [one for one in result.requirements if not one.passed]
+    if not missed:
+        return ()
     tuned = {(spec.name, one.name) for spec in result.job.loops for one in spec.designs if one.tune}
-    words = sentences("what_to_change", rows=rows, missed=len(missed), gain=GAIN, far=FAR)
+    words = sentences("what_to_change", rows=rows)
     more = sentences(
         "changes_measured",
         rows=rows,

@@ -121,6 +121,7 @@ class LabelPlacer:
         at = self.points(np.array([[x, y]]))[0]
         lines = text.split("\n")
         half = 0.5 * np.array([max(text_width(line, size) for line in lines), _LINE * size * len(lines)])
+        taken = np.array(self._taken).reshape(-1, 2, 2)
         best: tuple[float, FloatArray] | None = None
         for distance in _DISTANCES:
             for rank, turn in enumerate(np.radians(directions)):
@@ -129,7 +130,8 @@ class LabelPlacer:
                 middle = at + distance * direction + half * np.where(np.abs(direction) > 0.3, np.sign(direction), 0.0)
                 low, high = middle - half, middle + half
                 outside = float(np.maximum(0.0, np.maximum(self._low - low, high - self._high)).sum())
-                hidden = sum(bool(np.all(low - _APART < b) and np.all(a < high + _APART)) for a, b in self._taken)
+                apart = (low - _APART >= taken[:, 1]) | (taken[:, 0] >= high + _APART)
+                hidden = int(np.count_nonzero(~apart.any(axis=1)))
                 if (outside > 0.5 or hidden) and not required:
                     continue
                 crossed = int(np.count_nonzero(np.all((self._ink > low - 1.0) & (self._ink < high + 1.0), axis=1)))
