@@ -2,7 +2,10 @@
 
 In modal coordinates the response is a sum over the modes, one product of matrices for all points. Where the
 eigenvectors are too nearly dependent for that (delays, multiple poles), A is brought to complex Schur form and the
-triangular equations are solved for all points at once, and their solution is refined.
+triangular equations are solved for all points at once. Both have the errors of the largest entries of A everywhere:
+where those count (next to lightly damped poles, and slow motion of fast systems), z I - A itself is factored, and the
+solution refined by residuals in the longest numbers of the processor. Where these are doubles, the error next to a pole
+of damping zeta is about 1e-16 / zeta.
 """
 
 from __future__ import annotations
@@ -10,13 +13,14 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.common.values import FloatArray
 
 # Condition number of the eigenvectors from which on responses come from the Schur form.
 _MODAL = 1e6
-# |A| times a solution over the right-hand side, from which on it is refined: slow motion of fast systems.
+# |A| times a solution over the right-hand side, from which on z I - A itself is factored.
 _GROWN = 1e6
 # States from which on LAPACK's real Schur form, made complex afterwards, takes less time than its complex one.
 _REAL = 64
@@ -34,15 +38,17 @@ class AxisResponse:
         A, B, C, D, self._dt = system
         if not balanced:
             A, B, C = scaled(A, B, C)
+        A = A.astype(np.longdouble)
         if self._dt > 0.0:
-            A = A - np.eye(len(A))
+            A -= np.eye(len(A))
         # The triangular equations have as many right-hand sides as inputs: of more inputs than outputs, turned.
         self._turned = C.shape[0] < B.shape[1]
-        self._A, self._B, self._C, self._D = (A.T, C.T, B.T, D.T) if self._turned else (A, B, C, D)
+        self._exact, self._B, self._C, self._D = (A.T, C.T, B.T, D.T) if self._turned else (A, B, C, D)
+        self._A = self._exact.astype(np.float64)
 
     def at(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, complex (N, p, m); inf at a pole."""
-        z = _less_one(frequency, self._dt) if self._dt > 0.0 else np.asarray(1j * frequency, dtype=np.complex128)
+        z = _less_one(frequency, self._dt) if self._dt > 0.0 else np.asarray(1j * frequency, dtype=np.clongdouble)
         (p, m), n = self._D.shape, len(self._A)
         H = np.empty((p, m, len(z)), dtype=np.complex128)
         if not (p and m and n):
@@ -93,53 +99,62 @@ class AxisResponse:
         out = (self._C @ Q @ vectors)[:, None, :] * (inverse @ (Q.conj().T @ self._B)).T
         return np.asarray(out.reshape(-1, len(T)), dtype=np.complex128)
 
-    def _strictly_proper(self, z: ComplexArray) -> ComplexArray:
+    def _strictly_proper(self, exact: NDArray[np.clongdouble]) -> ComplexArray:
         """Return C (z I - A)^-1 B, (p, m, N)."""
-        p, m = self._D.shape
+        z, (p, m), size = exact.astype(np.complex128), self._D.shape, np.linalg.norm(self._A)
         if self._residues is None:
-            return self._by_elimination(z)
-        gap = z - np.diag(self._schur[0])[:, None]
-        square = gap.real**2 + gap.imag**2
-        nearest = np.sqrt(square.min(axis=0))
-        shares = gap.conj() * (1.0 / square)
-        if not nearest.all():  # at a pole, which not every input may reach
-            shares[~self._residues.any(axis=0)] = 0.0
-        H = (self._residues @ shares).reshape(p, m, len(z))
-        near = (nearest > 0.0) & (np.linalg.norm(self._A) > _GROWN * nearest)
-        if near.any():
-            H[..., near] = self._by_elimination(z[near])
-        return H
+            X = self._by_schur(z)
+            H = (self._C @ X).reshape(p, m, len(z))
+            growth = (np.linalg.norm(X, axis=0) / np.repeat(np.linalg.norm(self._B, axis=0), len(z))).reshape(m, -1)
+            near = (size * growth > _GROWN).any(axis=0)
+        else:
+            gap = z - np.diag(self._schur[0])[:, None]
+            square = gap.real**2 + gap.imag**2
+            nearest = np.sqrt(square.min(axis=0))
+            shares = gap.conj() * (1.0 / square)
+            if not nearest.all():  # at a pole, which not every input may reach
+                shares[~self._residues.any(axis=0)] = 0.0
+            H = (self._residues @ shares).reshape(p, m, len(z))
+            near = (nearest > 0.0) & (size > _GROWN * nearest)
+        at, step = np.flatnonzero(near), max(1, _TOGETHER // len(self._A) ** 2)
+        for k in range(0, len(at), step):
+            some = at[k : k + step]
+            H[..., some] = (self._C @ self._by_elimination(exact[some])).transpose(1, 2, 0)
+        return np.asarray(H, dtype=np.complex128)
 
-    def _by_elimination(self, z: ComplexArray) -> ComplexArray:
-        (p, m), size = self._D.shape, np.linalg.norm(self._A)
-        B, every = np.repeat(self._B, len(z), axis=1).astype(np.complex128), np.tile(z, m)
-        X = self._solved(B, every)
-        # The Schur form has the errors of its largest entries everywhere: where they count, a step of refinement.
-        growth = size * np.linalg.norm(X, axis=0)
-        large = np.isfinite(growth) & (growth > _GROWN * np.linalg.norm(B, axis=0))
-        if large.any():
-            some, at = X[:, large], every[large]
-            X[:, large] = some + self._solved(B[:, large] - at * some + self._A @ some, at)
-        return np.asarray((self._C @ X).reshape(p, m, len(z)), dtype=np.complex128)
-
-    def _solved(self, right: ComplexArray, z: ComplexArray) -> ComplexArray:
-        """Return (z I - A)^-1 right, one column (n,) for each z."""
+    def _by_schur(self, z: ComplexArray) -> ComplexArray:
+        """Return (z I - A)^-1 B, (n, m N): for each input one column for each z."""
         T, Q = self._schur
-        X = Q.conj().T @ right
+        X, every = np.repeat(Q.conj().T @ self._B, len(z), axis=1), np.tile(z, self._B.shape[1])
         for i in range(len(T) - 1, -1, -1):
             if i + 1 < len(T):
                 X[i] += T[i, i + 1 :] @ X[i + 1 :]
-            X[i] /= z - T[i, i]
+            X[i] /= every - T[i, i]
         return np.asarray(Q @ X, dtype=np.complex128)
 
+    def _by_elimination(self, exact: NDArray[np.clongdouble]) -> ComplexArray:
+        """Return (z I - A)^-1 B, (N, n, m); inf where z is a pole."""
+        every, B, eye = exact[:, None, None], self._B.astype(np.complex128), np.eye(len(self._A))
+        M = every.astype(np.complex128) * eye - self._A
+        singular = np.zeros(len(M), dtype=np.bool_)
+        try:
+            X = np.linalg.solve(M, B)
+        except np.linalg.LinAlgError:
+            singular = np.linalg.slogdet(M)[0] == 0.0
+            M[singular] = eye
+            X = np.linalg.solve(M, B)
+        X += np.linalg.solve(M, (B - (every * X - self._exact @ X)).astype(np.complex128))
+        X[singular] = np.inf
+        return X
 
-def _less_one(w: FloatArray, dt: float) -> ComplexArray:
+
+def _less_one(w: FloatArray, dt: float) -> NDArray[np.clongdouble]:
     """Return exp(j w dt) - 1."""
-    tangent = np.tan(w * (0.5 * dt))
-    imaginary = 2.0 * tangent / (1.0 + tangent * tangent)
+    tangent = np.tan(w * (np.longdouble(dt) / 2))
+    imaginary = 2 * tangent / (1 + tangent * tangent)
     out = 1j * imaginary
     out.real = -tangent * imaginary
-    return np.asarray(out, dtype=np.complex128)
+    return np.asarray(out, dtype=np.clongdouble)
 
 
 def state_response(system: StateArrays, w: FloatArray) -> ComplexArray:

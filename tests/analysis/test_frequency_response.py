@@ -76,8 +76,7 @@ def test_points_next_to_lightly_damped_poles(zeta: float, dt: float) -> None:
     poles = system.poles()
     near = np.unique(np.abs(np.log(poles.astype(complex)).imag / dt if dt else poles.imag))
     w = np.concatenate([x * (1.0 + zeta * np.linspace(-3.0, 3.0, 7)) for x in near])
-    # The last digit of the fastest pole decides.
-    assert deviation(system, w) < 1e-12 / zeta
+    assert deviation(system, w) < 1e-9
 
 
 @pytest.mark.parametrize("size", [4, 9])
@@ -109,6 +108,13 @@ def test_poles_from_1e_minus_3_to_1e9_in_badly_scaled_states(seed: int) -> None:
     assert deviation(system, np.concatenate([np.geomspace(1e-5, 1e11, 40), own, 1.001 * own])) < 1e-9
 
 
+def test_poles_from_1e_minus_3_to_1e9_in_states_that_mix_them() -> None:
+    rng = np.random.default_rng(5)
+    A = turned(modes(np.array([1e-3, 1.0, 1e3, 1e6, 1e9]), np.full(5, 0.1)), rng)
+    # The last digit of residuals with 64 bits, 5e-20, over a distance to the slowest pole of 1e-13 of the fastest.
+    assert deviation(system_of(A, 1, 1, rng), np.geomspace(1e-3, 1e11, 60)) < 1e-6
+
+
 def test_a_state_that_no_input_reaches_does_not_matter() -> None:
     A = np.diag([-1.0, -2.0, -3.0])
     system = control.ss(A, [[1.0], [0.0], [1.0]], [[1.0, 1.0, 1.0]], 0, remove_useless_states=False)
@@ -132,6 +138,8 @@ def test_on_a_pole_the_response_is_infinite(dt: float) -> None:
     H = analysis.frequency_response(system, [0.0, 1.0])[0, 0]
     assert np.isinf(H[0])
     assert np.isfinite(H[1])
+    oscillator = control.ss([[0.0, 2.0], [-2.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
+    assert np.isinf(analysis.frequency_response(oscillator, [2.0])[0, 0, 0])
 
 
 def test_a_list_of_models_gives_their_responses_one_behind_the_other() -> None:
@@ -184,7 +192,7 @@ def test_modes_whose_states_stand_in_any_order_add_up(count: int) -> None:
     w = np.concatenate([np.geomspace(1e-3, 1e4, 10), frequency[:6], frequency[:6] * (1.0 + damping[:6])])
     truth = np.array([sum_of_modes(frequency, damping, b, c, one) for one in w])
     # Where modes cancel, too.
-    np.testing.assert_allclose(analysis.frequency_response(system, w)[0, 0], truth, rtol=1e-7)
+    np.testing.assert_allclose(analysis.frequency_response(system, w)[0, 0], truth, rtol=1e-11)
 
 
 @pytest.mark.parametrize("dt", [0.0, 1e-3])
@@ -195,7 +203,7 @@ def test_lightly_damped_modes_of_many_states_that_all_mix(dt: float) -> None:
     if dt:
         system = analysis.sampled(system, dt)
     w = np.concatenate([[1e-4, 3.0], own[[0, 29]], own[[0, 15]] * (1.0 + 1e-7)])
-    assert deviation(system, w) < 1e-6  # of damping 1e-7
+    assert deviation(system, w) < 1e-9
 
 
 def test_stiff_structures_keep_their_digits_where_they_bend_slowly() -> None:
@@ -206,7 +214,7 @@ def test_stiff_structures_keep_their_digits_where_they_bend_slowly() -> None:
     A = modes(own, np.full(30, 1e-3))
     Q = np.linalg.qr(rng.normal(size=A.shape))[0]
     system = control.ss(Q @ A @ Q.T, rng.normal(size=(60, 1)), rng.normal(size=(1, 60)) / 1e3, 0)
-    assert deviation(system, np.array([1e-2, 1.0, 1.001, 3.0])) < 1e-8
+    assert deviation(system, np.array([1e-2, 1.0, 1.001, 3.0])) < 1e-9
 
 
 def test_a_chain_of_many_masses_sags_as_springs_in_series_do() -> None:

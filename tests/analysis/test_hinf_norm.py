@@ -89,23 +89,19 @@ HARD = {
 }
 
 
-# Where a pole lies 1e-9 of its size from the boundary, the last digit of A moves the norm by 1e-7.
-NARROW = {"needles of damping 1e-9": 1e-6, "sampled, poles next to the circle": 1e-6}
-
-
-def assert_norm(system: control.StateSpace, norm: float, frequency: float, tolerance: float = TOLERANCE) -> None:
+def assert_norm(system: control.StateSpace, norm: float, frequency: float) -> None:
     """Both sides: no gain above, a gain below, in exact arithmetic, and the response reaches the norm where it says."""
-    assert not gain_exceeds(system, norm * (1.0 + tolerance))
-    assert gain_exceeds(system, norm * (1.0 - tolerance))
+    assert not gain_exceeds(system, norm * (1.0 + TOLERANCE))
+    assert gain_exceeds(system, norm * (1.0 - TOLERANCE))
     at = system.D if math.isinf(frequency) else analysis.frequency_response(system, frequency)[:, :, 0]
-    assert np.linalg.norm(at, 2) == pytest.approx(norm, rel=max(1e-10, 0.1 * tolerance))
+    assert np.linalg.norm(at, 2) == pytest.approx(norm, rel=1e-10)
 
 
 @pytest.mark.parametrize("kind", HARD)
 @pytest.mark.parametrize("seed", range(5))
 def test_hard_systems_have_the_norm_that_exact_arithmetic_proves(kind: str, seed: int) -> None:
     system = HARD[kind](seed)
-    assert_norm(system, *analysis.hinf_norm(system), NARROW.get(kind, TOLERANCE))
+    assert_norm(system, *analysis.hinf_norm(system))
 
 
 @pytest.mark.parametrize("kind", HARD)
@@ -148,6 +144,7 @@ def test_a_damped_mode_beside_a_fast_lag_has_a_finite_norm_which_linfnorm_calls_
         ("the same in mixed states", 17, 0.0),
         # The same for the damping of a slow mode: the top of its peak is cut, or put too high.
         ("lightly damped, mixed states", 17, 0.0),
+        ("lightly damped, mixed states", 34, 0.0),
         # Poles of damping 1e-9 and 12 decades: taken for poles on the axis.
         ("lightly damped among them", 13, math.inf),
         ("lightly damped among them", 34, math.inf),
@@ -156,7 +153,7 @@ def test_a_damped_mode_beside_a_fast_lag_has_a_finite_norm_which_linfnorm_calls_
 def test_where_linfnorm_is_wrong_ours_is_proved(kind: str, seed: int, least: float) -> None:
     system = HARD[kind](seed)
     norm, frequency = analysis.hinf_norm(system)
-    assert_norm(system, norm, frequency, 1e-6)
+    assert_norm(system, norm, frequency)
     pytest.importorskip("slycot")
     assert abs(control.linfnorm(system)[0] / norm - 1.0) >= least
 
