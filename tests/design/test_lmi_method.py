@@ -21,7 +21,8 @@ from platform_ctrl.design.scaling import autoscale, unscale
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, TimeLimitError
 from platform_ctrl.plant.reading import read_platform
 
-JOB = tomllib.loads((Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml").read_text())
+EXAMPLES = Path(__file__).parents[2] / "examples"
+JOB = tomllib.loads((EXAMPLES / "three_gyro_platform.toml").read_text())
 # Of the shipped plant: lag of the torquers and delay, s, and rms of the pick-offs' noise, rad.
 LAG, DELAY, PERIOD, NOISE = 2e-4, 5e-4, 5e-4, 5e-6
 LOOPS = {"caging 4-5-7": ("4", "5", "7"), "caging 9-10": ("9", "10")}

@@ -125,6 +125,11 @@ def _synthesis(
     unit = torque_units(channel, plants.nutation)
     flat = _flat(channel, plants, unit)
     noise = channel.basis.T * unit * np.sqrt(np.mean(plants.noise**2) * plants.period)
+    if not noise.any():
+        raise DesignError(
+            "the least torque noise is asked for, but no sensor of the loop has noise: give noise_rms of its"
+            " [[pickoff]] or noise_density of its [[rate_sensor]], or take another method"
+        )
     parts = [_weighted(flat, group, 2 * len(channel.momenta), noise, options) for group in _uncoupled(flat, len(unit))]
     found = [_designed(problem, part, options) for part in parts]
     back = np.argsort([k for part in parts for k in part.channels])
