@@ -145,7 +145,7 @@ class AxisResponse:
             X = np.linalg.solve(M, B)
         X += np.linalg.solve(M, (B - (every * X - self._exact @ X)).astype(np.complex128))
         X[singular] = np.inf
-        return X
+        return np.asarray(X, dtype=np.complex128)
 
 
 def _less_one(w: FloatArray, dt: float) -> NDArray[np.clongdouble]:
