@@ -25,7 +25,6 @@ from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.fixed_structure.norm import ClosedLoop
 from platform_ctrl.design.fixed_structure.pid import PID
-from platform_ctrl.design.fixed_structure.result import least_norm
 from platform_ctrl.design.fixed_structure.run import Goal, Limits, Problem
 from platform_ctrl.design.fixed_structure.side_by_side import best_found
 from platform_ctrl.design.fixed_structure.structures import Static
@@ -153,7 +152,7 @@ def bfgs_rows(names: list[str], starts: int, evaluations: int) -> None:
             plants=(P,), soft=(Goal(plants=(P,)),), hard=(), decay=0.0, units=units, order=0, structured=None
         )
         work = evaluations or sum(spent for _, spent in ends)
-        limits = Limits(evaluations=work, least=least_norm(P, False))
+        limits = Limits(evaluations=work)
         found = best_found(problem, points, limits, 1, lambda k, outcome: None)
         best = min((one for one in found if one is not None), key=lambda one: one.rank)
         times = between - began, time.process_time() - between

@@ -86,36 +86,6 @@ def in_w_plane(plant: Partition) -> Partition:
     return split(to_w_plane(whole(plant)), *plant.D11.shape)
 
 
-def with_white_noise(plant: Partition) -> Partition:
-    """Return the w-plane plant behind √T / (1 + w T/2): its H2 norm is that of the sampled plant."""
-    p = in_w_plane(plant)
-    (nz, nw), ny, nu = p.D11.shape, len(p.C2), p.B2.shape[1]
-    root, corner = np.sqrt(plant.dt), 2.0 / plant.dt
-    return Partition(
-        A=np.block([[p.A, root * p.B1], [np.zeros((nw, len(p.A))), -corner * np.eye(nw)]]),
-        B1=np.vstack([np.zeros((len(p.A), nw)), corner * np.eye(nw)]),
-        B2=np.vstack([p.B2, np.zeros((nw, nu))]),
-        C1=np.hstack([p.C1, root * p.D11]),
-        C2=np.hstack([p.C2, root * p.D21]),
-        D11=np.zeros((nz, nw)), D12=p.D12, D21=np.zeros((ny, nw)), D22=p.D22,
-    )  # fmt: skip
-
-
-def delayed(plant: Partition) -> Partition:
-    """Return the sampled plant with y one sample later: all its controllers are the strictly proper ones of `plant`."""
-    p, ny = plant, len(plant.C2)
-    none = np.zeros((ny, ny))
-    return Partition(
-        A=np.block([[p.A, np.zeros((len(p.A), ny))], [p.C2, none]]),
-        B1=np.vstack([p.B1, p.D21]),
-        # The direct term from u to y is known to the controller.
-        B2=np.vstack([p.B2, np.zeros((ny, p.B2.shape[1]))]),
-        C1=np.hstack([p.C1, np.zeros((len(p.C1), ny))]),
-        C2=np.hstack([np.zeros((ny, len(p.A))), np.eye(ny)]),
-        D11=p.D11, D12=p.D12, D21=np.zeros_like(p.D21), D22=np.zeros_like(p.D22), dt=p.dt,
-    )  # fmt: skip
-
-
 def out_of_w_plane(K: StateArrays, period: float) -> StateArrays:
     """Return a controller of the plant that `in_w_plane` made as a sampled one; for `period` 0 as it is."""
     return K if period == 0.0 else from_w_plane(K, period)

@@ -23,7 +23,6 @@ from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
-from platform_ctrl.design.lower_bounds import hinf_lower_bound
 from platform_ctrl.design.partition import (
     Partition,
     closed_loop,
@@ -68,13 +67,12 @@ class Synthesis:
         Norm of `closed_loop` in units of z per w, recomputed from it, and for the H-infinity norm the frequency of the
         peak, rad/s.
     gamma_optimal
-        What no controller of any order can undercut, in the same units, whatever the route (see
-        `design.lower_bounds`): the infimum up to rounding, which no controller has to attain; 0 where nothing is shown.
+        The least level that the route found, in the same units, from which the controller was backed off; `gamma` where
+        that is less. With `regularise` it is one of the changed plant.
     backoff
-        Relative back-off from the least level that the route found.
+        Relative back-off from the least level.
     level
-        What the controller was made for: (1 + backoff) times that level, in the same units. With `regularise` it is one
-        of the changed plant.
+        What the controller was made for: (1 + backoff) times the least level, in the same units.
     method
         The route.
     poles : complex (n + nK,)
@@ -142,9 +140,8 @@ def hinf(
         Longest time that one call of the LMI solver may take, s.
     regularise
         Riccati route alone: what to add where an assumption does not hold, relative to scaled signals, for example
-        1e-3 (see `scaling.regularised`). `gamma` and `gamma_optimal` are still those of the plant as given,
-        `level` is that of the changed one, and `residual` says what was added and what a tenth of it would do. None: it
-        is an error.
+        1e-3 (see `scaling.regularised`). `gamma` is still that of the plant as given, and `residual` says what was
+        added and what a tenth of it would do. None: it is an error.
 
     Returns
     -------
@@ -221,11 +218,9 @@ def hinf(
             made = out_of_w_plane(made, plant.dt)
         except np.linalg.LinAlgError as error:
             raise UnscalableError(f"hinf, {route}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
-        bound = hinf_lower_bound(flat, least, scaled)
         return certify(
-            P, plant, made, gamma_optimal=bound, least=least, backoff=backoff, method=f"hinf, {route}",
-            residual=residual, reason=reason,
-        )  # fmt: skip
+            P, plant, made, least=least, backoff=backoff, method=f"hinf, {route}", residual=residual, reason=reason
+        )
 
     if method is not None or regularise is not None:
         return by(method or "riccati")
@@ -261,7 +256,6 @@ def certify(  # noqa: PLR0913 - what certifies one result
     plant: Partition,
     controller: StateArrays,
     *,
-    gamma_optimal: float,
     least: float,
     backoff: float,
     method: str,
@@ -272,8 +266,8 @@ def certify(  # noqa: PLR0913 - what certifies one result
 ) -> Synthesis:
     """Close the loop with the plant as given; return the result if it is stable and has the promised norm.
 
-    `gamma_optimal` is a lower bound on the norm, `least` what the route found; the norm may exceed ``(1 + backoff)
-    least`` by `tolerance` times `least`.
+    `least` is the least level that the route found; the norm may exceed ``(1 + backoff) least`` by `tolerance` times
+    `least`.
     """
     if not all(np.all(np.isfinite(matrix)) for matrix in controller[:4]):
         raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
@@ -302,7 +296,7 @@ def certify(  # noqa: PLR0913 - what certifies one result
         closed_loop=closed_loop_system(P, loop),
         gamma=gamma,
         frequency=frequency,
-        gamma_optimal=float(min(gamma_optimal, gamma)),
+        gamma_optimal=float(min(least, gamma)),
         backoff=float(backoff),
         level=float((1 + backoff) * least),
         method=method,
@@ -332,13 +326,9 @@ def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace
 
 def _without_rounding(D: np.ndarray[Any, Any], plant: Partition, controller: StateArrays) -> np.ndarray[Any, Any]:
     """Return the direct term of a continuous closed loop, zero where a controller has cancelled it but for rounding."""
-    return np.zeros_like(D) if np.linalg.norm(D) <= DIRECT_ROUNDING * direct_size(plant, controller) else D
-
-
-def direct_size(plant: Partition, controller: StateArrays) -> float:
-    """Return the size of the terms whose sum is the direct term of a closed loop."""
     through = np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(plant.D21)
-    return float(np.linalg.norm(plant.D11) + through)
+    size = np.linalg.norm(plant.D11) + through
+    return np.zeros_like(D) if np.linalg.norm(D) <= DIRECT_ROUNDING * size else D
 
 
 def _norm(loop: StateArrays, norm: Norm) -> tuple[float, float]:

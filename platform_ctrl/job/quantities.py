@@ -35,7 +35,7 @@ _MOST = ("gamma", "bandwidth_bound", "limit_ratio", "goal_ratio")
 # Claims whose names are not words yet; the second is a share.
 _CLAIMED = {
     "gamma": "norm on the weights, γ",
-    "gamma_optimal": "lower bound on γ of any controller",
+    "gamma_optimal": "least γ of any controller",
     "price": "price of simplicity",
 }
 

@@ -297,20 +297,6 @@ def test_a_process_that_dies_loses_no_start(monkeypatch: pytest.MonkeyPatch) -> 
     assert [s.value for s in found.searches] == [s.value for s in alone.searches]
 
 
-def test_the_search_ends_with_the_start_that_comes_to_the_full_order_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    from platform_ctrl.design.fixed_structure import side_by_side
-
-    P, nmeas, ncon = problem("AC17")
-    one = design.structured(P, nmeas, ncon, structure=design.Static(), starts=6, processes=1)
-    assert one.gamma == pytest.approx(one.gamma_optimal, rel=1e-7)
-    assert len(one.searches) < 6
-    assert one.finished
-    # What processes did beyond it does not count.
-    monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
-    both = design.structured(P, nmeas, ncon, structure=design.Static(), starts=6, processes=2)
-    assert [s.value for s in both.searches] == [s.value for s in one.searches]
-
-
 @pytest.mark.slow
 def test_hard_limits_are_met_and_the_soft_norm_pays_for_them() -> None:
     noise, disturbance = (

@@ -13,7 +13,6 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.run import Outcome
 from platform_ctrl.design.fixed_structure.structures import Structure, Units
-from platform_ctrl.design.lower_bounds import h2_lower_bound, hinf_lower_bound
 from platform_ctrl.design.partition import Partition, closed_loop, out_of_w_plane
 from platform_ctrl.design.partition import whole as whole_plant
 from platform_ctrl.design.synthesis import Synthesis, hinf
@@ -72,17 +71,15 @@ class StructuredDesign:
     gamma
         The largest of them, in the same units.
     gamma_optimal
-        What no controller of any order can undercut, in the same units: the largest full-order bound over the plants;
-        0 where nothing is shown.
+        Least norm of a full-order controller, in the same units: the largest over the plants; 0 where none was found.
     bound
-        Where that bound comes from.
+        The route that found it; empty where none did.
     poles
         Closed-loop poles, one array (n,) a plant: rad/s, or in z (dimensionless).
     searches
         One record for every start that had its turn, in their order.
     finished
-        Whether every start had its turn and ended by itself, not by its evaluations or by the time limit, or one came
-        to `gamma_optimal`, less than which there is not.
+        Whether every start had its turn and ended by itself, not by its evaluations or by the time limit.
     cut
         Whether the time limit ended the search: at another load of the machine the result is another one.
     infimum
@@ -131,41 +128,34 @@ _BACKOFFS = (0.1, 0.5, 2.0)
 class Bound:
     """What is known of controllers of full order for one plant."""
 
-    gamma: float  # what no controller of any order can undercut; 0 where nothing is shown
-    source: str  # how it was found
+    gamma: float  # the least norm; 0 where none was found
+    source: str  # the route that found it
     # Some near it and some far from it, in the w-plane where the plant is sampled; none where none are fitted.
     controllers: tuple[StateArrays, ...]
     cut: bool = False  # whether the time limit ended a computation
 
 
-def least_norm(plant: Partition, power: bool) -> float:
-    """Return what no controller of any order undercuts with a continuous (or w-plane) plant, in H2 where `power`."""
-    return h2_lower_bound(plant) if power else hinf_lower_bound(plant)
-
-
 def full_order(plant: Partition, power: bool, time_limit: float, fitted: bool) -> Bound:
-    """Return the bound of a continuous (or w-plane) plant, with controllers where some are to be `fitted`."""
-    gamma, norm = least_norm(plant, power), "H2" if power else "H-infinity"
-    source = f"{norm} norm of any controller, by duality" if gamma > 0.0 else f"no {norm} bound above 0 shown"
-    controllers, cut = _controllers(plant, power, time_limit) if fitted else ((), False)
-    return Bound(gamma=gamma, source=source, controllers=controllers, cut=cut)
+    """Return the least norm of a continuous (or w-plane) plant, in H2 where `power`.
 
-
-def _controllers(plant: Partition, power: bool, time_limit: float) -> tuple[tuple[StateArrays, ...], bool]:
-    """Return controllers of full order, and whether the time limit ended a computation."""
+    With controllers and, where there is no solution of Riccati equations, by matrix inequalities where `fitted`.
+    """
     P = _system(plant)
     cut = False
     for method in ("riccati", "lmi"):
-        if method == "lmi" and (power or len(plant.A) > _LMI_STATES):
+        if method == "lmi" and (power or not fitted or len(plant.A) > _LMI_STATES):
             continue
         try:
             found = _designed(P, plant, power, method, time_limit)
         except DesignError as error:
             cut = cut or isinstance(error, TimeLimitError)
             continue
-        more = () if power or method == "lmi" else _simpler(P, plant, None)
-        return (state_arrays(found.controller, "structured"), *more), cut
-    return () if power else _simpler(P, plant, 1e-2), cut
+        own = (state_arrays(found.controller, "structured"),)
+        more = () if power or method == "lmi" or not fitted else _simpler(P, plant, None)
+        controllers = (*own, *more) if fitted else ()
+        return Bound(gamma=found.gamma_optimal, source=found.method, controllers=controllers, cut=cut)
+    controllers = _simpler(P, plant, 1e-2) if fitted and not power else ()
+    return Bound(gamma=0.0, source="", controllers=controllers, cut=cut)
 
 
 def _designed(P: StateSpace, plant: Partition, power: bool, method: str, time_limit: float) -> Synthesis:
@@ -341,7 +331,7 @@ def measured_design(  # noqa: PLR0913 - what certifies one result
         closed_loops=tuple(loops),
         gammas=np.array(gammas),
         gamma=float(gamma),
-        gamma_optimal=largest.gamma,
+        gamma_optimal=min(largest.gamma, float(gamma)),
         bound=largest.source,
         poles=tuple(every),
         searches=tuple(
@@ -349,7 +339,7 @@ def measured_design(  # noqa: PLR0913 - what certifies one result
                          seconds=one.seconds, finished=one.finished)
             for one in ended
         ),
-        finished=not cut and (best.reached(largest.gamma) or all(one.finished for one in ended)),
+        finished=not cut and all(one.finished for one in ended),
         cut=cut,
         infimum=_infimum(gamma, best.at_limit, largest.gamma, unit),
         outcomes=tuple(outcomes),

@@ -30,8 +30,6 @@ POLISH_COST = 20
 _GAINS = (1e2, 1e4)
 # Decrease for which a descent begins afresh once more, relative.
 _AGAIN = 1e-4
-# What a norm may exceed the least of any controller by that counts as reached, relative.
-REACHED = 1e-8
 # Most evaluations in one chart or scaling.
 _EVALUATIONS = 1200
 
@@ -67,7 +65,6 @@ class Limits:
     # curvature and a quadratic program.
     evaluations: int
     deadline: float = np.inf  # time by `time.monotonic`, s
-    least: float = 0.0  # value that no controller undercuts: what reaches it, to `REACHED`, ends the search
 
 
 @value
@@ -100,10 +97,6 @@ class Outcome:
         if self.hard > 1.0 + _TOUCHING:
             return 1.0, self.hard
         return 0.0, self.value
-
-    def reached(self, least: float, excess: float = REACHED) -> bool:
-        """Return whether nothing better can be found."""
-        return self.rank[0] == 0.0 and self.value <= least * (1.0 + excess)
 
 
 def searched(problem: Problem, start: FloatArray | Outcome, limits: Limits, polish: bool = False) -> Outcome:
@@ -174,11 +167,10 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
         found = descended(rightmost, x, low, high, target=-1e-300, iterations=SETTLING)
         found = dataclasses.replace(found, inverse=None)
     stable = loops.stable(found.x)
-    # Larger gains are followed to their limit: an infimum at infinite gain is to be seen as one.
-    enough = -np.inf if again else limits.least * (1.0 + REACHED)
     while stable and found.finished:
-        last, found = found.level, descended(norm, found.x, low, high, inverse=found.inverse, target=enough)
-        if found.level <= enough or not again or not (found.finished and found.level < last * (1.0 - _AGAIN)):
+        last, found = found.level, descended(norm, found.x, low, high, inverse=found.inverse)
+        # Larger gains are followed to their limit: an infimum at infinite gain is to be seen as one.
+        if not again or not (found.finished and found.level < last * (1.0 - _AGAIN)):
             break
         found = dataclasses.replace(found, inverse=None)
     at_limit = whole is None and bool(np.any(np.abs(found.x) >= 0.99 * gain))

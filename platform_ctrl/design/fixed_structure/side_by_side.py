@@ -53,15 +53,11 @@ def best_found(
     """Return what became of every start: all descend, the best of them go on, the best of these are polished.
 
     What is found depends on the evaluations alone: not on how many processes there are, nor on the order in which they
-    end. None where the deadline was over before a start had its turn; those behind the first that came to
-    `limits.least` are left out.
+    end. None where the deadline was over before a start had its turn.
     """
     starts = _Starts(problem, points, limits, processes, report)
     parted = divides(problem)
     starts.search(range(len(points)), starts.until(_FIRST if parted else _WHOLE), False)
-    reached = next((k for k, one in enumerate(starts.found) if one is not None and one.reached(limits.least)), None)
-    if reached is not None:
-        return starts.found[: reached + 1]
     if not parted:
         chosen = [k for k in starts.distinct() if not starts[k].finished][:_POLISHED]
         for n, k in enumerate(chosen):
@@ -184,10 +180,10 @@ class _Starts:
                 self.found[k] = _better(known, now)
 
     def _settled(self, ranks: Sequence[tuple[float, float]]) -> bool:
-        """Whether nothing can be less, or several polished starts came to the least value of all."""
+        """Whether several polished starts came to the least value of all."""
         best = self[self.ranked()[0]]
         near = sum(one[0] == 0.0 and one[1] <= best.value * (1.0 + _AGREE) for one in ranks)
-        return (best.rank[0] == 0.0 and near >= _ENOUGH) or best.reached(self.limits.least, _AGREE)
+        return best.rank[0] == 0.0 and near >= _ENOUGH
 
 
 def _better(one: Outcome | None, other: Outcome | None, before: Outcome | None = None) -> Outcome | None:
@@ -205,19 +201,14 @@ def _better(one: Outcome | None, other: Outcome | None, before: Outcome | None =
 def _side_by_side(
     problem: Problem, starts: Sequence[FloatArray | Outcome], limits: Limits, polish: bool, processes: int | None
 ) -> list[Outcome | None]:
-    """Return the outcome of every start, each within `limits`; None where the deadline was over before its turn.
-
-    Those behind the first that came to `limits.least` are left out, also where they were done by then.
-    """
+    """Return the outcome of every start, each within `limits`; None where the deadline was over before its turn."""
     count = min(processes or os.cpu_count() or 1, len(starts))
     out: list[Outcome | None] = [None] * len(starts)
     began = time.monotonic()
     k = 0
     while k < len(starts) and time.monotonic() < limits.deadline:
-        out[k] = now = searched(problem, starts[k], limits, polish)
+        out[k] = searched(problem, starts[k], limits, polish)
         k += 1
-        if now.reached(limits.least):
-            return out[:k]
         spent = time.monotonic() - began
         if count > 1 and spent / k * (len(starts) - k) > _WORTH_PROCESSES:
             break
@@ -228,8 +219,7 @@ def _side_by_side(
     for k, one in enumerate(out):
         if one is None and time.monotonic() < limits.deadline:
             out[k] = searched(problem, starts[k], limits, polish)
-    last = next((k for k, one in enumerate(out) if one is not None and one.reached(limits.least)), len(out))
-    return out[: last + 1]
+    return out
 
 
 def _in_processes(questions: Sequence[dict[str, Any]], deadline: float, count: int) -> list[Outcome | None]:

@@ -87,8 +87,7 @@ def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step
         one is met; without soft ones the largest hard ratio.
     starts
         From how many points the search begins. The first ones are the structure's own values and fits to full-order
-        controllers, the others scattered. Those behind the
-        first that comes to what no controller undercuts are left out.
+        controllers, the others scattered.
     seed
         Of the scatter.
     evaluations
@@ -175,11 +174,9 @@ def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step
         order=order,
         structured=whole,
     )
-    # Static gains without a pattern begin at random: nothing is fitted to other controllers.
-    fitted = _FITTED if order or whole is not None else 0
     each = _FOR_BOUNDS * seconds / _FITTED
     requested = [(plant, goal.h2) for goal in task.soft for plant in goal.plants]
-    bounds = [full_order(plant, h2, each, k < fitted) for k, (plant, h2) in enumerate(requested)]
+    bounds = [full_order(plant, h2, each, k < _FITTED) for k, (plant, h2) in enumerate(requested)]
     points = _points(problem, flat, bounds, order, units, starts, np.random.default_rng(seed))
 
     def report(k: int, outcome: Outcome | None) -> None:
@@ -190,8 +187,7 @@ def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step
         else:
             report_line(f"structured: start {k + 1} of {len(points)}: {outcome.value:.6g}")
 
-    least = max((one.gamma for one in bounds if np.isfinite(one.gamma)), default=0.0)
-    limits = Limits(evaluations=evaluations, deadline=began + seconds, least=least)
+    limits = Limits(evaluations=evaluations, deadline=began + seconds)
     found = best_found(problem, points, limits, processes, report)
     tried = 0
     if isinstance(structure, StateSpaceOrder) and not any(one is not None and one.stable for one in found):

@@ -15,7 +15,6 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.lower_bounds import h2_lower_bound
 from platform_ctrl.design.partition import Partition, in_w_plane, partition
 from platform_ctrl.design.riccati.equations import Equation, relative_residual, riccati_solution
 from platform_ctrl.design.scaling import (
@@ -106,7 +105,6 @@ def h2(
         P,
         plant,
         made,
-        gamma_optimal=h2_lower_bound(plant, direct),
         least=least,
         backoff=0.0,
         method=WHERE,
