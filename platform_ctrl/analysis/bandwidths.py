@@ -9,8 +9,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, square_responses
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.norms import resonances
-from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, spectral_abscissa
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError

@@ -19,8 +19,8 @@ from platform_ctrl.analysis.drift import drifting_rms
 from platform_ctrl.analysis.feedback import loop_of_sensitivity
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import Loops, Request
-from platform_ctrl.analysis.norms import h2_norm, noise_rms, resonances
-from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.analysis.norms import h2_norm, noise_rms
+from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.time_responses import time_response
 from platform_ctrl.common.values import FloatArray

@@ -15,8 +15,8 @@ import numpy as np
 from platform_ctrl.analysis.bandwidths import LEVEL, bandwidth_of_response, bandwidth_of_sensitivity
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.loop_set import S_INPUT, S_OUTPUT, Indices, LoopSet, SingleLoop, Transfer
-from platform_ctrl.analysis.norms import PEAK_TOLERANCE, WHOLE, Band, exceeds, gains, peak, refined_peak, resonances
-from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.analysis.norms import PEAK_TOLERANCE, WHOLE, Band, exceeds, gains, peak, refined_peak
+from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.common.values import FloatArray, value
 
 Loops = LoopSet | SingleLoop

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.norms import resonances
+from platform_ctrl.analysis.poles import resonances
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.common.values import FloatArray
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
-from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, spectral_radius
+from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, largest_singular_values
 from platform_ctrl.common.arguments import not_negative
@@ -130,14 +130,6 @@ def peak_gain(
             break
         best, frequency = found, at
     return best, frequency
-
-
-def resonances(s: ComplexArray) -> FloatArray:
-    """Return frequencies, rad/s, at which poles s can make peaks: |Im s| and about |Re s| around it, and |s|."""
-    s = s[np.isfinite(s) & (s.imag >= 0.0)]
-    centre, width = s.imag, np.abs(s.real)
-    beside = np.abs(centre[:, None] + width[:, None] * np.array([-1.0, -0.3, 0.0, 0.3, 1.0]))
-    return np.unique(np.concatenate([beside.ravel(), np.abs(s), 1.7 * np.abs(s)]))
 
 
 def level_frequencies(axis: FrequencyAxis, level: float) -> FloatArray:

@@ -76,6 +76,14 @@ def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
     return out
 
 
+def resonances(s: ComplexArray) -> FloatArray:
+    """Return frequencies, rad/s, at which poles s can make peaks: |Im s| and about |Re s| around it, and |s|."""
+    s = s[np.isfinite(s) & (s.imag >= 0.0)]
+    centre, width = s.imag, np.abs(s.real)
+    beside = np.abs(centre[:, None] + width[:, None] * np.array([-1.0, -0.3, 0.0, 0.3, 1.0]))
+    return np.unique(np.concatenate([beside.ravel(), np.abs(s), 1.7 * np.abs(s)]))
+
+
 def damping_ratio(poles: ComplexArray) -> FloatArray:
     """Return -Re(s)/|s| of continuous(-equivalent) poles (..., n); 1 for infinitely fast ones, 0 for s = 0."""
     s = complex_numbers("damping_ratio: poles", poles)

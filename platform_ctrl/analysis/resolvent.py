@@ -5,7 +5,8 @@ eigenvectors are too nearly dependent for that (delays, multiple poles), A is br
 triangular equations are solved for all points at once. Both have the errors of the largest entries of A everywhere:
 where those count (next to lightly damped poles, and slow motion of fast systems), z I - A itself is factored, and the
 solution refined by residuals in the longest numbers of the processor. Where these are doubles, the error next to a pole
-of damping zeta is about 1e-16 / zeta.
+of damping zeta is about 1e-16 / zeta. Long chains of delays leave the equations: what
+is d samples late is z^-d times what it was.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ _MODAL = 1e6
 _GROWN = 1e6
 # States from which on LAPACK's real Schur form, made complex afterwards, takes less time than its complex one.
 _REAL = 64
+# States that repeat another one a sample later, from which on they are taken out of the equations.
+_LATE = 48
 # Entries of the largest array at a time.
 _TOGETHER = 1 << 22
 
@@ -38,6 +41,7 @@ class AxisResponse:
         A, B, C, D, self._dt = system
         if not balanced:
             A, B, C = scaled(A, B, C)
+        self._late = _Late.of(StateArrays(A, B, C, D, self._dt))
         A = A.astype(np.longdouble)
         if self._dt > 0.0:
             A -= np.eye(len(A))
@@ -48,6 +52,8 @@ class AxisResponse:
 
     def at(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, complex (N, p, m); inf at a pole."""
+        if self._late is not None:
+            return self._late.at(frequency)
         z = _less_one(frequency, self._dt) if self._dt > 0.0 else np.asarray(1j * frequency, dtype=np.clongdouble)
         (p, m), n = self._D.shape, len(self._A)
         H = np.empty((p, m, len(z)), dtype=np.complex128)
@@ -72,6 +78,11 @@ class AxisResponse:
         else:
             T, Q = rsf2csf(*schur(self._A, output="real", check_finite=False), check_finite=False)
         return T, Q
+
+    @property
+    def oldest(self) -> int:
+        """Age, in samples, of the oldest values on which the system depends, 0 where no long delay is in it."""
+        return 0 if self._late is None else max(1, *self._late.ages)
 
     @cached_property
     def poles(self) -> ComplexArray:
@@ -146,6 +157,76 @@ class AxisResponse:
         X += np.linalg.solve(M, (B - (every * X - self._exact @ X)).astype(np.complex128))
         X[singular] = np.inf
         return np.asarray(X, dtype=np.complex128)
+
+
+class _Late:
+    """A sampled system whose states are mostly those of delays: the others' equations, with powers of z in them."""
+
+    def __init__(self, system: StateArrays, late: NDArray[np.bool_], source: NDArray[np.intp]) -> None:
+        A, B, C, self._D, self._dt = system
+        core = np.flatnonzero(~late)
+        place = np.cumsum(~late) - 1
+        seen = np.flatnonzero(late & (np.any(A[core] != 0.0, axis=0) | np.any(C != 0.0, axis=0)))
+        # What a delay holds is `gain` times what another state was `age` samples before.
+        gain, age, head = np.ones(len(seen)), np.zeros(len(seen), dtype=int), seen.copy()
+        while (inside := late[head]).any():
+            gain[inside] *= A[head[inside], source[head[inside]]]
+            age[inside] += 1
+            head[inside] = source[head[inside]]
+        self.ages = np.unique(age)
+        own = A[core]
+        self._A, self._C = own[:, core] - np.eye(len(core)), C[:, core]
+        self._aged = []
+        for d in self.ages:
+            into, onto = np.zeros_like(self._A), np.zeros_like(self._C)
+            for k in np.flatnonzero(age == d):
+                into[:, place[head[k]]] += own[:, seen[k]] * gain[k]
+                onto[:, place[head[k]]] += C[:, seen[k]] * gain[k]
+            self._A, self._C = self._A + into, self._C + onto
+            columns = np.flatnonzero(np.any(into, axis=0) | np.any(onto, axis=0))
+            self._aged.append((int(d), columns, into[:, columns], onto[:, columns]))
+        self._B = B[core].astype(np.complex128)
+
+    @staticmethod
+    def of(system: StateArrays) -> _Late | None:
+        """Return the system with its delays taken out, None where it has but few."""
+        A, B, D = system.A, system.B, system.D
+        if not system.dt > 0.0 or len(A) < _LATE or not D.size:
+            return None
+        links = A != 0.0
+        source = np.argmax(links, axis=1)
+        late = (links.sum(axis=1) == 1) & ~np.any(B != 0.0, axis=1)
+        # Those that follow each other in a ring have nobody whom they follow.
+        end = np.arange(len(A))
+        for _ in range(len(A)):
+            if not (inside := late[end]).any():
+                break
+            end = np.where(inside, source[end], end)
+        late &= ~late[end]
+        return _Late(system, late, source) if late.sum() >= _LATE else None
+
+    def at(self, frequency: FloatArray) -> ComplexArray:
+        """Return the response at `frequency` (N,), rad/s, complex (N, p, m); inf at a pole."""
+        n = len(self._A)
+        H = np.empty((len(frequency), *self._D.shape), dtype=np.complex128)
+        step = max(1, _TOGETHER // max(1, n * n))
+        for k in range(0, len(frequency), step):
+            w = frequency[k : k + step]
+            M = _less_one(w, self._dt).astype(np.complex128)[:, None, None] * np.eye(n) - self._A
+            C = np.repeat(self._C[None].astype(np.complex128), len(w), axis=0)
+            for d, columns, into, onto in self._aged:
+                change = _less_one(-d * w, self._dt).astype(np.complex128)[:, None, None]
+                M[:, :, columns] -= change * into
+                C[:, :, columns] += change * onto
+            try:
+                X = np.linalg.solve(M, np.broadcast_to(self._B, (len(w), *self._B.shape)))
+            except np.linalg.LinAlgError:
+                # At a pole: next to it the response is beyond all bounds, too.
+                M = np.where((np.linalg.det(M) == 0.0)[:, None, None], np.full((n, n), np.nan), M)
+                X = np.linalg.solve(M, np.broadcast_to(self._B, (len(w), *self._B.shape)))
+            H[k : k + step] = C @ X + self._D
+        H[~np.isfinite(H)] = np.inf
+        return H
 
 
 def _less_one(w: FloatArray, dt: float) -> NDArray[np.clongdouble]:

@@ -1,22 +1,27 @@
 """One system along its frequency axis: response, gain, and the frequencies where the gain may cross a level.
 
 What does not depend on the frequency or the level (balancing, modes, the map to the w-plane) is worked out once: norms
-and margins ask many times.
+and margins ask many times. Behind long delays the gain is followed on a grid instead: their Hamiltonian has thousands
+of eigenvalues, which lie close together.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
-from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.poles import continuous_poles, resonances
 from platform_ctrl.analysis.resolvent import AxisResponse
 from platform_ctrl.analysis.sampling import to_w_plane
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
+
+# Points of a grid in the time in which what is oldest turns once; halvings of a step between two of them.
+_IN_A_TURN, _HALVINGS = 8, 40
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -30,12 +35,15 @@ class FrequencyAxis:
     def __init__(self, system: StateArrays) -> None:
         A, B, C, D, dt = system
         self.edge = math.inf if dt == 0.0 else math.pi / dt
+        self._given = A
         self.system = StateArrays(*scaled(A, B, C), D, dt)
         self._w_plane: Matrices | None = None
         self._along = AxisResponse(self.system, balanced=True)
 
     def poles(self) -> ComplexArray:
         """Return the poles, (n,), in the plane of s or z."""
+        if self._along.oldest:
+            return _known_poles(self._given.tobytes())
         return self._along.poles if self.system.A.size else np.zeros(0, dtype=np.complex128)
 
     def response(self, frequency: FloatArray) -> ComplexArray:
@@ -77,6 +85,8 @@ class FrequencyAxis:
         dt = self.system.dt
         if len(self.system.A) == 0 or not level > 0.0:
             return np.zeros(0)
+        if self._along.oldest:
+            return self._followed(level, scaling)
         system: Matrices = self.system[:4]
         if dt > 0.0:
             try:
@@ -88,6 +98,43 @@ class FrequencyAxis:
                 return pencil_crossings(*_over(level, *_rescaled(*system, scaling)), dt)
         w = hamiltonian_crossings(*_over(level, *_rescaled(*system, scaling)))
         return w if dt == 0.0 else np.asarray(2.0 / dt * np.arctan(0.5 * dt * w), dtype=np.float64)
+
+    @cached_property
+    def _grid(self) -> tuple[FloatArray, ComplexArray]:
+        """Frequencies that follow the poles and the turns of the oldest values, rad/s, and the response there."""
+        own = resonances(continuous_poles(self.poles(), self.system.dt))
+        turns = np.linspace(0.0, self.edge, _IN_A_TURN * self._along.oldest)
+        w = np.unique(np.concatenate([own[own < self.edge], turns]))
+        return w, self.response(w)
+
+    def _followed(self, level: float, scaling: FloatArray | None) -> FloatArray:
+        """Return where the gain crosses a level between points of the grid, and its tops among these."""
+
+        def gains(response: ComplexArray) -> FloatArray:
+            if scaling is not None:
+                response = scaling[:, None] * response / scaling
+            return largest_singular_values(response)
+
+        w, response = self._grid
+        sizes = gains(response)
+        sides = np.pad(sizes, 1)
+        tops = w[(sizes >= sides[:-2]) & (sizes >= sides[2:])]
+        above = sizes > level
+        at = np.flatnonzero(above[1:] != above[:-1])
+        low, high, rising = w[at], w[at + 1], above[at + 1]
+        for _ in range(_HALVINGS if at.size else 0):
+            middle = 0.5 * (low + high)
+            beyond = (gains(self.response(middle)) > level) == rising
+            low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+        return np.unique(np.concatenate([high, tops]))
+
+
+@lru_cache(maxsize=16)
+def _known_poles(matrix: bytes) -> ComplexArray:
+    """Return the eigenvalues of a matrix: parts of one loop with long delays have the same hundreds."""
+    entries = np.frombuffer(matrix)
+    n = math.isqrt(len(entries))
+    return np.asarray(np.linalg.eigvals(entries.reshape(n, n)), dtype=np.complex128)
 
 
 def largest_singular_values(matrices: ComplexArray) -> FloatArray:
