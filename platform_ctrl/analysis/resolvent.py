@@ -20,7 +20,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.common.values import FloatArray
 
 # Condition number of the eigenvectors from which on responses come from the Schur form.
-_MODAL = 1e6
+_MODAL = 1e4
 # |A| times a solution over the right-hand side, from which on z I - A itself is factored.
 _GROWN = 1e6
 # States from which on LAPACK's real Schur form, made complex afterwards, takes less time than its complex one.

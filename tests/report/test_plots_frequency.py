@@ -98,7 +98,7 @@ def test_every_crossing_of_a_gain_of_1_is_found_between_points_of_the_grid():
     [system] = drawn_systems("bode", loop)
     found = margins(curve(system, grid([system], loops=True), "L"))
     assert len(found.gain_crossovers) >= 3
-    assert np.abs(analysis.frequency_response(loop, found.gain_crossovers)[0, 0]) == pytest.approx(1.0, rel=1e-8)
+    assert np.abs(analysis.frequency_response(loop, found.gain_crossovers)[0, 0]) == pytest.approx(1.0, rel=1e-9)
     critical = found.gain_margins * analysis.frequency_response(loop, found.phase_crossovers)[0, 0]
     assert critical == pytest.approx(-np.ones(len(critical)), abs=1e-6)
 
