@@ -19,7 +19,7 @@ from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, nothing, silent
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Measured, Picture
-from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, write_job
+from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, is_unchanged, write_job
 from platform_ctrl.app.settings import (
     Choices,
     Part,
@@ -306,9 +306,14 @@ class Backend:
     def save(self, settings: Settings, path: str | Path, overwrite: bool = False) -> Saved:
         """Write the settings as a job file, and its controllers beside it; comments of the job's own file stay."""
         settings = _rounded(settings, self._loops.start)
-        controllers = self._loops.controllers(settings, strict=True)
         options, start = self._loops.options, self._loops.start
         closed = {**settings.closed, settings.loop: settings.design}
+        try:
+            controllers = self._loops.controllers(settings, strict=True)
+        except DesignError:
+            if not is_unchanged(settings.but(closed=closed), start):
+                raise
+            controllers = None
         wanted: dict[str, dict[str, dict[str, float]]] = {}
         for spec in self.read.loops:
             for design in spec.designs:

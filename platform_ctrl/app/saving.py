@@ -53,13 +53,20 @@ class ClosedController:
 
 @value
 class Saved:
-    """Paths of both files that were written, and lines about what is not as it was though nobody changed it."""
+    """Paths of the files that were written, and lines about what is not as it was though nobody changed it.
+
+    `controllers` is None where nothing was changed and the page has not all controllers of the job.
+    """
 
     job: Path
-    controllers: Path
+    controllers: Path | None
     notes: tuple[str, ...] = ()
 
 
+_UNCHANGED = (
+    "nothing was changed on the page, so the job is as it was; no controllers are written, because the page has not "
+    "those of its designs: platform-ctrl design makes them"
+)
 # Options of designs by loop and design.
 Options = Mapping[str, Mapping[str, Mapping[str, float]]]
 # Relative difference up to which an option is the same, and how often options that follow from others are looked at.
@@ -103,6 +110,11 @@ class JobSource:
         self._saved = job_hashes(job)["job"]
 
 
+def is_unchanged(settings: Settings, start: Settings) -> bool:
+    """Return whether nothing was changed on a page that a job has."""
+    return all(getattr(settings, name) == getattr(start, name) for name in ("closed", "options", "optional"))
+
+
 def write_job(
     source: JobSource | None,
     path: Path,
@@ -110,12 +122,13 @@ def write_job(
     settings: Settings,
     start: Settings,
     wanted: Options,
-    controllers: Sequence[ClosedController],
+    controllers: Sequence[ClosedController] | None,
 ) -> Saved:
     """Write the job with the settings of the page, and its controllers beside it.
 
     `source` is the file that the job was read from, `start` its settings. `wanted` are the options of designs, by loop
-    and design, that a reader of the new file has to find. `overwrite` allows to replace files.
+    and design, that a reader of the new file has to find. `controllers` are None where nothing was changed and they are
+    not designed yet. `overwrite` allows to replace files.
     """
     if source is None:
         raise InputError("save: the job was not read from a file; open the page with a job file, whose text is kept")
@@ -132,11 +145,17 @@ def write_job(
         if not overwrite and os.path.lexists(one):
             raise InputError(f"{one}: exists already; choose another name or overwrite it")
     text = _complete_text(before, source.path, path, settings, start, wanted)
+    if is_unchanged(settings, start):
+        same = _moved_text(before, source.path, path.parent)
+        if text != same or controllers is None:
+            # Controllers of other designs, or of numbers that are to be tuned, are not those of this job.
+            write_whole(path, same)
+            return Saved(job=path, controllers=None, notes=(_UNCHANGED,))
     job = _read(text, path.parent, path)
     record = {
         "schema": SCHEMA,
         "sha256": job_hashes(job),
-        "controllers": [_entry(one, job.sampling.delay) for one in controllers],
+        "controllers": [_entry(one, job.sampling.delay) for one in controllers or ()],
     }
     there = beside.read_bytes() if beside.exists() else None
     write_record(record, beside)
@@ -222,6 +241,13 @@ def _job_text(
                 _put(design, numbers, written[name][str(design["name"])])
     _plant(document, old.parent, folder)
     return str(tomlkit.dumps(document))
+
+
+def _moved_text(before: str, old: Path, folder: Path) -> str:
+    """Return the text of the job as it is, seen from another folder."""
+    document = _tomlkit().parse(before)
+    _plant(document, old.parent, folder)
+    return str(_tomlkit().dumps(document))
 
 
 def _put(design: Any, wanted: Mapping[str, float], written: Mapping[str, float]) -> None:

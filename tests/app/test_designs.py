@@ -55,7 +55,9 @@ def test_a_design_is_that_of_its_numbers_whatever_was_designed_meanwhile(bench: 
 
 def test_a_page_opens_on_a_loop_that_sliders_shape_at_once(tmp_path: Path) -> None:
     by_hand = Backend(SHIPPED)
-    saved = by_hand.save(by_hand.start(), tmp_path / "by_hand.toml")
+    changed = by_hand.moved(by_hand.start("stabilisation"), "filter_hz", 55.0)
+    saved = by_hand.save(changed, tmp_path / "by_hand.toml")
+    assert saved.controllers is not None
     text = saved.controllers.read_text(encoding="utf-8")
     assert text.count('"classical"') == 4
     # The same controllers as if the structured method had made them.
