@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import control
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
@@ -279,12 +280,18 @@ def _required(outcome: LoopOutcome, k: int) -> float:
 def _curves(design: LoopDesign, k: int) -> list[tuple[FloatArray, FloatArray]]:
     """Return phase in degrees, within a turn of the critical point, and gain in dB of every channel with plant `k`."""
     assert design.plants is not None
-    plants = design.plants.only([k])
-    poles = continuous_poles(closed_loop_poles(plants, design.own_controller)[0], plants.period)
+    plants, K = design.plants.only([k]), design.own_controller
+    # L at one torquer has the poles of the loop that is open there alone.
+    open_there = [
+        control.ss(K.A, K.B, keep[:, None] * K.C, keep[:, None] * K.D, K.dt) for keep in 1.0 - np.eye(K.noutputs)
+    ]
+    poles = continuous_poles(
+        np.concatenate([closed_loop_poles(plants, one)[0] for one in (K, *open_there)]), plants.period
+    )
     nyquist = np.pi / plants.period
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
     frequency = following_grid(poles, low, 0.999 * nyquist)
-    found = gang(sampled_plant(plants), design.own_controller, frequency).channels
+    found = gang(sampled_plant(plants), K, frequency).channels
     return [(loop_phase(frequency, one), gains(one, dB=True)) for one in found]
 
 
