@@ -159,6 +159,7 @@ def test_a_saved_job_is_the_picture_and_check_accepts_it(
     picture = bench.picture(settings)
     assert all(r.passed for r in picture.requirements)
     saved = bench.save(settings, tmp_path / "new.toml")
+    assert saved.controllers is not None
     assert saved.controllers.name == "new.controllers.json"
     text = saved.job.read_text()
     for comment in ("# Kept: what the user wrote.", "# of both", "# the gain"):
@@ -295,6 +296,7 @@ def test_controllers_beside_a_job_are_taken_until_the_job_has_changed(tmp_path: 
     job.write_text(TWO, encoding="utf-8")
     page = Backend(job)
     saved = page.save(_moved(page, page.start(), crossover_hz=58.5), job, overwrite=True)
+    assert saved.controllers is not None
     record = json.loads(saved.controllers.read_text(encoding="utf-8"))
     record["alternatives"] = [record["controllers"][0] | {"design": "lqg", "method": "lqg"}]
     saved.controllers.write_text(json.dumps(record), encoding="utf-8")
