@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.anti_windup import back_calculation
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.signatures import check_arguments
@@ -105,24 +106,33 @@ def interconnected(
 
 
 def interconnected_by_sample(
-    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
+    controllers: Sequence[control.StateSpace],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    period: float,
+    limited: Collection[str] = (),
 ) -> list[StateArrays]:
     """Return the matrices of `interconnect_controllers` at every sample until they repeat.
 
     A controller whose dt is n periods is computed at every n-th sample, the first included; its outputs are held in
-    between, in states of their own. The same matrices are the same object.
+    between, in states of their own. The same matrices are the same object. Where outputs are `limited` the excess of
+    every output, limited − commanded, is a further input, which acts on the states: see `back_calculation`.
     """
     parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
     every = [samples_between(K.dt, period, _where(k, controllers[k])) for k, K in enumerate(parts)]
+    if limited:
+        parts = [
+            _with_excess(K, [name in limited for name in controllers[k].output_labels]) for k, K in enumerate(parts)
+        ]
     if max(every, default=1) == 1:
-        return [interconnected(controllers, inputs, outputs, period)]
+        return [_joined(parts, controllers, inputs, outputs, period, limited=limited)]
     made: dict[tuple[bool, ...], StateArrays] = {}
     out = []
     for sample in range(math.lcm(*every)):
         due = tuple(sample % n == 0 for n in every)
         if due not in made:
             own = [_held(K, now) if n > 1 else K for K, n, now in zip(parts, every, due, strict=True)]
-            made[due] = _joined(own, controllers, inputs, outputs, period)
+            made[due] = _joined(own, controllers, inputs, outputs, period, limited=limited)
         out.append(made[due])
     return out
 
@@ -147,6 +157,12 @@ def samples_between(dt: float, period: float, where: str) -> int:
     return n
 
 
+def _with_excess(K: StateArrays, limited: Sequence[bool]) -> StateArrays:
+    """Return a controller with the excesses of its limited outputs as further inputs."""
+    E = back_calculation(K, limited).gain[:, limited]
+    return StateArrays(K.A, np.hstack([K.B, E]), K.C, np.hstack([K.D, np.zeros((len(K.C), E.shape[1]))]), K.dt)
+
+
 def _held(K: StateArrays, due: bool) -> StateArrays:
     """Return a controller with its last outputs as further states: as it is computed, or holding them."""
     n, (p, m) = len(K.A), K.D.shape
@@ -163,37 +179,32 @@ def _joined(
     outputs: Sequence[str],
     period: float,
     apart: Collection[int] = (),
+    limited: Collection[str] = (),
 ) -> StateArrays:
     """Join the matrices of controllers by the names of their signals.
 
-    Those that are kept `apart` have inputs for their outputs behind the others, and outputs for their inputs.
+    Those that are kept `apart` have inputs for their outputs behind the others, and outputs for their inputs. Where any
+    outputs are `limited` the parts have inputs for their excesses.
     """
     states = sum(len(K.A) for k, K in enumerate(parts) if k not in apart)
-    size = states + len(inputs) + sum(len(parts[k].C) for k in apart)
+    given = states + len(inputs) + (len(outputs) if limited else 0)
+    size = given + sum(len(parts[k].C) for k in apart)
     # Every signal is a row over [all controllers' states, what is measured, what those kept apart give].
     rows: dict[str, FloatArray] = {name: np.eye(size)[states + k] for k, name in enumerate(inputs)}
-    given, taken_apart = states + len(inputs), [np.zeros((0, size))]
+    excess = {name: np.eye(size)[states + len(inputs) + k] for k, name in enumerate(outputs) if name in limited}
+    taken_apart = [np.zeros((0, size))]
     made: dict[str, str] = {}
     taken: set[str] = set()
     after = np.zeros((states, size))
     place = 0
     for k, (K, system) in enumerate(zip(parts, controllers, strict=True)):
         where = _where(k, system)
-        unknown = [name for name in system.input_labels if name not in rows]
         # Nobody commands these readings: they are held at zero.
-        rows |= {name: np.zeros(size) for name in unknown if name.endswith(COMMAND)}
-        unknown = [name for name in unknown if name not in rows]
-        if unknown and is_rate(unknown[0]):
-            raise ArgumentError(
-                f"{where}: input {unknown[0]!r} is a rate that no sensor measures; add a rate sensor to the plant"
-            )
-        if unknown:
-            raise ArgumentError(
-                f"{where}: input {unknown[0]!r} is neither a pick-off nor an output of an earlier controller; "
-                f"use one of {', '.join(rows) or 'none'}"
-            )
+        rows |= {name: np.zeros(size) for name in system.input_labels if name not in rows and name.endswith(COMMAND)}
+        _expect_inputs(where, system.input_labels, rows)
         taken |= set(system.input_labels)
-        seen = np.array([rows[name] for name in system.input_labels]).reshape(system.ninputs, size)
+        beyond = [excess[name] for name in system.output_labels if name in excess]
+        seen = np.array([*(rows[name] for name in system.input_labels), *beyond]).reshape(-1, size)
         if k in apart:
             taken_apart.append(seen)
             u = np.eye(size)[given : given + len(K.C)]
@@ -221,6 +232,19 @@ def _joined(
     final = np.array([rows[name] if name in made else np.zeros(size) for name in outputs]).reshape(len(outputs), size)
     final = np.vstack([final, *taken_apart])
     return StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
+
+
+def _expect_inputs(where: str, inputs: Sequence[str], known: Collection[str]) -> None:
+    unknown = [name for name in inputs if name not in known]
+    if unknown and is_rate(unknown[0]):
+        raise ArgumentError(
+            f"{where}: input {unknown[0]!r} is a rate that no sensor measures; add a rate sensor to the plant"
+        )
+    if unknown:
+        raise ArgumentError(
+            f"{where}: input {unknown[0]!r} is neither a pick-off nor an output of an earlier controller; "
+            f"use one of {', '.join(known) or 'none'}"
+        )
 
 
 def _where(k: int, system: control.StateSpace) -> str:

@@ -172,7 +172,8 @@ def simulate_batch(
         own = [members[place] for place in places]
         scenario = own[0].scenario
         commanded = commanded_readings(scenario)
-        kind = scenario.mode, commanded, tuple(tuple(one.weights.items()) for one in scenario.drives)
+        limited = tuple(torquer.limit is None for torquer in scenario.platform.torquers)
+        kind = scenario.mode, commanded, limited, tuple(tuple(one.weights.items()) for one in scenario.drives)
         if kind not in modes:
             modes[kind] = merged_controller(
                 scenario.platform, controllers, period, scenario.mode, commanded, scenario.drives
@@ -242,7 +243,8 @@ def merged_controller(
 ) -> Controller:
     """Return one state space from all sensors, and commands of some readings, to all torquers, in the kernel's form.
 
-    Where Omega is prescribed controllers that act on the root are left out. Behind it are the rates of drives.
+    Where Omega is prescribed controllers that act on the root are left out. Behind it are the rates of drives. The last
+    inputs are the excesses of the torques over their limits, if there are limits.
     """
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
     # What is no controller stays: `interconnected_by_sample` refuses it.
@@ -256,9 +258,12 @@ def merged_controller(
             f"commands: no controller takes a command of {useless[0]!r}; design the loop that reads it again, in a job "
             "whose manoeuvre commands it"
         )
-    by_sample = interconnected_by_sample(active, [*sensors, *commands], torquers, period)
-    rates = np.array([[one.weights.get(name, 0.0) for name in (*sensors, *commands)] for one in drives])
-    return controller_rows(by_sample, rates.reshape(len(drives), len(sensors) + len(commands)))
+    limited = [t.name for t in platform.torquers if t.limit is not None]
+    by_sample = interconnected_by_sample(active, [*sensors, *commands], torquers, period, limited)
+    rates = np.zeros((len(drives), by_sample[0].B.shape[1]))
+    for row, one in zip(rates, drives, strict=True):
+        row[: len(sensors)] = [one.weights.get(name, 0.0) for name in sensors]
+    return controller_rows(by_sample, rates)
 
 
 def batch_metrics(batched: Batch, threads: int = 1, record: FloatArray = _NO_RECORD) -> FloatArray:

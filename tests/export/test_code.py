@@ -15,13 +15,13 @@ import pytest
 
 from generated_c import Machine, classical_entry, compiled, compiler, entry, flat, gyro_entry, state_space
 from platform_ctrl import simulation
+from platform_ctrl.analysis.anti_windup import BackCalculation, back_calculation
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.sections import flattened
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
 from platform_ctrl.export import write_c
 from platform_ctrl.export.c99.c_text import FILES, Names, comment, identifier
 from platform_ctrl.export.c99.controller import Controller, controllers_of
-from platform_ctrl.export.c99.windup import back_calculation
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
 
@@ -54,9 +54,13 @@ def machine(library: Path, K: Controller, prefix: str, number: str) -> Machine:
     return Machine(library, prefix, K.inputs, outputs, TYPES[number])
 
 
+def anti_windup(one: Controller) -> BackCalculation:
+    return back_calculation(one.arrays, np.isfinite(one.limits).tolist())
+
+
 def limited_run(one: Controller, readings: FloatArray, windup: bool = True) -> tuple[FloatArray, FloatArray]:
     """Commands and limited commands of a controller with its anti-windup, in plain matrices."""
-    K, E, limits = one.arrays, windup * back_calculation(one).gain, one.limits
+    K, E, limits = one.arrays, windup * anti_windup(one).gain, one.limits
     x = np.zeros(len(K.A))
     commands, given = [], []
     for y in readings:
@@ -112,11 +116,10 @@ def test_without_limits_it_is_what_python_control_computes(
     assert np.allclose(out[:, 2:], expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_without_anti_windup_it_is_the_simulated_controller_at_the_limits_too(
+def test_at_its_limits_too_it_is_the_simulated_controller(
     job: Job, entries: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    # The simulation limits torques without anti-windup.
-    files = write_c(job, entries[:2], tmp_path, anti_windup="none").files
+    files = write_c(job, entries[:2], tmp_path).files
     scenario = manoeuvre_scenario(job, job.manoeuvres[0])
     scenario = dataclasses.replace(
         scenario, duration=0.25, profile=dataclasses.replace(scenario.profile, rate=4.0, rise=0.2)
@@ -126,11 +129,20 @@ def test_without_anti_windup_it_is_the_simulated_controller_at_the_limits_too(
     torquers = ["Q4", "Q5", "Q7", "Q9", "Q10"]
     columns = [run.torquer_names.index(name) for name in torquers]
     assert run.saturated[columns].max() > 100
-    library = compiled(files, tmp_path / "none.so")
+    library = compiled(files, tmp_path / "limited.so")
     controller = Machine(library, "three_gyro_platform", run.pickoff_names, torquers, ctypes.c_double, PREFIXES[:2])
     made, _ = controller.run(run.reading)
-    limited = np.clip(run.command[:, columns], -0.25, 0.25)
-    assert np.abs(made - limited).max() <= 1e-12 * np.abs(run.command[:, columns]).max()
+    expected = run.command[:, columns]
+    size = np.abs(expected).max()
+    assert np.abs(made - np.clip(expected, -0.25, 0.25)).max() <= 1e-12 * size
+    differs = []
+    for one in controllers_of(job, entries[:2]):
+        own = [run.torquer_names.index(name) for name in one.outputs]
+        readings = run.reading[:, [run.pickoff_names.index(name) for name in one.inputs]]
+        commands, _ = limited_run(one, readings)
+        assert np.abs(commands - run.command[:, own]).max() <= 1e-12 * size
+        differs.append(np.abs(limited_run(one, readings, windup=False)[0] - commands).max())
+    assert max(differs) > 0.1
 
 
 @pytest.mark.parametrize("which", [0, 1, 2])
@@ -161,11 +173,8 @@ def test_integrals_follow_what_acts_with_the_stated_time_constant(job: Job, entr
     # Without, commands go on for ever; with it, they come to rest where the integral loses what it gains.
     assert np.all(np.abs(runs["without"][-1] - runs["without"][-2]) > 1e-6)
     assert np.all(np.abs(runs["with"][-1] - runs["with"][-2]) < 1e-9)
-    remark = back_calculation(scheme).remark
-    seconds, pole = (
-        float(re.search(pattern, remark)[1].rstrip(".")) for pattern in (r"constant ([\d.]+) s", r"= ([\d.]+)")
-    )
-    assert pole == pytest.approx(1.0 - job.sampling.period / seconds, abs=1e-5)
+    found = anti_windup(scheme)
+    assert found.radius == pytest.approx(1.0 - job.sampling.period / found.time_constant, abs=1e-9)
 
 
 @pytest.mark.parametrize("number", ["double", "float"])
@@ -436,20 +445,23 @@ def test_identifiers_and_comments_are_safe() -> None:
     assert comment("kg m² μ") == "kg m2 mu"
 
 
-def test_integrals_that_no_limited_output_determines_have_a_note(job: Job) -> None:
+def test_integrals_that_no_limited_output_determines_have_a_note(job: Job, tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     B, C, D = (rng.standard_normal(shape) for shape in ((3, 2), (2, 3), (2, 2)))
+
+    def said(A: object, B: object = B, C: object = C, D: object = D) -> tuple[tuple[str, ...], str]:
+        done = write_c(job, [gyro_entry(job, A, B, C, D)], tmp_path)
+        return done.notes, flat(tmp_path / "caging_9_10.h")
+
+    assert "1 of 3 integrating states are not protected against windup" in said(np.eye(3))[0][0]
+    assert "no state integrates" in said(np.diag([0.5, 0.2, 0.1]))[1]
     [one] = controllers_of(job, [gyro_entry(job, np.eye(3), B, C, D)])
-    assert "1 of 3 integrating states are not protected against windup" in back_calculation(one).note
-    none = dataclasses.replace(one, limits=np.full(2, np.inf))
-    assert "no output is limited" in back_calculation(none).remark
-    [one] = controllers_of(job, [gyro_entry(job, np.diag([0.5, 0.2, 0.1]), B, C, D)])
-    assert "no state integrates" in back_calculation(one).remark
+    assert not back_calculation(one.arrays, [False, False]).gain.any()
     # A double integral, as of a PI with a second one, is not left behind.
-    [one] = controllers_of(job, [gyro_entry(job, [[1.0, 1.0], [0.0, 1.0]], np.eye(2), 0.1 * np.eye(2), np.eye(2))])
-    windup = back_calculation(one)
-    assert windup.note == ""
-    assert np.abs(np.linalg.eigvals(one.arrays.A - windup.gain @ one.arrays.C)).max() < 1.0
+    double = [[1.0, 1.0], [0.0, 1.0]], np.eye(2), 0.1 * np.eye(2), np.eye(2)
+    assert said(*double)[0] == ()
+    [one] = controllers_of(job, [gyro_entry(job, *double)])
+    assert np.abs(np.linalg.eigvals(one.arrays.A - anti_windup(one).gain @ one.arrays.C)).max() < 1.0
 
 
 def test_entries_are_checked_as_those_of_a_result_file(job: Job) -> None:

@@ -8,6 +8,9 @@ import control
 import numpy as np
 import pytest
 
+from platform_ctrl.analysis import interconnection
+from platform_ctrl.analysis.anti_windup import BackCalculation, back_calculation
+from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, Rotor, Torquer
 from platform_ctrl.simulation import HalfCosine
@@ -124,6 +127,36 @@ def test_the_limited_command_passes_the_lag():
     assert out.torque[:, 0] == pytest.approx(-limit * (1.0 - np.exp(-since / lag)), abs=1e-12)
     assert list(out.saturated) == [len(out.t), 0]
     assert run(one_gimbal(inertia=1e9, limit=2.1), [controller(-20.0)], q=[start]).saturated[0] == 0
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_an_integral_follows_a_limited_torque(every, monkeypatch):
+    # A PID with three poles at 20 rad/s; its states are the integral and the last reading.
+    w, limit, T = 20.0, 0.1, every * PERIOD
+    kp, ki, kd = 3.0 * w**2 * J, w**3 * J, 3.0 * w * J
+    K = controller(-kp - kd / T, A=[[1.0, 0.0], [0.0, 0.0]], B=[[1.0], [1.0]], C=[[-ki * T, kd / T]], dt=every * PERIOD)
+    E = back_calculation(state_arrays(K, "K"), [True]).gain
+
+    def flown():
+        return run(one_gimbal(limit=limit), [K], duration=2.0, q=[0.5])
+
+    with_it = flown()
+    x, expected = np.zeros(2), []
+    for k, y in enumerate(with_it.reading):
+        if k % every == 0:
+            u = K.C @ x + K.D @ y
+            x = K.A @ x + K.B @ y + E @ (np.clip(u, -limit, limit) - u)
+        expected.append(u[0])
+    assert 100 < with_it.saturated[0] < len(with_it.t)
+    assert with_it.command[:, 0] == pytest.approx(np.array(expected), rel=0.0, abs=1e-12 * np.abs(expected).max())
+    # The same without it, through the same kernel.
+    monkeypatch.setattr(
+        interconnection, "back_calculation", lambda K, limited: BackCalculation(gain=np.zeros((len(K.A), len(limited))))
+    )
+    without = flown()
+    settled = [one.t[np.abs(one.q[:, 0]) > 0.005].max() for one in (with_it, without)]
+    assert settled[0] < 0.5 * settled[1]
+    assert np.array_equal(flown().q, without.q)
 
 
 def test_the_lagged_torque_is_what_moves_the_gimbal():
@@ -270,7 +303,8 @@ def test_a_run_that_diverges_ends_early_and_says_when():
 
 
 def test_an_unstable_controller_ends_the_run_before_its_numbers_overflow():
-    growing = controller(0.0, A=[[1e30]], B=[[1.0]], C=[[1.0]])
+    # Two states that one output does not tell apart: its limit holds one of them.
+    growing = controller(0.0, A=np.diag([1e30, 1e29]), B=[[1.0], [1.0]], C=[[1.0, 1.0]])
     out = run(one_gimbal(limit=1e-9), [growing], q=[1e-3])
     assert out.ended.startswith("diverged at t = ")
     assert np.isfinite(out.command).all()

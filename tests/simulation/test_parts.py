@@ -239,7 +239,8 @@ def test_samples_are_lost_with_their_probability_one_by_one_and_the_last_stays(p
 def test_in_a_missed_sample_command_and_controller_stay() -> None:
     count = control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], PERIOD, inputs=["signal"], outputs=["Qg"], name="count")
     missing = fault("controller overrun", part=None, at=1.0, until=9.0, probability=0.2)
-    one = scenario(plant(limit=1e-6), faults=(missing,), duration=10.0, level=1.0)
+    dead = fault("torquer dead", at=0.0, until=11.0)
+    one = scenario(plant(limit=1e6), faults=(missing, dead), duration=10.0, level=1.0)
     out = simulation.simulate(one, [count], period=PERIOD, step=PERIOD)
     command = out.command[:, 0]
     np.testing.assert_array_equal(command[:1001], np.arange(1001.0))

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from platform_ctrl.analysis.anti_windup import back_calculation
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
-from platform_ctrl.common.values import value
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import flattened
 from platform_ctrl.errors import InputError, UnscalableError
 from platform_ctrl.export.c99.c_text import FILES, Names, field_names
 from platform_ctrl.export.c99.code import Code, Number
 from platform_ctrl.export.c99.controller import Controller, controllers_of
 from platform_ctrl.export.c99.job_files import drive_inputs, job_files
-from platform_ctrl.export.c99.windup import Windup, back_calculation
 from platform_ctrl.export.systems import signal_units
 from platform_ctrl.job.job import Job
 
@@ -99,23 +99,23 @@ def write_c(
     origin = {"Controllers": f"sha256 {sha256}" if sha256 else ""}
     origin |= {"Versions": ", ".join(map(" ".join, (versions or {}).items())), "Made by": command}
     for one in controllers:
-        windup = _no_windup(one) if anti_windup == "none" else back_calculation(one)
+        excess, about_windup, left = _anti_windup(one, anti_windup)
         remark, doubt = _in_single_precision(one) if number == "float" else ("", "")
         design = f"{one.design} (method {one.method})" if one.method else one.design
         about = {"Job": job.name, "Plant": job.platform.name, "Loop": one.name, "Design": design}
         units.append(
             Code(
                 controller=one,
-                excess=windup.gain,
+                excess=excess,
                 number=number,
                 prefix=prefixes.new(one.name).lower(),
                 signals=signals,
                 units=signal_units(job.platform),
-                remarks=tuple(text for text in (windup.remark, remark) if text),
+                remarks=tuple(text for text in (about_windup, remark) if text),
                 origin=about | origin,
             )
         )
-        notes += [note for note in (one.note, windup.note, doubt) if note]
+        notes += [note for note in (one.note, left, doubt) if note]
     texts = {f"{unit.prefix}.{end}": unit.text(end) for unit in units for end in "hc"}
     prefix = prefixes.new(job.name).lower()
     texts |= job_files(job, prefix, units)
@@ -130,9 +130,26 @@ def write_c(
     return Written(files=tuple(write_whole(target / name, text) for name, text in texts.items()), notes=tuple(notes))
 
 
-def _no_windup(one: Controller) -> Windup:
-    remark = "Anti-windup: none, as requested: integrals wind up while an output is at its limit."
-    return Windup(gain=np.zeros((len(one.states), len(one.outputs))), remark=remark)
+def _anti_windup(one: Controller, wanted: AntiWindup) -> tuple[FloatArray, str, str]:
+    """Return E of a controller, a paragraph for the header about it, and a note on what it leaves, or nothing."""
+    limited = np.isfinite(one.limits)
+    found = back_calculation(one.arrays, limited.tolist())
+    if wanted == "none":
+        why = "as requested: integrals wind up while an output is at its limit"
+        return np.zeros_like(found.gain), f"Anti-windup: none, {why}.", ""
+    if not found.time_constant:
+        why = "no state integrates" if limited.any() else "no output is limited"
+        return found.gain, f"Anti-windup: none, for {why}.", ""
+    remark = (
+        "Anti-windup: back-calculation. While a torque is at its limit, the integrals follow what acts with the time "
+        f"constant {found.time_constant:.4g} s, the integral time: x+ = A x + B y + E (limited - commanded). "
+    )
+    k, hidden = found.integrals, found.integrals - found.seen
+    if not hidden and found.radius < 1.0:
+        stays = f"The states then stay bounded: their slowest pole is |z| = {found.radius:.6g}."
+        return found.gain, remark + stays, ""
+    left = f"{hidden} of {k} integrating states are not protected against windup: no limited output shows them alone"
+    return found.gain, f"{remark}{left}.", f"{one.name}: anti-windup: {left}"
 
 
 def _in_single_precision(one: Controller) -> tuple[str, str]:

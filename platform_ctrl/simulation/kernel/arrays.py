@@ -84,8 +84,8 @@ class Shared(NamedTuple):
     lines: NDArray[np.int64]
     # (nx + nu + nd + 1 + nc + 2 nd,): rows of the controllers [A B; C D] and of the rates of the nd drives, stored
     # without zeros; the sensor of every command; of each drive its torquer, and its sensor of an angle or -1. Columns
-    # of B and D: sensors, then commands. Where some controllers are computed at every n-th sample there follow the rows
-    # [A B; C D] of other samples, and of every sample of `Layout.cycle` where its rows begin.
+    # of B and D: sensors, commands, excesses of torques. Where some controllers are computed at every n-th sample there
+    # follow the rows [A B; C D] of other samples, and of every sample of `Layout.cycle` where its rows begin.
     first: NDArray[np.int64]
     column: NDArray[np.int64]
     # Then of every sample from the first of a call on the nc commands, and what the controllers get of them.
@@ -115,7 +115,7 @@ class Layout(NamedTuple):
     rate: int
     segments: int  # substeps of the two segments
     settle: int  # samples before the mean and rms begin
-    sensor: int  # and behind the sensors, in slots like theirs, the commands: PATH and LAST are used
+    sensor: int  # behind them, in slots like theirs, commands: PATH and LAST are used; excesses of torques: LAST
     lowpass: int
     torquer: int
     drive: int

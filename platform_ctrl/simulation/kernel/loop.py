@@ -166,7 +166,9 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
     rows = 0
     if layout.cycle > 1:
         rows = shared.first[shared.first.shape[0] - layout.cycle + k % layout.cycle]
-    for row in range(nx + nu):
+    for turn in range(nx + nu):
+        # Torques first: their excesses over the limits act on the states.
+        row = turn + nx if turn < nu else turn - nu
         total = zero
         for j in range(shared.first[rows + row], shared.first[rows + row + 1]):
             column = shared.column[j]
@@ -177,7 +179,9 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
                 mem, layout.controller + nx + row, lane, choose(lost, load(mem, layout.controller + row, lane), total)
             )
         else:
-            command = layout.command + row - nx
+            command, limit = layout.command + row - nx, load(mem, layout.torquer + (row - nx) * TORQUER + LIMIT, lane)
+            excess = layout.sensor + (layout.sensors + layout.commands + row - nx) * SENSOR + LAST
+            store(mem, excess, lane, lesser(greater(total, -limit), limit) - total)
             if layout.drives > 0:
                 total = _driven(shared, mem, lane, layout, row - nx, total)
             total = total + load(mem, layout.torquer + (row - nx) * TORQUER + EQUILIBRIUM, lane)

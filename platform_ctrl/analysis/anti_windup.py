@@ -12,12 +12,13 @@ the other poles stay. Tt is the integral time: where the controller's integral a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.linalg import schur, solve_sylvester
 
-from platform_ctrl.analysis.arrays import scaled, state_scaling
+from platform_ctrl.analysis.arrays import StateArrays, scaled, state_scaling
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.export.c99.controller import Controller
 
 # A state integrates if it decays by less than this share in a sample.
 _DECAY = 1e-3
@@ -28,46 +29,35 @@ _BLIND = 1e-9
 
 
 @value
-class Windup:
+class BackCalculation:
     """The anti-windup of a controller."""
 
     gain: FloatArray  # (states, outputs): E; zero: none
-    remark: str  # Description for the header
-    note: str = ""  # What a user should know, or empty
+    integrals: int = 0  # States that integrate
+    seen: int = 0  # How many of these the limited outputs determine
+    time_constant: float = 0.0  # Tt, s
+    radius: float = 0.0  # Of the slowest pole with all limited outputs at their limits
 
 
-def back_calculation(controller: Controller) -> Windup:
-    """Return the anti-windup by back-calculation."""
-    K, limits = controller.arrays, controller.limits
-    none, limited = np.zeros((len(K.A), len(limits))), np.isfinite(limits)
-    if not limited.any():
-        return Windup(gain=none, remark="Anti-windup: none, for no output is limited.")
+def back_calculation(K: StateArrays, limited: Sequence[bool]) -> BackCalculation:
+    """Return the anti-windup of a sampled controller some of whose outputs are `limited`."""
+    limits = np.array(limited, dtype=np.bool_)[:, None]
+    none = np.zeros((len(K.A), len(limits)))
     A, B, C = scaled(K.A, K.B, K.C)
     t, Z, k = schur(A, output="real", sort=_integrates) if len(A) else (A, A, 0)
-    if not k:
-        return Windup(gain=none, remark="Anti-windup: none, for no state integrates.")
+    if not k or not limits.any():
+        return BackCalculation(gain=none, integrals=k)
     V, own = state_scaling(K.A, K.B, K.C)[:, None] * Z[:, :k], t[:k, :k]
-    # Outputs in units of their limits; outputs without limit have no excess.
-    seen = np.where(limited[:, None], K.C @ V, 0.0) / np.where(limited, limits, 1.0)[:, None]
+    # Outputs without limit have no excess. The limits' sizes do not matter: simulated plants may differ in them.
+    seen = np.where(limits, K.C @ V, 0.0)
     sizes = np.linalg.norm(seen, axis=0)
     sizes[sizes == 0.0] = 1.0
     share = _integral_share(t, Z.T @ B, C @ Z, K.D, k)
-    inverse = np.linalg.pinv(seen / sizes, rcond=_BLIND) / np.where(limited, limits, 1.0)
-    # Every integral in units of its share of a limit.
-    gain = V @ ((own - (1.0 - share) * np.eye(k)) / sizes) @ inverse
+    gain = V @ ((own - (1.0 - share) * np.eye(k)) / sizes) @ np.linalg.pinv(seen / sizes, rcond=_BLIND)
     gain[np.abs(gain) < 1e-12 * np.abs(gain).max(axis=1, keepdims=True, initial=0.0)] = 0.0
     rank = int(np.linalg.matrix_rank(seen / sizes, tol=_BLIND * np.sqrt(k)))
-    radius = float(np.abs(np.linalg.eigvals(K.A - gain @ np.where(limited[:, None], K.C, 0.0))).max())
-    remark = (
-        "Anti-windup: back-calculation. While a torque is at its limit, the integrals follow what acts with the time "
-        f"constant {K.dt / share:.4g} s, the integral time: x+ = A x + B y + E (limited - commanded). "
-    )
-    if rank == k and radius < 1.0:
-        return Windup(
-            gain=gain, remark=f"{remark}The states then stay bounded: their slowest pole is |z| = {radius:.6g}."
-        )
-    left = f"{k - rank} of {k} integrating states are not protected against windup: no limited output shows them alone"
-    return Windup(gain=gain, remark=f"{remark}{left}.", note=f"{controller.name}: anti-windup: {left}")
+    radius = float(np.abs(np.linalg.eigvals(K.A - gain @ np.where(limits, K.C, 0.0))).max())
+    return BackCalculation(gain=gain, integrals=k, seen=rank, time_constant=K.dt / share, radius=radius)
 
 
 def _integrates(re: float, im: float = 0.0) -> bool:
