@@ -33,6 +33,8 @@ NEAR_UNITS = 4
 ROUNDING, LARGEST_ROUNDING = 1e-14, 1e-9
 # Poles that are slow beside the norm of A, and the rounding errors of their block of a Schur form over that norm.
 _SLOW, _BLOCK_ROUNDING = 1e-3, 1e-15
+# Poles below this share of the fastest give no unit of time.
+_SLOW_FLOOR = 1e-11
 # Zeros nearer to the axis than this share of the size of A are checked for a loss of rank.
 NEAR_AXIS = 1e-7
 # Singular values below this share of the size of A count as a loss of rank.
@@ -87,9 +89,14 @@ def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
     States are balanced by Osborne's iteration on [A B; C 0].
     """
     root = np.sqrt(gain)
-    moduli = np.abs(np.linalg.eigvals(plant.A))
+    every = np.abs(np.linalg.eigvals(plant.A))
     # Poles at 0 are computed as rounding, defective ones as more: they give no unit of time.
-    moduli = moduli[moduli > 1e-6 * np.max(moduli, initial=0.0)]
+    moduli = every[every > 1e-6 * np.max(every, initial=0.0)]
+    if moduli.size < every.size and not plant.dt:
+        # Beside a pole far away slow ones look like poles at 0.
+        slow = np.abs(np.linalg.eigvals(_slow_part(plant.A, plant.B2, 0.0)[0]))
+        floor = max(1e-6 * np.max(slow, initial=0.0), _SLOW_FLOOR * np.max(every))
+        moduli = slow[slow > floor] if np.any(slow > floor) else moduli
     rate = 1.0
     if not plant.dt:
         rate = float(np.exp(np.mean(np.log(moduli)))) if moduli.size else _crossover(plant)

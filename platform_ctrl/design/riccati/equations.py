@@ -83,6 +83,12 @@ def stabilising(H: FloatArray, axis: float = AXIS_DISTANCE) -> Subspace:
     size = float(np.linalg.norm(H))
     if not np.isfinite(size):
         return Subspace(None, np.zeros(0, dtype=np.complex128), 0.0)
+    # Units of the states, x = d x', with which the costates are in 1/d: powers of two that balance H.
+    _, _, _, scale, _ = lapack.dgebal(H - np.diag(np.diag(H)), scale=1, permute=0)
+    d = np.exp2(np.round(0.5 * np.log2(scale[:n] / scale[n:])))
+    both = np.concatenate([d, 1.0 / d])
+    H = H / both[:, None] * both
+    size = float(np.linalg.norm(H))
     _, stable, real, imaginary, U, _, failed = lapack.dgees(
         lambda real, imaginary: real < 0.0, np.array(H, order="F"), lwork=max(1, 70 * n), sort_t=1, overwrite_a=1
     )
@@ -98,7 +104,7 @@ def stabilising(H: FloatArray, axis: float = AXIS_DISTANCE) -> Subspace:
     # Then their subspace is not Lagrangian.
     if not np.linalg.norm(X - X.T) <= LARGEST_ASYMMETRY * np.linalg.norm(X) + SOLUTION_ROUNDING:
         return Subspace(None, eigenvalues, distance)
-    return Subspace(0.5 * (X + X.T), eigenvalues, distance)
+    return Subspace(0.5 * (X + X.T) / d / d[:, None], eigenvalues, distance)
 
 
 def riccati_solution(equation: Equation) -> tuple[FloatArray, FloatArray, FloatArray] | None:

@@ -109,34 +109,32 @@ def _normal_form(plant: Partition) -> Partition:
 
 
 class Side(NamedTuple):
-    """The equation of X, or of the dual plant that of Y, by its Hamiltonian matrix H = fixed − column R⁻¹ row.
+    """The equation of X, or of the dual that of Y, by its Hamiltonian matrix fixed + t column (I − t weight)⁻¹ row.
 
-    Only R = weight − gamma² on the first `inputs` entries of the diagonal depends on gamma.
+    D12 is eliminated exactly, v = u + D12'(C1 x + D11 w) in place of u: then a fast pole of a weight on u, which that
+    moves to a zero of the weight, is in no other entry.
     """
 
     fixed: FloatArray
     column: FloatArray
     row: FloatArray
     weight: FloatArray
-    inputs: int
 
     def hamiltonian(self, t: float) -> FloatArray:
         """Return H for gamma⁻² = t, also for t = 0."""
-        scale = np.ones(len(self.weight))
-        scale[: self.inputs] = math.sqrt(t)
-        R = self.weight * scale * scale[:, None]
-        R[np.arange(self.inputs), np.arange(self.inputs)] -= 1.0
-        out: FloatArray = self.fixed - (self.column * scale) @ np.linalg.solve(R, self.row * scale[:, None])
+        R = np.eye(len(self.weight)) - t * self.weight
+        out: FloatArray = self.fixed + t * self.column @ np.linalg.solve(R, self.row)
         return out
 
 
 def _sides(p: Partition) -> tuple[Side, Side]:
     out = []
     for one in (p, p.dual):
-        B, D, C1 = np.hstack([one.B1, one.B2]), np.hstack([one.D11, one.D12]), one.C1
-        fixed = np.block([[one.A, np.zeros_like(one.A)], [-C1.T @ C1, -one.A.T]])
-        column, row = np.vstack([B, -C1.T @ D]), np.hstack([D.T @ C1, B.T])
-        out.append(Side(fixed, column, row, D.T @ D, one.B1.shape[1]))
+        z = len(one.C1) - one.D12.shape[1]
+        A, B1 = one.A - one.B2 @ one.C1[z:], one.B1 - one.B2 @ one.D11[z:]
+        C, D = one.C1[:z], one.D11[:z]
+        fixed = np.block([[A, -one.B2 @ one.B2.T], [-C.T @ C, -A.T]])
+        out.append(Side(fixed, np.vstack([B1, -C.T @ D]), np.hstack([D.T @ C, B1.T]), D.T @ D))
     return out[0], out[1]
 
 
