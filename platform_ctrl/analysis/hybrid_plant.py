@@ -174,14 +174,12 @@ class OpenLoop:
                     B[:, :m],
                     C[row : row + 1],
                     np.zeros((0, n)),
-                    np.zeros((1, 0)),
                     D[row : row + 1, :m],
                     np.zeros((0, m)),
                     period,
                     parts,
                     part,
                 ),
-                math.inf,
                 state_scaling(A, B[:, :m], C[p:]),
             )
             for row in range(p, len(C))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_scaling
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
 
 # Short enough that the exponential of the Hamiltonian over it is near the identity: no conjugate point inside.
@@ -35,7 +35,6 @@ class SampledPlant(NamedTuple):
     B2: FloatArray
     C1: FloatArray
     C2: FloatArray
-    D11: FloatArray
     D12: FloatArray
     D22: FloatArray
     period: float
@@ -59,35 +58,25 @@ class Step(NamedTuple):
     Q: FloatArray
 
 
-def lifted_plant(plant: SampledPlant, level: float, scaling: FloatArray | None = None) -> StateArrays:
-    """Return the discrete plant that is equivalent to one period at a level γ.
+def lifted_plant(plant: SampledPlant, s: FloatArray) -> StateArrays:
+    """Return the discrete plant of one period: inputs [w, u], outputs [z, y]; B B' and C' C are its Gramians.
 
-    Inputs [w, u], outputs [z, y]; a controller makes its norm from w to z less than one exactly if it makes
-    that of the sampled-data loop less than γ. At an infinite level w and z are instead scaled to one, so that the
-    products B B' and C' C are the Gramians of the period.
-
-    States: those of the plant, balanced or by a `scaling` (n,), then the controls u[k-1], u[k-2], ... that the delay
+    States: those of the plant, over the scaling s (n,), then the controls u[k-1], u[k-2], ... that the delay
     needs.
     """
-    A, B1, B2, C1, C2, D11, D12, D22, period, _, part = plant
+    A, B1, B2, C1, C2, D12, D22, period, _, part = plant
     n, m, p = len(A), B2.shape[1], len(C2)
-    finite = math.isfinite(level)
-    root = math.sqrt(level) if finite else 1.0
-    if finite and D11.size and np.linalg.norm(D11, 2) >= level:
-        raise PeriodExceedsLevel
-    s = state_scaling(A, B1 / root, C1 / root) if scaling is None else scaling
-    A, B1, B2, C1, C2 = A * s / s[:, None], B1 / s[:, None] / root, B2 / s[:, None], C1 * s / root, C2 * s
-    D11, D12 = D11 / level, D12 / root
+    A, B1, B2, C1, C2 = A * s / s[:, None], B1 / s[:, None], B2 / s[:, None], C1 * s, C2 * s
     # The unit of a control is what it does to the states in a period, or to z at once.
     unit = np.maximum(np.abs(B2).max(axis=0, initial=0.0) * period, np.abs(D12).max(axis=0, initial=0.0))
     unit = np.where(unit > 0.0, 1.0 / np.where(unit > 0.0, unit, 1.0), 1.0)
-    late = _stretch(A, B1, B2 * unit, C1, D11, D12 * unit, (1.0 - part) * period, finite)
+    late = _stretch(A, B1, B2 * unit, C1, D12 * unit, (1.0 - part) * period)
     # v = [x, u₁, u₂]: u₁ acts before the delay's fractional part is over, u₂ after it.
     first, second = list(range(n + m)), [*range(n), *range(n + m, n + 2 * m)]
     whole = _embedded(late, second, n + 2 * m)
     if part > 0.0:
-        early = _stretch(A, B1, B2 * unit, C1, D11, D12 * unit, part * period, finite)
-        whole = joined(_embedded(early, first, n + 2 * m), whole, finite)
+        early = _stretch(A, B1, B2 * unit, C1, D12 * unit, part * period)
+        whole = joined(_embedded(early, first, n + 2 * m), whole, False)
     reach = plant.reach
     size = n + reach * m
     into = np.zeros((n + 2 * m, size + m))
@@ -121,49 +110,36 @@ def _stretch(
     B1: FloatArray,
     B2: FloatArray,
     C1: FloatArray,
-    D11: FloatArray,
     D12: FloatArray,
     duration: float,
-    finite: bool,
 ) -> Step:
     """Return the step over `duration` of the state [x, u], u held."""
     n, m = B2.shape
     F, B, C = np.zeros((n + m, n + m)), np.zeros((n + m, B1.shape[1])), np.hstack([C1, D12])
     F[:n, :n], F[:n, n:] = A, B2
     B[:n] = B1
-    if not finite:
-        return _repeated(*_halved(F, B @ B.T, C.T @ C, duration, level=False), finite)
-    inverse = np.linalg.inv(np.eye(D11.shape[1]) - D11.T @ D11)
-    F = F + B @ inverse @ D11.T @ C
-    G, Q = B @ inverse @ B.T, C.T @ (np.eye(len(C)) + D11 @ inverse @ D11.T) @ C
-    return _repeated(*_halved(F, G, Q, duration, level=True), finite)
+    step, doublings = _halved(F, B @ B.T, C.T @ C, duration)
+    for _ in range(doublings):
+        step = joined(step, step, False)
+    return step
 
 
-def _halved(F: FloatArray, G: FloatArray, Q: FloatArray, duration: float, level: bool) -> tuple[Step, int]:
+def _halved(F: FloatArray, G: FloatArray, Q: FloatArray, duration: float) -> tuple[Step, int]:
     """Return the step over duration/2^k, short enough for one exponential, and k."""
     from scipy.linalg import expm
 
     size = len(F)
     none = np.zeros((size, size))
-    hamiltonian = np.block([[F, G], [-Q if level else none, -F.T]])
+    hamiltonian = np.block([[F, G], [none, -F.T]])
     long = float(np.linalg.norm(np.block([[F, G], [Q, F.T]]), 1)) * duration
     if not long < _LONGEST:
         raise PeriodExceedsLevel
     doublings = max(0, math.ceil(math.log2(long / _SHORT))) if long > 0.0 else 0
     h = duration / 2.0**doublings
     phi = expm(hamiltonian * h)
-    if level:
-        back = np.linalg.inv(phi[size:, size:])
-        return Step(back.T, _symmetric(phi[:size, size:] @ back), _symmetric(-back @ phi[size:, :size])), doublings
     A = phi[:size, :size]
     seen = expm(np.block([[-F.T, Q], [none, F]]) * h)[:size, size:]
     return Step(A, _symmetric(phi[:size, size:] @ A.T), _symmetric(A.T @ seen)), doublings
-
-
-def _repeated(step: Step, doublings: int, finite: bool) -> Step:
-    for _ in range(doublings):
-        step = joined(step, step, finite)
-    return step
 
 
 def joined(first: Step, second: Step, finite: bool) -> Step:
