@@ -155,13 +155,13 @@ def test_the_designers_page_says_that_it_leaves_out_controllers_of_another_job(
     there: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("bokeh")
-    from platform_ctrl.cli.serve_command import _prepared
+    from platform_ctrl.cli.serve_command import _checked
 
     save_beside(there, result, age=0.0)
-    _prepared(Path("job.toml"), None)
+    _checked(Path("job.toml"), None)
     assert capsys.readouterr().err == ""
     write(there, camera_plant(friction=[]))
-    _prepared(Path("job.toml"), None)
+    _checked(Path("job.toml"), None)
     assert "job.controllers.json: was made for another plant" in capsys.readouterr().err
 
 
@@ -179,7 +179,7 @@ def test_a_design_in_place_of_the_one_that_the_job_uses_is_taken_only_by_name(
 def test_the_hashes_are_those_of_what_was_read(there: Path, result: dict[str, Any]) -> None:
     assert main(["check", "job.toml", "-q"]) == 0
     again = json.loads((there / "check" / "result.json").read_text(encoding="utf-8"))
-    assert again["sha256"] == result["sha256"]
+    assert all(again["sha256"][key] == result["sha256"][key] for key in ("plant", "design", "job"))
     assert {len(one) for one in result["sha256"].values()} == {64}
 
 
