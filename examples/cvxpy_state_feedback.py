@@ -50,7 +50,6 @@ closed = pc.design.with_controller(loop, found, name="cvxpy")
 for one in closed.closed.results:
     value, limit = (f"{x:.3g} {one.unit}".rstrip() for x in (one.value, one.limit))
     print(f"{one.name}: {value}, {one.sense} {limit}: {'met' if one.passed else 'not met'}")
-
 hz = np.geomspace(1.0, 990.0, 600)
 figure, axes = plt.subplots()
 for design in closed.designs:

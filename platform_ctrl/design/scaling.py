@@ -94,8 +94,10 @@ def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
     moduli = every[every > 1e-6 * np.max(every, initial=0.0)]
     if moduli.size < every.size and not plant.dt:
         # Beside a pole far away slow ones look like poles at 0.
-        slow = np.abs(np.linalg.eigvals(_slow_part(plant.A, plant.B2, 0.0)[0]))
-        floor = max(1e-6 * np.max(slow, initial=0.0), _SLOW_FLOOR * np.max(every))
+        block = _slow_part(plant.A, plant.B2, 0.0)[0]
+        slow = np.abs(np.linalg.eigvals(block))
+        # Poles at 0 are rounding of the size of their block, too.
+        floor = max(1e-6 * float(np.linalg.norm(block)), _SLOW_FLOOR * np.max(every))
         moduli = slow[slow > floor] if np.any(slow > floor) else moduli
     rate = 1.0
     if not plant.dt:
