@@ -31,6 +31,13 @@ RPM = 60.0 * HZ
 EVERY = shipped_models()
 
 
+@pytest.fixture(autouse=True)
+def no_figures_of_other_tests():
+    from matplotlib import pyplot
+
+    pyplot.close("all")
+
+
 @pytest.fixture(scope="module")
 def three():
     return pc.read_platform("three_gyro_platform")
