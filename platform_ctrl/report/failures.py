@@ -23,14 +23,6 @@ from platform_ctrl.verification.comparison import Change, Comparison
 _LINES = 8
 
 
-def requirement_text(one: CheckResult) -> str:
-    """Return a requirement with value, limit and margin in one line."""
-    shown = value_and_limit(one)
-    where = f"{one.subject}, {one.design}" if one.design else one.subject
-    verdict = "met" if one.passed else "not met"
-    return f"{where}: {one.name} {shown[0]}, {one.sense} {shown[1]}: {verdict}, margin {margin_text(one)}"
-
-
 def value_and_limit(one: CheckResult) -> tuple[str, str]:
     """Return value and limit in the same unit; the value is never printed better than it is."""
     finite = [abs(number) for number in (one.value, one.limit) if math.isfinite(number)]

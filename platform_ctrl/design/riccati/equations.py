@@ -312,19 +312,6 @@ def _on_boundary(eigenvalues: ComplexArray) -> bool:
     return bool(np.any(near | (size <= ZERO_EIGENVALUE * size.max(initial=0.0))))
 
 
-def well_conditioned(closed: FloatArray, X: FloatArray, discrete: bool) -> bool:
-    """Return whether the loop's poles are stable by much more than rounding: then the plant is stabilisable."""
-    from scipy.linalg import eig
-
-    unit = _cost_units(X)
-    scaled = closed * unit / unit[:, None]
-    poles, left, right = eig(scaled, left=True, right=True)
-    decay = 1.0 - np.abs(poles) if discrete else -poles.real
-    with np.errstate(all="ignore"):
-        condition = 1.0 / np.abs(np.einsum("ij,ij->j", left.conj(), right))
-        return bool(np.all(decay > DECAY_OVER_ROUNDING * np.finfo(np.float64).eps * np.linalg.norm(scaled) * condition))
-
-
 def _eigenvalues_in_many_bits(equation: Equation) -> tuple[ComplexArray, FloatArray | None]:
     """Return the eigenvalues of the Hamiltonian (symplectic) pencil, mapped to the half plane, and X if n are stable.
 
@@ -380,17 +367,3 @@ def relative_residual(equation: Equation, X: FloatArray) -> float:
     """Return the residual of the equation at X relative to the largest of its terms."""
     _, _, residual, size = _evaluated(equation, X)
     return float(np.linalg.norm(residual)) / size if size else 0.0
-
-
-def relative_error(equation: Equation, X: FloatArray) -> float:
-    """Return the next Newton step from X, its distance to the solution, in units with a diagonal of X near one.
-
-    With cheap control the residual may be large beside it: rounding of entries of X whose terms cancel.
-    """
-    found = _stable(equation, X)
-    if found is None:
-        return math.inf
-    unit, closed = _cost_units(X), equation.A + equation.B @ found[0]
-    steps = [_step(closed, found[2], s, equation.discrete) for s in (unit, np.ones(len(X)))]
-    sizes = [float(np.abs(step * unit * unit[:, None]).max()) for step in steps if step is not None]
-    return min(sizes, default=math.inf)
