@@ -3,6 +3,6 @@
 `exporters` lists what ``platform-ctrl export`` writes; ``__init__.pyi`` lists the names, loaded on first use.
 """
 
-import lazy_loader
+from platform_ctrl.common.lazy import lazy_names
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
