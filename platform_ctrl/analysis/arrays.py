@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.common.arguments import complex_numbers, positive, real_numbers
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError
 
@@ -124,7 +123,6 @@ def all_finite(array: FloatArray) -> bool:
     return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
-@check_arguments
 def named_system(
     arrays: StateArrays,
     inputs: Sequence[str],

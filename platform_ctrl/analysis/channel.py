@@ -10,8 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, system_arrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 Weight: TypeAlias = "float | FloatArray | control.StateSpace | None"
 
 
-@input_value
+@value
 class Channel:
     """From some inputs of a closed loop to some of its outputs, weighted: ``W_out G W_in``.
 
@@ -39,7 +38,6 @@ class Channel:
     input_weight: Weight = None
     output_weight: Weight = None
 
-    @check_arguments
     def of(self, system: StateArrays, inputs: Sequence[str], outputs: Sequence[str]) -> StateArrays:
         """Return the weighted part of a system (or a stack of them) whose signals are named.
 

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
 from platform_ctrl.common.arguments import number, positive, real_numbers
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -36,7 +35,6 @@ def disk_to_gain_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, f
     return low, high if high > 0.0 else math.inf, phase
 
 
-@check_arguments
 def disk_phase(gain: ArrayLike, alpha: float, skew: float = 0.0) -> FloatArray:
     """Return the phase, rad, up to which a loop may turn while its gain changes by a factor, both inside one disk.
 

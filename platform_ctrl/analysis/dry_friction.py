@@ -19,8 +19,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from platform_ctrl.analysis.frequency_grids import KRONROD, between, nodes
-from platform_ctrl.common.arguments import positive, real_array
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import positive, real_array, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import NotFoundError
 from platform_ctrl.plant.force_elements import Friction

@@ -33,7 +33,6 @@ from platform_ctrl.analysis.arrays import (
 )
 from platform_ctrl.analysis.response import NamedSystem, frequency_response, linear_arrays
 from platform_ctrl.common.arguments import indices, number, one_of
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -223,7 +222,6 @@ def loop_of_sensitivity(S: StateArrays) -> StateArrays:
     return StateArrays(A - B @ inverse @ C, B @ inverse, -inverse @ C, inverse - np.eye(len(D)), dt)
 
 
-@check_arguments
 def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateArrays:
     """Return `sign` times the second system after the first; the sample period is that of the first that has one."""
     A1, B1, C1, D1, dt = system_arrays("series: first", *first)

@@ -11,7 +11,6 @@ import numpy as np
 from platform_ctrl.analysis.anti_windup import back_calculation
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import is_rate
@@ -78,7 +77,6 @@ class MultiRate(NamedTuple):
         return StateArrays(moved[:, :states], moved[:, states:], u[:, :states], u[:, states:], dt)
 
 
-@check_arguments
 def interconnect_controllers(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> control.StateSpace:

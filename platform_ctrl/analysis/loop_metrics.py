@@ -15,7 +15,6 @@ from platform_ctrl.analysis.loop_set import Indices, LoopSet
 from platform_ctrl.analysis.measuring import Direct, Loops, MetricRequest, Request
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -54,12 +53,10 @@ class LoopMetrics:
     # Other metrics that were requested, by request: arrays (k,) in SI units, see `values`.
     requested: dict[Key, FloatArray] = field(default_factory=dict)
 
-    @check_arguments
     def of(self, groups: Sequence[str]) -> BoolArray:
         """Return which plants belong to `groups`, truth values (N,); other names have no members."""
         return members(self.groups, groups)
 
-    @check_arguments
     def values(self, request: Request) -> FloatArray:
         """Return a metric, in SI units, of every plant that `request` is about, (k,).
 
@@ -75,7 +72,6 @@ class LoopMetrics:
         return self.requested[_key(request)]
 
 
-@check_arguments
 def measure(
     plants: PlantSet,
     controller: StateArrays,

@@ -22,7 +22,6 @@ from platform_ctrl.analysis.norms import hinf_norm, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import LinearSystem, NamedSystem, linear_arrays
 from platform_ctrl.analysis.singular_values import boundary_poles, largest_singular_values
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -150,7 +149,6 @@ class LoopMargins:
     frequency: FloatArray
 
 
-@check_arguments
 def disk_margin(
     loop_transfer: LinearSystem,
     skew: float = 0.0,
@@ -315,7 +313,6 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
     )
 
 
-@check_arguments
 def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input", skew: float = 0.0) -> LoopMargins:
     """Return the disk margin of each channel, broken one at a time with all others closed.
 

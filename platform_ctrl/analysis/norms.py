@@ -20,7 +20,6 @@ from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, sp
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, largest_singular_values
 from platform_ctrl.common.arguments import not_negative
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -38,7 +37,6 @@ Band = tuple[float, float]
 WHOLE: Band = (0.0, np.inf)
 
 
-@check_arguments
 def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: float = 1e-9) -> tuple[float, float]:
     """Return the H-infinity norm of `system` and the frequency where it is reached.
 
@@ -224,7 +222,6 @@ def h2_norm(system: StateSystem) -> float:
     return math.sqrt(max(0.0, float(np.trace(C @ X @ C.T) + np.sum(D * D))))
 
 
-@check_arguments
 def noise_rms(system: StateSystem, rms: ArrayLike, allow_unstable: bool = False) -> FloatArray:
     """Return the rms of every output of a discrete system, or of a stack of them, driven by white samples.
 

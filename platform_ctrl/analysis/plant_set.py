@@ -22,7 +22,6 @@ from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.arguments import whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import OMEGA_NAMES
@@ -288,12 +287,10 @@ class PlantSet:
             feedforward=None if self.feedforward is None else self.feedforward.in_directions(sense),
         )
 
-    @check_arguments
     def of(self, groups: Sequence[str]) -> BoolArray:
         """Return which plants belong to `groups`, truth values (N,); other names have no members."""
         return members(self.groups, groups)
 
-    @check_arguments
     def finer(self, frequency: FloatArray) -> PlantSet:
         """Return the set with further frequencies (k,), rad/s, in its grid, where they are new and below Nyquist's."""
         new = np.setdiff1d(frequency[frequency <= np.pi / self.period], self.frequency)
@@ -312,7 +309,6 @@ class PlantSet:
             disturbed=more,
         )
 
-    @check_arguments
     def only(self, chosen: Sequence[int]) -> PlantSet:
         """Return the set of the `chosen` plants (indices); the first one is the new nominal plant."""
         index = np.asarray(chosen, dtype=np.intp)

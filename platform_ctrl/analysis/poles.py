@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled
 from platform_ctrl.analysis.response import StateSystem, linear_arrays
-from platform_ctrl.common.arguments import complex_numbers, number, positive, real_numbers
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import complex_numbers, number, positive, real_numbers, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 

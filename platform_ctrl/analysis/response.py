@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays, system_arrays
 from platform_ctrl.analysis.resolvent import state_response
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 

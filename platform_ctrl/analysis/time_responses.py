@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import StateArrays, all_finite, state_scaling
 from platform_ctrl.analysis.response import StateSystem, is_rational, linear_arrays
 from platform_ctrl.common.arguments import one_of, real_numbers
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -23,7 +22,6 @@ EQUAL, ROUNDING = 1e-9, 1e-15
 TOGETHER = 256
 
 
-@check_arguments
 def time_response(
     system: StateSystem,
     timepts: ArrayLike,

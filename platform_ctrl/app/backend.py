@@ -37,9 +37,8 @@ from platform_ctrl.app.slider_effects import (
     with_budget,
 )
 from platform_ctrl.app.stabilised import stabilised_parts
-from platform_ctrl.common.arguments import known_name, whole
+from platform_ctrl.common.arguments import known_name, short, whole
 from platform_ctrl.common.progress import Progress
-from platform_ctrl.common.signatures import short
 from platform_ctrl.design.tuning import OptionEffects
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, LoopSpec

@@ -18,8 +18,8 @@ import numpy as np
 from platform_ctrl.app.controllers import ALWAYS, DesignOptions
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings
+from platform_ctrl.common.arguments import short
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job

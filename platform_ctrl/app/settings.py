@@ -11,8 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from platform_ctrl.common.arguments import known_name
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import known_name, short
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.methods import METHODS, Family

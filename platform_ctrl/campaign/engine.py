@@ -17,7 +17,6 @@ from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_SIMULATED
 from platform_ctrl.campaign.workers import cluster, parts_of, processes, simulated
 from platform_ctrl.common.processes import processors
 from platform_ctrl.common.progress import shown_runs
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
 
@@ -51,7 +50,6 @@ class CampaignResult:
         return bool(self.counts["passed"] == self.record["runs"])
 
 
-@check_arguments
 def run_campaign(
     plan: Plan,
     folder: str | os.PathLike[str],

@@ -12,7 +12,6 @@ from scipy import stats
 from scipy.stats import qmc
 
 from platform_ctrl.common.arguments import known_name, one_of, positive, whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, read_only, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.campaign_checks import misfits
@@ -182,7 +181,6 @@ class Plan:
         last = whole("end of the runs", last, first, self.runs)
         return unit_points(self.sampling, _seed_of(self.seed, "inputs"), self.runs, self.dimensions, first, last)
 
-    @check_arguments
     def inputs_at(self, points: FloatArray) -> Columns:
         """Return the inputs at points (N, dimensions) of the unit cube: columns (N,) by `input_names`, in SI units.
 
@@ -202,7 +200,6 @@ class Plan:
         """Return the inputs of runs `first` to `last` − 1 as columns by their names."""
         return self.inputs_at(self.points(first, last))
 
-    @check_arguments
     def scenarios_with(self, inputs: Mapping[str, NDArray[Any]], runs: Sequence[int]) -> list[Scenario]:
         """Return the scenarios of given inputs, columns as of `inputs`; noise depends on the numbers of the `runs`."""
         for name in self.input_names:
@@ -232,7 +229,6 @@ class Plan:
         return self.scenarios(run, run + 1)[0]
 
 
-@check_arguments
 def plan(
     job: Job,
     controllers: Sequence[control.StateSpace],

@@ -15,7 +15,6 @@ from platform_ctrl.analysis.run_metrics import attenuation_db, over_limit, run_m
 from platform_ctrl.campaign.identity import differences, identity
 from platform_ctrl.campaign.store import TABLE, Record
 from platform_ctrl.campaign.table import ENDED, MANOEUVRE, NOT_SIMULATED, PASSED, RUN, Array, Columns, Kind, arrow
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job
@@ -149,7 +148,6 @@ class Rerun:
     run: Run  # with its trajectory and limits
 
 
-@check_arguments
 def rerun(plan: Plan, number: int) -> Rerun:
     """Simulate one run of a plan again.
 

@@ -11,7 +11,6 @@ from platform_ctrl.campaign.probability import CONFIDENCE, Probability
 from platform_ctrl.campaign.table import Table
 from platform_ctrl.campaign.table_statistics import CampaignStatistics, RequirementStatistics, statistics
 from platform_ctrl.common.json_text import plain_types
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 
 Record = dict[str, Any]
@@ -40,13 +39,11 @@ class Summary:
         """Whether every run was simulated and met all its limits."""
         return self.statistics.passed
 
-    @check_arguments
     def inputs_of(self, run: int) -> dict[str, float | bool | str]:
         """Return the inputs of one run by their names, in plain types: SI units, names and truth values."""
         return {name: column[0].item() for name, column in self.plan.inputs(run, run + 1).items()}
 
 
-@check_arguments
 def summarise(plan: Plan, table: Table, *, confidence: float = CONFIDENCE) -> Summary:
     """Return what a campaign's table says.
 
@@ -79,7 +76,6 @@ def summarise(plan: Plan, table: Table, *, confidence: float = CONFIDENCE) -> Su
     )
 
 
-@check_arguments
 def summary_record(summary: Summary) -> Record:
     """Return what campaign.json holds of a summary; None where a number is not finite."""
     found = summary.statistics

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import short
 from platform_ctrl.errors import ArgumentError, InputError
 
 # What a run's row holds besides its inputs.

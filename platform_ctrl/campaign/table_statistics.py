@@ -21,7 +21,6 @@ from platform_ctrl.campaign.table import (
     read_columns,
     was_simulated,
 )
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -121,7 +120,6 @@ class CampaignStatistics:
         """Whether every run was simulated and met all its limits."""
         return self.not_simulated == 0 and self.violation.events == 0
 
-    @check_arguments
     def of(self, requirement: str, manoeuvre: str | None = None) -> RequirementStatistics:
         """Return the statistics of a requirement, by default over all manoeuvres; ArgumentError if there are none."""
         for one in self.requirements:
@@ -133,7 +131,6 @@ class CampaignStatistics:
         )
 
 
-@check_arguments
 def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, worst: int = 10) -> CampaignStatistics:
     """Return what a campaign's table says about each requirement.
 

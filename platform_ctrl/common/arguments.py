@@ -4,16 +4,48 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.common.signatures import LARGEST, LONGEST, short
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from platform_ctrl.common.values import FloatArray
+
+T = TypeVar("T")
+
+# Characters of a given value that a message shows.
+LONGEST = 60
+# No whole number beyond what compiled code and random generators take.
+LARGEST = 2**63
+
+
+def short(given: object) -> str:
+    """Return what was given as a line that fits a message."""
+    text = " ".join(repr(given).split())
+    if len(text) <= LONGEST and " at 0x" not in text:
+        return text
+    if isinstance(given, np.ndarray):
+        return f"an array of shape {given.shape}{'' if given.dtype.kind in 'biufc' else ' of ' + given.dtype.name}"
+    if " at 0x" in text or not isinstance(given, str | bytes | list | tuple | Mapping):
+        return f"the class {given.__name__}" if isinstance(given, type) else f"a {type(given).__name__}"
+    return text[: LONGEST - 3] + "..."
+
+
+# Where a value comes from that users often replace by its name or by the value before it.
+_SOURCES = {"Platform": ", for example from read_platform", "LinearModel": ", from linearise(platform)"}
+
+
+def instance(name: str, given: object, kind: type[T]) -> T:
+    """Return `given`, which must be of a class."""
+    if isinstance(given, kind):
+        return given
+    words = f"a{'n' if kind.__name__[0] in 'AEIOU' else ''} {kind.__name__}{_SOURCES.get(kind.__name__, '')}"
+    raise ArgumentError(f"{name} must be {words}, got {short(given)}")
 
 
 def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], default: float | None = None) -> FloatArray:

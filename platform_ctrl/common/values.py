@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import copyreg
 import dataclasses
+import functools
 import html
+import math
+import types
 from collections.abc import Mapping
-from typing import Any, TypeVar, dataclass_transform
+from typing import Any, Literal, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.common.signatures import array_fields, check_fields
+from platform_ctrl.common.arguments import instance, number, one_of, real_numbers
+from platform_ctrl.errors import ArgumentError
 
 FloatArray = NDArray[np.float64]
 
@@ -158,7 +161,7 @@ def _cut(line: str) -> str:
 
 
 def replaced(item: T, changes: Mapping[str, Any]) -> T:
-    """Return a value with other items under the names of fields: `dataclasses.replace`, faster, kinds unjudged."""
+    """Return a value with other items under the names of fields: `dataclasses.replace`, faster, without checks."""
     new = object.__new__(type(item))
     for name in item._fields:  # type: ignore[attr-defined]
         object.__setattr__(new, name, changes[name] if name in changes else getattr(item, name))
@@ -197,20 +200,42 @@ def value(cls: type[T]) -> type[T]:
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
 def input_value(cls: type[T]) -> type[T]:
-    """Make `cls` a `value` that users make: it refuses a field of another kind than annotated (`ArgumentError`)."""
+    """Make `cls` a `value` that users make: numbers, arrays and words out of a few are checked (`ArgumentError`)."""
     made = value(cls)
     settled = made.__post_init__  # type: ignore[attr-defined]
 
     def checked(self: Any) -> None:
-        cls: Any = type(self)
-        for name in array_fields(cls):
-            item = getattr(self, name)
-            if isinstance(item, list | tuple):
-                # What is no array of numbers is left for the check to refuse.
-                with contextlib.suppress(TypeError, ValueError):
-                    object.__setattr__(self, name, read_only(item))
-        check_fields(self)
+        for name, kind in _checked_fields(type(self)):  # type: ignore[arg-type]
+            item, where = getattr(self, name), f"{cls.__name__}: {name}"
+            if isinstance(kind, tuple):
+                one_of(where, item, kind)
+            elif item is None:  # left out, as its annotation allows
+                continue
+            elif kind is float and math.isnan(number(where, item, finite=False)):
+                raise ArgumentError(f"{where} must be a number, got nan")
+            elif kind == FloatArray:
+                array = real_numbers(where, item)
+                if np.isnan(array).any():
+                    raise ArgumentError(f"{where} must be real numbers, got NaN among them")
+                object.__setattr__(self, name, read_only(array))
+            elif kind is not float:
+                instance(where, item, kind)
         settled(self)
 
     made.__post_init__ = checked  # type: ignore[attr-defined]
     return made
+
+
+@functools.cache
+def _checked_fields(cls: type) -> list[tuple[str, Any]]:
+    """Return the fields that are numbers (float), arrays, records, or words out of a few (these words)."""
+    out: list[tuple[str, Any]] = []
+    for name, kind in get_type_hints(cls).items():
+        parts = [part for part in get_args(kind) if part is not types.NoneType]
+        if get_origin(kind) in (Union, types.UnionType) and len(parts) == 1:
+            [kind] = parts
+        if get_origin(kind) is Literal and isinstance(parts[0], str):
+            out.append((name, tuple(parts)))
+        elif kind in (float, FloatArray) or dataclasses.is_dataclass(kind):
+            out.append((name, kind))
+    return out

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.progress import Local, Progress, shown
 from platform_ctrl.common.reasons import began_with_interrupt, reason
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.caging_claims import with_largest_rates
 from platform_ctrl.design.feedforward import design_plants
@@ -68,7 +67,6 @@ class LoopOutcome:
         return next((one for one in self.failed if one.name == self.spec.use), None)
 
 
-@check_arguments
 def loops(
     job: Job | str | os.PathLike[str] | Mapping[str, object],
     progress: Progress | bool | None = None,

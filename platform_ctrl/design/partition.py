@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.feedback import performance_loop
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.linearisation import LinearModel

@@ -20,8 +20,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.common.arguments import one_of, positive
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import one_of, positive, short
 from platform_ctrl.common.values import value
 from platform_ctrl.design.partition import (
     Partition,

@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis import frequency_response, gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.common.arguments import one_of, short
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.signatures import check_arguments, short
-from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
@@ -41,7 +41,7 @@ _HZ = 2.0 * np.pi
 _FEWEST = 3
 
 
-@input_value
+@value
 class ResponseTable:
     """A frequency response of a job, and what it is."""
 
@@ -50,14 +50,12 @@ class ResponseTable:
     notes: tuple[str, ...]  # What it is, with its units
 
 
-@check_arguments
 def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[SystemRecord, ...]:
     """Return a job's controllers u = K y with units and delay, signals as in ``result.json``."""
     note = "controller, positive feedback u = +K y; u acts the delay after the sample and is held"
     return tuple(system_record(K, platform=job.platform, delay=job.sampling.delay, note=note) for K in controllers)
 
 
-@check_arguments
 def model_systems(job: Job) -> tuple[SystemRecord, ...]:
     """Return the linear models of a job's plant about rest.
 
@@ -77,7 +75,6 @@ def model_systems(job: Job) -> tuple[SystemRecord, ...]:
     return tuple(out)
 
 
-@check_arguments
 def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[ResponseTable, ...]:
     """Return the frequency responses of a job: plants, controllers and loops.
 
@@ -157,7 +154,6 @@ def response_data(system: control.StateSpace, frequency: ArrayLike) -> control.F
     return control.FRD(response, np.atleast_1d(np.asarray(frequency, dtype=np.float64)), system.dt or 0.0, **names)
 
 
-@check_arguments
 def write_responses(
     response: control.FRD, path: str | os.PathLike[str], *, form: Form = "complex", notes: Sequence[str] = ()
 ) -> Path:
@@ -192,6 +188,7 @@ def write_responses(
         The file cannot be written there.
     """
     where = "write_responses"
+    one_of("write_responses: form", form, get_args(Form))
     try:
         values, w = np.asarray(response.frdata), np.asarray(response.omega, dtype=np.float64)
         outputs, inputs = list(response.output_labels), list(response.input_labels)

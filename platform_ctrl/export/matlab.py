@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.systems import MOST_SYSTEMS, SystemRecord, expect_systems, system_of
 from platform_ctrl.plant.mistakes import one_line
@@ -26,7 +25,6 @@ _NAMES = {"inputs": "InputName", "outputs": "OutputName", "states": "StateName"}
 _READABLE = "1 to 1000 structs of A, B, C, D, Ts, InputName, OutputName and StateName, with -v7"
 
 
-@check_arguments
 def write_mat(systems: Sequence[SystemRecord], path: str | os.PathLike[str]) -> Path:
     """Write systems as a MATLAB 5 file, whole or not at all.
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.json_text import write_json
-from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant.mistakes import given
@@ -64,7 +63,6 @@ class SystemRecord:
         return named_system(arrays, self.inputs, self.outputs, self.states, name=self.name)
 
 
-@check_arguments
 def system_record(
     system: control.StateSpace,
     name: str | None = None,
@@ -138,13 +136,12 @@ def signal_units(platform: Platform) -> dict[str, str]:
 
 def expect_systems(systems: Sequence[SystemRecord], where: str) -> None:
     """Check a list of systems."""
-    if isinstance(systems, SystemRecord) or not all(isinstance(one, SystemRecord) for one in systems):
+    if not isinstance(systems, list | tuple) or not all(isinstance(one, SystemRecord) for one in systems):
         raise ArgumentError(f"{where}: systems must be a list of SystemRecord, for example from system_record")
     if not 0 < len(systems) <= MOST_SYSTEMS:
         raise ArgumentError(f"{where}: there must be 1 to {MOST_SYSTEMS} systems, got {len(systems)}")
 
 
-@check_arguments
 def write_systems(systems: Sequence[SystemRecord], path: str | os.PathLike[str]) -> Path:
     """Write systems as JSON, whole or not at all.
 
@@ -173,7 +170,6 @@ def write_systems(systems: Sequence[SystemRecord], path: str | os.PathLike[str])
     )
 
 
-@check_arguments
 def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.PathLike[str], *, delay: float) -> Path:
     """Write controllers as ``check``, ``simulate`` and ``campaign`` read them, whole or not at all.
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.common.arguments import real_numbers
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.units import G, Quantity, Unit, column_unit
 from platform_ctrl.common.values import FloatArray, input_value, value
 from platform_ctrl.errors import ArgumentError
@@ -181,7 +180,6 @@ class Source:
         own = self.spectrum.lines
         return Lines(frequencies_hz=own.frequencies_hz, amplitudes=self.factor * own.amplitudes, phases=own.phases)
 
-    @check_arguments
     def density(self, f_hz: ArrayLike) -> FloatArray:
         """Return the one-sided power spectral density.
 
@@ -197,7 +195,6 @@ class Source:
         """
         return self.factor**2 * self.spectrum.density(f_hz)
 
-    @check_arguments
     def rms(self, from_hz: float, to_hz: float) -> float:
         """Return the rms between two frequencies.
 
@@ -273,7 +270,6 @@ class Budget:
             out[b, a] = out[a, b].conjugate()
         return out
 
-    @check_arguments
     def density(self, f_hz: ArrayLike) -> NDArray[np.complex128]:
         """Return the one-sided spectral density S of all sources u, cross densities included.
 

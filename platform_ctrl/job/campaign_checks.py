@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.parameters import Parameter, drawn_value, nominal, parameters, unknown_parameter
@@ -113,7 +112,6 @@ def variation_mistakes(job: Job) -> Iterator[Mistake]:
         yield Mistake(("campaign", "vary", k, key), one_line(line))
 
 
-@check_arguments
 def misfits(
     varied: Sequence[Vary], scenarios: Sequence[Scenario], faults: Sequence[Fault]
 ) -> Iterator[tuple[int, str, str]]:

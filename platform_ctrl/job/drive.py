@@ -8,7 +8,6 @@ import math
 import numpy as np
 
 from platform_ctrl.common.arguments import number, positive
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import configuration, topology
@@ -75,7 +74,6 @@ class DriveLaw(Drive):
         if positive("DriveLaw: secant_limit", self.secant_limit) < 1.0:
             raise ArgumentError(f"DriveLaw: secant_limit must be at least 1, got {self.secant_limit:g}")
 
-    @check_arguments
     def gain(self, angle: float) -> float:
         """Return the factor on the controllers' command.
 
@@ -94,7 +92,6 @@ class DriveLaw(Drive):
         cosine = math.cos(angle)
         return 1.0 / cosine if cosine * self.secant_limit > 1.0 else self.secant_limit
 
-    @check_arguments
     def angle(self, platform: Platform, q: FloatArray) -> float:
         """Return the angle that the gain follows.
 
@@ -123,7 +120,6 @@ def angle_sensors(platform: Platform) -> dict[str, int]:
     return {name: platform.gimbal(gimbal) for name, gimbal in found.items()}
 
 
-@check_arguments
 def drive_law(platform: Platform, drive: Drive) -> DriveLaw:
     """Return a drive with the weights of its sensors, which follow from where these are: see `slide_rates`.
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from platform_ctrl.analysis.feedforward import Into
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.drive import Drive, DriveLaw, drive_law
@@ -373,7 +372,6 @@ class Job:
         lists = [sorted(set(self.angles.get(name, (0.0,)))) for name in names]
         return (np.zeros(len(names)), *(np.array(q) for q in product(*lists) if any(q)))
 
-    @check_arguments
     def every(self, spec: LoopSpec) -> int:
         """Return at every how many samples a loop is computed.
 
@@ -389,7 +387,6 @@ class Job:
         """
         return 1 if spec.rate_hz is None else max(round(1.0 / (spec.rate_hz * self.sampling.period)), 1)
 
-    @check_arguments
     def period_of(self, spec: LoopSpec) -> float:
         """Return the time from one computation of a loop to the next.
 
@@ -465,7 +462,6 @@ def reference_filters(job: Job) -> dict[str, float]:
     return out
 
 
-@check_arguments
 def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
     """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0."""
     caged = manoeuvre.mode == "caged"

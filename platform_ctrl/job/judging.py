@@ -9,7 +9,6 @@ import numpy as np
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.metrics import Sense as Sense
-from platform_ctrl.common.signatures import check_kinds
 from platform_ctrl.common.values import input_value, value
 
 Stage = Literal["decoupled", "coupled", "simulated"]
@@ -100,7 +99,6 @@ class Requirement:
     sense: Sense
     hard: bool = True
 
-    @check_kinds
     def ratio(self, measured: float) -> float:
         """Return a number that is at most 1 when the bound is met."""
         measured = float(measured)
@@ -112,7 +110,6 @@ class Requirement:
             return measured / self.limit
         return self.limit / measured if measured > 0.0 else float("inf")
 
-    @check_kinds
     def judge(
         self,
         measured: float,

@@ -10,7 +10,6 @@ from typing import Any, get_args
 import numpy as np
 
 from platform_ctrl.common.arguments import nearest
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import replaced, value
 from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, Fault
 from platform_ctrl.job.scenario import Scenario
@@ -83,7 +82,6 @@ class Parameter:
     factor: bool = False
 
 
-@check_arguments
 def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, Parameter]:
     """Return what may be varied, by its path."""
     if not scenarios:
@@ -290,7 +288,6 @@ def in_manoeuvre(key: str, scenario: Scenario) -> float | None:
             return None if scenario.profile is None else float(getattr(scenario.profile, key))
 
 
-@check_arguments
 def varied_scenario(
     scenario: Scenario,
     drawn: Sequence[tuple[Parameter, float, bool]],

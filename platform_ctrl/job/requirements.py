@@ -20,7 +20,6 @@ from platform_ctrl.analysis.loop_set import LoopSet, SingleLoop
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.common.arguments import known_name, one_of, positive
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
@@ -76,7 +75,6 @@ class LoopRequirement(Requirement):
         """Whether it is about more than the nominal plant."""
         return any(group != "nominal" for group in self.over)
 
-    @check_arguments
     def values(self, metrics: LoopMetrics) -> FloatArray:
         """Return the measured values that this requirement is about, one or several.
 
@@ -97,7 +95,6 @@ class LoopRequirement(Requirement):
         """
         return self.metric.in_unit(metrics.values(self))
 
-    @check_arguments
     def ratios(self, metrics: LoopMetrics) -> FloatArray:
         """Return a ratio for every measured value.
 
@@ -118,7 +115,6 @@ class LoopRequirement(Requirement):
         """
         return np.array([self.ratio(float(found)) for found in self.values(metrics)])
 
-    @check_arguments
     def result(self, plants: PlantSet, metrics: LoopMetrics, *, subject: str = "", design: str = "") -> CheckResult:
         """Judge the worst value; the evidence names the plant, or the torquer, that it is from.
 
@@ -206,7 +202,6 @@ class LoopRequirement(Requirement):
                 words.append("with dry friction" if has else "without dry friction")
         return "".join(f"; {one}" for one in words)
 
-    @check_arguments
     def check(
         self, plants: PlantSet, controller: control.StateSpace | StateArrays, *, subject: str = "", design: str = ""
     ) -> CheckResult:
@@ -242,7 +237,6 @@ class LoopRequirement(Requirement):
         values = self.metric.in_unit(measured(loops, self, exact=True))
         return self._worst(plants, values, subject, design, True, loops.free_angles)
 
-    @check_arguments
     def check_closed_loop(
         self, closed_loop: control.StateSpace, *, subject: str = "", design: str = "", above: float = 0.0
     ) -> CheckResult:
@@ -273,7 +267,6 @@ class LoopRequirement(Requirement):
         loop = SingleLoop(arrays, closed_loop.input_labels, closed_loop.output_labels, above)
         return self._single(loop, f"closed loop with {arrays.A.shape[0]} states", subject, design)
 
-    @check_arguments
     def check_controller(self, controller: control.StateSpace, *, subject: str = "", design: str = "") -> CheckResult:
         """Judge a controller by itself: "fastest controller pole" and "controller gain" (from `frequency` on).
 
@@ -331,7 +324,6 @@ def of_readings(words: str, kind: str) -> str:
     return words
 
 
-@check_arguments
 def requirement(
     kind: str,
     limit: float,
@@ -430,7 +422,6 @@ def limit_keys() -> dict[str, tuple[str, str]]:
     return out
 
 
-@check_arguments
 def loop_requirements(limits: Mapping[str, float]) -> tuple[LoopRequirement, ...]:
     """Return the requirements of a loop; every plant that a limit is about has to be stable."""
     scopes = [scope for scope in SCOPES if scope != "faults" or any(key.endswith("_faults") for key in limits)]
@@ -441,7 +432,6 @@ def loop_requirements(limits: Mapping[str, float]) -> tuple[LoopRequirement, ...
     return (*always, *_required(limits, hard=True))
 
 
-@check_arguments
 def hard_and_soft(
     limits: Mapping[str, float], soft: Mapping[str, float]
 ) -> tuple[tuple[LoopRequirement, ...], tuple[LoopRequirement, ...]]:

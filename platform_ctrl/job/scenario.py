@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.logs import pieces, read_log
-from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, whole
-from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, short, whole
 from platform_ctrl.common.units import column_unit
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError, InputError
@@ -115,7 +114,6 @@ class TimeTable:
         number("TimeTable: scale", self.scale)
 
     @classmethod
-    @check_arguments
     def from_log(
         cls,
         path: str | os.PathLike[str],
@@ -184,7 +182,6 @@ class TimeTable:
         out[:, :, 1] = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
         return out
 
-    @check_arguments
     def at(self, t: ArrayLike) -> FloatArray:
         """Return the three numbers at given times.
 

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.logs import Log, LogDensity, log_density, read_log
-from platform_ctrl.common.arguments import positive, real_array, real_numbers
-from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.arguments import positive, real_array, real_numbers, short
 from platform_ctrl.common.values import FloatArray, input_value, replaced, value
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.profiles import PROFILES
@@ -78,7 +77,6 @@ class Spectrum:
         """
         return np.zeros(np.shape(f_hz))
 
-    @check_arguments
     def mean_square(self, from_hz: float, to_hz: float) -> float:
         """Return the integral of the density and the mean squares of the lines from one frequency to another.
 
@@ -137,7 +135,6 @@ class TableSpectrum(Spectrum):
         """The frequencies of the table, Hz."""
         return self.frequencies_hz
 
-    @check_arguments
     def density(self, f_hz: ArrayLike) -> FloatArray:
         """Return the density; see `Spectrum.density`."""
         return interpolated(f_hz, self.frequencies_hz, self.densities, self.interpolation)
@@ -181,7 +178,6 @@ class ProfileSpectrum(Spectrum):
         """The frequencies of the profile's table, Hz."""
         return PROFILES[self.profile].points[:, 0]
 
-    @check_arguments
     def density(self, f_hz: ArrayLike) -> FloatArray:
         """Return the density; see `Spectrum.density`."""
         return self.scale**2 * interpolated(f_hz, *PROFILES[self.profile].points.T)
@@ -268,7 +264,6 @@ class HarmonicSpectrum(Spectrum):
         """Edges of the harmonics' bands, Hz; none at one rate."""
         return np.zeros(0) if self.turning_rate[0] == self.turning_rate[1] else np.unique(self._bands)
 
-    @check_arguments
     def density(self, f_hz: ArrayLike) -> FloatArray:
         """Return the density; see `Spectrum.density`."""
         f = real_numbers("f_hz", f_hz)[..., None]
@@ -298,7 +293,6 @@ class LogSpectrum(Spectrum):
     time: fields.Text = "time"
     estimate: LogDensity | None = None
 
-    @check_arguments
     def read(self, folder: Path, resolution_hz: float) -> LogSpectrum:
         """Return the same with the density of the log.
 
@@ -345,7 +339,6 @@ class LogSpectrum(Spectrum):
         """The frequencies of the estimate, Hz."""
         return self.table.frequencies_hz
 
-    @check_arguments
     def density(self, f_hz: ArrayLike) -> FloatArray:
         """Return the density; see `Spectrum.density`."""
         return self.table.density(f_hz)

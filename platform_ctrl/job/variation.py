@@ -6,7 +6,6 @@ import math
 from dataclasses import field
 from typing import Annotated, Literal, get_args
 
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value, value
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.tables import Array, Collected
@@ -107,7 +106,6 @@ class Range:
     high: float = math.inf
     low_itself: bool = True
 
-    @check_arguments
     def holds(self, low: float, high: float, continuous: bool) -> bool:
         """Return whether everything drawn between two numbers is allowed.
 

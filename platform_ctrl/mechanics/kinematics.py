@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Platform
@@ -36,9 +36,9 @@ class Topology:
     regulated: NDArray[np.bool_]
 
 
-@check_arguments
 def topology(platform: Platform) -> Topology:
     """Return the tree of a platform as arrays, in the file's order of gimbals and rotors."""
+    instance("platform", platform, Platform)
     parents, carriers = platform.parents, 1 + platform.carriers
     order = _parents_first(platform.name, parents.tolist())
     n, rotors = len(parents), platform.rotors
@@ -99,7 +99,6 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
     return out
 
 
-@check_arguments
 def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
     """Return the directions of everything at gimbal angles q (n,), rad, in root axes."""
     return configuration(topology(platform), q)

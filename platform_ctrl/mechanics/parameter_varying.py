@@ -7,13 +7,12 @@ import math
 import numbers
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.common.arguments import known_names, real_array
-from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.arguments import known_names, one_of, real_array, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.affine import AffineModel, FrozenSystem, affine_model, momentum_slope
@@ -181,7 +180,6 @@ class ParameterVaryingModel(_WithDictionary):
             momenta = momenta + momentum_slope(self.K).at(rate) @ angles + self.M_Omega @ rate
         return np.concatenate([angles, momenta])
 
-    @check_arguments
     def rhs(
         self, t: float, x: ArrayLike, Omega: Signal, Omega_dot: Signal | None = None, Q: Signal | None = None
     ) -> FloatArray:
@@ -324,7 +322,6 @@ def _is_count(number: object) -> bool:
     return isinstance(number, numbers.Integral) and not isinstance(number, bool) and int(number) >= 1
 
 
-@check_arguments
 def parameter_varying(
     platform: Platform,
     gimbals: Sequence[str] | None = None,
@@ -379,6 +376,7 @@ def parameter_varying(
     >>> varying.affine().parameters
     ('Omega2', 'Omega1^2', 'Omega1*Omega3', 'Omega2^2', 'Omega3^2')
     """
+    one_of("form", form, get_args(Form))
     # Its L and J parts vanish at Omega = 0, except the gyroscopic action: what is left is that of the force elements.
     rest = linearise(platform, terms=terms, q=q, specific_force=specific_force, rate_amplitude=rate_amplitude)
     rows, n = _rows(platform, gimbals), len(platform.gimbals)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import known_name, real_array
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.coupling import inertia_rounding, momentum_rounding
 from platform_ctrl.mechanics.kinematics import topology
@@ -65,7 +64,6 @@ class MatrixPolynomial:
         return np.zeros(self.coefficients.shape[1:])
 
 
-@check_arguments
 def monomial_values(
     monomials: Sequence[str], Omega: ArrayLike = (0.0, 0.0, 0.0), Omega_dot: ArrayLike | None = None
 ) -> FloatArray:

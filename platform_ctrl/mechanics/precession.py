@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, null_space, qr
 
-from platform_ctrl.common.arguments import distinct, known_name, positive, real_array
-from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.arguments import distinct, known_name, positive, real_array, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.kinematics import topology
@@ -157,7 +156,6 @@ class PrecessionPart:
         """Whether precession theory may be used without changes."""
         return not self.reasons
 
-    @check_arguments
     def error(self, frequency: ArrayLike, momentum_states: bool = False) -> FloatArray:
         """Return the relative error of this subsystem's model over frequency (N,), rad/s: see `Precession.error`."""
         omega = np.atleast_1d(np.asarray(frequency))
@@ -238,13 +236,11 @@ class Precession:
         """How many momentum states cure all subsystems; 0 where precession theory is admissible."""
         return sum(part.momentum_directions.shape[1] for part in self.parts)
 
-    @check_arguments
     def part(self, gimbal: str) -> PrecessionPart:
         """Return the test of the subsystem that the named gimbal belongs to."""
         known_name("gimbal", gimbal, self.gimbals)
         return next(part for part in self.parts if gimbal in part.gimbals)
 
-    @check_arguments
     def state_space(self, momentum_states: bool = False) -> control.StateSpace:
         """Return the precession model: D q̇ + S q + G_Omega ω = Q solved for q̇.
 
@@ -344,7 +340,6 @@ class Precession:
         return "\n".join(lines)
 
 
-@check_arguments
 def precession(
     model: LinearModel,
     gimbals: Sequence[str] | None = None,

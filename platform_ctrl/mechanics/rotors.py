@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import real_array
-from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.arguments import instance, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import configuration, topology
@@ -115,7 +114,6 @@ def _with_rotors(platform: Platform, control: RotorControl, momenta: FloatArray)
     return dataclasses.replace(platform, rotors=rotors)
 
 
-@check_arguments
 def with_rotors_as_gimbals(platform: Platform) -> Platform:
     """Return the platform with every rotor a body of its own: one more gimbal that turns about the spin axis.
 
@@ -139,7 +137,7 @@ def with_rotors_as_gimbals(platform: Platform) -> Platform:
         A gimbal or an angle bears such a name already.
     """
     added = []
-    for rotor in platform.rotors:
+    for rotor in instance("platform", platform, Platform).rotors:
         name, angle = f"rotor {rotor.name}", f"phi {rotor.name}"
         for what, needed, taken in (
             ("gimbal", name, (platform.root_name, *platform.gimbal_names)),

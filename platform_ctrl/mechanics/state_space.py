@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.common.arguments import distinct, known_names
-from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.arguments import distinct, instance, known_names, one_of
 from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding, momentum_rounding
@@ -61,7 +60,6 @@ class NamedMatrices(NamedTuple):
         return portable(control.StateSpace(A, B, C, D, remove_useless_states=False, **names))
 
 
-@check_arguments
 def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     """Return the groups of gimbals whose equations are coupled while Omega stays constant, in the file's order.
 
@@ -89,7 +87,7 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     >>> pc.subsystems(pc.linearise(pc.read_platform("three_gyro_platform")))
     (('4', '5', '7'), ('9', '10'))
     """
-    return subsystems_of_all([model])
+    return subsystems_of_all([instance("model", model, LinearModel)])
 
 
 def coupled_while_changing(model: LinearModel) -> tuple[tuple[str, str], ...]:
@@ -104,7 +102,6 @@ def coupled_while_changing(model: LinearModel) -> tuple[tuple[str, str], ...]:
     return tuple(pair for pair in pairs if pair not in together)
 
 
-@check_arguments
 def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], ...]:
     """Return the groups of gimbals whose equations are coupled in any of several models of the same gimbals."""
     names = {model.gimbal_names for model in models}
@@ -135,7 +132,6 @@ def _coefficients(model: LinearModel) -> tuple[FloatArray, FloatArray, FloatArra
     return beyond(model.M, inertia), beyond(model.G, gyroscopic) - model.Q_rate, stiffness
 
 
-@check_arguments
 def state_space(
     model: LinearModel,
     root: Literal["prescribed", "free"] = "prescribed",
@@ -186,6 +182,9 @@ def state_space(
     >>> pc.state_space(model, gimbals=("9", "10")).input_labels
     ['Q9', 'Q10', 'Omega1', 'Omega2', 'Omega3']
     """
+    instance("model", model, LinearModel)
+    one_of("root", root, ("prescribed", "free"))
+    one_of("others", others, ("coupled", "held"))
     if root == "free":
         if gimbals is not None:
             raise ArgumentError("gimbals: given with root='free'; a free platform couples them all: leave it out")
@@ -255,11 +254,10 @@ def _free(model: LinearModel, specific_force: bool) -> NamedMatrices:
 
 def named_rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
     """Return the rows of the named gimbals, default all, in the file's order."""
-    known = model.gimbal_names
+    known = instance("model", model, LinearModel).gimbal_names
     return list(range(len(known))) if gimbals is None else known_names("gimbals", gimbals, known)
 
 
-@check_arguments
 def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
     """Return the rows of the named gimbals (default all); an error where they cut through a subsystem."""
     if gimbals is None:
@@ -276,7 +274,6 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
     return sorted(chosen)
 
 
-@check_arguments
 def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[str], FloatArray]:
     """Return the torquers on the named gimbals: names in the file's order, and a selection (g, t) of ones and zeros.
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import known_name, known_names, positive, real_array
-from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.arguments import instance, known_name, known_names, positive, real_array
 from platform_ctrl.common.text import padded, width
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.plant.platform import Platform
@@ -89,7 +88,6 @@ class TermTable:
     accelerations: FloatArray
     terms: tuple[Term, ...]
 
-    @check_arguments
     def of(self, gimbal: str) -> tuple[Term, ...]:
         """Return the terms of the named gimbal's equation, by falling size."""
         known_name("gimbal", gimbal, self.platform.gimbal_names)
@@ -105,7 +103,6 @@ class TermTable:
         """
         return tuple(sorted((term for term in self.terms if not term.kept), key=lambda term: -term.size))
 
-    @check_arguments
     def text(self, gimbals: Sequence[str] | None = None, smallest: float = 0.0) -> str:
         """Return the table as aligned text.
 
@@ -138,7 +135,6 @@ def _cells(term: Term) -> tuple[str, ...]:
     return term.label, term.kind, f"{term.size:.2e}", f"{100 * term.share:.3g} %", kept, term.sense or ""
 
 
-@check_arguments
 def terms(
     platform: Platform,
     Omega: ArrayLike,
@@ -190,7 +186,7 @@ def terms(
     >>> ranked.of("9")[0].label
     'L11·Ω1'
     """
-    n = len(platform.gimbals)
+    n = len(instance("platform", platform, Platform).gimbals)
     frequency = positive("frequency", frequency)
     rate = real_array("Omega", Omega, (3,))
     motion = np.abs(real_array("rates", rates, (n,)))

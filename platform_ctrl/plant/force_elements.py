@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Refers
@@ -73,7 +72,6 @@ class Friction:
             raised = (max(self.breakaway[0], self.coulomb[0]), max(self.breakaway[1], self.coulomb[1]))
         object.__setattr__(self, "breakaway", raised)
 
-    @check_arguments
     def dry(self, rate: float) -> float:
         """Return the dry part of the friction torque, without its minus sign.
 

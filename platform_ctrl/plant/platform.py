@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value, read_only, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
@@ -301,7 +300,6 @@ class Platform:
         """
         return toml(plant_data(self))
 
-    @check_arguments
     def body(self, name: str) -> int:
         """Return the number of a body: 0 the root, 1 + k that of gimbal k.
 
@@ -322,7 +320,6 @@ class Platform:
         """
         return known_name(f"body of platform {self.name!r}", name, (self.root_name, *self.gimbal_names))
 
-    @check_arguments
     def gimbal(self, name: str) -> int:
         """Return the index of the named gimbal.
 
@@ -343,7 +340,6 @@ class Platform:
         """
         return known_name(f"gimbal of platform {self.name!r}", name, self.gimbal_names)
 
-    @check_arguments
     def torquer_on(self, gimbal: str) -> Torquer:
         """Return the torquer that loops on the named gimbal use: its first one.
 
@@ -364,7 +360,6 @@ class Platform:
         """
         return _on(gimbal, self.torquers, "torquer")
 
-    @check_arguments
     def pickoff_on(self, gimbal: str) -> PickOff:
         """Return the pick-off of the named gimbal.
 
@@ -393,7 +388,6 @@ def _sensor_fields(platform: type) -> tuple[str, ...]:
     return tuple(name for name, part in made if isinstance(part, type) and issubclass(part, Sensor))
 
 
-@check_arguments
 def is_rate(signal: str) -> bool:
     """Return whether a signal's name is that of a rate, of a body or of a gimbal."""
     return signal.endswith((*OMEGA_NAMES, gimbal_rate("")))

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import numpy as np
 
 from platform_ctrl.common.arguments import whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
@@ -96,7 +95,6 @@ class Sensor:
         """Return the reading without its errors as a sum: weights of signals of the plant."""
         raise NotImplementedError
 
-    @check_arguments
     def sampled_noise(self, period: float, every: int = 1) -> float:
         """Return the rms of one sample behind a filter at the Nyquist frequency.
 
@@ -120,7 +118,6 @@ class Sensor:
         """Return the number of sample periods for which a reading is held."""
         return 1.0 if self.rate_hz is None else max(1.0, 1.0 / (self.rate_hz * period))
 
-    @check_arguments
     def periods_late(self, period: float, every: int = 1) -> int:
         """Return the age of the reading in sample periods, rounded up, with the mean age of readings that are held.
 
@@ -165,7 +162,6 @@ class _GimbalAngle(Sensor):
     unit = "rad"
     gimbal: str
 
-    @check_arguments
     def signals(self, platform: Platform) -> Mapping[str, float]:
         """Return the signal that is read, and its weight.
 
@@ -255,7 +251,6 @@ class RateSensor(Sensor):
     frame: Annotated[Frame, fields.one_of(get_args(Frame))] = "inertial"
     misalignment: fields.Vector | None = None
 
-    @check_arguments
     def signals(self, platform: Platform) -> Mapping[str, float]:
         """Return the signals that are read, and their weights.
 
@@ -316,7 +311,6 @@ class AttitudeSensor(Sensor):
     misalignment: fields.Vector | None = None
     rate_hz: fields.Positive | None = None
 
-    @check_arguments
     def signals(self, platform: Platform) -> Mapping[str, float]:
         """Return the signals that are read, and their weights.
 
@@ -368,7 +362,6 @@ class LineOfSight:
         first /= np.linalg.norm(first)
         return np.array([first, np.cross(self.direction, first), self.direction])
 
-    @check_arguments
     def signals(self, platform: Platform) -> Mapping[str, Mapping[str, float]]:
         """Return of each output the signals of the plant that it is the sum of, and their weights.
 
@@ -435,7 +428,6 @@ def _hashable(item: Any) -> object:
     return item.tobytes() if isinstance(item, np.ndarray) else item
 
 
-@check_arguments
 def gimbal_rate(angle: str) -> str:
     """Return the signal name of a gimbal's rate, from that of its angle."""
     return f"{angle}_rate"

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.arguments import whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.drive import DriveLaw
@@ -112,7 +111,6 @@ class BatchResult:
         )
 
 
-@check_arguments
 def simulate_batch(
     scenarios: Sequence[Scenario],
     controllers: Sequence[control.StateSpace],

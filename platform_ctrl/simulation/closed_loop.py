@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.plant.platform import Platform
@@ -106,7 +105,6 @@ class Trajectory:
         return np.asarray(toward[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0))
 
 
-@check_arguments
 def simulate(
     scenario: Scenario,
     controllers: Sequence[control.StateSpace],

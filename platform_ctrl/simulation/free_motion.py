@@ -8,9 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import positive, real_array, whole
+from platform_ctrl.common.arguments import instance, positive, real_array, whole
 from platform_ctrl.common.processes import processors
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Platform
@@ -57,7 +56,6 @@ class Rollout:
     spin_history: FloatArray
 
 
-@check_arguments
 def rollout(  # noqa: PLR0913 - options by keyword
     platform: Platform,
     q: ArrayLike,
@@ -124,7 +122,7 @@ def rollout(  # noqa: PLR0913 - options by keyword
     >>> out.q.shape
     (64, 5)
     """
-    n = len(platform.gimbals)
+    n = len(instance("platform", platform, Platform).gimbals)
     try:
         runs = len(np.atleast_2d(np.asarray(q)))
     except ValueError:

@@ -9,8 +9,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.common.arguments import positive, real_array, whole
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import positive, real_array, short, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
@@ -62,6 +61,9 @@ def expect_several(name: str, given: object, kind: type | None = None) -> None:
         raise ArgumentError(f"{name} must be a sequence, got one {kind.__name__}")
     if not isinstance(given, Iterable):
         raise ArgumentError(f"{name} must be a sequence, got {short(given)}")
+    for one in given if kind is None else ():
+        if not hasattr(one, "input_labels"):
+            raise ArgumentError(f"{name} must be a sequence, each a control.StateSpace, got {short(one)} among them")
 
 
 def _start(scenario: Scenario) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import real_array, real_numbers, whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Scenario
@@ -75,7 +74,6 @@ class Simulator:
         As `simulate`; Omega is given in mode ``"stabilised"``.
     """
 
-    @check_arguments
     def __init__(
         self,
         scenario: Scenario,
@@ -283,7 +281,6 @@ class Simulator:
         inputs = (self._reached, self._slope, self._torque, self._gimbal_torque, self._command)
         return np.concatenate([head, *inputs, self._memory[:, 0], self._row[0] if len(self._row) else []])
 
-    @check_arguments
     def restore(self, snapshot: ArrayLike) -> None:
         """Go back, or on, to where a snapshot of a run like this one was taken.
 

@@ -17,7 +17,6 @@ from platform_ctrl.analysis.budget_result import Budget as Found
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.pointing_windows import motion_transfer
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import replaced
 from platform_ctrl.design.cases import at_angles
 from platform_ctrl.errors import ArgumentError
@@ -52,7 +51,6 @@ def expect_budget(job: Job) -> Budget:
     return job.budget
 
 
-@check_arguments
 def line_of_sight_budget(job: Job, controllers: Sequence[control.StateSpace]) -> LineOfSightBudget:
     """Return the budget of the line of sight with `controllers` closed around the coupled sampled model at rest.
 

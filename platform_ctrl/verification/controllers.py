@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.common.reasons import began_with_interrupt
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_largest_rates
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.jobs import FailedDesign, LoopOutcome, in_order
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
 _EXPECTED = "a JSON file with controllers"
 
 
-@check_arguments
 def read_controllers(
     source: str | os.PathLike[str] | Mapping[str, Any], job: Job, key: str = "controllers"
 ) -> list[control.StateSpace]:
@@ -161,7 +159,6 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
     return named_system(arrays, inputs, outputs, name=title)
 
 
-@check_arguments
 def outcomes_from(
     job: Job,
     controllers: Sequence[control.StateSpace],

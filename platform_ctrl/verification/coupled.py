@@ -33,7 +33,6 @@ from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.periodic import PeriodicLoop
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import at_angles, secant_gains
@@ -120,7 +119,6 @@ class CoupledCheck:
         return self.of_torquers["torque noise"]
 
 
-@check_arguments
 def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledCheck:
     """Close `controllers` around the coupled sampled model and compare it with the job's limits.
 

@@ -18,7 +18,6 @@ from platform_ctrl import __version__
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.dry_friction import FrictionBalance
 from platform_ctrl.common.json_text import plain_types, write_json
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.errors import InputError
@@ -41,7 +40,6 @@ SCHEMA = 1
 MOST_STATES = 1000
 
 
-@check_arguments
 def result_record(result: JobResult) -> Record:
     """Return the result of a job in plain types: the content of ``result.json``.
 
@@ -190,7 +188,6 @@ def versions() -> dict[str, str]:
     return own | {name: metadata.version(name) for name in used}
 
 
-@check_arguments
 def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> Record:
     """Write `record` as JSON, whole or not at all: what was at `path` stays until the new file is complete.
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS, attenuation_db, run_metrics, worst_value
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult, Requirement
@@ -53,7 +52,6 @@ class Run:
     lost: str = ""
 
 
-@check_arguments
 def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
     """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops."""
     scenario = manoeuvre_scenario(job, manoeuvre)
@@ -105,7 +103,6 @@ def _for_good(there: NDArray[np.bool_]) -> int | None:
     return first if len(there) - first >= _REST * len(there) else None
 
 
-@check_arguments
 def largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     """Return the run's metrics by the names of the limits, each with the signal that it belongs to.
 

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.common.arguments import positive, whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.budget import Budget, BudgetLimits, Source
@@ -75,7 +74,6 @@ class SimulatedBudget:
         return across(self.rms) / across(self.linear)
 
 
-@check_arguments
 def simulated_budget(
     job: Job,
     controllers: Sequence[control.StateSpace],

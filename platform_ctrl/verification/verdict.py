@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
+from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.progress import Progress, shown
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import replaced, value
 from platform_ctrl.design.cases import subsystems_over
 from platform_ctrl.design.jobs import FailedDesign, LoopOutcome
@@ -102,7 +102,6 @@ class JobResult:
         return f"<table><caption>{verdict}</caption><tr>{head}</tr>{''.join(rows)}</table>"
 
 
-@check_arguments
 def check_job(
     job: Job, loops: Sequence[LoopOutcome], progress: Progress | bool | None = None, *, prove: bool = False
 ) -> JobResult:
@@ -133,6 +132,7 @@ def check_job(
     MechanicsError
         The mass matrix is singular at rest (gimbal lock).
     """
+    instance("job", job, Job)
     if prove:
         flint()  # before the work, where it is missing
     with shown(progress) as say:

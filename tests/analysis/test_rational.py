@@ -42,7 +42,7 @@ def test_a_sine_is_drawn_as_lines_between_its_samples() -> None:
 
 
 def test_squeeze_is_one_of_three() -> None:
-    with pytest.raises(ArgumentError, match="squeeze must be True, False or None, got 'yes'"):
+    with pytest.raises(ArgumentError, match="squeeze must be None, True or False, got 'yes'"):
         analysis.time_response(control.ss(-1, 1, 1, 0), [0, 1], [0, 1], squeeze="yes")  # type: ignore[arg-type]
 
 

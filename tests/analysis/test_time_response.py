@@ -140,7 +140,7 @@ def test_what_cannot_be_is_refused(hold: Hold, D: float, says: str) -> None:
             "initial_state must .*got 'x'",
         ),
         (lambda system: analysis.frequency_response(system, "a"), "frequency must be real numbers, got 'a'"),
-        (lambda system: analysis.disk_margin(system, skew="a"), "skew must be a number, got 'a'"),
+        (lambda system: analysis.disk_margin(system, skew="a"), "skew must be a finite number, got 'a'"),
     ],
 )
 def test_what_are_no_numbers_is_refused_in_one_line(ask, says: str) -> None:

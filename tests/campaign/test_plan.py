@@ -539,9 +539,9 @@ def test_inputs_at_points_of_ones_own_are_those_of_their_quantiles() -> None:
     ("ask", "words"),
     [
         (lambda: plan(job(), [], runs=0), "runs must be a whole number from 1 to 1073741824, got 0"),
-        (lambda: plan(job(), [], runs=2.5), "runs must be a whole number or None, got 2.5"),  # type: ignore[arg-type]
+        (lambda: plan(job(), [], runs=2.5), "runs must be a whole number from 1 to 1073741824, got 2.5"),  # type: ignore[arg-type]
         (lambda: plan(job(), [], seed=-1), "seed must be a whole number from 0 to 9223372036854775807, got -1"),
-        (lambda: plan(job(), [], sampling="grid"), "or 'random' or None, got 'grid'"),  # type: ignore[arg-type]
+        (lambda: plan(job(), [], sampling="grid"), "or 'random', got 'grid'"),  # type: ignore[arg-type]
         (lambda: plan(dataclasses.replace(job(), manoeuvres=()), []), "has no [[manoeuvre]]"),
         (lambda: mixed().scenario(256), "run must be a whole number from 0 to 255, got 256"),
         (lambda: mixed().scenario(-1), "run must be a whole number from 0 to 255, got -1"),

@@ -159,7 +159,7 @@ def test_modes_out_of_reach_are_named_in_z_where_the_plant_is_sampled():
     ("options", "match"),
     [
         ({"regularise": 2.0}, "regularise must be .* got 2.0"),
-        ({"regularise": True}, "regularise must be a number or None, got True"),
+        ({"regularise": True}, "regularise must be None or a number between 0 and 1, got True"),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(options, match):

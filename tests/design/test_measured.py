@@ -415,10 +415,9 @@ def test_arguments_that_make_no_sense_are_named(measured, design):
     cases = {
         r"sensitivity_peak must be > 1, got 0\.9": {"sensitivity_peak": 0.9},
         "disk_margin must be between 0 and 2, got 2.5": {"disk_margin": 2.5},
-        "sensitivity_peak must .*got None": {"sensitivity_peak": None},
         "must have dt = period": {"period": 0.1},
         "contains its hold": {"hold": True, "period": PERIOD},
-        "pattern must be 'full', 'diagonal' or 'cross-axis' or real numbers, got 'cross'": {"pattern": "cross"},
+        "pattern must be 'full', 'diagonal' or 'cross-axis', got 'cross'": {"pattern": "cross"},
         "integral action on every angle": {"pattern": np.array([[1, 0], [1, 0]])},
         "must be zero where the pattern is zero": {"pattern": "diagonal", "start": design.start},
         "torque_per_noise must be a number, or a function": {"torque_per_noise": lambda w: w[:3]},
@@ -426,8 +425,8 @@ def test_arguments_that_make_no_sense_are_named(measured, design):
         "complementary_sensitivity_peak must be a number, or a function": {
             "complementary_sensitivity_peak": lambda w: 1 / len([])
         },
-        r"unstable must be a whole number, got 1\.5": {"unstable": 1.5},
-        "integrators must be a whole number or None, got 'x'": {"integrators": "x"},
+        r"unstable must be a whole number.*, got 1\.5": {"unstable": 1.5},
+        "integrators must be a whole number.*, got 'x'": {"integrators": "x"},
         "steps must be a whole number, 0 or more, got -1": {"steps": -1},
     }
     for size in (0.0, 1e-150, 1e150):

@@ -370,7 +370,6 @@ def test_a_channel_that_does_not_fit_is_one_line(plants, controller):
     )
     assert "output_weight: must have 2 inputs, got 1" in outcome(outputs=("Q9", "Q10"), output_weight=np.ones((1, 1)))
     assert "must be a finite number, 1 numbers" in outcome(inputs=("Q9",), input_weight=np.ones(3))
-    assert "input_weight must be a number" in outcome(input_weight="much")
 
 
 # Closed loops that exist already
@@ -437,7 +436,7 @@ def test_kinds_that_need_to_know_the_signals_refuse_a_bare_loop():
             "requirement: kind must be 'stability', 'bandwidth', 'disk margin', 'gain margin', ",
         ),
         (("damping", 0.0), {}, "requirement: limit must be a finite number > 0, got 0.0"),
-        (("damping", float("nan")), {}, "limit must be a number, got nan"),
+        (("damping", float("nan")), {}, "limit must be a finite number > 0, got nan"),
         (("tracking", 0.1), {}, "requirement: tracking needs a frequency: up to which one, rad/s"),
         (("tracking", 0.1), {"frequency": -1.0}, "requirement: frequency must be a finite number > 0, got -1.0"),
         (

@@ -101,7 +101,7 @@ def test_lists_become_arrays_and_what_are_no_numbers_is_refused() -> None:
     assert TimeTable(t=[0, 1], values=[[0, 0, 0], [1, 2, 3]]).at(0.5).tolist() == [0.5, 1.0, 1.5]
     shaking = Vibration(kind="force", axis=1, frequencies_hz=[1, 10], densities=[2, 2], lines=4)
     assert shaking.amplitudes[1].shape == (4,)
-    with pytest.raises(ArgumentError, match=r"values must be an array of real numbers, got .*"):
+    with pytest.raises(ArgumentError, match=r"values must be real numbers, got .*"):
         TimeTable(t=[0, 1], values=[[0, 0, 0], [1, 2]])
-    with pytest.raises(ArgumentError, match="q must be an array of real numbers, got 'alpha4'"):
+    with pytest.raises(ArgumentError, match="q must be real numbers, got 'alpha4'"):
         Scenario(platform=read_platform("gimballed_gyro"), mode="caged", duration=1.0, delay=0.0, q="alpha4")

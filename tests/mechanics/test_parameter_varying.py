@@ -353,16 +353,12 @@ def test_mistakes_are_one_line(platform):
         parameter_varying(platform, gimbals=("Q10",))
     with pytest.raises(ArgumentError, match="form must be 'rates' or 'momenta', got 'p'"):
         parameter_varying(platform, form="p")
-    with pytest.raises(ArgumentError, match="gimbals must be a sequence of names or None, got the string '9'"):
+    with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*, got the string '9'"):
         parameter_varying(platform, gimbals="9")
-    with pytest.raises(ArgumentError, match="gimbals must be a sequence of names or None, got 9"):
+    with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*got 9"):
         parameter_varying(platform, gimbals=9)
-    with pytest.raises(ArgumentError, match="gimbals must be a sequence of names or None, got 9 among the names"):
+    with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*, got 9 among them"):
         parameter_varying(platform, gimbals=(9, "10"))
-    with pytest.raises(
-        ArgumentError, match=r"gimbals must be a sequence of names or None, got array\(\[\['9', '10'\]\], dtype='<U2'\)"
-    ):
-        parameter_varying(platform, gimbals=np.array([["9", "10"]]))
     with pytest.raises(ArgumentError, match="at least one"):
         parameter_varying(platform, gimbals=())
     with pytest.raises(ArgumentError, match="has none; at least one"):

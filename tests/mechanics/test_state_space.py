@@ -298,7 +298,7 @@ def test_wrong_questions_get_one_line(platform):
         state_space(model, gimbals=("9",))
     with pytest.raises(ArgumentError, match="did you mean"):
         state_space(model, gimbals=("9", "100"))
-    with pytest.raises(ArgumentError, match="gimbals must be a sequence of names or None, got the string '9'"):
+    with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*, got the string '9'"):
         state_space(model, gimbals="9")
     with pytest.raises(ArgumentError, match="'prescribed' or 'free'"):
         state_space(model, root="fixed")

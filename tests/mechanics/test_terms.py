@@ -209,11 +209,9 @@ def test_mistakes_are_one_line(platform, table):
     with pytest.raises(ArgumentError, match=r"gimbals must .*got '6'"):
         table.text(gimbals=("6",))
     for string in ("9", "10"):
-        with pytest.raises(
-            ArgumentError, match=f"gimbals must be a sequence of names or None, got the string '{string}'"
-        ):
+        with pytest.raises(ArgumentError, match=f"gimbals must be a sequence of names, .*, got the string '{string}'"):
             table.text(gimbals=string)
-    with pytest.raises(ArgumentError, match="gimbals must be a sequence of names or None, got 9"):
+    with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*got 9"):
         table.text(gimbals=9)
 
 

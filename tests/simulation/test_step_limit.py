@@ -83,5 +83,5 @@ def test_more_threads_than_runs_are_not_started():
 
 
 def test_a_profile_that_is_none_is_refused():
-    with pytest.raises(ArgumentError, match="Scenario: profile must be a HalfCosine or None, got 'x'"):
+    with pytest.raises(ArgumentError, match="Scenario: profile must be a HalfCosine, got 'x'"):
         simulated(gimbal(), [], period=1e-3, delay=0.0, duration=0.1, mode="caged", profile="x")

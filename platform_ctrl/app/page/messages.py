@@ -13,8 +13,7 @@ from platform_ctrl.app.budget import BudgetState
 from platform_ctrl.app.job_parts import ChipState
 from platform_ctrl.app.pictures import Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
-from platform_ctrl.common.arguments import known_name, whole
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import known_name, short, whole
 from platform_ctrl.common.values import value
 from platform_ctrl.design.tuning import SHARE, OptionEffects, OptionValue, candidates
 from platform_ctrl.errors import InputError

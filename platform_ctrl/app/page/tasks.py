@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from platform_ctrl.app.gimbal_tree import run_data
 from platform_ctrl.app.page.messages import Request, influence_data
 from platform_ctrl.app.saving import controllers_beside
-from platform_ctrl.common.arguments import known_name
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import known_name, short
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult

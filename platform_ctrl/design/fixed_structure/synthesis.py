@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.common.arguments import whole as whole_number
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.result import Bound, StructuredDesign, full_order, measured_design, none_found
@@ -52,7 +51,6 @@ class _Task:
     decay: float
 
 
-@check_arguments
 def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step by step
     plants: StateSpace | Sequence[StateSpace],
     nmeas: int,

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, named_system
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
-from platform_ctrl.common.arguments import positive
-from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.measured.contour import Contour
 from platform_ctrl.design.measured.data import measured_plants
@@ -106,7 +105,6 @@ class MeasuredDesign:
     ended: str
 
 
-@check_arguments
 def measured_pid(  # noqa: PLR0913 - options by keyword
     measurement: control.FRD | Sequence[control.FRD],
     *,

@@ -32,8 +32,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.sampling import from_w_plane
 from platform_ctrl.analysis.singular_values import largest_singular_values
-from platform_ctrl.common.arguments import one_of
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import one_of, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.pid import PID
 from platform_ctrl.design.measured.contour import Contour

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition, in_w_plane, partition
 from platform_ctrl.design.riccati.equations import Equation, relative_residual, riccati_solution
@@ -45,7 +44,6 @@ NO_SOLUTION = (
 )
 
 
-@check_arguments
 def h2(
     P: StateSpace,
     nmeas: int,

@@ -13,7 +13,6 @@ from platform_ctrl.analysis.anti_windup import back_calculation
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import flattened
@@ -44,7 +43,6 @@ class Written:
     notes: tuple[str, ...] = ()  # A line each for what a user should know: rounding, limits without anti-windup
 
 
-@check_arguments
 def write_c(
     job: Job,
     entries: Sequence[Mapping[str, Any] | control.StateSpace],

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.errors import ArgumentError

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.mujoco.tree import BALL, FREE, NEAR, Body, Chains, bodies_of
@@ -31,7 +30,6 @@ _ROTOR = "rotor "
 _ROUNDING = 1e-9
 
 
-@check_arguments
 def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = None) -> Platform:
     """Read a plant from a MuJoCo model.
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.arguments import instance, one_of, positive, short
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export.mujoco.shapes import (
     Placed,
@@ -38,7 +37,6 @@ REGULATED = 1e11
 PRESCRIBED = 1e11
 
 
-@check_arguments
 def write_mjcf(
     platform: Platform, path: str | os.PathLike[str], *, root: Root = "free", step: float = 1e-4
 ) -> tuple[str, ...]:
@@ -69,6 +67,8 @@ def write_mjcf(
     InputError
         The file cannot be written there.
     """
+    instance("platform", platform, Platform)
+    one_of("write_mjcf: root", root, get_args(Root))
     step = positive("write_mjcf: step", step)
     _check_names(platform)
     notes = _notes(platform, root)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
-from platform_ctrl.common.signatures import check_arguments, short
-from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, Form, Terms
+from platform_ctrl.common.arguments import one_of, whole
+from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, Form, Terms
 
 if TYPE_CHECKING:
     from platform_ctrl.mechanics.symbolic.derivation import Equations
@@ -23,7 +22,6 @@ def equations(platform: Platform, form: Literal["sympy"], order: int | None = ..
 def equations(
     platform: Platform, form: Literal["json"], order: int | None = ..., terms: Terms = ...
 ) -> dict[str, Any]: ...
-@check_arguments
 def equations(
     platform: Platform,
     form: Form = "text",
@@ -61,12 +59,10 @@ def equations(
 
     See docs/the-paper.md.
     """
+    one_of("form", form, get_args(Form))
+    one_of("terms", terms, TERMS)
     if order is not None:
-        if not 0 <= order <= HIGHEST_ORDER:
-            raise ArgumentError(
-                f"order: must be 0 to {HIGHEST_ORDER}, or None for the exact matrices, got {short(order)}"
-            )
-        order = int(order)
+        order = whole("order (or None for the exact matrices)", order, 0, HIGHEST_ORDER)
     from platform_ctrl.mechanics.symbolic.derivation import derived
 
     found = derived(platform, order, terms)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.palette import PALETTE, Theme
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import count, listed
@@ -42,7 +42,6 @@ def style_rules() -> str:
     return _TEMPLATES.joinpath("axes.css").read_text(encoding="utf-8").strip()
 
 
-@check_arguments
 def axes_picture(platform: Platform, alone: bool = True) -> str:
     """Return a picture of the axes of `platform`: the text of an SVG file, or with `alone` false an element of a page.
 
@@ -65,6 +64,7 @@ def axes_picture(platform: Platform, alone: bool = True) -> str:
     str
         SVG.
     """
+    instance("platform", platform, Platform)
     scheme = structure_scheme(platform)
     beside = WIDTH - 3.0 * _MARGIN - scheme.width >= _LEAST_WIDTH
     width = max(WIDTH, scheme.width + 2.0 * _MARGIN)

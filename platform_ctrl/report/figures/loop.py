@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from platform_ctrl.analysis.loop_set import FOLLOWING, S_OUTPUT
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign, sampled_plant
 from platform_ctrl.errors import ArgumentError

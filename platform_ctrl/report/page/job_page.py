@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import LinearModel
@@ -80,7 +80,6 @@ if TYPE_CHECKING:
 _MOST_BRANCHES = 80
 
 
-@check_arguments
 def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Path:
     """Write the page to `path`: the whole file, or nothing if that fails.
 
@@ -104,13 +103,11 @@ def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Pa
     return write_whole(path, page_html(result))
 
 
-@check_arguments
 def page_html(result: JobResult | Document) -> str:
     """Return the page as HTML: self-contained, for light and dark screens and for paper."""
     return html(prepared(result))
 
 
-@check_arguments
 def prepared(
     result: JobResult | Document,
     *,
@@ -143,7 +140,7 @@ def prepared(
     """
     if isinstance(result, Document):
         return result
-    return _document(result, command, campaign, again)
+    return _document(instance("result", result, JobResult), command, campaign, again)
 
 
 def _document(

@@ -17,8 +17,7 @@ from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import Table
 from platform_ctrl.campaign.table_statistics import CampaignStatistics, Limits, RequirementStatistics, statistics
-from platform_ctrl.common.arguments import one_of
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import one_of, short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.quantities import handy_unit, plain

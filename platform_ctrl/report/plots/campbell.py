@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.common.arguments import known_name, real_numbers
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, RPM
@@ -56,7 +55,6 @@ class SpinMode:
     nominal: float  # At the nominal speed
 
 
-@check_arguments
 @standalone
 def campbell(  # noqa: PLR0915 - one picture
     platform: Platform,

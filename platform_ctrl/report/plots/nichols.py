@@ -22,8 +22,7 @@ from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.response import LinearSystem
-from platform_ctrl.common.arguments import positive
-from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.text import at_least, at_most, greek
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -42,7 +41,6 @@ _HIGHEST, _LOWEST, _NEAR = 40.0, -40.0, -24.0
 _NUMBERED = 6  # curves that carry frequencies
 
 
-@check_arguments
 @standalone
 def nichols(
     loops: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],
@@ -252,7 +250,6 @@ class _Region:
     margin: DiskMargin | None
 
 
-@check_arguments
 @standalone
 def disk_margin_region(
     margins: float | LinearSystem | Sequence[float | LinearSystem] | Mapping[str, float | LinearSystem],

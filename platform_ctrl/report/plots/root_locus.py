@@ -17,8 +17,7 @@ from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.poles import Poles, continuous_poles, damping_ratio, pole_branches, refined_values
 from platform_ctrl.analysis.response import LinearSystem
 from platform_ctrl.analysis.sampling import sampled, with_lag
-from platform_ctrl.common.arguments import known_names, one_of, positive, real_numbers
-from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.arguments import instance, known_names, one_of, positive, real_numbers, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
 from platform_ctrl.errors import ArgumentError
@@ -91,7 +90,6 @@ def root_locus(
 
 
 @standalone
-@check_arguments
 def root_locus_over_spin(  # noqa: PLR0913 - options by keyword
     platform: Platform,
     gimbals: Sequence[str] | None,
@@ -343,7 +341,7 @@ def with_rotors_at_rest(platform: Platform, rotors: Sequence[str] | None) -> tup
 
     The linear model is affine in the rotors' momenta: this one and the nominal one give it at every speed.
     """
-    names = [rotor.name for rotor in platform.rotors]
+    names = [rotor.name for rotor in instance("platform", platform, Platform).rotors]
     chosen = names if rotors is None else [names[k] for k in known_names("rotors", rotors, names)]
     turning = [r.name for r in platform.rotors if r.name in chosen and r.angular_momentum != 0.0]
     if not turning:

@@ -27,7 +27,7 @@ from platform_ctrl.analysis.response import (
     rational_response,
 )
 from platform_ctrl.analysis.singular_values import boundary_poles
-from platform_ctrl.common.signatures import short
+from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 

@@ -13,9 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.common.arguments import known_name, positive
+from platform_ctrl.common.arguments import instance, known_name, positive, short
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.drawing import root_series, signal_series
@@ -48,7 +47,6 @@ _TINY = 1e-5
 
 
 @standalone
-@check_arguments
 def time_run(
     run: Run | Trajectory, platform: Platform | None = None, *, limits: Mapping[str, float] | None = None
 ) -> Figure:
@@ -77,7 +75,7 @@ def time_run(
     ArgumentError
         Something other than a run, another platform than the run's, or an unknown limit.
     """
-    recorded = run.trajectory if isinstance(run, Run) else run
+    recorded = run.trajectory if isinstance(run, Run) else instance("time_run: run", run, Trajectory)
     if limits is None:
         limits = run.manoeuvre.limits if isinstance(run, Run) else {}
     elif not isinstance(limits, Mapping):
