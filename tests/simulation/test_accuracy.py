@@ -23,6 +23,7 @@ MODELS = Path(__file__).parents[2] / "models"
 FREE = dataclasses.replace(
     THREE_GYROS, rotors=tuple(dataclasses.replace(r, control="free") for r in THREE_GYROS.rotors)
 )
+SOME_FREE = dataclasses.replace(THREE_GYROS, rotors=(FREE.rotors[0], *THREE_GYROS.rotors[1:]))
 
 
 def a_start(platform: Platform, runs: int = 1, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
@@ -81,14 +82,14 @@ def test_servo_rotors_and_smooth_elements_are_integrated_with_the_fourth_order()
 
 
 @pytest.mark.parametrize(
-    ("platform", "step"),
+    ("platform", "step", "steps"),
     # Gyros of navigation grade nutate at 530 rad/s: that is what the step has to follow.
-    [(THREE_GYROS, 1e-4), (read_platform(MODELS / "three_gyro_platform.toml"), 5e-6)],
+    [(SOME_FREE, 1e-4, 250_000), (read_platform(MODELS / "three_gyro_platform.toml"), 5e-6, 1_000_000)],
     ids=["full tensors", "displacement gyros"],
 )
-def test_a_million_torque_free_steps_lose_less_than_1e_10_of_energy_and_momentum(platform, step):
+def test_many_torque_free_steps_lose_less_than_1e_10_of_energy_and_momentum(platform, step, steps):
     q, velocity = a_start(platform, 8)
-    out = rollout(platform, q, velocity, step=step, steps=1_000_000, every=100_000)
+    out = rollout(platform, q, velocity, step=step, steps=steps, every=steps // 10)
     assert np.ptp(out.q_history, axis=1).max(axis=0).min() > 0.003
     energy, momentum = drifts(*kept(platform, out))
     assert energy < 1e-10

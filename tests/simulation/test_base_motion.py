@@ -74,9 +74,6 @@ def test_the_torque_of_equilibrium_counts_against_the_limit() -> None:
     run = simulate(begun(weak), [], period=PERIOD)
     assert run.saturated.tolist() == [0, len(run.t)]
     assert abs(run.q[-1, 1] - TILTED[1]) > 0.05
-
-
-def test_a_gimbal_that_nothing_holds_is_refused_in_a_sentence() -> None:
     with pytest.raises(ArgumentError, match="start: gimbal 'pitch' is not in equilibrium"):
         simulate(begun(loaded([{"gimbal": "yaw"}])), [], period=PERIOD)
 
@@ -217,14 +214,6 @@ def test_a_run_that_is_lost_says_when(
     assert "·10" not in told.split("limit")[-1]
 
 
-def test_equilibrium_stands_in_the_evidence() -> None:
-    plant = {**JOB["plant"], "unbalance": [{"body": "pitch", "moment": [1e-3, 0.0, 0.0]}]}
-    data = JOB | {"plant": plant, "manoeuvre": [JOB["manoeuvre"][0] | {"start": "equilibrium"}]}
-    job = read_job(data)
-    [result, *_] = simulate_manoeuvre(job, job.manoeuvres[0], [damped()]).results
-    assert "from equilibrium, held by constant torques besides the controllers' (Qpitch -0.00981" in result.evidence
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -247,44 +236,6 @@ def test_manoeuvres_that_say_nothing_are_refused(change, words) -> None:
     with pytest.raises(InputError) as error:
         read_job(JOB | {"manoeuvre": [JOB["manoeuvre"][0] | change]})
     assert words in str(error.value)
-
-
-def test_a_rate_of_the_platform_that_must_be_in_degrees_is_refused() -> None:
-    with pytest.raises(InputError, match=r"operation.*Omega: 1000 rad/s cannot be meant"):
-        read_job(JOB | {"operation": {"Omega": [1000, 0.1, 0.1]}})
-
-
-def test_a_manoeuvre_with_a_fade_begins_smoothly() -> None:
-    shaken = JOB["manoeuvre"][0]["sine"][0] | {"phase": 1.0}
-    at_once, faded = (
-        manoeuvre_scenario(job, job.manoeuvres[0])
-        for job in (
-            read_job(JOB | {"manoeuvre": [JOB["manoeuvre"][0] | {"sine": [shaken]} | more]})
-            for more in ({}, {"fade": 0.1})
-        )
-    )
-    assert replace(faded, fade=0.0).fade == at_once.fade == 0.0
-    runs = [simulate(replace(one, duration=0.2), [damped()], period=PERIOD / 5) for one in (at_once, faded)]
-    start, smooth = (np.abs(run.Omega).max(axis=1) for run in runs)
-    assert start[0] > 0.01
-    assert smooth[0] == 0.0
-    np.testing.assert_array_equal(smooth[runs[1].t > 0.1], start[runs[0].t > 0.1])
-
-
-def test_a_limit_on_a_line_of_sight_needs_one() -> None:
-    plant = {key: item for key, item in JOB["plant"].items() if key != "line_of_sight"}
-    with pytest.raises(InputError, match="has no effect: the plant has no line of sight; add"):
-        read_job(JOB | {"plant": plant})
-
-
-def test_runs_that_differ_in_their_sines_are_computed_side_by_side() -> None:
-    job = read_job(JOB)
-    one = manoeuvre_scenario(job, job.manoeuvres[0])
-    other = replace(one, sines=(replace(one.sines[0], amplitude=0.4, frequency_hz=8.0, phase=1.0),))
-    batch = simulate_batch([one, other], [damped()], period=PERIOD / 5)
-    for k, alone in enumerate((one, other)):
-        run = simulate(alone, [damped()], period=PERIOD / 5)
-        np.testing.assert_array_equal(batch.gimbal_rate[k], np.abs(run.rate).max(axis=0))
 
 
 def test_the_rms_of_many_shaken_runs_is_that_of_the_linear_budget() -> None:

@@ -93,7 +93,7 @@ def a_state(platform, seed):
 trees = st.builds(along_coordinates, platforms(), seeds)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(trees, seeds)
 def test_with_a_free_root_the_elements_accelerate_as_their_forces_do(platform, seed):
     platform = furnished(platform, seed)
@@ -127,7 +127,7 @@ def test_an_axis_that_is_nearly_one_of_the_bodys_is_not_taken_for_it(tilt):
     np.testing.assert_allclose(change, expected, atol=1e-12)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(trees, seeds)
 def test_with_a_prescribed_rate_the_elements_feed_the_momenta(platform, seed):
     bare, platform = platform, furnished(platform, seed)
@@ -179,14 +179,6 @@ def test_servo_rotors_react_on_their_carriers_with_a_free_root_and_not_on_moment
     np.testing.assert_allclose(dy[: 2 * n + 7], expected, rtol=1e-9, atol=size)
 
 
-def test_forces_that_balance_the_elements_hold_every_body_at_rest():
-    platform = dataclasses.replace(furnished(three_gimbals(), 3), rotors=())
-    q = np.array([0.3, -0.4, 0.8])
-    out = rollout(platform, [q], np.zeros((1, 6)), steps=100, force=[-element_forces(platform, q)])
-    assert out.q[0] == pytest.approx(q, abs=1e-12)
-    assert out.velocity[0] == pytest.approx(np.zeros(6), abs=1e-12)
-
-
 def three_gimbals(**elements) -> Platform:
     axes = ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8])
     parents = ("base", "a", "b")
@@ -235,15 +227,6 @@ def energy(platform, q, u):
 
 def energies(platform, q, u):
     return np.array([energy(platform, *at) for at in zip(q, u, strict=True)])
-
-
-def test_springs_exchange_energy_with_a_free_platform_and_lose_none():
-    platform = three_gimbals(springs=SPRINGS)
-    out = rollout(platform, [[0.6, -0.3, 0.5]], [[0.1, 0.2, 0.0, 0.5, 0.0, 1.0]], step=5e-4, steps=8000, every=200)
-    kept = energies(platform, out.q_history[0], out.velocity_history[0])
-    kinetic = energies(dataclasses.replace(platform, springs=()), out.q_history[0], out.velocity_history[0])
-    assert np.ptp(kinetic) > 0.3
-    assert kept == pytest.approx(kept[0], rel=1e-8)
 
 
 def test_a_gimballed_pendulum_keeps_its_energy_in_gravity():
@@ -358,14 +341,6 @@ def test_a_spring_adds_to_what_the_torquer_does():
     assert out.rate[1:, 0] == pytest.approx(frequency * (cosine * rate - sine * swing), abs=1e-9)
 
 
-def test_a_spring_presses_a_gimbal_onto_its_stop_and_keeps_it_there():
-    out = caged(one_gimbal(springs=(Spring(gimbal="g", stiffness=0.5, rest=0.2),), stops=(-0.1, 0.1)), 0.3)
-    arrived = int(np.argmax(out.q[:, 0] >= 0.1))
-    assert 0 < arrived < 200
-    assert out.q[arrived:, 0] == pytest.approx(0.1, abs=1e-12)
-    assert out.stop_contacts[0] == 1
-
-
 def vertical_gyro(gain, limit=None, specific_force=GRAVITY) -> Platform:
     """Spin axis 3 in an inner gimbal about 2 in an outer gimbal about 1."""
     return Platform(
@@ -392,7 +367,7 @@ def vertical_gyro(gain, limit=None, specific_force=GRAVITY) -> Platform:
 
 
 def leaning(platform, pitch, duration):
-    return simulated(platform, [], period=0.01, delay=0.0, duration=duration, mode="caged", q=[0.0, pitch])
+    return simulated(platform, [], period=0.01, delay=0.0, duration=duration, mode="caged", q=[0.0, pitch], step=5e-4)
 
 
 def test_an_erection_precesses_a_gyro_upright_at_its_gain_over_the_momentum():
@@ -406,11 +381,6 @@ def test_an_erection_precesses_a_gyro_upright_at_its_gain_over_the_momentum():
 def test_a_limited_erection_precesses_at_a_constant_rate():
     out = leaning(vertical_gyro(3e-3, limit=1e-4), 0.2, 20.0)
     assert np.sin(out.q[:, 1]) == pytest.approx(np.sin(0.2) - 1e-4 / L * out.t, rel=1e-3)
-
-
-def test_without_specific_force_there_is_nothing_to_erect_to():
-    out = leaning(vertical_gyro(3e-3, specific_force=0.0), 0.2, 1.0)
-    assert out.q[:, 1] == pytest.approx(0.2, abs=1e-12)
 
 
 def test_an_unbalanced_gyro_precesses_at_weight_moment_over_momentum():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
-
 import mpmath
 import numba
 import numpy as np
@@ -11,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kernel_entries import derivatives, entries, momenta, put, run, space, whole_state
+from kernel_entries import derivatives, entries, momenta, whole_state
 from platform_ctrl.common.simd import LANES, choose, load, store
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.simulation import rollout
-from platform_ctrl.simulation.kernel import dynamics, functions
+from platform_ctrl.simulation.kernel import functions
 from platform_ctrl.simulation.packing import pack
 from simulation.test_forces import a_state, along_coordinates, furnished
 from tree_cases import platforms
@@ -111,6 +109,7 @@ def same(one: np.ndarray, other: np.ndarray) -> None:
     np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-13 * np.abs(other).max())
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     st.builds(along_coordinates, platforms(controls=("regulated", "free", "servo")), st.integers(0, 99)), st.booleans()
@@ -126,30 +125,6 @@ def test_derivatives_are_the_same_to_rounding_in_a_lane_and_alone(platform, free
         together = derivatives(platform, states, force, free=free, held=held)
         same(derivatives(platform, states, force, free=free, held=held, lane=LANES), together)
     same(momenta(platform, states, lane=LANES), momenta(platform, states))
-
-
-@numba.njit
-def _step(links, mem, lane, at, free, y, step):
-    dynamics.runge_kutta(links, mem, lane, at, free, False, y, step)
-
-
-@pytest.mark.parametrize("free", [True, False])
-def test_steps_are_the_same_to_rounding_in_a_lane_and_alone(free):
-    plant = pack(furnished(THREE, 3))
-    ends = []
-    for lane in (None, LANES):
-        mem = space(plant)
-        rng = np.random.default_rng(6)
-        put(
-            mem,
-            plant.at.state,
-            np.array([whole_state(THREE, *rng.normal(size=(1, 3)), rng.normal(size=6)) for _ in range(8)]),
-        )
-        for _ in range(20):
-            run(_step, plant, mem, lane, free, plant.at.state, 1e-2)
-        ends.append(mem[plant.at.state : plant.at.state + plant.at.size].copy())
-    assert np.isfinite(ends[0]).all()
-    same(*ends)
 
 
 def chain(n: int, **more) -> Platform:
@@ -242,19 +217,3 @@ def test_one_compilation_does_for_every_plant():
     assert len(advance.signatures) == 1
     assert len(carrier_rates.signatures) == 1
     assert all(len(entry.signatures) <= 2 for entry in entries())  # a lane, and one column
-
-
-def test_memory_grows_with_the_runs_and_not_with_the_steps():
-    rollout(THREE, *a_start(THREE, 1)[:2], steps=1)
-
-    def peak(runs: int, steps: int) -> int:
-        q, velocity, _ = a_start(THREE, runs)
-        tracemalloc.start()
-        rollout(THREE, q, velocity, steps=steps, step=1e-4, threads=1)
-        out = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return out
-
-    few, longer, more, most = peak(1000, 10), peak(1000, 1000), peak(2000, 10), peak(4000, 10)
-    assert longer < 1.05 * few
-    assert most - more == pytest.approx(2 * (more - few), rel=0.1)

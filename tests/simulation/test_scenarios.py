@@ -1,4 +1,4 @@
-"""Runs of a whole platform: with others that have little in common, and small ones beside the linear sampled loop."""
+"""Many runs at once, which have little in common: each is what it is alone, to the last bit."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from functools import cache
 import control
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import platform_ctrl as pc
 from platform_ctrl import simulation
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine, TimeTable, Vibration
+from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.batch import BatchResult
 
@@ -56,8 +57,27 @@ def varied(k: int) -> Platform:
     rotors = tuple(
         dataclasses.replace(r, angular_momentum=r.angular_momentum * rng.uniform(0.9, 1.1)) for r in plant.rotors
     )
-    torquers = tuple(dataclasses.replace(t, limit=(1e-3, None)[k % 2], lag=2e-4 * (k % 3 > 0)) for t in plant.torquers)
-    return dataclasses.replace(plant, gimbals=gimbals, rotors=rotors, torquers=torquers)
+    torquers = tuple(
+        dataclasses.replace(
+            t, limit=(1e-3, None)[k % 2], lag=2e-4 * (k % 3 > 0), rate_limit=5.0 if k % 5 == 2 else None
+        )
+        for t in plant.torquers
+    )
+    pickoffs = tuple(dataclasses.replace(p, quantisation=1e-6 * (k % 4)) for p in plant.pickoffs)
+    first, last = gimbals[0].name, gimbals[-1].name
+    return dataclasses.replace(
+        plant,
+        gimbals=gimbals,
+        rotors=rotors,
+        torquers=torquers,
+        pickoffs=pickoffs,
+        springs=(Spring(gimbal=last, stiffness=0.01 * rng.uniform(), rest=0.02),),
+        frictions=(Friction(gimbal=last, viscous=1e-5 * rng.uniform(), coulomb=(1e-5, 2e-5), coulomb_rate=0.1),),
+        cages=(Cage(gimbal=first, stiffness=0.3, damping=1e-4 * rng.uniform(), clearance=0.001),),
+        unbalances=(Unbalance(body=last, moment=1e-6 * rng.normal(size=3)),),
+        erections=(Erection(gimbal=first, senses=last, axis=np.array([0.6, 0.8, 0.0]), gain=1e-3 * rng.uniform()),),
+        specific_force=rng.normal(size=3),
+    )
 
 
 @cache
@@ -86,6 +106,7 @@ def motley() -> tuple[Scenario, ...]:
         if k % 5 == 1:
             moved["Omega_table" if caged else "torque_table"] = dataclasses.replace(TABLE, scale=1.0 + k)
         if k % 7 == 2:
+            moved["sines"] = (Sine(kind="force", axis=1, frequency_hz=20.0 + k, amplitude=0.3),)
             moved["vibrations"] = (Vibration(kind="rate" if caged else "force", **SHAKE),)  # type: ignore[arg-type]
         out.append(
             Scenario(
@@ -104,8 +125,8 @@ def motley() -> tuple[Scenario, ...]:
     return tuple(out)
 
 
-def together(runs: Sequence[Scenario], threads: int = 1, controllers: Sequence[control.StateSpace] = ()) -> BatchResult:
-    return simulation.simulate_batch(runs, controllers or [caging(model())], period=PERIOD, step=STEP, threads=threads)
+def together(runs: Sequence[Scenario], threads: int = 1) -> BatchResult:
+    return simulation.simulate_batch(runs, [caging(model())], period=PERIOD, step=STEP, threads=threads)
 
 
 def rows(figures: BatchResult) -> np.ndarray:
@@ -113,19 +134,57 @@ def rows(figures: BatchResult) -> np.ndarray:
     return np.column_stack([getattr(figures, name) for name in names])
 
 
-def test_a_run_is_the_same_to_the_bit_alone_and_among_others_of_any_kind() -> None:
+def test_a_run_is_the_same_to_the_bit_alone_and_among_others_in_any_order_on_any_threads() -> None:
     runs = motley()
-    among = rows(together(runs))
-    np.testing.assert_array_equal(among, np.concatenate([rows(together([run])) for run in runs]))
-    assert len(np.unique(among, axis=0)) == len(runs)
+    alone = np.concatenate([rows(together([run])) for run in runs])
+    assert len(np.unique(alone, axis=0)) == len(runs)
+    np.testing.assert_array_equal(rows(together(runs)), alone)
+    for threads in (2, 3):
+        order = np.random.default_rng(threads).permutation(len(runs))[: 30 - 3 * threads]
+        np.testing.assert_array_equal(rows(together([runs[k] for k in order], threads)), alone[order])
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3])
-def test_neither_order_nor_threads_nor_number_of_runs_change_a_run(threads: int) -> None:
-    runs = motley()
-    expected = rows(together(runs))
-    order = np.random.default_rng(threads).permutation(len(runs))[: 30 - 3 * threads]
-    np.testing.assert_array_equal(rows(together([runs[k] for k in order], threads)), expected[order])
+def test_figures_are_those_of_the_recorded_run() -> None:
+    for one, row in zip(motley(), rows(together(motley())), strict=True):
+        out = simulation.simulate(one, [caging(model())], period=PERIOD, step=STEP)
+        limits = np.array([np.inf if t.limit is None else t.limit for t in one.platform.torquers])
+        np.testing.assert_array_equal(row[:5], np.abs(out.q).max(axis=0))
+        np.testing.assert_allclose(row[5:8], np.abs(out.attitude_angles).max(axis=0), rtol=1e-14, atol=1e-18)
+        share = np.abs(out.command / limits).max(axis=0)
+        over = np.sum(np.abs(out.command) >= limits, axis=0)
+        n = len(limits)
+        np.testing.assert_array_equal(row[8 : 8 + n], share)
+        np.testing.assert_array_equal(row[8 + n : 8 + 2 * n], over)
+        np.testing.assert_array_equal(out.saturated, over)
+        np.testing.assert_array_equal(row[8 + 2 * n : 13 + 2 * n], out.stop_contacts)
+        assert row[-2] == row[-1] == len(out.t)
+
+
+def test_a_run_that_diverges_is_told_and_leaves_those_beside_it_alone() -> None:
+    sound = [dataclasses.replace(one, mode="caged", delay=0.0, duration=0.02) for one in motley()[1:4]]
+    falling = tuple(Spring(gimbal=name, stiffness=-1e4) for name in model().gimbal_names)
+    lost = dataclasses.replace(sound[0], platform=dataclasses.replace(varied(2), springs=falling))
+    expected = rows(together(sound))
+    for place in (0, 2, 3):
+        result = together([*sound[:place], lost, *sound[place:]])
+        recorded = simulation.simulate(lost, [caging(model())], period=PERIOD, step=STEP)
+        assert result.ended[place] == recorded.ended
+        assert recorded.ended.startswith("diverged at t = 0.0")
+        np.testing.assert_array_equal(np.delete(rows(result), place, axis=0), expected)
+
+
+def test_no_scenarios_have_no_figures() -> None:
+    none = simulation.simulate_batch([], [], period=PERIOD)
+    assert (none.angle.shape, none.attitude.shape, none.samples.shape, none.ended) == ((0, 0), (0, 3), (0,), ())
+
+
+def test_plants_of_different_parts_are_refused_together() -> None:
+    one = motley()[0]
+    moved = dataclasses.replace(model().torquers[0], gimbal="5")
+    for other in ({"torquers": (moved, *model().torquers[1:])}, {"pickoffs": model().pickoffs[1:]}):
+        different = dataclasses.replace(one, platform=dataclasses.replace(one.platform, **other))
+        with pytest.raises(ArgumentError, match=r"^scenarios: their plants differ in gimbals, torquers or sensors"):
+            simulation.simulate_batch([one, different], [], period=PERIOD)
 
 
 def other_wiring() -> list[Scenario]:
@@ -167,78 +226,3 @@ def test_plants_whose_rotors_and_erections_sit_elsewhere_do_not_get_mixed_up() -
     among = rows(simulation.simulate_batch(runs, [], period=PERIOD, step=STEP))
     alone = np.concatenate([rows(simulation.simulate_batch([run], [], period=PERIOD, step=STEP)) for run in runs])
     np.testing.assert_array_equal(among, alone)
-
-
-def linear_loop(
-    platform: Platform, root: str, controllers: Sequence[control.StateSpace], run: Scenario
-) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (and Omega) and torques at the samples from matrix exponentials of the linear plant, delay and lag."""
-    plant = pc.state_space(pc.linearise(platform), root=root)  # type: ignore[arg-type]
-    torquers = [t for t in platform.torquers if t.name in plant.input_labels]
-    names = [t.name for t in torquers]
-    A, C = np.asarray(plant.A), np.asarray(plant.C)
-    B = np.asarray(plant.B)[:, [plant.input_labels.index(name) for name in names]]
-    lag = np.array([t.lag for t in torquers])
-    nx, nu = len(A), len(names)
-    whole = np.block(
-        [
-            [A, B, np.zeros((nx, nu))],
-            [np.zeros((nu, nx)), -np.diag(1.0 / lag), np.diag(1.0 / lag)],
-            [np.zeros((nu, nx + 2 * nu))],
-        ]
-    )
-    periods = int(run.delay / PERIOD + 1e-9)
-    first = run.delay - periods * PERIOD
-    before, after = expm(whole * first), expm(whole * (PERIOD - first))
-    # The plant's states at the start from what it puts out and how fast that changes.
-    start = np.linalg.lstsq(
-        np.vstack([C, (C @ A)[: len(run.q)]]),
-        np.concatenate([run.q, run.Omega[: len(C) - len(run.q)], run.rate]),
-        rcond=None,
-    )[0]
-    x, commands = np.concatenate([start, np.zeros(2 * nu)]), []
-    states = [np.zeros(K.nstates) for K in controllers]
-    angles, torques = [], []
-    for k in range(1 + round(run.duration / PERIOD)):
-        y = dict(zip(plant.output_labels, C @ x[:nx], strict=True))
-        command = dict.fromkeys(names, 0.0)
-        for i, K in enumerate(controllers):
-            inputs = np.array([y[name] for name in K.input_labels])
-            command |= dict(zip(K.output_labels, K.C @ states[i] + K.D @ inputs, strict=True))
-            states[i] = K.A @ states[i] + K.B @ inputs
-        commands.append([command[name] for name in names])
-        angles.append(C @ x[:nx])
-        torques.append(x[nx : nx + nu].copy())
-        for advance, source in ((before, k - periods - 1), (after, k - periods)):
-            x[nx + nu :] = commands[source] if source >= 0 else 0.0
-            x = advance @ x
-    return np.array(angles), np.array(torques)
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 2.3])
-@pytest.mark.parametrize("mode", ["caged", "stabilised"])
-def test_small_signals_move_as_in_the_linear_sampled_loop(mode: str, delay: float) -> None:
-    platform = dataclasses.replace(
-        model(), pickoffs=tuple(dataclasses.replace(p, noise_rms=0.0) for p in model().pickoffs)
-    )
-    rng, size = np.random.default_rng(3), 1e-8
-    run = Scenario(
-        platform=platform,
-        mode=mode,  # type: ignore[arg-type]
-        duration=0.1,
-        delay=delay * PERIOD,
-        q=size * rng.normal(size=5),
-        rate=100.0 * size * rng.normal(size=5),
-        Omega=size * rng.normal(size=3) * (mode == "stabilised"),
-    )
-    controllers = [caging(platform)]
-    out = simulation.simulate(run, controllers, period=PERIOD, step=STEP / 2)
-    free = mode == "stabilised"
-    angles, torques = linear_loop(platform, "free" if free else "prescribed", controllers, run)
-    ours = np.hstack([out.q, out.Omega]) if free else out.q
-    for k in range(ours.shape[1]):
-        np.testing.assert_allclose(ours[:, k], angles[:, k], rtol=0, atol=1e-6 * np.abs(angles[:, k]).max())
-    used = [name for name in out.torquer_names if name in caging(platform).output_labels]
-    for name in used:
-        k, scale = out.torquer_names.index(name), np.abs(torques).max()
-        np.testing.assert_allclose(out.torque[:, k], torques[:, used.index(name)], rtol=0, atol=1e-6 * scale)

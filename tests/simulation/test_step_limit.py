@@ -1,11 +1,13 @@
 """Steps that are too long for stiff elements are refused with the step that would do; and that step does."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.reading import read_platform
-from platform_ctrl.simulation import rollout
+from platform_ctrl.simulation import Scenario, rollout, simulate_batch
 from single_runs import simulated
 
 J = 1e-3
@@ -71,17 +73,9 @@ def test_dry_friction_stops_a_gimbal_where_the_equation_says():
     assert abs(out.velocity[0, 3]) < 1e-6
 
 
-def test_no_controllers_and_no_pickoffs_is_a_run_like_any_other():
-    platform = gimbal(torquer=[{"gimbal": "a"}])
-    run = simulated(platform, [], period=1e-3, delay=0.0, duration=0.1, mode="caged", rate=[0.5])
-    np.testing.assert_allclose(run.q[:, 0], 0.5 * run.t, rtol=1e-12)
-
-
-def test_more_threads_than_runs_are_not_started():
-    out = rollout(gimbal(), np.zeros((2, 1)), np.ones((2, 4)), steps=2, threads=10**9)
-    assert np.isfinite(out.velocity).all()
-
-
-def test_a_profile_that_is_none_is_refused():
-    with pytest.raises(ArgumentError, match="Scenario: profile must be a HalfCosine, got 'x'"):
-        simulated(gimbal(), [], period=1e-3, delay=0.0, duration=0.1, mode="caged", profile="x")
+def test_of_many_plants_the_one_whose_step_is_too_long_is_found():
+    soft, stiff = (gimbal(cage=[{"gimbal": "a", "stiffness": k}]) for k in (1.0, 1e6))
+    runs = [Scenario(platform=soft, mode="caged", duration=0.001, delay=0.0, run=k) for k in range(9)]
+    assert simulate_batch(runs, [], period=1e-3, step=1e-4).completed.all()
+    with pytest.raises(ArgumentError, match=r"step: 0.0001 s is too long for the cage of gimbal 'a'; take at most"):
+        simulate_batch([*runs, dataclasses.replace(runs[0], platform=stiff), *runs], [], period=1e-3, step=1e-4)

@@ -149,7 +149,7 @@ def test_two_gimbals_that_come_to_their_stops_at_once_stay_there(free: bool) -> 
 
 def test_a_blow_falls_once_whenever_it_is_due_and_changes_the_momentum_by_its_impulse() -> None:
     platform = plant(stops=(-1.0, 1.0))
-    for k in range(1, 100):
+    for k in range(1, 100, 7):
         for at, sample in ((k * PERIOD, k), ((k - 0.3) * PERIOD, k)):
             blow = fault("stop contact", part="g", at=at, until=np.inf, impulse=3e-3)
             out = simulation.simulate(scenario(platform, faults=(blow,)), [], period=PERIOD, step=PERIOD)
@@ -197,19 +197,6 @@ def test_a_blow_on_a_gimbal_that_is_pressed_against_its_stop_makes_it_meet_the_s
         np.testing.assert_allclose(out.rate[resting, 1], 0.0, rtol=0, atol=1e-11)
         assert out.q[leaving, 1].max() < stop
         assert np.diff(out.q[leaving, 1]).max() < 0.0
-
-
-@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9])
-def test_a_gimbal_comes_to_rest_on_its_stop_alike_whether_the_root_is_held_or_heavy(restitution: float) -> None:
-    platform = dataclasses.replace(plant(stops=(-0.05, 0.06), restitution=restitution), root_inertia=1e9 * np.eye(3))
-    held, heavy = (
-        flown(platform, mode=mode, level=0.5, slope=-5.0, q=[0.5, 0.059], duration=0.15)
-        for mode in ("caged", "stabilised")
-    )
-    np.testing.assert_array_equal(held.stop_contacts, heavy.stop_contacts)
-    np.testing.assert_allclose(heavy.q, held.q, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(heavy.rate, held.rate, rtol=0, atol=1e-7)
-    assert restitution == 0.9 or not held.rate[within(held.t, 0.08, 0.099), 1].any()
 
 
 # Friction.
