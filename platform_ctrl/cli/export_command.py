@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -20,16 +19,64 @@ from platform_ctrl.cli.job_arguments import (
     existing_controllers,
     expect_no_file_above,
     job_of,
+    one_of,
+    option,
     plant_file,
     writable,
 )
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.exporters import Export, Exporter, Setting, exporters
+from platform_ctrl.export.exporters import FORMS, NUMBERS, RESPONSES, ROOTS, Export, Form
 
 WHAT, HOW = "What is written", "How"
 
 
-class ExportCommand:
+def _target(flag: str, metavar: str, help: str) -> Any:
+    return option(flag, metavar=metavar, help=help, panel=WHAT)
+
+
+def _how(flag: str, metavar: str, help: str) -> Any:
+    return option(flag, metavar=metavar, help=help, panel=HOW, default=True)
+
+
+def export(
+    job: JobFile,
+    controllers: Controllers = None,
+    c: Annotated[
+        Path | None,
+        _target(
+            "--c",
+            "DIR",
+            "The controllers as C99 source, into this folder: a new or empty one, or one of an earlier export.",
+        ),
+    ] = None,
+    mat: Annotated[
+        Path | None, _target("--mat", "FILE", "Controllers and linear models as MATLAB data, a struct for ss each.")
+    ] = None,
+    models: Annotated[
+        Path | None,
+        _target("--models", "FILE", "Controllers, where there are some, and linear models as JSON."),
+    ] = None,
+    csv: Annotated[
+        Path | None,
+        _target("--csv", "DIR", "Frequency responses of plants, controllers and loops, a CSV file each."),
+    ] = None,
+    mjcf: Annotated[Path | None, _target("--mjcf", "FILE", "The plant as a MuJoCo model.")] = None,
+    number: Annotated[str, _how("--number", "TYPE", "Numbers of the C source: double or float.")] = NUMBERS[0],
+    form: Annotated[
+        str,
+        _how("--form", "FORM", "Responses in CSV: complex (real and imaginary parts) or polar (magnitude and phase)."),
+    ] = RESPONSES[0],
+    root: Annotated[
+        str,
+        _how(
+            "--root",
+            "KIND",
+            "Root of the MuJoCo model: free, prescribed (its angular acceleration is a control) or fixed.",
+        ),
+    ] = ROOTS[0],
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
     """Export controllers and plant for compilers and other tools.
 
     Several forms can be combined; all of them are written, or none. Default controllers are those of check. A folder
@@ -47,163 +94,105 @@ class ExportCommand:
     platform-ctrl export job.toml --c gyro --json | jq .written
         with the SHA-256 of every file
     """  # noqa: D301
+    from platform_ctrl.cli.atomic_output import own_files, sha256
+    from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.common.json_text import json_text
 
-    __name__ = "export"
-
-    def __init__(self) -> None:
-        self.__annotations__: dict[str, Any] = {}  # typer takes those of the signature
-
-    @property
-    def __signature__(self) -> inspect.Signature:
-        """Arguments and options, those of the registered exporters among them: typer reads them from here."""
-        one, kind = inspect.Parameter, inspect.Parameter.KEYWORD_ONLY
-        own = [
-            one("job", kind, annotation=JobFile),
-            one("controllers", kind, annotation=Controllers, default=None),
-            *(one(e.name, kind, annotation=_target_option(e), default=None) for e in exporters()),
-            *(
-                one(_keyword(e, s), kind, annotation=_setting_option(s), default=s.default)
-                for e in exporters()
-                for s in e.settings
-            ),
-            one("as_json", kind, annotation=Json, default=False),
-            one("quiet", kind, annotation=Quiet, default=False),
+    targets = {"c": c, "mat": mat, "models": models, "csv": csv, "mjcf": mjcf}
+    # Files first.
+    chosen = {one: at for one in sorted(FORMS, key=lambda one: one.folder) if (at := targets[one.name]) is not None}
+    if not chosen:
+        raise InputError(f"nothing to write; name at least one of {', '.join(one.flag for one in FORMS)} (see --help)")
+    for flag, given, default, of in (
+        ("--number", number, NUMBERS[0], "c"),
+        ("--form", form, RESPONSES[0], "csv"),
+        ("--root", root, ROOTS[0], "mjcf"),
+    ):
+        if given != default and targets[of] is None:
+            raise InputError(f"{flag}: is an option of --{of}, which must be given too")
+    numbers, responses, kind = (
+        one_of("--number", number, NUMBERS),
+        one_of("--form", form, RESPONSES),
+        one_of("--root", root, ROOTS),
+    )
+    with progress(quiet or as_json, f"reading {job}") as say:
+        work = Export(job_of(job), job, number=numbers, responses=responses, root=kind)
+        uses = {one.controllers for one in chosen}
+        used = "" if uses == {"unused"} else "controllers: none"
+        there = existing_controllers(None, job) is not None
+        if controllers is not None or "needed" in uses or (there and "optional" in uses):
+            work.controller_file, used = controller_file(controllers, None, job, work.job, quiet or as_json)
+        file = work.controller_file
+        _check_targets([job, *plant_file(job, work.job), *([file] if file else [])], chosen)
+        work.controller_sha256 = None if file is None else sha256(file)
+        owned = {one: own_files(one.flag, target) for one, target in chosen.items() if one.folder}
+        about = {
+            "schema": 1,
+            "job": work.job.name,
+            "platform": work.job.platform.name,
+            "controllers": None if file is None else {"file": str(file), "sha256": work.controller_sha256},
+        }
+        made = _write(work, chosen, owned, about, say)
+        written = [
+            {"format": one.name, "path": str(path), "sha256": sha256(path)}
+            for one, paths in made.items()
+            for path in paths
         ]
-        return inspect.Signature(own, return_annotation=int)
-
-    def __call__(self, job: Path, controllers: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
-        """Write what the options ask for, and return the exit code."""
-        from platform_ctrl.cli.atomic_output import own_files, sha256
-        from platform_ctrl.cli.terminal import progress
-        from platform_ctrl.common.json_text import json_text
-
-        chosen = {e: options[e.name] for e in exporters() if options[e.name] is not None}
-        chosen = {e: chosen[e] for e in sorted(chosen, key=lambda e: not e.suffix)}  # files first
-        settings = _settings(chosen, options)
-        with progress(quiet or as_json, f"reading {job}") as say:
-            work = Export(job_of(job), job)
-            uses = {e.controllers for e in chosen}
-            used = "" if uses == {"unused"} else "controllers: none"
-            there = existing_controllers(None, job) is not None
-            if controllers is not None or "needed" in uses or (there and "optional" in uses):
-                work.controller_file, used = controller_file(controllers, None, job, work.job, quiet or as_json)
-            file = work.controller_file
-            _check_targets([job, *plant_file(job, work.job), *([file] if file else [])], chosen)
-            work.controller_sha256 = None if file is None else sha256(file)
-            owned = {e: own_files(e.flag, target) for e, target in chosen.items() if not e.suffix}
-            about = {
-                "schema": 1,
-                "job": work.job.name,
-                "platform": work.job.platform.name,
-                "controllers": None if file is None else {"file": str(file), "sha256": work.controller_sha256},
-            }
-            made = _write(work, chosen, settings, owned, about, say)
-            written = [
-                {"format": exporter.name, "path": str(path), "sha256": sha256(path)}
-                for exporter, paths in made.items()
-                for path in paths
-            ]
-        noted(used)
-        if as_json:
-            typer.echo(json_text(about | {"written": written, "notes": work.notes}))
-            return 0
-        for exporter, target in chosen.items():
-            count = "" if exporter.suffix else f", {len(made[exporter])} files"
-            typer.echo(f"{exporter.title}: {target}{count}")
-        for note in work.notes:
-            typer.echo(note, err=True)
+    noted(used)
+    if as_json:
+        typer.echo(json_text(about | {"written": written, "notes": work.notes}))
         return 0
-
-
-export = ExportCommand()
+    for one, target in chosen.items():
+        typer.echo(f"{one.title}: {target}{f', {len(made[one])} files' if one.folder else ''}")
+    for note in work.notes:
+        noted(note)
+    return 0
 
 
 def _write(
     work: Export,
-    chosen: Mapping[Exporter, Path],
-    settings: Mapping[Exporter, Mapping[str, Any]],
-    owned: Mapping[Exporter, Mapping[str, str]],
+    chosen: Mapping[Form, Path],
+    owned: Mapping[Form, Mapping[str, str]],
     about: Mapping[str, object],
     say: Callable[[str], None],
-) -> dict[Exporter, list[Path]]:
+) -> dict[Form, list[Path]]:
     """Write all forms or none, and return the files of each; what a folder has of an earlier export goes."""
     from platform_ctrl.cli.atomic_output import beside, expect_own, move_together, write_folder_record
     from platform_ctrl.cli.interrupts import interrupts_deferred
 
-    made: dict[Exporter, list[Path]] = {}
+    made: dict[Form, list[Path]] = {}
     moves: dict[Path, Path] = {}
     with ExitStack() as all_or_none:
-        for exporter, target in chosen.items():
+        for form, target in chosen.items():
             say(f"writing {target}")
-            folder = target.parent if exporter.suffix else target
+            folder = target if form.folder else target.parent
             unfinished = all_or_none.enter_context(beside(folder))
             moves[unfinished] = folder
-            path = unfinished / target.name if exporter.suffix else unfinished
-            exporter.write(work, path, target, **settings[exporter])
-            if not exporter.suffix:
+            path = unfinished if form.folder else unfinished / target.name
+            form.write(work, path, target)
+            if form.folder:
                 write_folder_record(path, about)
-            expect_own(unfinished, folder, owned.get(exporter))
-            made[exporter] = [folder / one.name for one in sorted(unfinished.iterdir())]
+            expect_own(unfinished, folder, owned.get(form))
+            made[form] = [folder / one.name for one in sorted(unfinished.iterdir())]
         with interrupts_deferred():
             move_together(moves)
-    for exporter, before in owned.items():
-        for name in before.keys() - {path.name for path in made[exporter]}:
-            (chosen[exporter] / name).unlink(missing_ok=True)
+    for form, before in owned.items():
+        for name in before.keys() - {path.name for path in made[form]}:
+            (chosen[form] / name).unlink(missing_ok=True)
     return made
 
 
-def _keyword(exporter: Exporter, setting: Setting) -> str:
-    return f"{exporter.name}_{setting.name}"
-
-
-def _target_option(exporter: Exporter) -> Any:
-    option = typer.Option(
-        exporter.flag,
-        metavar="FILE" if exporter.suffix else "DIR",
-        help=exporter.help,
-        show_default=False,
-        rich_help_panel=WHAT,
-    )
-    return Annotated[Path | None, option]
-
-
-def _setting_option(setting: Setting) -> Any:
-    option = typer.Option(
-        setting.flag,
-        metavar=setting.metavar,
-        help=setting.help,
-        show_default=setting.default is not None,
-        rich_help_panel=HOW,
-    )
-    return Annotated[setting.kind if setting.default is not None else setting.kind | None, option]
-
-
-def _settings(chosen: Mapping[Exporter, Path], options: Mapping[str, Any]) -> dict[Exporter, dict[str, Any]]:
-    """Return the settings of each exporter that was chosen; those of others must not be given."""
-    if not chosen:
-        known = ", ".join(e.flag for e in exporters())
-        raise InputError(f"nothing to write; name at least one of {known} (see --help)")
-    for exporter in exporters():
-        for setting in exporter.settings:
-            given = options[_keyword(exporter, setting)]
-            if given not in (setting.default, []) and exporter not in chosen:
-                raise InputError(f"{setting.flag}: is an option of {exporter.flag}, which must be given too")
-            if setting.choices and given not in setting.choices:
-                raise InputError(f"{setting.flag} {given}: must be one of {', '.join(setting.choices)}")
-    return {e: {s.name: options[_keyword(e, s)] for s in e.settings} for e in chosen}
-
-
-def _check_targets(inputs: list[Path], targets: Mapping[Exporter, Path]) -> None:
+def _check_targets(inputs: list[Path], targets: Mapping[Form, Path]) -> None:
     """Check where everything is to be written, before the work; `inputs` are files that the command reads."""
-    for exporter, target in targets.items():
-        others = [*inputs, *(other for one, other in targets.items() if one is not exporter)]
-        if exporter.suffix:
-            writable(exporter.flag, target, others)
+    for form, target in targets.items():
+        others = [*inputs, *(other for one, other in targets.items() if one is not form)]
+        if not form.folder:
+            writable(form.flag, target, others)
             continue
-        expect_no_file_above(exporter.flag, target)
+        expect_no_file_above(form.flag, target)
         if target.resolve() in [other.resolve() for other in others]:
-            raise InputError(f"{exporter.flag} {target}: is used for something else too; name another folder")
+            raise InputError(f"{form.flag} {target}: is used for something else too; name another folder")
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{exporter.flag} {target}: cannot be written: {error.strerror or error}") from None
+            raise InputError(f"{form.flag} {target}: cannot be written: {error.strerror or error}") from None

@@ -1,6 +1,6 @@
 """Export: controllers and plants as C, MJCF, MATLAB data, JSON and CSV.
 
-`exporters` lists what ``platform-ctrl export`` writes; ``__init__.pyi`` lists the names, loaded on first use.
+`exporters` has the forms that ``platform-ctrl export`` writes; ``__init__.pyi`` lists the names, loaded on first use.
 """
 
 from platform_ctrl.common.lazy import lazy_names

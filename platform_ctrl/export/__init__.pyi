@@ -5,6 +5,5 @@ from .matlab import write_mat as write_mat
 from .mujoco.mjcf_reader import read_mjcf as read_mjcf
 from .mujoco.mjcf_writer import write_mjcf as write_mjcf
 from .systems import read_systems as read_systems
-from .systems import system_record as system_record
 from .systems import write_controllers as write_controllers
 from .systems import write_systems as write_systems

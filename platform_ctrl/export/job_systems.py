@@ -23,7 +23,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.export.systems import SystemRecord, signal_units, system_record
+from platform_ctrl.export.systems import ExportedSystem, signal_units
 from platform_ctrl.job.job import Faults, Job, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
@@ -50,29 +50,26 @@ class ResponseTable:
     notes: tuple[str, ...]  # What it is, with its units
 
 
-def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[SystemRecord, ...]:
-    """Return a job's controllers u = K y with units and delay, signals as in ``result.json``."""
+def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> Iterator[ExportedSystem]:
+    """Go through a job's controllers u = K y, with their delay."""
     note = "controller, positive feedback u = +K y; u acts the delay after the sample and is held"
-    return tuple(system_record(K, platform=job.platform, delay=job.sampling.delay, note=note) for K in controllers)
+    return (ExportedSystem(K, job.sampling.delay, note) for K in controllers)
 
 
-def model_systems(job: Job) -> tuple[SystemRecord, ...]:
-    """Return the linear models of a job's plant about rest.
+def model_systems(job: Job) -> Iterator[ExportedSystem]:
+    """Go through the linear models of a job's plant about rest.
 
     ``plant``: torques and platform rates to angles, continuous; ``plant with free root``: the platform reacts; then
     for each caging loop its sampled plant, dead time, torquer lag and hold included.
     """
     model = linearise(job.platform)
     about = f"{job.platform.name}, linear about rest"
-    whole, free = state_space(model), state_space(model, root="free")
-    out = [
-        system_record(whole, "plant", platform=job.platform, note=f"{about}, Omega prescribed"),
-        system_record(free, "plant with free root", platform=job.platform, note=f"{about}, the platform reacts"),
-    ]
+    free = state_space(model, root="free").copy("plant with free root")
+    yield ExportedSystem(state_space(model).copy("plant"), note=f"{about}, Omega prescribed")
+    yield ExportedSystem(free, note=f"{about}, the platform reacts")
     for name, plant in _loop_plants(job):
         note = "sampled with hold; dead time and torquer lag are in it"
-        out.append(system_record(plant, f"plant {name}", platform=job.platform, note=note))
-    return tuple(out)
+        yield ExportedSystem(plant.copy(f"plant {name}".replace(".", "_")), note=note)
 
 
 def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[ResponseTable, ...]:

@@ -8,33 +8,38 @@ import re
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.systems import MOST_SYSTEMS, SystemRecord, expect_systems, system_of
+from platform_ctrl.export.systems import system_of
 from platform_ctrl.plant.mistakes import one_line
 from platform_ctrl.plant.source import MOST_OF_ANY, path_of
+from platform_ctrl.verification.result_file import JSONTable
+
+if TYPE_CHECKING:
+    import control
 
 # The text at the head of the file, in place of the date that would make every file another one.
 _HEAD = b"MATLAB 5.0 MAT-file, written by platform_ctrl".ljust(116)
 _LONGEST = 63  # MATLAB's namelengthmax
 _NAMES = {"inputs": "InputName", "outputs": "OutputName", "states": "StateName"}
-_READABLE = "1 to 1000 structs of A, B, C, D, Ts, InputName, OutputName and StateName, with -v7"
+_READABLE = "structs of A, B, C, D, Ts, InputName, OutputName and StateName, with -v7"
 
 
-def write_mat(systems: Sequence[SystemRecord], path: str | os.PathLike[str]) -> Path:
+def write_mat(systems: Sequence[control.StateSpace], path: str | os.PathLike[str]) -> Path:
     """Write systems as a MATLAB 5 file, whole or not at all.
 
     Every system is a struct with ``A``, ``B``, ``C``, ``D``, ``Ts``, ``InputName``, ``OutputName`` and ``StateName``,
-    named as the system as far as MATLAB allows. Its delay is not in the file.
+    named as the system as far as MATLAB allows.
 
     Parameters
     ----------
     systems
-        As from `system_record`, `controller_systems` or `model_systems`.
+        Continuous or sampled, with names.
     path
         Of the file; its folder is there.
 
@@ -46,25 +51,25 @@ def write_mat(systems: Sequence[SystemRecord], path: str | os.PathLike[str]) -> 
     Raises
     ------
     ArgumentError
-        There are none, or more than 1000.
+        One is no state space, or is not finite.
     InputError
         The file cannot be written there.
     """
-    expect_systems(systems, "write_mat")
     structs: dict[str, dict[str, Any]] = {}
     for one in systems:
-        plain = re.sub(r"[^A-Za-z0-9]+", "_", one.name).strip("_") or "system"
+        plain = re.sub(r"[^A-Za-z0-9]+", "_", str(one.name)).strip("_") or "system"
         name = plain = (plain if plain[0].isalpha() else f"s_{plain}")[: _LONGEST - 5]
         while name in structs:
             name = f"{plain}_{len(structs) + 1}"
-        structs[name] = {key: getattr(one, key) for key in "ABCD"} | {"Ts": one.dt}
-        structs[name] |= {field: np.array([getattr(one, key)], dtype=object).T for key, field in _NAMES.items()}
+        labels = {"InputName": one.input_labels, "OutputName": one.output_labels, "StateName": one.state_labels}
+        matrices = dict(zip(("A", "B", "C", "D", "Ts"), state_arrays(one, "write_mat"), strict=True))
+        structs[name] = matrices | {key: np.array([names], dtype=object).T for key, names in labels.items()}
     content = io.BytesIO()
     import_module("scipy.io").savemat(content, structs)
     return write_whole(path, _HEAD + content.getvalue()[len(_HEAD) :])
 
 
-def read_mat(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
+def read_mat(path: str | os.PathLike[str]) -> list[control.StateSpace]:
     """Read systems from a MATLAB file: every struct with ``A``, ``B``, ``C`` and ``D``.
 
     Parameters
@@ -75,8 +80,8 @@ def read_mat(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
 
     Returns
     -------
-    tuple of SystemRecord
-        In the file's order; what has no names gets u1, y1, x1 and so on, what has no ``Ts`` is continuous.
+    list of control.StateSpace
+        In the file's order; what has no names gets u1, y1, x0 and so on, what has no ``Ts`` is continuous.
 
     Raises
     ------
@@ -93,12 +98,12 @@ def read_mat(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
         raise InputError(f"{label}: cannot be read: {one_line(str(error))[:200]}; save {_READABLE}") from None
     structs = {name: item for name, item in variables.items() if getattr(item, "dtype", np.dtype(float)).names}
     found = [_system(f"{label}: {one_line(name)}", name, item) for name, item in structs.items()]
-    if not 0 < len(found) <= MOST_SYSTEMS:
-        raise InputError(f"{label}: holds {len(found)} structs; save {_READABLE}")
-    return tuple(found)
+    if not found:
+        raise InputError(f"{label}: holds no structs; save {_READABLE}")
+    return found
 
 
-def _system(where: str, name: str, item: np.ndarray[Any, Any]) -> SystemRecord:
+def _system(where: str, name: str, item: np.ndarray[Any, Any]) -> control.StateSpace:
     fields = {key: item.ravel()[0][key] for key in item.dtype.names or ()} if item.size == 1 else {}
     texts = {key: fields.pop(field, np.zeros(0)) for key, field in _NAMES.items()}
     period = fields.pop("Ts", np.zeros((1, 1)))
@@ -113,4 +118,4 @@ def _system(where: str, name: str, item: np.ndarray[Any, Any]) -> SystemRecord:
     for key, letter, count in zip(("outputs", "inputs"), "yu", shape, strict=False):
         names[key] = names[key] or [f"{letter}{k + 1}" for k in range(count)]
     matrices = {key: item.tolist() for key, item in fields.items()}
-    return system_of(where, {**matrices, **names, "name": name, "dt": period.item()})
+    return system_of(JSONTable(where, {**matrices, **names, "name": name, "dt": period.item()}))

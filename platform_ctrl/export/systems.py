@@ -1,128 +1,32 @@
-"""Linear systems as files have them: state spaces with units, delay and a note; and as JSON, as in result.json."""
+"""Linear systems as JSON, as in result.json, with units, delay and a note."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.arrays import named_system, state_arrays
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.json_text import write_json
-from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.source import path_of, read_json
-from platform_ctrl.verification.result_file import SCHEMA, JSONTable
+from platform_ctrl.verification.result_file import MOST_STATES, SCHEMA, JSONTable
 
 if TYPE_CHECKING:
     import control
 
-# States and signals of a system: with as many its matrices have a million elements.
-MOST = 1000
-# Systems in a file.
-MOST_SYSTEMS = 1000
-_EXPECTED = "a JSON file with systems or controllers"
-# Keys of an entry in a JSON file.
-_KEYS = (
-    "name", "note", "dt", "delay", "inputs", "input_units", "outputs", "output_units", "states", "A", "B", "C", "D",
-)  # fmt: skip
 
+class ExportedSystem(NamedTuple):
+    """A linear system, the time by which its outputs act later than by its matrices, s, and what it is, in a line."""
 
-@value
-class SystemRecord:
-    """A state space for other tools."""
-
-    name: str  # What it is called
-    # A, B, C, D: x' = A x + B u, y = C x + D u; sampled: x[k+1] = ... In the units of the signals. Shapes (n, n), (n,
-    # m), (p, n), (p, m).
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-    dt: float  # Sample period, s; 0: continuous
-    # inputs, outputs, states: Names
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    states: tuple[str, ...]
-    # input_units, output_units: Units of the signals, "" where none is known
-    input_units: tuple[str, ...]
-    output_units: tuple[str, ...]
-    # Time by which the outputs act later than by the matrices, s: of a controller from sample to torque
+    system: control.StateSpace
     delay: float = 0.0
-    note: str = ""  # What it is, in a line
-
-    @property
-    def state_space(self) -> control.StateSpace:
-        """The system for python-control; its delay is not in it."""
-        arrays = StateArrays(self.A, self.B, self.C, self.D, self.dt)
-        return named_system(arrays, self.inputs, self.outputs, self.states, name=self.name)
-
-
-def system_record(
-    system: control.StateSpace,
-    name: str | None = None,
-    *,
-    platform: Platform | None = None,
-    delay: float = 0.0,
-    note: str = "",
-) -> SystemRecord:
-    """Return a state space with names, units, delay and note for other tools.
-
-    Parameters
-    ----------
-    system
-        Continuous or sampled.
-    name
-        What it is called; default its own name.
-    platform
-        Whose signals these are: they get their units.
-    delay
-        Time by which the outputs act later than by the matrices, s.
-    note
-        What it is, in a line.
-
-    Returns
-    -------
-    SystemRecord
-        With the names of its signals and states.
-
-    Raises
-    ------
-    ArgumentError
-        It is no state space, is not finite, or has more than 1000 states or signals.
-    """
-    where = "system_record"
-    A, B, C, D, dt = state_arrays(system, where)
-    if max(*A.shape, *D.shape) > MOST:
-        raise ArgumentError(
-            f"{where}: has {len(A)} states, {D.shape[1]} inputs and {D.shape[0]} outputs; at most {MOST}"
-        )
-    units = {} if platform is None else signal_units(platform)
-    inputs, outputs = tuple(map(str, system.input_labels)), tuple(map(str, system.output_labels))
-    title = str(system.name) if name is None else name
-    for kind, text in (("name", title), ("note", note)):
-        if not isinstance(text, str) or not text.isprintable() or (kind == "name" and not text.strip()):
-            raise ArgumentError(f"{where}: {kind} must be text in one line, got {short(text)}")
-    return SystemRecord(
-        name=title,
-        A=A,
-        B=B,
-        C=C,
-        D=D,
-        dt=dt,
-        delay=positive(f"{where}: delay", delay, zero=True),
-        inputs=inputs,
-        outputs=outputs,
-        states=tuple(map(str, system.state_labels)),
-        input_units=tuple(units.get(one, "") for one in inputs),
-        output_units=tuple(units.get(one, "") for one in outputs),
-        note=note,
-    )
+    note: str = ""
 
 
 def signal_units(platform: Platform) -> dict[str, str]:
@@ -134,23 +38,48 @@ def signal_units(platform: Platform) -> dict[str, str]:
     return units | dict.fromkeys([*(t.name for t in platform.torquers), *ROOT_TORQUE_NAMES], "N m")
 
 
-def expect_systems(systems: Sequence[SystemRecord], where: str) -> None:
-    """Check a list of systems."""
-    if not isinstance(systems, list | tuple) or not all(isinstance(one, SystemRecord) for one in systems):
-        raise ArgumentError(f"{where}: systems must be a list of SystemRecord, for example from system_record")
-    if not 0 < len(systems) <= MOST_SYSTEMS:
-        raise ArgumentError(f"{where}: there must be 1 to {MOST_SYSTEMS} systems, got {len(systems)}")
+def write_entries(systems: Sequence[ExportedSystem], path: str | os.PathLike[str], platform: Platform | None) -> Path:
+    """Write systems as JSON; `platform` is whose signals they have, for their units."""
+    units = {} if platform is None else signal_units(platform)
+    return write_json({"schema": SCHEMA, "systems": [_entry(one, units) for one in systems]}, path)
 
 
-def write_systems(systems: Sequence[SystemRecord], path: str | os.PathLike[str]) -> Path:
+def _entry(one: ExportedSystem, units: Mapping[str, str]) -> dict[str, Any]:
+    """Return a system in plain types."""
+    A, B, C, D, dt = state_arrays(one.system, "systems")
+    if max(*A.shape, *D.shape) > MOST_STATES:
+        raise ArgumentError(f"systems: {one.system.name!r} has more than {MOST_STATES} states or signals")
+    inputs, outputs = list(one.system.input_labels), list(one.system.output_labels)
+    return {
+        "name": str(one.system.name),
+        "note": one.note,
+        "dt": dt,
+        "delay": one.delay,
+        "inputs": inputs,
+        "input_units": [units.get(name, "") for name in inputs],
+        "outputs": outputs,
+        "output_units": [units.get(name, "") for name in outputs],
+        "states": list(one.system.state_labels),
+        "A": A,
+        "B": B,
+        "C": C,
+        "D": D,
+    }
+
+
+def write_systems(
+    systems: Sequence[control.StateSpace], path: str | os.PathLike[str], *, platform: Platform | None = None
+) -> Path:
     """Write systems as JSON, whole or not at all.
 
     Parameters
     ----------
     systems
-        As from `system_record`, `controller_systems` or `model_systems`.
+        Continuous or sampled, with names.
     path
         Of the file; its folder is there.
+    platform
+        Whose signals these are: they get their units.
 
     Returns
     -------
@@ -160,14 +89,13 @@ def write_systems(systems: Sequence[SystemRecord], path: str | os.PathLike[str])
     Raises
     ------
     ArgumentError
-        There are none, or more than 1000.
+        One is no state space, is not finite, or has more than 1000 states or signals.
     InputError
         The file cannot be written there.
     """
-    expect_systems(systems, "write_systems")
-    return write_json(
-        {"schema": SCHEMA, "systems": [{key: getattr(one, key) for key in _KEYS} for one in systems]}, path
-    )
+    if not isinstance(systems, list | tuple):
+        raise ArgumentError(f"write_systems: systems must be a list of control.StateSpace, got {short(systems)}")
+    return write_entries([ExportedSystem(one) for one in systems], path, platform)
 
 
 def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.PathLike[str], *, delay: float) -> Path:
@@ -190,18 +118,17 @@ def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.
     Raises
     ------
     ArgumentError
-        There are none, one is no state space, or `delay` is negative.
+        One is no state space, or `delay` is negative.
     InputError
         The file cannot be written there.
     """
-    systems = [system_record(K, delay=delay) for K in controllers]
-    expect_systems(systems, "write_controllers")
-    keys = ("name", "dt", "A", "B", "C", "D", "inputs", "outputs", "delay")
-    entries = [{key: getattr(one, key) for key in keys} for one in systems]
+    late = positive("write_controllers: delay", delay, zero=True)
+    keys = ("name", "dt", "delay", "inputs", "outputs", *"ABCD")
+    entries = [{key: _entry(ExportedSystem(K, late), {})[key] for key in keys} for K in controllers]
     return write_json({"schema": SCHEMA, "controllers": entries}, path)
 
 
-def read_systems(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
+def read_systems(path: str | os.PathLike[str]) -> list[control.StateSpace]:
     """Read systems from JSON: a file of `write_systems`, a ``result.json``, or one with its controllers alone.
 
     Parameters
@@ -211,51 +138,25 @@ def read_systems(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
 
     Returns
     -------
-    tuple of SystemRecord
-        In the file's order.
+    list of control.StateSpace
+        In the file's order, with their names; units, delay and note stay in the file.
 
     Raises
     ------
     InputError
         The file, the system and the key, what is wrong, and what it must be, in one line.
     """
-    label, data = read_json(path_of(path, "the path of a JSON file"), _EXPECTED)
-    if not isinstance(data, Mapping):
-        raise InputError(f"{label}: must be {_EXPECTED}, got {given(data)}")
-    schema = data.get("schema")
-    if isinstance(schema, bool) or schema != SCHEMA:
-        raise InputError(f'{label}: "schema" is {given(schema)}, but this version reads {SCHEMA}')
-    key = "systems" if "systems" in data else "controllers"
-    entries = data.get(key)
-    if not isinstance(entries, list) or not 0 < len(entries) <= MOST_SYSTEMS:
-        raise InputError(f'{label}: "{key}" must be a list of 1 to {MOST_SYSTEMS} systems, got {given(entries)}')
-    return tuple(system_of(f"{label}: {key} {number}", entry) for number, entry in enumerate(entries, 1))
+    table = JSONTable(*read_json(path_of(path, "the path of a JSON file"), "a JSON file with systems or controllers"))
+    table.expect_schema()
+    key = "systems" if "systems" in table.data else "controllers"
+    return [system_of(one) for one in table.tables(key, "a list of systems")]
 
 
-def system_of(where: str, data: object) -> SystemRecord:
-    """Return the system that a file describes; `where` is the file and the entry, for messages.
-
-    ``A`` to ``D`` are lists of rows; ``delay``, names of states, units and ``note`` may be missing.
-    """
-    table = JSONTable(where, data)
+def system_of(table: JSONTable) -> control.StateSpace:
+    """Return the system that a table of a file describes: ``A`` to ``D`` are lists of rows."""
     inputs, outputs = table.names("inputs"), table.names("outputs")
     arrays = table.arrays(len(inputs), len(outputs), table.number("dt", "a finite number >= 0, s", least=0.0))
-    states = table.names("states") if table.data.get("states") else tuple(f"x{k + 1}" for k in range(len(arrays.A)))
-    if len(states) != len(arrays.A):
-        raise table.mistake(f"states: has {len(states)} names, but A has {len(arrays.A)} rows")
-    units = {key: tuple(map(str, table.data.get(key) or ())) for key in ("input_units", "output_units")}
-    return SystemRecord(
-        A=arrays.A,
-        B=arrays.B,
-        C=arrays.C,
-        D=arrays.D,
-        dt=arrays.dt,
-        name=table.text("name", "a name"),
-        delay=table.number("delay", "a finite number >= 0, s", least=0.0) if "delay" in table.data else 0.0,
-        inputs=inputs,
-        outputs=outputs,
-        states=states,
-        input_units=units["input_units"] or ("",) * len(inputs),
-        output_units=units["output_units"] or ("",) * len(outputs),
-        note=table.text("note", "text in one line", empty=True) if "note" in table.data else "",
-    )
+    states = table.names("states") if table.data.get("states") else None
+    if states is not None and len(states) != len(arrays.A):
+        raise InputError(f"{table.where}: states: has {len(states)} names, but A has {len(arrays.A)} rows")
+    return named_system(arrays, inputs, outputs, states, name=table.text("name", "a name"))

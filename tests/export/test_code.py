@@ -332,8 +332,6 @@ def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> No
         write_c(job, [tiny | {"D": [[1e60, 0.0], [0.0, 1.0]]}], tmp_path, number="float")
     with pytest.raises(ArgumentError, match=r"number must be .* got 'half'"):
         write_c(job, [tiny], tmp_path, number="half")  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="anti_windup"):
-        write_c(job, [tiny], tmp_path, anti_windup="yes")  # type: ignore[arg-type]
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="name a folder"):
         write_c(job, [tiny], tmp_path / "file" / "x")

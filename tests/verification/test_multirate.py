@@ -391,7 +391,7 @@ def test_a_tracker_that_measures_when_it_is_read_is_not_held() -> None:
 def test_the_generated_code_is_the_simulated_computer(
     job: Job, controllers: list[control.StateSpace], tmp_path: Path
 ) -> None:
-    files = write_c(job, controllers, tmp_path, anti_windup="none").files
+    files = write_c(job, controllers, tmp_path).files
     library = compiled(files, tmp_path / "all.so")
     inputs = ["heading", "heading_command", "gyro"]
     outputs = ["gyro_command", "Qyaw"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,8 +27,6 @@ from platform_ctrl.job.job import Job
 if TYPE_CHECKING:
     import control
 
-AntiWindup = Literal["back-calculation", "none"]
-
 # Relative change of the response by coefficients in single precision that causes a note, and an error.
 _NOTED, _REFUSED = 1e-3, 1e-2
 # A pole this little outside the unit circle lies on it.
@@ -49,7 +47,6 @@ def write_c(
     folder: str | os.PathLike[str],
     *,
     number: Number = "double",
-    anti_windup: AntiWindup = "back-calculation",
     sha256: str = "",
     versions: Mapping[str, str] | None = None,
     command: str = "",
@@ -66,8 +63,6 @@ def write_c(
         Where to; made if it is not there.
     number
         Type of all numbers: ``"double"`` or ``"float"``.
-    anti_windup
-        What the excess of a limited torque does: ``"back-calculation"`` takes integrators back, ``"none"``.
     sha256
         Of the result file, hexadecimal digits, for the headers.
     versions
@@ -97,7 +92,7 @@ def write_c(
     origin = {"Controllers": f"sha256 {sha256}" if sha256 else ""}
     origin |= {"Versions": ", ".join(map(" ".join, (versions or {}).items())), "Made by": command}
     for one in controllers:
-        excess, about_windup, left = _anti_windup(one, anti_windup)
+        excess, about_windup, left = _anti_windup(one)
         remark, doubt = _in_single_precision(one) if number == "float" else ("", "")
         design = f"{one.design} (method {one.method})" if one.method else one.design
         about = {"Job": job.name, "Plant": job.platform.name, "Loop": one.name, "Design": design}
@@ -128,13 +123,10 @@ def write_c(
     return Written(files=tuple(write_whole(target / name, text) for name, text in texts.items()), notes=tuple(notes))
 
 
-def _anti_windup(one: Controller, wanted: AntiWindup) -> tuple[FloatArray, str, str]:
+def _anti_windup(one: Controller) -> tuple[FloatArray, str, str]:
     """Return E of a controller, a paragraph for the header about it, and a note on what it leaves, or nothing."""
     limited = np.isfinite(one.limits)
     found = back_calculation(one.arrays, limited.tolist())
-    if wanted == "none":
-        why = "as requested: integrals wind up while an output is at its limit"
-        return np.zeros_like(found.gain), f"Anti-windup: none, {why}.", ""
     if not found.time_constant:
         why = "no state integrates" if limited.any() else "no output is limited"
         return found.gain, f"Anti-windup: none, for {why}.", ""
