@@ -159,11 +159,11 @@ def disk_words(alpha: float) -> str:
     )
 
 
-def disk_gain_or_phase(alpha: float, skew: float = 0.0) -> tuple[str, str]:
+def disk_gain_or_phase(alpha: float) -> tuple[str, str]:
     """Return the gain factors that a disk margin allows by themselves, and the phases."""
     from platform_ctrl.analysis.disks import disk_to_gain_phase
 
-    low, high, phase = disk_to_gain_phase(min(alpha, 1e9), skew)
+    low, high, phase = disk_to_gain_phase(min(alpha, 1e9))
     upper = f"to {at_least(high, 3)}" if math.isfinite(high) else "upwards"
     return f"gain × {at_most(max(low, 0.0), 3)} {upper}", f"phase ±{at_least(math.degrees(phase), 3)}°"
 

@@ -25,8 +25,7 @@ from platform_ctrl.report.figures.loop import half_plane_axes
 from platform_ctrl.report.modes import nutates
 from platform_ctrl.report.page.captions import bandwidth_hz
 from platform_ctrl.report.plots.campbell import campbell
-from platform_ctrl.report.plots.curves import loop_phase
-from platform_ctrl.report.plots.panels import phase_panel
+from platform_ctrl.report.plots.panels import loop_phase, phase_panel
 from platform_ctrl.report.plots.pole_map import upper_half_plane
 from platform_ctrl.report.style import (
     BAND,
@@ -200,7 +199,7 @@ def servo_figure(result: JobResult) -> Figure | None:
         loop, style = loops[k], line_style(series[check.channels[k]])
         curves.append(np.abs(loop))
         handles += gain.plot(w * HZ, np.abs(loop), **style)
-        phases.append(loop_phase(w, loop))
+        phases.append(loop_phase(loop))
         phase.plot(w * HZ, phases[-1], **style)
     frequency_axes(gain, w[0] * HZ, w[-1] * HZ)
     gain_limits(gain, curves, low=1e-3, high=1e4)
@@ -208,7 +207,7 @@ def servo_figure(result: JobResult) -> Figure | None:
     gain.set_ylabel("gain, 1")
     gain.set_title("loop transfer at the torquer")
     frequency_axes(phase, w[0] * HZ, w[-1] * HZ, log_gain=False)
-    phase_panel(phase, phases, critical=True)
+    phase_panel(phase, phases)
     phase.set_ylabel("phase, degrees")
     phase.set_title("its phase")
     legend(figure, handles, [check.channels[k] for k in channels])

@@ -20,9 +20,8 @@ from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.quantities import HZ
 from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings
 from platform_ctrl.report.loop_responses import DesignResponses, LoopResponses, peak_metrics
-from platform_ctrl.report.plots.curves import loop_phase
-from platform_ctrl.report.plots.nichols import nichols
-from platform_ctrl.report.plots.panels import phase_panel
+from platform_ctrl.report.plots.nichols import LoopCurve, closest, nichols_plot
+from platform_ctrl.report.plots.panels import loop_phase, phase_panel
 from platform_ctrl.report.plots.pole_map import upper_half_plane
 from platform_ctrl.report.plots.root_locus import root_locus
 from platform_ctrl.report.style import (
@@ -243,9 +242,9 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     for i, name in enumerate(torques):
         above, below = rows[0][1 + i], rows[1][1 + i]
         _design_curves(above, f, [np.abs(one.channels[i]) for one in designs], responses, label=False)
-        phases = [loop_phase(responses.frequency, one.channels[i]) for one in designs]
+        phases = [loop_phase(one.channels[i]) for one in designs]
         _design_curves(below, f, phases, responses, log_gain=False)
-        phase_panel(below, phases, critical=True)
+        phase_panel(below, phases)
         gain_limits(above, [np.abs(one.channels[i]) for one in designs], low=1e-3, high=1e4)
         above.set_title(f"{name}, others closed")
     for axes in rows[0]:
@@ -381,19 +380,17 @@ def design_names(responses: LoopResponses) -> list[str]:
 
 def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...]) -> Figure:
     """Nichols plot of the closed design: the loop that each torquer closes while all the others stay closed."""
-    import control
-
-    loops = {
-        name: control.FrequencyResponseData(channel[None, None, :], responses.frequency)
-        for name, channel in zip(torques, responses.closed_design.channels, strict=True)
-    }
+    design, w = responses.closed_design, responses.frequency
+    stable = None if design.design.measures is None else bool(design.design.measures.decay[0] > 0.0)
+    curves = []
+    for name, channel in zip(torques, design.channels, strict=True):
+        margin, at = closest(w, channel)
+        curves.append(LoopCurve(label=name, frequency=w, response=channel, stable=stable, margin=margin, closest=at))
     metric = METRICS["disk margin"]
     # Curves of the nominal plant: its own limit, if there is one.
     limit = next((spec.limits[key] for key in (metric.key, f"{metric.key}_worst_case") if key in spec.limits), None)
     possible = limit is not None and (metric.best is None or limit < metric.best)
-    measures = responses.closed_design.design.measures
-    stable = None if measures is None else bool(measures.decay[0] > 0.0)
-    figure = nichols(loops, disk_margins=(limit,) if possible else (), stable=stable).figure  # type: ignore[arg-type]
+    figure = nichols_plot(curves, [limit] if limit is not None and possible else []).figure
     assert isinstance(figure, Figure)
     return figure
 

@@ -43,10 +43,9 @@ from platform_ctrl.report.page.blocks import (
 )
 from platform_ctrl.report.page.campaign_tables import campaign_words
 from platform_ctrl.report.page.captions import sentences, tightest
-from platform_ctrl.report.plots.curves import loop_phase
-from platform_ctrl.report.plots.nichols import exclusion
-from platform_ctrl.report.plots.panels import gains
-from platform_ctrl.report.style import BAND, LIMIT, MUTED, REFERENCE, legend, line_style, panels
+from platform_ctrl.report.plots.nichols import draw_region
+from platform_ctrl.report.plots.panels import decibels, loop_phase
+from platform_ctrl.report.style import LIMIT, REFERENCE, legend, line_style, panels
 from platform_ctrl.verification.changes import Change
 from platform_ctrl.verification.verdict import JobResult
 
@@ -252,9 +251,7 @@ def worst_plant_figure(outcome: LoopOutcome, k: int) -> Figure:
         drawn = [axes.plot(*curve, color=REFERENCE, linewidth=0.9, zorder=1.5)[0] for curve in _curves(design, 0)]
         handles.append(drawn[0])
     if required:
-        L = exclusion(required, 0.0)
-        phase, level = np.degrees(np.angle(-L)), 20.0 * np.log10(np.abs(L))
-        handles.append(axes.fill(-180.0 + phase, level, facecolor=BAND, edgecolor=MUTED, linewidth=0.9, zorder=0.6)[0])
+        handles.append(draw_region(axes, required, [-180.0]))
     axes.plot([-180.0], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, zorder=4)
     axes.axhline(0.0, color=REFERENCE, linewidth=0.9, zorder=1)
     axes.axvline(-180.0, color=REFERENCE, linewidth=0.9, zorder=1)
@@ -292,7 +289,7 @@ def _curves(design: LoopDesign, k: int) -> list[tuple[FloatArray, FloatArray]]:
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
     frequency = following_grid(poles, low, 0.999 * nyquist)
     found = gang(sampled_plant(plants), K, frequency).channels
-    return [(loop_phase(frequency, one), gains(one, dB=True)) for one in found]
+    return [(loop_phase(one), decibels(one)) for one in found]
 
 
 def section_verdict(results: Sequence[CheckResult]) -> tuple[str, bool]:

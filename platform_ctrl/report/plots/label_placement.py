@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +11,7 @@ from matplotlib.lines import Line2D
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.job.quantities import plain
 from platform_ctrl.report.style import INK, MUTED
 
 # Directions in degrees, the best first, and distances in points at which labels are tried.
@@ -19,6 +19,7 @@ _DIRECTIONS = (20, -20, 160, -160, 90, -90, 55, -55, 125, -125)
 _DISTANCES = (4.5, 9.0, 14.0)
 _LINE = 1.25  # height of a line over its font size
 _APART = 2.0  # between words, points
+_DOTS = 26.0  # between dots at frequencies, points
 
 
 class LabelPlacer:
@@ -38,7 +39,7 @@ class LabelPlacer:
 
     def avoid(self, curves: Sequence[FloatArray | Line2D]) -> None:
         """Keep labels off more curves."""
-        own = [points_of(curve) if isinstance(curve, Line2D) else curve for curve in curves]
+        own = [np.asarray(curve.get_xydata()) if isinstance(curve, Line2D) else curve for curve in curves]
         self._ink = np.concatenate([self._ink, *(_dense(self.points(curve)) for curve in own)])
 
     def points(self, at: FloatArray) -> FloatArray:
@@ -66,32 +67,22 @@ class LabelPlacer:
         for at in self.points(np.array([[x, y]])):
             self._taken.append((at - radius, at + radius))
 
-    def write_frequencies(
-        self,
-        hz: FloatArray,
-        curve: FloatArray,
-        dot: str,
-        *,
-        numbers: Sequence[float] = (1.0, 2.0, 3.0, 5.0, 7.0),
-        apart: float,
-        words: Callable[[float], str] = "{:g}".format,
-        **look: Any,
-    ) -> None:
+    def write_frequencies(self, hz: FloatArray, curve: FloatArray, dot: str) -> None:
         """Put dots in the colour `dot` at round frequencies along a curve (N, 2), where there is room, and write them.
 
-        `hz` are its ascending frequencies; dots keep `apart`, points, from each other.
+        `hz` are its ascending frequencies.
         """
         decades = 10.0 ** np.arange(np.floor(np.log10(max(hz[0], 1e-9))), np.ceil(np.log10(hz[-1])) + 1.0)
-        for f in (number * decade for decade in decades for number in numbers):
+        for f in (number * decade for decade in decades for number in (1.0, 2.0, 5.0)):
             x, y = (float(np.interp(f, hz, column)) for column in curve.T)
             if not hz[0] <= f <= hz[-1] or not self.shows(x, y):
                 continue
             at = self.points(np.array([[x, y]]))[0]
-            if any(np.linalg.norm(at - other) < apart for other in self._dots):
+            if any(np.linalg.norm(at - other) < _DOTS for other in self._dots):
                 continue
             self._dots.append(at)
             self.axes.plot([x], [y], "o", color=dot, markersize=3.0, zorder=4)
-            self.write(words(f), x, y, **look)
+            self.write(f"{plain(f, 3)} Hz", x, y, colour=MUTED, size=6.5)
 
     def write_later(self, text: str, x: float, y: float, directions: tuple[int, ...]) -> None:
         """Remember a label of the panel's own scales: `write_remaining` writes it where the others leave room."""
@@ -140,14 +131,8 @@ class LabelPlacer:
                     best = cost, middle
         if best is None:
             return False
-        self._annotate(text, at, best[1], half, colour, size, bold)
-        return True
-
-    def _annotate(
-        self, text: str, at: FloatArray, middle: FloatArray, half: FloatArray, colour: str, size: float, bold: bool
-    ) -> None:
+        middle = best[1]
         self._taken.append((middle - half, middle + half))
-        x, y = self.axes.transData.inverted().transform(at / self._unit)
         self.axes.annotate(
             text,
             (x, y),
@@ -161,11 +146,7 @@ class LabelPlacer:
             annotation_clip=False,
             zorder=6,
         )
-
-
-def points_of(line: Line2D) -> FloatArray:
-    """Return the points (N, 2) of a line, data coordinates."""
-    return np.asarray(line.get_xydata(), dtype=np.float64)
+        return True
 
 
 def _dense(points: FloatArray) -> FloatArray:

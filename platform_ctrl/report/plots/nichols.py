@@ -1,12 +1,11 @@
 """Nichols plots, and the changes of gain and phase that a disk margin allows.
 
-All factors (1 + δ (1 − skew) α/2) / (1 − δ (1 + skew) α/2) with |δ| < 1 on a loop's gain are safe; −1 over one of them
-is a value that L never takes: it is in the region that the margin keeps free in the Nichols plot.
+All factors (1 + δ α/2) / (1 − δ α/2) with |δ| < 1 on a loop's gain are safe; −1 over one of them is a value that L
+never takes: it is in the region that the margin keeps free in the Nichols plot.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from numbers import Real
@@ -14,24 +13,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, MultipleLocator, NullFormatter, NullLocator
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
+from platform_ctrl.analysis.norms import peak
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import LinearSystem
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.text import at_least, at_most, greek
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, disk_gain_or_phase, plain
-from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, margins
 from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.panels import control_plot, curve_style, gains
-from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems, gaps, grid, listed
-from platform_ctrl.report.style import BAND, DOTTED, FRAME, LIMIT, MUTED, REFERENCE, panels, standalone
+from platform_ctrl.report.plots.panels import control_plot, curve_style, decibels, loop_phase
+from platform_ctrl.report.plots.systems import (
+    DrawnSystem,
+    Systems,
+    channels,
+    drawn_systems,
+    grid,
+    labelled,
+    sensitivity,
+)
+from platform_ctrl.report.style import BAND, DOTTED, LIMIT, MUTED, REFERENCE, panels, standalone
 
 if TYPE_CHECKING:
     import control
@@ -41,16 +48,21 @@ _HIGHEST, _LOWEST, _NEAR = 40.0, -40.0, -24.0
 _NUMBERED = 6  # curves that carry frequencies
 
 
+@value
+class LoopCurve:
+    """A loop transfer at one channel, all others closed."""
+
+    label: str
+    frequency: FloatArray  # (N,), rad/s
+    response: ComplexArray  # (N,), NaN where nothing is drawn
+    stable: bool | None  # Whether the closed loop is; None: data cannot tell
+    margin: float  # Disk margin of this channel
+    closest: float  # Where it is reached, rad/s
+
+
 @standalone
 def nichols(
-    loops: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],
-    *,
-    frequency: ArrayLike | None = None,
-    labels: Sequence[str] | None = None,
-    disk_margins: Sequence[float] | float = (0.5,),
-    skew: float = 0.0,
-    T_peaks: Sequence[float] | float = (),
-    stable: bool | None = None,
+    loops: Systems, *, frequency: ArrayLike | None = None, disk_margins: Sequence[float] | float = (0.5,)
 ) -> control.ControlPlot:
     """Draw Nichols plots of loop transfers, with the regions that a disk margin keeps them out of.
 
@@ -64,16 +76,8 @@ def nichols(
         continuous or sampled; several in a sequence, or a mapping from labels.
     frequency : (N,) or (2,), optional
         rad/s: the frequencies themselves, or two numbers as the ends of a range; default wherever poles and zeros are.
-    labels
-        One for each loop; default their names.
     disk_margins
-        Values of α, dimensionless, whose regions are shaded, each below 2/(1 + |skew|); none: no regions.
-    skew
-        Of the regions and of the loops' own disk margins, dimensionless.
-    T_peaks
-        Values of |T| above 1, dimensionless, whose curves are drawn (M circles).
-    stable
-        Whether the closed loop is stable, where that is known and frequency responses cannot show it.
+        Values of α, dimensionless, whose regions are shaded, each below 2; none: no regions.
 
     Returns
     -------
@@ -83,83 +87,100 @@ def nichols(
     Raises
     ------
     ArgumentError
-        Loops that are not square or cannot be closed, frequencies that are not ascending and positive, a margin or a
-        peak out of its range.
+        Loops that are not square or cannot be closed, frequencies that are not ascending and positive, a margin out of
+        its range.
 
     References
     ----------
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
-    checked_skew("nichols", skew)
-    alphas = _numbers("nichols: disk_margins", disk_margins, 0.0, 2.0 / (1.0 + abs(skew)))
-    peaks = _numbers("nichols: T_peaks", T_peaks, 1.0, math.inf)
-    drawn = drawn_systems("nichols", loops, labels, square=True)
-    parts = [channels("nichols", one) for one in drawn]
-    every = grid([one for part in parts for one in part], frequency, name="nichols", loops=True)
+    alphas = sorted(np.atleast_1d(np.asarray(disk_margins, dtype=np.float64)).tolist(), reverse=True)
+    if not all(0.0 < alpha < 2.0 for alpha in alphas):
+        raise ArgumentError(f"nichols: disk_margins must be numbers between 0 and 2, got {short(disk_margins)}")
+    drawn = drawn_systems("nichols", loops, loops=True)
+    every = grid(drawn, frequency, "nichols")
+    # Products of systems lose their signal names: those of the first are used.
+    first = list(drawn[0].source.input_labels)
     curves = []
-    for one, part in zip(drawn, parts, strict=True):
-        # Products of systems lose their signal names: those of the first are used.
-        own_names = drawn[0].inputs if len(drawn[0].inputs) == len(part) else one.inputs
-        for name, own in zip(own_names, part, strict=True):
-            words = [one.label] if one.label or len(part) == 1 else []
-            words += [f"at {drawable(greek(name))}"] if len(part) > 1 else []
-            curves.append(curve(own, every, " ".join(words) or "L"))
-    found = [margins(one, skew=skew) for one in curves]
-    found = [one if stable is None else dataclasses.replace(one, stable=stable) for one in found]
-    names = [_legend_words(one, measured) for one, measured in zip(curves, found, strict=True)]
-    regions = [f"disk margin {alpha:g}" + (f", skew {skew:g}" if skew else "") for alpha in alphas]
+    for one in drawn:
+        names = list(one.source.input_labels)
+        curves += _loop_curves(one, every, first if len(first) == len(names) else names)
+    return nichols_plot(curves, alphas)
+
+
+def _loop_curves(loop: DrawnSystem, every: FloatArray, names: Sequence[str]) -> list[LoopCurve]:
+    w, response = loop.along(every)
+    responses = channels(response)
+    S = None if loop.arrays is None else sensitivity(loop.arrays)
+    stable = None if S is None else bool(spectral_abscissa(continuous_poles(poles(S.A), S.dt)) < 0.0)
+    out = []
+    for k, (h, name) in enumerate(zip(responses, names, strict=True)):
+        words = [loop.label] if loop.label or len(responses) == 1 else []
+        words += [f"at {greek(name)}"] if len(responses) > 1 else []
+        if S is None or not stable:
+            margin, at = closest(w, h)
+        else:
+            own = S.part([k], [k])
+            largest, at = peak(own._replace(D=own.D - 0.5))
+            margin = 1.0 / largest
+        label = " ".join(words) or "L"
+        out.append(LoopCurve(label=label, frequency=w, response=h, stable=stable, margin=margin, closest=at))
+    return out
+
+
+def closest(frequency: FloatArray, response: ComplexArray) -> tuple[float, float]:
+    """Return the disk margin of a loop that is known at some frequencies, the least of them, and where it is, rad/s."""
+    with np.errstate(all="ignore"):
+        size = np.nan_to_num(np.abs(1.0 / (1.0 + response) - 0.5), nan=0.5)
+    k = int(np.argmax(size))
+    return 1.0 / float(size[k]), float(frequency[k])
+
+
+def nichols_plot(curves: Sequence[LoopCurve], alphas: Sequence[float]) -> control.ControlPlot:
+    """Draw loops, and the regions that disk margins, the largest first, keep free."""
+    names = [_legend_words(one) for one in curves]
+    regions = [f"disk margin {alpha:g}" for alpha in alphas]
     _, axes = panels(1, 1, 5.0, [*names, *regions], titles=False, width=7.6)
     panel = axes[0, 0]
-    _show_loops(panel, curves)
-    shaded = _shaded_regions(panel, alphas, skew)
-    lines = [_line(panel, one, k) for k, one in enumerate(curves)]
+    levels, phases = ([of(one.response) for one in curves] for of in (decibels, loop_phase))
+    _show_loops(panel, levels, phases)
+    shaded = [
+        draw_region(panel, alpha, _centres(panel), ("-", (0, (4, 1.5)), DOTTED)[k % 3])
+        for k, alpha in enumerate(alphas)
+    ]
+    lines = []
+    for k, (phase, level) in enumerate(zip(phases, levels, strict=True)):
+        style = curve_style(k)
+        lines += panel.plot(phase, level, **style, markevery=max(1, len(level) // 12))
     places = LabelPlacer(panel, lines)
     for centre in _centres(panel):
         panel.plot([centre], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, zorder=4)
         places.reserve(centre, 0.0, 5.0)
-    _closest(panel, places, curves, found)
-    _peaks(panel, places, peaks)
-    for line, loop in zip(lines[:_NUMBERED], curves, strict=False):
-        if len(loop.frequency) > 1:
-            places.write_frequencies(
-                loop.frequency * HZ,
-                line.get_xydata(),
-                line.get_color(),
-                numbers=(1.0, 2.0, 5.0),
-                apart=26.0,
-                words=lambda f: f"{plain(f, 3)} Hz",
-                colour=MUTED,
-                size=6.5,
-            )
-    return control_plot(axes, [lines], [*lines, *shaded], [*names, *regions])
+    for line, one, phase, level in zip(lines, curves, phases, levels, strict=True):
+        if one.stable is not False and len(phase):
+            x, y = (float(np.interp(one.closest, one.frequency, of)) for of in (phase, level))
+            panel.plot([x], [y], "D", color=line.get_color(), markersize=5.0, zorder=5)
+            places.reserve(x, y, 5.0)
+    for line, one in zip(lines[:_NUMBERED], curves, strict=False):
+        if len(one.frequency) > 1:
+            places.write_frequencies(one.frequency * HZ, line.get_xydata(), line.get_color())
+    return control_plot(axes, lines, [*lines, *shaded], [*names, *regions])
 
 
-def _numbers(name: str, given: Any, above: float, below: float) -> list[float]:
-    items = list(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else [given]
-    if not all(isinstance(item, Real) and above < float(item) < below - 1e-9 for item in items):
-        limits = f"between {above:g} and {below:g}" if math.isfinite(below) else f"above {above:g}"
-        raise ArgumentError(f"{name} must be numbers {limits}, got {short(given)}")
-    return sorted(map(float, items), reverse=True)
-
-
-def _legend_words(one: Curve, found: Margins) -> str:
-    if found.stable is False:
+def _legend_words(one: LoopCurve) -> str:
+    if one.stable is False:
         return f"{one.label}: closed loop not stable"
-    if found.disk is None or not math.isfinite(found.disk.alpha):
-        return one.label
-    return f"{one.label}: disk margin {plain(found.disk.alpha, 2, 'down')} at {plain(found.disk.frequency * HZ, 3)} Hz"
+    return f"{one.label}: disk margin {plain(one.margin, 2, 'down')} at {plain(one.closest * HZ, 3)} Hz"
 
 
-def _show_loops(panel: Axes, curves: Sequence[Curve]) -> None:
+def _show_loops(panel: Axes, levels: Sequence[FloatArray], phases: Sequence[FloatArray]) -> None:
     """Show gains from −40 to 40 dB where there are any, and the phases that gains above −24 dB have."""
     low, high, left, right = -20.0, 20.0, -270.0, -90.0
-    for one in curves:
-        level = gains(one.response, dB=True)
+    for level, phase in zip(levels, phases, strict=True):
         inside = np.isfinite(level) & (level > _LOWEST) & (level < _HIGHEST)
-        if inside.any():
-            low, high = min(low, float(level[inside].min())), max(high, float(level[inside].max()))
-            phase = one.phase[inside & (level > _NEAR)]
-            left, right = min(left, float(phase.min(initial=left))), max(right, float(phase.max(initial=right)))
+        low, high = float(level[inside].min(initial=low)), float(level[inside].max(initial=high))
+        near = phase[inside & (level > _NEAR)]
+        left, right = float(near.min(initial=left)), float(near.max(initial=right))
     step = 10.0 if high - low <= 80.0 else 20.0
     panel.set_ylim(step * math.floor(low / step), step * math.ceil(high / step))
     panel.yaxis.set_major_locator(MultipleLocator(step))
@@ -183,58 +204,24 @@ def _centres(panel: Axes) -> list[float]:
     return [360.0 * k - 180.0 for k in range(first, last + 1)]
 
 
-def _shaded_regions(panel: Axes, alphas: Sequence[float], skew: float) -> list[Any]:
-    """Shade what each margin keeps free, around every critical point, the largest below the others."""
-    handles = []
-    for k, alpha in enumerate(alphas):
-        L = exclusion(alpha, skew)
-        # Around -180 degrees the angle of -L has no jump.
-        phase, level = np.degrees(np.angle(-L)), 20.0 * np.log10(np.abs(L))
-        dashes = ("-", (0, (4, 1.5)), DOTTED)[k % 3]
-        look: dict[str, Any] = {"facecolor": BAND, "edgecolor": MUTED, "linewidth": 0.9, "linestyle": dashes}
-        drawn = [panel.fill(c + phase, level, alpha=1.0, zorder=0.6, **look)[0] for c in _centres(panel)]
-        handles.append(drawn[0] if drawn else panel.fill([], [], **look)[0])
-    return handles
+def exclusion(alpha: float) -> ComplexArray:
+    """Return the rim of the values of L that a disk margin below 2 keeps free: there |S − 1/2| is 1/alpha."""
+    delta = 0.5 * alpha * np.exp(2j * np.pi * np.linspace(0.0, 1.0, 721))
+    return np.asarray(-(1.0 - delta) / (1.0 + delta), dtype=np.complex128)
 
 
-def _line(panel: Axes, one: Curve, k: int) -> Any:
-    level = gains(one.response, dB=True)
-    style = curve_style(k)
-    if "marker" in style:
-        style["markevery"] = max(1, len(level) // 12)
-    [line] = panel.plot(one.phase, level, **style)
-    return line
-
-
-def _closest(panel: Axes, places: LabelPlacer, curves: Sequence[Curve], found: Sequence[Margins]) -> None:
-    for k, (one, measured) in enumerate(zip(curves, found, strict=True)):
-        if measured.disk is None or measured.stable is False or not len(one.frequency):
-            continue
-        w = measured.disk.frequency
-        if not one.frequency[0] <= w <= one.frequency[-1]:
-            continue
-        phase = float(np.interp(w, one.frequency, one.phase))
-        level = float(np.interp(w, one.frequency, gains(one.response, dB=True)))
-        panel.plot([phase], [level], "D", color=curve_style(k)["color"], markersize=5.0, zorder=5)
-        places.reserve(phase, level, 5.0)
-
-
-def _peaks(panel: Axes, places: LabelPlacer, peaks: Sequence[float]) -> None:
-    """Draw where |T| has given values above 1, and write them."""
-    for peak in peaks:
-        turn = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 721))
-        L = -(peak**2 / (peak**2 - 1.0)) + peak / (peak**2 - 1.0) * turn
-        phase, level = np.degrees(np.angle(-L)), 20.0 * np.log10(np.abs(L))
-        for centre in _centres(panel):
-            panel.plot(centre + phase, level, color=FRAME, linewidth=0.9, zorder=1.2)
-            top = int(np.argmax(level))
-            places.write(f"|T| {plain(peak, 3)}", centre + phase[top], level[top], colour=MUTED, size=6.5)
+def draw_region(panel: Axes, alpha: float, centres: Sequence[float], dashes: Any = "-") -> Any:
+    """Shade what a disk margin keeps free around critical points, degrees; return one of the patches."""
+    L = exclusion(alpha)
+    # Around -180 degrees the angle of -L has no jump.
+    phase, level = np.degrees(np.angle(-L)), decibels(L)
+    look: dict[str, Any] = {"facecolor": BAND, "edgecolor": MUTED, "linewidth": 0.9, "linestyle": dashes}
+    [one, *_] = [panel.fill(centre + phase, level, alpha=1.0, zorder=0.6, **look)[0] for centre in centres]
+    return one
 
 
 # Gain factors beyond which nothing is drawn.
 _WIDEST = 20.0
-# Regions up to which the ends of each are written; the legend has them all.
-_WRITTEN = 6
 # Ticks of the gain axis; the second ones where it is long.
 _FINE = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 _COARSE = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
@@ -242,21 +229,25 @@ _COARSE = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 @value
 class _Region:
-    """One region: a disk margin, and the loop that it belongs to, if any."""
+    """A disk margin, and the loop that it belongs to, if any."""
 
     label: str
     alpha: float
-    loop: DrawnSystem | None
-    margin: DiskMargin | None
+    loop: DrawnSystem | None = None
+    margin: DiskMargin | None = None
+
+    @property
+    def touching(self) -> tuple[float, float] | None:
+        """The smallest change that makes a loop with one channel unstable: gain factor and degrees."""
+        if self.margin is None or len(self.margin.perturbation) != 1 or not np.isfinite(self.margin.perturbation[0]):
+            return None
+        factor = self.margin.perturbation[0]
+        return abs(factor), math.degrees(abs(np.angle(factor)))
 
 
 @standalone
 def disk_margin_region(
     margins: float | LinearSystem | Sequence[float | LinearSystem] | Mapping[str, float | LinearSystem],
-    *,
-    skew: float = 0.0,
-    labels: Sequence[str] | None = None,
-    frequency: ArrayLike | None = None,
 ) -> control.ControlPlot:
     """Draw the changes of gain and phase that are safe in every channel at once.
 
@@ -270,12 +261,6 @@ def disk_margin_region(
         Disk margins α, dimensionless, or loop transfers L with negative feedback (`control.StateSpace`,
         `TransferFunction`, `FrequencyResponseData`) whose disk margins are then found; several in a sequence, or a
         mapping from labels.
-    skew
-        Of the disk, dimensionless: 0 for gains that may rise as far as they may fall, > 0 mostly rise, < 0 mostly fall.
-    labels
-        One for each.
-    frequency : (N,) or (2,), optional
-        Where −1/L is drawn, rad/s, or two numbers as the ends of a range. The margin does not depend on it.
 
     Returns
     -------
@@ -285,110 +270,62 @@ def disk_margin_region(
     Raises
     ------
     ArgumentError
-        A margin that is not a number >= 0, loops that are not square, a skew that is not finite, or labels that do not
-        fit.
+        A margin that is not a number >= 0, or loops that are not square.
 
     References
     ----------
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
-    checked_skew("disk_margin_region", skew)
-    regions = _regions(margins, labels, skew)
-    words = [_words(region, skew) for region in regions]
+    regions = [_region(label, one) for label, one in labelled("disk_margin_region", margins)]
+    words = [_words(region) for region in regions]
     _, axes = panels(1, 1, 4.0, words, titles=False, width=7.2)
     panel = axes[0, 0]
-    left, right, top = _window(regions, skew)
-    gain = np.geomspace(left, right, 401)
-    lines = []
+    lines, curves = [], []
     for k, region in enumerate(regions):
-        rim_gain, rim_phase = _rim(region.alpha, skew, gain)
+        rim_gain, rim_phase = _rim(region.alpha)
         [line] = panel.plot(rim_gain, rim_phase, **curve_style(k) | {"marker": "", "linewidth": 1.7, "zorder": 3})
         panel.fill_between(rim_gain, rim_phase, 0.0, color=line.get_color(), alpha=0.10, linewidth=0)
         lines.append(line)
-    _axes(panel, left, right, top)
-    curves = [_critical(panel, region, k, frequency) for k, region in enumerate(regions)]
-    _mark(panel, regions, skew, [*lines, *curves])
-    return control_plot(axes, [lines], lines, words)
+        curves += _critical(panel, region, line.get_color())
+    low = max(1.0 / _WIDEST, min(0.7, *(line.get_xdata()[0] / 1.5 for line in lines)))
+    _axes(panel, low, 1.0 / low, min(180.0, max(20.0, *(1.2 * line.get_ydata().max() for line in lines))))
+    places = LabelPlacer(panel, [*lines, *curves])
+    for line, region in zip(lines, regions, strict=True):
+        _mark(panel, places, region, line.get_color())
+    return control_plot(axes, lines, lines, words)
 
 
-def checked_skew(name: str, skew: object) -> None:
-    """Raise ArgumentError if a skew is no finite number."""
-    if not isinstance(skew, Real) or isinstance(skew, bool) or not math.isfinite(skew):
-        raise ArgumentError(f"{name}: skew must be a finite number, got {skew!r}")
-
-
-def exclusion(alpha: float, skew: float) -> ComplexArray:
-    """Return the rim of the values of L that a disk margin keeps free: there |S + (skew − 1)/2| is 1/alpha.
-
-    `alpha` is below 2/(1 + |skew|), so that the region holds neither 0 nor infinity.
-    """
-    delta = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 721))
-    return np.asarray(
-        -(1.0 - 0.5 * alpha * (1.0 + skew) * delta) / (1.0 + 0.5 * alpha * (1.0 - skew) * delta), dtype=np.complex128
-    )
-
-
-def _regions(margins: Any, labels: Sequence[str] | None, skew: float) -> list[_Region]:
+def _region(label: str, one: Any) -> _Region:
     name = "disk_margin_region"
-    given, texts = listed(name, margins, labels)
-    out = []
-    for k, (one, label) in enumerate(zip(given, texts, strict=True)):
-        if isinstance(one, Real) and not isinstance(one, bool):
-            out.append(_Region(label=label or "", alpha=positive(name, float(one), zero=True), loop=None, margin=None))
-            continue
-        [loop] = drawn_systems(name if len(given) == 1 else f"{name}: loop {k + 1}", one, square=True)
-        found = disk_margin(loop.source if loop.is_data else as_state_space(name, loop), skew=skew)
-        text = label if label is not None else loop.label or ("L" if len(given) == 1 else f"L {k + 1}")
-        out.append(_Region(label=text, alpha=found.alpha, loop=loop, margin=found))
-    return out
+    if isinstance(one, Real) and not isinstance(one, bool):
+        return _Region(label=label if label.strip("0123456789") else "", alpha=positive(name, float(one), zero=True))
+    [loop] = drawn_systems(name, one, loops=True)
+    found = disk_margin(loop.source)
+    return _Region(label=label or "L", alpha=found.alpha, loop=loop, margin=found)
 
 
-def _words(region: _Region, skew: float) -> str:
+def _words(region: _Region) -> str:
     head = f"{region.label}: " if region.label else ""
     if region.alpha == 0.0:
         stable = region.margin is None or not region.margin.reason
         return head + ("disk margin 0" if stable else "closed loop not stable, no margin")
     margin = f"disk margin {plain(region.alpha, 2, 'down')}" if math.isfinite(region.alpha) else "any disk margin"
-    skewed = f", skew {plain(skew, 3)}" if skew else ""
-    return f"{head}{margin}{skewed}: {' or '.join(disk_gain_or_phase(region.alpha, skew))}"
+    return f"{head}{margin}: {' or '.join(disk_gain_or_phase(region.alpha))}"
 
 
-def _window(regions: Sequence[_Region], skew: float) -> tuple[float, float, float]:
-    """Return the lowest and highest gain and the highest phase that are shown."""
-    low, high, top = 0.7, 1.0 / 0.7, 20.0
-    for region in regions:
-        if region.alpha > 0.0:
-            one = disk_to_gain_phase(min(region.alpha, 1e9), skew)
-            low = min(low, one[0] / 1.5 if one[0] > 0.0 else 0.0)
-            high = max(high, 1.5 * one[1])
-            gain = np.append(np.geomspace(max(low, 1.0 / _WIDEST), min(high, _WIDEST), 400), 1.0)
-            inside = np.degrees(disk_phase(gain, region.alpha, skew))
-            top = max(top, 1.2 * float(inside[np.isfinite(inside)].max(initial=0.0)))
-    return max(low, 1.0 / _WIDEST), min(high, _WIDEST), min(top, 180.0)
-
-
-def _rim(alpha: float, skew: float, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the rim of a region over gains, down to phase 0 where it ends within them."""
+def _rim(alpha: float) -> tuple[FloatArray, FloatArray]:
+    """Return the rim of a region, gain factors and degrees, down to phase 0 where it ends within what is drawn."""
     if alpha == 0.0:
         return np.array([1.0]), np.array([0.0])
-    alpha = min(alpha, 1e9)
-    low, high, _ = disk_to_gain_phase(alpha, skew)
+    low, high, _ = disk_to_gain_phase(min(alpha, 1e9))
     # Denser towards the ends, where the rim is steep.
-    ends = [
-        end * (1.0 + sign * np.geomspace(1e-6, 0.1, 80))
-        for end, sign in ((low, 1.0), (high, -1.0))
-        if 0 < end < math.inf
-    ]
-    every = np.unique(np.concatenate([gain, [1.0], *ends]))
-    every = every[(every >= gain[0]) & (every <= gain[-1])]
-    phase = np.degrees(disk_phase(every, alpha, skew))
-    inside = np.isfinite(phase)
-    every, phase = every[inside], phase[inside]
-    if gain[0] < low:
-        every, phase = np.append(low, every), np.append(0.0, phase)
-    if high < gain[-1]:
-        every, phase = np.append(every, high), np.append(phase, 0.0)
-    return every, phase
+    share = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 401)))
+    ends = max(low, 1.0 / _WIDEST), min(high, _WIDEST)
+    gain = ends[0] * (ends[1] / ends[0]) ** share
+    gain[[0, -1]] = ends
+    phase = np.degrees(disk_phase(gain, alpha))
+    phase[[0, -1]] = np.where(np.isclose(ends, (low, high)), 0.0, phase[[0, -1]])
+    return gain, phase
 
 
 def _axes(panel: Axes, left: float, right: float, top: float) -> None:
@@ -412,42 +349,30 @@ def _axes(panel: Axes, left: float, right: float, top: float) -> None:
     panel.set_ylabel("change of phase, either way, degrees")
 
 
-def _critical(panel: Axes, region: _Region, k: int, frequency: ArrayLike | None) -> FloatArray:
+def _critical(panel: Axes, region: _Region, colour: str) -> list[FloatArray]:
     """Draw the changes that make a loop with one channel unstable, and where the region touches them."""
-    loop = region.loop
-    if loop is None or loop.shape != (1, 1) or region.margin is None or region.margin.reason:
-        return np.zeros((0, 2))
-    _, response = loop.along(grid([loop], frequency, name="disk_margin_region", loops=True))
+    if region.loop is None or region.touching is None:
+        return []
+    _, response = region.loop.along(grid([region.loop], None, "disk_margin_region"))
     with np.errstate(all="ignore"):
-        factor = gaps(-1.0 / response[0, 0])
+        factor = -1.0 / response[0, 0]
     gain, phase = np.abs(factor), np.degrees(np.abs(np.angle(factor)))
-    colour = curve_style(k)["color"]
     panel.plot(gain, phase, color=colour, linewidth=1.0, linestyle=(0, (1.2, 1.4)), zorder=2)
-    touching = region.margin.perturbation[0]
-    if np.isfinite(touching):
-        at = abs(touching), math.degrees(abs(np.angle(touching)))
-        panel.plot(*([x] for x in at), "D", color=colour, markersize=4.5, zorder=4)
-    return np.column_stack([gain, phase])
+    panel.plot(*([x] for x in region.touching), "D", color=colour, markersize=4.5, zorder=4)
+    return [np.column_stack([gain, phase])]
 
 
-def _mark(panel: Axes, regions: Sequence[_Region], skew: float, curves: Sequence[FloatArray | Line2D]) -> None:
-    """Write the margins where the regions end on the axes, and the frequency where a loop is touched."""
-    places = LabelPlacer(panel, curves)
-    for k, region in enumerate(regions):
-        if region.alpha <= 0.0:
-            continue
-        low, high, phase = disk_to_gain_phase(min(region.alpha, 1e9), skew)
-        style: dict[str, Any] = {"color": curve_style(k)["color"], "marker": "o", "markersize": 4.0, "clip_on": False}
-        points = [(low, 0.0, f"× {at_most(low, 3)}")]
-        points.append((high, 0.0, f"× {at_least(high, 3)}") if math.isfinite(high) else (0.0, 0.0, ""))
-        if phase < math.pi:
-            points.append((1.0, math.degrees(phase), f"{at_least(math.degrees(phase), 3)}°"))
-        for x, y, text in points if len(regions) <= _WRITTEN else points[2:]:
-            if x > 0.0 and places.shows(x, y):
-                panel.plot([x], [y], **style, zorder=5)
-                places.write(text, x, y, colour=style["color"], bold=True, required=len(regions) < 4)
-        margin = region.margin
-        if margin is not None and len(margin.perturbation) == 1 and np.isfinite(margin.perturbation[0]):
-            touching = margin.perturbation[0]
-            at = abs(touching), math.degrees(abs(np.angle(touching)))
-            places.write(f"{plain(margin.frequency * HZ, 3)} Hz", *at, colour=style["color"])
+def _mark(panel: Axes, places: LabelPlacer, region: _Region, colour: str) -> None:
+    """Write the margins where a region ends on the axes, and the frequency where its loop is touched."""
+    if region.alpha <= 0.0:
+        return
+    low, high, phase = disk_to_gain_phase(min(region.alpha, 1e9))
+    points = [(low, 0.0, f"× {at_most(low, 3)}")]
+    points += [(high, 0.0, f"× {at_least(high, 3)}")] if math.isfinite(high) else []
+    points += [(1.0, math.degrees(phase), f"{at_least(math.degrees(phase), 3)}°")] if phase < math.pi else []
+    for x, y, text in points:
+        if x > 0.0 and places.shows(x, y):
+            panel.plot([x], [y], color=colour, marker="o", markersize=4.0, clip_on=False, zorder=5)
+            places.write(text, x, y, colour=colour, bold=True, required=True)
+    if region.margin is not None and region.touching is not None:
+        places.write(f"{plain(region.margin.frequency * HZ, 3)} Hz", *region.touching, colour=colour)

@@ -15,19 +15,15 @@ from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.style import (
-    DASHES,
-    MARKERS,
-    REFERENCE,
-    SERIES,
-    legend,
-)
+from platform_ctrl.report.style import DASHES, MARKERS, REFERENCE, SERIES, legend
 
 if TYPE_CHECKING:
     import control
 
 # Series that differ by their dashes alone; more have markers.
 _DIFFERENT = 6
+# A step of the phase beyond which a pole or zero without damping is taken for its cause, degrees.
+_JUMP = 135.0
 
 
 def curve_style(k: int) -> dict[str, Any]:
@@ -38,41 +34,62 @@ def curve_style(k: int) -> dict[str, Any]:
     return style
 
 
-def gains(response: ComplexArray | FloatArray, dB: bool) -> FloatArray:
-    """Return |response|, in decibels if `dB`; NaN where it is 0 or NaN."""
+def decibels(response: ComplexArray) -> FloatArray:
+    """Return |response| in decibels; NaN where it is 0 or NaN."""
     size = np.abs(response)
-    size = np.where(size > 0.0, size, math.nan)
-    return np.asarray(20.0 * np.log10(size) if dB else size, dtype=np.float64)
+    return np.asarray(20.0 * np.log10(np.where(size > 0.0, size, math.nan)))
 
 
-def phase_panel(axes: Axes, phases: Sequence[FloatArray], *, critical: bool) -> None:
-    """Give a panel its phase axis in right angles; `critical`: lines at the odd multiples of 180°."""
+def loop_phase(loop: ComplexArray) -> FloatArray:
+    """Return the phase of a loop transfer, degrees, in the turn in which it comes closest to the critical point.
+
+    Across a pole on the stability boundary the phase falls by 180°, across a zero there it rises, as with the least
+    damping. NaN where the response is 0 or NaN.
+    """
+    out = np.full(len(loop), np.nan)
+    known = np.flatnonzero(np.isfinite(loop) & (loop != 0.0))
+    if not known.size:
+        return out
+    h = loop[known]
+    level, angle = np.log(np.abs(h)), np.degrees(np.angle(h))
+    step = (np.diff(angle) + 180.0) % 360.0 - 180.0
+    for k in np.flatnonzero(np.abs(step) > _JUMP).tolist():
+        # The gain distinguishes pole and zero: it has a peak, or a dip, between the two points.
+        bend = level[min(k + 2, len(h) - 1)] - level[k + 1] - (level[k] - level[max(k - 1, 0)])
+        if bend * step[k] < 0.0:
+            step[k] += np.copysign(360.0, bend)
+    phase = angle[0] + np.concatenate([[0.0], np.cumsum(step)])
+    closest = phase[np.argmin(np.abs(1.0 + h))]
+    out[known] = phase - 360.0 * np.round((closest + 180.0) / 360.0)
+    return out
+
+
+def phase_panel(axes: Axes, phases: Sequence[FloatArray]) -> None:
+    """Give a panel its phase axis in right angles, with lines at the odd multiples of 180°."""
     known = np.concatenate([np.zeros(0), *(phase[np.isfinite(phase)] for phase in phases)])
     known = known if known.size else np.zeros(1)
     low, high = float(known.min()), float(known.max())
-    if critical and low < 0.0:
+    if low < 0.0:
         low, high = min(low, -180.0), max(high, -180.0)
     step = next((step for step in (45.0, 90.0, 180.0, 360.0) if high - low <= 5.0 * step), None)
     step = step or 360.0 * math.ceil((high - low) / 2160.0)
     low, high = step * math.floor((low - 4.0) / step), step * math.ceil((high + 4.0) / step)
     axes.set_ylim(low, high)
     axes.set_yticks(np.arange(low, high + 1.0, step))
-    if critical:
-        odd = 360.0 * np.arange(math.ceil((low + 180.0) / 360.0), math.floor((high + 180.0) / 360.0) + 1) - 180.0
-        for level in odd[:: max(1, len(odd) // 4)]:
-            axes.axhline(level, color=REFERENCE, linewidth=0.9, zorder=1)
+    odd = 360.0 * np.arange(math.ceil((low + 180.0) / 360.0), math.floor((high + 180.0) / 360.0) + 1) - 180.0
+    for level in odd[:: max(1, len(odd) // 4)]:
+        axes.axhline(level, color=REFERENCE, linewidth=0.9, zorder=1)
 
 
 def control_plot(
-    axes: NDArray[Any], lines: Sequence[Sequence[Any]], handles: Sequence[Any] = (), names: Sequence[str] = ()
+    axes: NDArray[Any], lines: Sequence[Any], handles: Sequence[Any], names: Sequence[str]
 ) -> control.ControlPlot:
-    """Return a plot with the lines of each of its axes, in the order of `axes.flat`, and a legend of any names."""
+    """Return a plot with one panel, its lines, and a legend."""
     import control
 
-    listed = np.empty(axes.shape, dtype=object)
-    for at, own in zip(np.ndindex(axes.shape), lines, strict=True):
-        listed[at] = list(own)
-    figure = axes.flat[0].figure
+    listed = np.empty((1, 1), dtype=object)
+    listed[0, 0] = list(lines)
+    figure = axes[0, 0].figure
     return control.ControlPlot(listed, axes, figure, legend=legend(figure, handles, names))
 
 

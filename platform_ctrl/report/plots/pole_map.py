@@ -1,8 +1,6 @@
-"""The s-plane and the z-plane with their scales."""
+"""The upper half of the s-plane with its scales."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,16 +10,7 @@ from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.quantities import HZ
 from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.style import (
-    BAND,
-    FRAME,
-    REFERENCE,
-    linear_axis,
-)
-
-if TYPE_CHECKING:
-    pass
-
+from platform_ctrl.report.style import BAND, FRAME, REFERENCE, linear_axis
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8)
 _BELOW, _RIGHT, _MOST_RIGHT = 0.05, 0.17, 0.75
@@ -55,9 +44,7 @@ def s_plane(axes: Axes, view: View) -> LabelPlacer:
     """
     reach = view.reach
     whole = axes.get_window_extent()
-    width, height = whole.width, whole.height
-    span = (1.0 + _BELOW) * reach
-    across = span * width / height / view.stretch
+    across = (1.0 + _BELOW) * reach * whole.width / whole.height / view.stretch
     left, right = -(1.0 - view.right) * across, view.right * across
     axes.set_xlim(left, right)
     axes.set_ylim(-_BELOW * reach, reach)
@@ -86,52 +73,17 @@ def s_plane(axes: Axes, view: View) -> LabelPlacer:
     return places
 
 
-def z_plane(axes: Axes, period: float) -> LabelPlacer:
-    """Make `axes` the upper half of the z-plane with the unit circle, damping spirals and frequency rays."""
-    axes.set_aspect("equal")
-    axes.set_xlim(-1.25, 1.25)
-    axes.set_ylim(-0.06, 1.12)
-    axes.grid(False)
-    turn = np.linspace(0.0, np.pi, 361)
-    circle = np.exp(1j * turn)
-    x = np.linspace(-1.6, 1.6, 641)
-    rim = np.where(np.abs(x) < 1.0, np.sqrt(np.maximum(1.0 - x**2, 0.0)), -0.06)
-    axes.fill_between(x, rim, 1.2, color=BAND, linewidth=0, zorder=0)
-    axes.plot(circle.real, circle.imag, color=REFERENCE, linewidth=0.9, zorder=1)
-    axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=1)
-    places = LabelPlacer(axes)
-    for hz in round_steps(0.5 / period):
-        angle = hz / HZ * period
-        ray = np.array([0.0, np.exp(1j * angle)])
-        axes.plot(ray.real, ray.imag, color=FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1)
-        at = np.exp(1j * min(angle, 0.985 * np.pi))
-        places.write_later(f"{hz:g} Hz", at.real, at.imag, (int(np.degrees(angle)), 60, 120))
-    for ratio in DAMPINGS[1:]:
-        spiral = np.exp(turn * (-ratio / np.sqrt(1.0 - ratio**2) + 1j))
-        axes.plot(spiral.real, spiral.imag, color=FRAME, linewidth=0.7, zorder=1)
-        at = spiral[150]
-        text = f"{ratio:g}" if ratio != DAMPINGS[1] else f"damping {ratio:g}"
-        places.write_later(text, at.real, at.imag, (-90, 90))
-    linear_axis(axes.xaxis, 8)
-    linear_axis(axes.yaxis, 6)
-    axes.set_xlabel("real part of z")
-    axes.set_ylabel("imaginary part of z")
-    return places
-
-
-def view_of(ends: ComplexArray, between: ComplexArray, nyquist: float, reach: float | None = None) -> View:
+def view_of(ends: ComplexArray, between: ComplexArray, nyquist: float) -> View:
     """Return a view of the s-plane that shows the poles `ends`, 1/s, and those `between` that are no faster.
 
     Very fast poles are left out, and of a sampled system those beyond half the Nyquist frequency: delay and roll-off.
     """
-    bound = _bound(ends, nyquist)
     every = np.concatenate([ends, between])
-    s = every[np.isfinite(every) & (np.abs(every) <= bound)]
+    s = every[np.isfinite(every) & (np.abs(every) <= _bound(ends, nyquist))]
     up, left, right = (_BEYOND * float(np.max(x, initial=0.0)) for x in (np.abs(s.imag), -s.real, s.real))
-    if reach is None:
-        reach = max(up, (left + right) / _ASPECT) or 1.0
-        share = float(np.clip(right / (_ASPECT * reach), _RIGHT, _MOST_RIGHT))
-        reach = max(reach, left / ((1.0 - share) * _ASPECT))
+    reach = max(up, (left + right) / _ASPECT) or 1.0
+    share = float(np.clip(right / (_ASPECT * reach), _RIGHT, _MOST_RIGHT))
+    reach = max(reach, left / ((1.0 - share) * _ASPECT))
     across = whole = _ASPECT * reach
     if whole / _FLAT < left + right < _SLIM * whole:
         # Little damping: what there is to see lies in a narrow strip.
@@ -161,8 +113,3 @@ def _bound(poles: ComplexArray, nyquist: float) -> float:
 def upper_half_plane(z: ComplexArray) -> ComplexArray:
     """Return the finite poles of the closed upper half plane."""
     return np.asarray(z[np.isfinite(z.real) & (z.imag >= -1e-9 * np.maximum(np.abs(z), 1e-12))])
-
-
-_HEIGHT = 4.85
-# Poles of a system whose damping is written, at most, and up to which damping ratio.
-_WRITTEN, _DAMPED = 3, 0.5

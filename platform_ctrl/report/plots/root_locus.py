@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.poles import Poles, continuous_poles, damping_ratio, pole_branches, refined_values
-from platform_ctrl.analysis.response import LinearSystem
+from platform_ctrl.analysis.response import NamedSystem, linear_arrays
 from platform_ctrl.analysis.sampling import sampled, with_lag
-from platform_ctrl.common.arguments import instance, known_names, one_of, positive, real_numbers, short
+from platform_ctrl.common.arguments import instance, known_names, positive, real_numbers, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
 from platform_ctrl.errors import ArgumentError
@@ -28,15 +27,12 @@ from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import control_plot
-from platform_ctrl.report.plots.pole_map import View, s_plane, upper_half_plane, view_of, z_plane
-from platform_ctrl.report.plots.systems import as_state_space, drawn_systems
+from platform_ctrl.report.plots.pole_map import View, s_plane, upper_half_plane, view_of
 from platform_ctrl.report.style import INK, LIMIT, SERIES, panels, standalone
 
 if TYPE_CHECKING:
     import control
 
-
-Plane = Literal["s", "z"]
 
 _HEIGHT = 4.6
 # Numbers written along the branches, at most.
@@ -46,19 +42,12 @@ _SHORTEST = 24.0
 
 
 @standalone
-def root_locus(
-    plant: LinearSystem,
-    controller: LinearSystem,
-    *,
-    gains: ArrayLike | None = None,
-    plane: Plane = "s",
-    reach: float | None = None,
-) -> control.ControlPlot:
+def root_locus(plant: NamedSystem, controller: NamedSystem, *, gains: ArrayLike | None = None) -> control.ControlPlot:
     """Poles of the closed loop while all of the controller's gains are multiplied by one factor.
 
     Crosses mark the smallest factor (0: the poles of plant and controller), rings the design itself; the factors are
-    written along the branches, and red diamonds mark where the stability boundary is crossed. Only the
-    upper half plane is drawn, the lower one is its mirror image.
+    written along the branches, and red diamonds mark where the stability boundary is crossed. Only the upper half of
+    the s-plane is drawn, the lower one is its mirror image; poles of a sampled loop by s = ln(z)/T.
 
     Parameters
     ----------
@@ -67,10 +56,6 @@ def root_locus(
         period. Several channels are closed together.
     gains : (k,), optional
         Increasing factors, at least two: the range. More are taken between them wherever poles run. Default 0 to 2.5.
-    plane
-        ``"s"``: a sampled loop by s = ln(z)/T; ``"z"``: as it is.
-    reach
-        How far the view of the s-plane goes, rad/s; default as far as the slow poles need.
 
     Returns
     -------
@@ -86,22 +71,20 @@ def root_locus(
     ----------
     W. R. Evans, Trans. AIEE 67, 1948.
     """
-    return _drawn(gain_locus(plant, controller, gains), "gain", "loop gain / nominal", plane, reach)
+    return _drawn(gain_locus(plant, controller, gains), "gain", "loop gain / nominal")
 
 
 @standalone
-def root_locus_over_spin(  # noqa: PLR0913 - options by keyword
+def root_locus_over_spin(
     platform: Platform,
     gimbals: Sequence[str] | None,
-    controller: LinearSystem,
+    controller: control.StateSpace | control.TransferFunction,
     *,
     rotors: Sequence[str] | None = None,
     spins: ArrayLike | None = None,
     period: float | None = None,
     delay: float = 0.0,
     Omega: ArrayLike = (0.0, 0.0, 0.0),
-    plane: Plane = "s",
-    reach: float | None = None,
 ) -> control.ControlPlot:
     """Poles of the closed loop while rotors run slower and faster and the controller stays as it is.
 
@@ -123,8 +106,6 @@ def root_locus_over_spin(  # noqa: PLR0913 - options by keyword
         Of the sampled loop, s: sample period, and delay from sample to torque. None: a continuous loop.
     Omega : (3,)
         Constant platform rate, rad/s.
-    plane, reach
-        As in `root_locus`.
 
     Returns
     -------
@@ -143,8 +124,7 @@ def root_locus_over_spin(  # noqa: PLR0913 - options by keyword
     See docs/theory.md.
     """
     factors = increasing("spins", spins, np.linspace(0.2, 1.8, 101))
-    controller = _linear("root_locus_over_spin: controller", controller)
-    K = state_arrays(controller, "root_locus_over_spin: controller")
+    K = linear_arrays(controller, "root_locus_over_spin: controller")
     dt = 0.0 if period is None else positive("period", period)
     late = positive("delay", delay, zero=True)
     if period is None and late:
@@ -160,17 +140,12 @@ def root_locus_over_spin(  # noqa: PLR0913 - options by keyword
         P = with_lag(plant, lags) if period is None else sampled(plant, dt, late, lags)
         return np.asarray(np.linalg.eigvals(closed_loop(P, K).A), dtype=np.complex128)
 
-    return _drawn(traced_locus(factors, poles, dt), "speed", "rotor speed / nominal", plane, reach)
+    return _drawn(traced_locus(factors, poles, dt), "speed", "rotor speed / nominal")
 
 
-def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | None) -> control.ControlPlot:
-    one_of("plane", plane, ("s", "z"))
-    if plane == "z" and not locus.dt:
-        raise ArgumentError("root_locus: plane 'z' needs a sampled loop, got a continuous one; use plane 's'")
-    view = locus.view if reach is None else dataclasses.replace(locus.view, reach=positive("reach", reach))
+def _drawn(locus: Locus, word: str, quantity: str) -> control.ControlPlot:
     low, high = float(locus.values[0]), float(locus.values[-1])
-    points = locus.branches if plane == "z" else locus.s
-    nominal = locus.nominal if plane == "z" else continuous_poles(locus.nominal, locus.dt)
+    points, nominal = locus.s, continuous_poles(locus.nominal, locus.dt)
     at_start = f"{word} {number(low, 3)}" + (": plant and controller" if low == 0.0 and word == "gain" else "")
     marked = [(points[0], "x", INK, 5.5, at_start)]
     if low <= 1.0 <= high:
@@ -178,7 +153,7 @@ def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | 
     names = [quantity, *(name for *_, name in marked), *["stability begins or ends"] * bool(locus.edges.size)]
     _, grid = panels(1, 1, _HEIGHT, names)
     axes: Axes = grid[0, 0]
-    places = z_plane(axes, locus.dt) if plane == "z" else s_plane(axes, view)
+    places = s_plane(axes, locus.view)
     lines = _branches(axes, points)
     places.avoid(lines)
     handles: list[Any] = [Line2D([], [], marker="o", linestyle="-", markersize=3.2, color=SERIES[0], linewidth=1.3)]
@@ -189,12 +164,12 @@ def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | 
         for s in upper:
             places.reserve(s.real, s.imag, 4.0)
     marks = _dots(axes, places, locus, points)
-    handles += _edges(axes, places, locus, plane, word)
+    handles += _edges(axes, places, locus, word)
     for text, at in marks:
         places.write(text, at.real, at.imag)
     places.write_remaining()
     axes.set_title(_stable_words(locus, word))
-    plot = control_plot(grid, [lines], handles, names)
+    plot = control_plot(grid, lines, handles, names)
     plot.locus = locus
     return plot
 
@@ -209,14 +184,13 @@ def _branches(axes: Axes, points: ComplexArray) -> list[Line2D]:
     return lines
 
 
-def _edges(axes: Axes, places: LabelPlacer, locus: Locus, plane: Plane, word: str) -> list[Line2D]:
+def _edges(axes: Axes, places: LabelPlacer, locus: Locus, word: str) -> list[Line2D]:
     """Mark the poles on the boundary where stability begins or ends, each with its number; return one of the marks."""
     drawn: list[Line2D] = []
     for edge in locus.edges:
         s = locus.s[int(np.argmin(np.abs(locus.values - edge)))]
         outermost = upper_half_plane(s[np.isfinite(s)])
-        pole = outermost[int(np.argmax(outermost.real))]
-        at = np.exp(pole * locus.dt) if plane == "z" else 1j * pole.imag
+        at = 1j * outermost[int(np.argmax(outermost.real))].imag
         drawn = axes.plot([at.real], [at.imag], "D", color=LIMIT, markersize=5.0, linestyle="none", zorder=5)
         places.reserve(at.real, at.imag, 4.0)
         places.write(f"{word} {number(edge, 3)}", at.real, at.imag, colour=LIMIT, size=7.5, bold=True, required=True)
@@ -304,11 +278,10 @@ class Locus:
         return [(ends[k], ends[k + 1]) for k in range(0 if first else 1, len(ends) - 1, 2)]
 
 
-def gain_locus(plant: LinearSystem, controller: LinearSystem, gains: ArrayLike | None) -> Locus:
+def gain_locus(plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | None) -> Locus:
     """Return the poles of the closed loop while all of the controller is multiplied by one factor."""
     factors = increasing("gains", gains, np.linspace(0.0, 2.5, 101))
-    parts = _linear("root_locus: plant", plant), _linear("root_locus: controller", controller)
-    L = state_arrays(loop_transfer(*parts), "root_locus")
+    L = state_arrays(loop_transfer(plant, controller), "root_locus")
     A, B, C = scaled(L.A, L.B, L.C)
     if not len(A):
         raise ArgumentError("root_locus: neither the plant nor the controller has a state; there are no poles to draw")
@@ -330,12 +303,6 @@ def gain_locus(plant: LinearSystem, controller: LinearSystem, gains: ArrayLike |
     return traced_locus(factors, poles, L.dt)
 
 
-def _linear(name: str, given: LinearSystem) -> control.StateSpace:
-    """Return a system in states: transfer functions are brought to them."""
-    [one] = drawn_systems(name, given, data=False)
-    return as_state_space(name, one)
-
-
 def with_rotors_at_rest(platform: Platform, rotors: Sequence[str] | None) -> tuple[Platform, list[str]]:
     """Return the platform with those rotors at rest, and their names; rotors already at rest are left out.
 
@@ -355,7 +322,7 @@ def _affine_plant(
     gimbals: Sequence[str] | None,
     rotors: Sequence[str] | None,
     Omega: ArrayLike,
-    controller: control.StateSpace,
+    controller: control.StateSpace | control.TransferFunction,
 ) -> tuple[StateArrays, StateArrays, FloatArray]:
     """Return the plant with the rotors at rest, what full speed adds to it, and the lags of its torquers."""
     stopped, _ = with_rotors_at_rest(platform, rotors)

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.response import LinearSystem
-from platform_ctrl.report.plots.curves import channels
-from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems, grid
+from platform_ctrl.report.plots.systems import DrawnSystem, Systems, channels, drawn_systems, grid
 
 if TYPE_CHECKING:
     import control
 
-    Systems = LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem]
 
-
-def bode(
-    systems: Systems, frequency: ArrayLike | None = None, *, labels: Sequence[str] | None = None, **options: Any
-) -> control.ControlPlot:
+def bode(systems: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
     """Bode plot by `control.bode_plot`.
 
     Parameters
@@ -30,8 +24,6 @@ def bode(
         a mapping.
     frequency
         The frequencies or both ends of their range, rad/s; None: all poles and zeros, up to the Nyquist frequency.
-    labels
-        Names of the systems, in their order.
     **options
         Of `control.bode_plot`, such as ``Hz=True``, ``dB=True`` and ``display_margins=True``.
 
@@ -47,17 +39,15 @@ def bode(
     """
     import control
 
-    return control.bode_plot(_responses("bode", drawn_systems("bode", systems, labels), frequency), **options)
+    return control.bode_plot(_responses("bode", drawn_systems("bode", systems), frequency), **options)
 
 
-def singular_values(
-    systems: Systems, frequency: ArrayLike | None = None, *, labels: Sequence[str] | None = None, **options: Any
-) -> control.ControlPlot:
+def singular_values(systems: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
     """Singular values over frequency by `control.singular_values_plot`.
 
     Parameters
     ----------
-    systems, frequency, labels
+    systems, frequency
         As of `bode`.
     **options
         Of `control.singular_values_plot`.
@@ -74,9 +64,8 @@ def singular_values(
     """
     import control
 
-    drawn = drawn_systems("singular_values", systems, labels)
     found = []
-    for one in _responses("singular_values", drawn, frequency):
+    for one in _responses("singular_values", drawn_systems("singular_values", systems), frequency):
         response = np.moveaxis(one.frdata, -1, 0)
         sizes = np.full((len(response), min(response.shape[1:])), np.nan)
         fine = np.isfinite(response).all(axis=(1, 2))
@@ -86,16 +75,14 @@ def singular_values(
     return control.singular_values_plot(found, **options)
 
 
-def nyquist(
-    loops: Systems, frequency: ArrayLike | None = None, *, labels: Sequence[str] | None = None, **options: Any
-) -> control.ControlPlot:
+def nyquist(loops: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
     """Nyquist plot of loop transfers by `control.nyquist_plot`, channel by channel with the others closed.
 
     Parameters
     ----------
     loops
         Square loop transfers L of the loops 1 + L, as the systems of `bode`.
-    frequency, labels
+    frequency
         As of `bode`.
     **options
         Of `control.nyquist_plot`, such as ``unit_circle=True`` and ``ms_circles=[2.0]``.
@@ -112,26 +99,26 @@ def nyquist(
     """
     import control
 
-    drawn = drawn_systems("nyquist", loops, labels, square=True)
-    parts = [part for loop in drawn for part in channels("nyquist", loop)]
+    drawn = drawn_systems("nyquist", loops, loops=True)
+    parts = [
+        control.frd(channel, one.omega, name=" ".join(filter(None, (loop.label, str(name)))) or "loop")
+        for loop, one in zip(drawn, _responses("nyquist", drawn, frequency), strict=True)
+        for name, channel in zip(one.input_labels, channels(one.frdata), strict=True)
+    ]
     # Without a sample period: python-control would close the curve of a sampled loop over the whole circle.
-    return control.nyquist_plot(_responses("nyquist", parts, frequency, loops=True), **options)
+    return control.nyquist_plot(parts, **options)
 
 
 def _responses(
-    name: str, systems: Sequence[DrawnSystem], frequency: ArrayLike | None, *, loops: bool = False
+    name: str, systems: Sequence[DrawnSystem], frequency: ArrayLike | None
 ) -> list[control.FrequencyResponseData]:
     """Return the responses of systems on their common grid, with the names of the systems and of their signals."""
     import control
 
-    every = grid(systems, frequency, name=name, loops=loops)
+    every = grid(systems, frequency, name)
     out = []
     for system in systems:
         w, response = system.along(every)
-        channel = system.inputs[0] if loops and len(systems) > 1 else ""
-        label = " ".join(filter(None, (system.label, channel)))
-        named: dict[str, Any] = {"inputs": list(system.inputs), "outputs": list(system.outputs)}
-        named["name"] = label or (getattr(system.source, "name", None) or "system")
-        dt = {} if loops else {"dt": system.dt or 0}
-        out.append(control.frd(response, w, **dt, **named))
+        labels = {"inputs": list(system.source.input_labels), "outputs": list(system.source.output_labels)}
+        out.append(control.frd(response, w, dt=system.dt or 0, name=system.label or "system", **labels))
     return out

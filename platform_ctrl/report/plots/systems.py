@@ -1,4 +1,4 @@
-"""The systems of a plot, checked and brought to one form with labels and units, and the frequencies of their responses.
+"""The systems of a plot with their labels, and the frequencies of their responses.
 
 The frequencies come close to every pole and zero, however lightly damped, so that flanks and tip of the sharpest
 resonance have their shape; a pole or zero on the stability boundary is approached from both sides.
@@ -9,41 +9,32 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled
+from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.frequency_grids import around_resonances
 from platform_ctrl.analysis.poles import continuous_poles, poles
-from platform_ctrl.analysis.response import (
-    LinearSystem,
-    frequency_response,
-    is_proper,
-    is_rational,
-    linear_arrays,
-    rational_response,
-)
-from platform_ctrl.analysis.singular_values import boundary_poles
+from platform_ctrl.analysis.response import LinearSystem, frequency_response, linear_arrays
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
-if TYPE_CHECKING:
-    import control
+Systems: TypeAlias = "LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem]"
 
-# States up to which poles next to the stability boundary are computed with more digits, and effort, entries times cubed
-# states, up to which the zeros of entries are sought: beyond that the grid does without.
-_PRECISE, _EFFORT = 60, 5e7
-# Relative distance from the stability boundary below which a pole or zero counts as on it.
-ON = 1e-10
-_LONGEST = 48
-# What python-control calls a system that nobody named.
-_NAMELESS = re.compile(r"sys\[\d+\]")
-# What it adds to a name when it converts a system.
-_CONVERTED = re.compile(r"\$\w+$")
+# What python-control calls a system that nobody named, and what it adds to a name when it converts a system.
+_NAMELESS = re.compile(r"sys\[\d+\]|\$\w+$")
+# Entries times cubed states up to which the zeros of entries are sought: beyond that the grid does without.
+_EFFORT = 5e7
+# Damping ratio below which a pole or zero counts as on the stability boundary, and how close the grid comes to it.
+_ON, _CLOSEST = 1e-10, 1e-6
+# The highest frequency that is drawn of a sampled system, over the Nyquist frequency.
+_LAST = 0.9995
+# Points of the plain grid, before poles and zeros add theirs.
+_POINTS = 400
 
 
 @value
@@ -51,346 +42,163 @@ class DrawnSystem:
     """One system as plots use it."""
 
     label: str  # What the legend calls it; empty for a single system without a name
-    # Signal names
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    dt: float  # Sample period, s; 0: continuous
-    # s-plane equivalents, rad/s, finite ones; zeros of every entry and of the whole. Empty for data
-    poles: ComplexArray
-    zeros: ComplexArray
-    undamped: FloatArray  # (k,), Frequencies > 0 of poles and zeros on the stability boundary, rad/s
-    arrays: StateArrays | None  # State-space arrays; None for data and for improper transfer functions
     source: Any  # What was given
+    dt: float  # Sample period, s; 0: continuous
+    arrays: StateArrays | None  # None for data
+    corners: ComplexArray  # Poles, and zeros of every entry, in the s-plane, rad/s; none of data
 
     @property
     def nyquist(self) -> float:
         """Highest frequency that the system has, rad/s."""
         return math.pi / self.dt if self.dt > 0.0 else math.inf
 
-    @property
-    def is_data(self) -> bool:
-        """Whether it is known at some frequencies only."""
-        return hasattr(self.source, "frdata")
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Outputs and inputs."""
-        return len(self.outputs), len(self.inputs)
-
     def along(self, grid: FloatArray) -> tuple[FloatArray, ComplexArray]:
-        """Return frequencies (N,), rad/s, and the response there, (p, m, N): NaN where it is not finite.
+        """Return frequencies (N,), rad/s, and the response there, (p, m, N), NaN where it is not finite.
 
         They are those of `grid` up to the Nyquist frequency; of data, its own between the ends of `grid`.
         """
-        if self.is_data:
-            own, response = sorted_data(self.source)
-            inside = (own >= grid[0] * (1.0 - 1e-9)) & (own <= grid[-1] * (1.0 + 1e-9))
-            return own[inside], gaps(response[..., inside])
-        frequency = grid[grid <= self.nyquist]
-        return frequency, self.response(frequency)
-
-    def response(self, frequency: FloatArray) -> ComplexArray:
-        """Return the response of a system that is no data at `frequency` (N,), rad/s, as (p, m, N)."""
-        if self.arrays is not None:
-            return gaps(frequency_response(self.arrays, frequency))
-        return gaps(rational_response(self.source, frequency))
+        if self.arrays is None:
+            w = np.asarray(self.source.omega, dtype=np.float64)
+            inside = np.flatnonzero((w > 0.0) & (w >= grid[0] * (1.0 - 1e-9)) & (w <= grid[-1] * (1.0 + 1e-9)))
+            inside = inside[np.argsort(w[inside])]
+            w, response = w[inside], np.asarray(self.source.frdata, dtype=np.complex128)[..., inside]
+        else:
+            w = grid[grid <= self.nyquist]
+            response = frequency_response(self.arrays, w)
+        return w, np.where(np.isfinite(response), response, complex(math.nan, math.nan))
 
 
-def drawn_systems(
-    name: str,
-    systems: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],
-    labels: Sequence[str] | None = None,
-    *,
-    square: bool = False,
-    data: bool = True,
-) -> tuple[DrawnSystem, ...]:
-    """Return one or several systems in the form that plots use.
+def drawn_systems(name: str, systems: Systems, *, loops: bool = False) -> tuple[DrawnSystem, ...]:
+    """Return one or several systems in the form that plots use; `loops` have to be square.
 
-    `name` is the plot's and begins every message. With `square` each needs as many outputs as inputs (a loop transfer);
-    `data`: whether `control.FrequencyResponseData` are accepted.
+    `name` is the plot's and begins every message.
     """
-    given, texts = listed(name, systems, labels)
-    if labels is None and not isinstance(systems, Mapping):
-        texts = _own_names(given)
-    return tuple(
-        _drawn(name if len(given) == 1 else f"{name}: system {k + 1}", system, text or "", square, data)
-        for k, (system, text) in enumerate(zip(given, texts, strict=True))
-    )
+    return tuple(_drawn(name, one, label, loops) for label, one in labelled(name, systems))
 
 
-def listed(name: str, given: Any, labels: Sequence[str] | None) -> tuple[list[Any], list[str | None]]:
-    """Return the items of one, a sequence or a mapping, with their labels, None where there is none."""
+def labelled(name: str, given: Any) -> list[tuple[str, Any]]:
+    """Return the items of one, a sequence or a mapping, with their labels: keys, or their own names, numbered."""
     if isinstance(given, Mapping):
-        if labels is not None:
-            raise ArgumentError(f"{name}: labels are given twice; give them as keys or as labels, not both")
-        labels, given = [str(key) for key in given], list(given.values())
-    items = list(given) if _several(given) and not isinstance(given, str) else [given]
+        items = [(str(key), one) for key, one in given.items()]
+    else:
+        every = list(given) if isinstance(given, list | tuple) else [given]
+        own = [_NAMELESS.sub("", str(getattr(one, "name", None) or "")) for one in every]
+        several = len(every) > 1
+        items = [
+            (text if text and own.count(text) == 1 else f"{text} {k}".strip() if several else text, one)
+            for k, (text, one) in enumerate(zip(own, every, strict=True), 1)
+        ]
     if not items:
         raise ArgumentError(f"{name}: nothing was given; give at least one")
-    if labels is None:
-        return items, [None] * len(items)
-    texts = [labels] if isinstance(labels, str) else list(labels) if _several(labels) else []
-    if not texts or not all(isinstance(text, str) for text in texts):
-        raise ArgumentError(f"{name}: labels must be strings, got {short(labels)}")
-    if len(texts) != len(items):
-        raise ArgumentError(f"{name}: labels must be {len(items)}, one for each, got {len(texts)}")
-    return items, [drawable(text) for text in texts]
+    return items
 
 
-def _several(given: object) -> bool:
-    return isinstance(given, Sequence) or (isinstance(given, np.ndarray) and given.ndim > 0)
-
-
-def _own_names(systems: Sequence[Any]) -> list[str | None]:
-    """Return the names of systems, numbered where several have none or the same."""
-    known = [str(getattr(system, "name", None) or "") for system in systems]
-    known = ["" if _NAMELESS.search(text) else _CONVERTED.sub("", text) for text in known]
-    if len(systems) > 1:
-        known = [text if text and known.count(text) == 1 else f"{text} {k + 1}" for k, text in enumerate(known)]
-    return [drawable(text.strip()) for text in known]
-
-
-def _drawn(where: str, system: Any, label: str, square: bool, data: bool) -> DrawnSystem:
+def _drawn(name: str, system: Any, label: str, loop: bool) -> DrawnSystem:
     if not all(hasattr(system, needed) for needed in ("input_labels", "output_labels", "dt")):
-        kinds = "control.StateSpace, TransferFunction" + (" or FrequencyResponseData" if data else "")
-        raise ArgumentError(f"{where}: a system must be a {kinds}, or several in a list, got {short(system)}")
+        raise ArgumentError(
+            f"{name}: a system must be a control.StateSpace, TransferFunction or FrequencyResponseData, or several in "
+            f"a list, got {short(system)}"
+        )
     if system.dt is True:
-        raise ArgumentError(f"{where}: the system is sampled but has no sample period (dt=True); give dt in s")
+        raise ArgumentError(f"{name}: the system is sampled but has no sample period (dt=True); give dt in s")
     p, m = system.noutputs, system.ninputs
-    if not p or not m or (square and p != m):
-        needed = "a square loop transfer is needed" if square else "at least one of each is needed"
-        raise ArgumentError(f"{where}: the system has {p} outputs and {m} inputs; {needed}")
+    if not p or not m or (loop and p != m):
+        needed = "a square loop transfer is needed" if loop else "at least one of each is needed"
+        raise ArgumentError(f"{name}: the system has {p} outputs and {m} inputs; {needed}")
     dt = 0.0 if system.dt is None else float(system.dt)
-    arrays = None
-    nothing = np.zeros(0, dtype=np.complex128)
-    poles, zeros, undamped = nothing, nothing, np.zeros(0)
     if hasattr(system, "frdata"):
-        if not data:
-            raise ArgumentError(f"{where}: data cannot be used here; give a control.StateSpace or TransferFunction")
-        if not np.any(sorted_data(system)[0]):
-            raise ArgumentError(f"{where}: the data have no frequency above 0; at least one is needed")
-    elif is_rational(system) and not is_proper(system, where):
-        poles, zeros = (_finite_roots(rows, dt) for rows in (system.den_list, system.num_list))
-    else:
-        arrays = linear_arrays(system, where)
-    if arrays is not None:
-        poles, zeros, undamped = features(arrays)
-    return DrawnSystem(
-        label=label,
-        inputs=tuple(system.input_labels),
-        outputs=tuple(system.output_labels),
-        dt=dt,
-        poles=poles,
-        zeros=zeros,
-        undamped=undamped,
-        arrays=arrays,
-        source=system,
-    )
+        corners = np.zeros(0, dtype=np.complex128)
+        return DrawnSystem(label=label, source=system, dt=dt, arrays=None, corners=corners)
+    arrays = linear_arrays(system, name)
+    every = [_corners(arrays)]
+    if loop and m > 1:
+        # Broken at one channel the loop has the poles that the others leave it.
+        every += [continuous_poles(poles(_closed(arrays, 1.0 - own).A), dt) for own in np.eye(m)]
+    s = np.concatenate(every)
+    return DrawnSystem(label=label, source=system, dt=dt, arrays=arrays, corners=s[np.isfinite(s)])
 
 
-def features(arrays: StateArrays) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Return finite poles and zeros (s-plane), and the frequencies > 0 of those on the stability boundary."""
-    A, B, C, D, dt = arrays
-    A, B, C = scaled(A, B, C)
-    on = np.zeros(len(A), dtype=np.bool_)
-    if len(A) <= _PRECISE:
-        own, on = boundary_poles(A, dt)
-    else:
-        own = continuous_poles(poles(A), dt)
-    p, m = D.shape
-    entries = [([i], [j]) for i in range(p) for j in range(m)] if p * m * len(A) ** 3 <= _EFFORT else []
-    if 1 < p == m:
-        entries.append((list(range(p)), list(range(m))))
-    nothing = np.zeros(0, dtype=np.complex128)
-    found = [transmission_zeros(A, B[:, j], C[i], D[np.ix_(i, j)], dt) for i, j in entries] if len(A) else []
-    zeros = np.concatenate([nothing, *found])
-    both = np.concatenate([own, zeros])
-    with np.errstate(invalid="ignore"):
-        on = np.concatenate([on, np.zeros(len(zeros), dtype=np.bool_)]) | (np.abs(both.real) <= ON * np.abs(both))
-    undamped = np.unique(np.abs(both.imag[on & np.isfinite(both) & (both.imag != 0.0)]))
-    return _finite(own), _finite(zeros), undamped
-
-
-def transmission_zeros(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> ComplexArray:
-    """Return the finite transmission zeros, s-plane."""
+def _corners(arrays: StateArrays) -> ComplexArray:
+    """Return poles, and transmission zeros of every entry, s-plane."""
     from scipy.linalg import eigvals
 
-    n, size = len(A), len(A) + len(D)
-    M, N = np.zeros((size, size)), np.zeros((size, size))
-    largest = np.abs(A).max(initial=0.0) or 1.0
-    # Inputs and outputs in units that make all blocks alike.
-    columns, rows = (np.abs(block).max(axis=axis, initial=0.0) for block, axis in ((B, 0), (C, 1)))
-    columns, rows = (np.where(item > 0.0, item, 1.0) / largest for item in (columns, rows))
-    M[:n, :n], M[:n, n:], M[n:, :n] = A, B / columns, C / rows[:, None]
-    M[n:, n:] = D * (largest / columns) / rows[:, None] / largest
-    N[:n, :n] = np.eye(n)
+    A, B, C = scaled(*arrays[:3])
+    n, (p, m) = len(A), arrays.D.shape
+    own = np.linalg.eigvals(A).astype(np.complex128)
+    found = [own]
+    N = np.diag([*np.ones(n), 0.0])
+    for i, j in np.ndindex((p, m) if n and p * m * n**3 <= _EFFORT else (0, 0)):
+        with np.errstate(all="ignore"):
+            zeros = eigvals(np.block([[A, B[:, [j]]], [C[[i]], arrays.D[[i]][:, [j]]]]), N, check_finite=False)
+        # What lies far beyond all poles is at infinity but for rounding.
+        found.append(zeros[np.isfinite(zeros) & (np.abs(zeros) <= 1e7 * max(np.abs(own).max(), arrays.dt > 0.0))])
+    return continuous_poles(np.concatenate(found), arrays.dt)
+
+
+def _closed(L: StateArrays, share: FloatArray) -> StateArrays:
+    """Return the loop L, some channels closed with negative feedback: from a disturbance at its input to that input."""
+    m = len(L.D)
+    K = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), -np.diag(share), L.dt)
+    closed = closed_loop(L, K).part(range(m), range(m))
+    return closed._replace(D=closed.D + np.eye(m))
+
+
+def sensitivity(L: StateArrays) -> StateArrays:
+    """Return S = (I + L)^-1, with every state of L."""
+    return _closed(L, np.ones(len(L.D)))
+
+
+def channels(L: ComplexArray) -> ComplexArray:
+    """Return the loop of every channel with all others closed, 1/S_ii − 1, (m, N), of a response (m, m, N)."""
+    if len(L) == 1:
+        return np.asarray(L[0])
+    out = np.full(L.shape[1:], complex(math.nan, math.nan))
+    fine = np.isfinite(L).all(axis=(0, 1))
+    S = np.linalg.inv(np.eye(len(L)) + np.moveaxis(L[..., fine], -1, 0))
     with np.errstate(all="ignore"):
-        found = eigvals(M, N, check_finite=False)
-    found = found[np.isfinite(found)]
-    bound = 1e7 * max(float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)), 1.0 if dt else 0.0)
-    return continuous_poles(found[np.abs(found) <= bound], dt)
-
-
-def _finite(s: ComplexArray) -> ComplexArray:
-    return np.asarray(s[np.isfinite(s)])
-
-
-def _trimmed(polynomial: Any) -> FloatArray:
-    return np.trim_zeros(np.asarray(polynomial, dtype=np.float64), "f")
-
-
-def _finite_roots(rows: Any, dt: float) -> ComplexArray:
-    every = [np.roots(_trimmed(polynomial)).astype(np.complex128) for row in rows for polynomial in row]
-    return _finite(continuous_poles(np.concatenate(every), dt))
-
-
-def sorted_data(system: Any) -> tuple[FloatArray, ComplexArray]:
-    """Return frequencies > 0, ascending, and the response of data there."""
-    frequency = np.asarray(system.omega, dtype=np.float64)
-    order = np.argsort(frequency, kind="stable")
-    order = order[frequency[order] > 0.0]
-    return frequency[order], np.asarray(system.frdata, dtype=np.complex128)[..., order]
-
-
-def gaps(response: ComplexArray) -> ComplexArray:
-    """Return `response` with NaN where it is not finite: nothing is drawn there."""
-    out = np.array(response, dtype=np.complex128)
-    out[~np.isfinite(out)] = complex(math.nan, math.nan)
+        out[:, fine] = 1.0 / np.diagonal(S, axis1=1, axis2=2).T - 1.0
     return out
 
 
-def drawable(text: str) -> str:
-    """Return a name as one short line of letters that the figures' font has."""
-    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    line = "".join(c if ord(c) < 128 or _has_glyph(c) else "\ufffd" for c in line)
-    return line if len(line) <= _LONGEST else line[: _LONGEST - 1] + "…"
-
-
-@lru_cache(maxsize=4096)
-def _has_glyph(letter: str) -> bool:
-    return bool(_font().get_char_index(ord(letter)))
-
-
-@lru_cache(maxsize=1)
-def _font() -> Any:
-    from matplotlib.font_manager import findfont, get_font
-
-    return get_font(findfont("DejaVu Sans"))
-
-
-def as_state_space(name: str, system: DrawnSystem) -> control.StateSpace:
-    """Return a system as a `control.StateSpace` with its names; `name` begins messages."""
-    import control
-
-    if system.arrays is None:
-        raise ArgumentError(f"{name}: an improper transfer function has no state space; add poles")
-    if hasattr(system.source, "A"):
-        return system.source
-    A, B, C, D, _ = system.arrays
-    names = {"inputs": list(system.inputs), "outputs": list(system.outputs)}
-    return control.StateSpace(A, B, C, D, system.source.dt, remove_useless_states=False, **names)
-
-
-# Relative distance up to which a pole or zero on the stability boundary is come close to.
-CLOSEST = 1e-6
-# The range without a single pole or zero, Hz.
-_PLAIN = 2.0 * np.pi * np.array([0.01, 100.0])
-# The highest frequency that is drawn of a sampled system, over the Nyquist frequency.
-LAST = 0.9995
-
-
-def grid(
-    systems: Sequence[DrawnSystem],
-    frequency: ArrayLike | None = None,
-    *,
-    name: str = "frequency",
-    loops: bool = False,
-    points: int = 400,
-) -> FloatArray:
+def grid(systems: Sequence[DrawnSystem], frequency: ArrayLike | None, name: str) -> FloatArray:
     """Return the ascending frequencies > 0, rad/s, at which the responses of all `systems` are drawn.
 
-    `frequency` is None for a range that shows all poles and zeros (of loops also the crossings of gain 1; of sampled
-    systems up to the Nyquist frequency), the two ends of a range, or the frequencies themselves. `points` counts those
-    of the plain grid, before poles and zeros add theirs.
+    `frequency` is None for a range that shows all poles and zeros, and of sampled systems goes up to the Nyquist
+    frequency; the two ends of a range; or the frequencies themselves.
     """
     if frequency is None:
-        low, high = _range(systems, loops)
+        ends = [end for one in systems for end in _range(one)]
+        low, high = min(ends), max(ends)
     else:
         given = frequencies(frequency, name)
         if not np.any(given) or not np.all(np.diff(given) > 0.0) or (given.size == 2 and given[0] == 0.0):
             raise ArgumentError(
                 f"{name}: frequency must be ascending numbers in rad/s, or the two ends of a range > 0 rad/s"
             )
-        given = given[given > 0.0]
-        low, high = float(given[0]), float(given[-1])
         if given.size != 2:
-            _judge(systems, low, high, name)
-            return given
-    _judge(systems, low, high, name)
-    own = [around_resonances(s, low, high, ON, CLOSEST) for one in systems for s in (one.poles, one.zeros)]
-    edges = [np.array([LAST * one.nyquist]) for one in systems if low < LAST * one.nyquist < high]
-    every = np.unique(np.concatenate([np.geomspace(low, high, points), *own, *edges]))
-    every = every[(every >= low) & (every <= high)]
-    for one in systems:
-        for undamped in one.undamped:
-            every = every[np.abs(every - undamped) > 0.5 * CLOSEST * undamped]
+            return given[given > 0.0]
+        low, high = map(float, given)
+    corners = np.concatenate([one.corners for one in systems])
+    every = np.concatenate([np.geomspace(low, high, _POINTS), around_resonances(corners, low, high, _ON, _CLOSEST)])
+    every = np.unique(every[(every >= low) & (every <= high)])
+    on = np.abs(corners.real) <= _ON * np.abs(corners)
+    for undamped in np.abs(corners.imag[on & (corners.imag != 0.0)]):
+        every = every[np.abs(every - undamped) > 0.5 * _CLOSEST * undamped]
     return every
 
 
-def _judge(systems: Sequence[DrawnSystem], low: float, high: float, name: str) -> None:
-    for one in systems:
-        first, last = (0.0, one.nyquist)
-        if one.is_data:
-            own = sorted_data(one.source)[0]
-            first, last = float(own[0]), float(own[-1])
-        if low > last * (1.0 + 1e-9) or high < first * (1.0 - 1e-9):
-            raise ArgumentError(
-                f"{name}: frequency: {low:.6g} to {high:.6g} rad/s is outside the range of "
-                f"{one.label or 'the system'}, {first:.6g} to {last:.6g} rad/s"
-            )
-
-
-def _range(systems: Sequence[DrawnSystem], loops: bool) -> tuple[float, float]:
-    ends: list[float] = []
-    fixed: list[float] = []
-    for one in systems:
-        if one.is_data:
-            own = sorted_data(one.source)[0]
-            fixed += [float(own[0]), float(own[-1])]
-            continue
-        corners = np.abs(one.poles)
-        corners = corners[corners > 1e-12 * corners.max(initial=0.0)]
-        zeros = np.abs(one.zeros)
-        if corners.size:
-            zeros = zeros[(zeros > 1e-2 * corners.min()) & (zeros < 1e2 * corners.max())]
-        else:
-            zeros = zeros[zeros > 1e-12 * zeros.max(initial=0.0)]
-        corners = np.concatenate([corners, zeros])
-        own = _crossed(one, corners) if loops or not corners.size else np.zeros(0)
-        shown = np.concatenate([corners, own])
-        if shown.size:
-            ends += [0.1 * float(shown.min()), min(10.0 * float(shown.max()), LAST * one.nyquist)]
-        if one.dt:
-            ends.append(LAST * one.nyquist)
-            ends.append(min([1e-3 * one.nyquist, *ends]))
-    if not ends and not fixed:
-        return float(_PLAIN[0]), float(_PLAIN[1])
-    if fixed:
-        return min(fixed + ends), max(fixed + ends)
-    return min(ends), max(ends)
-
-
-def _crossed(one: DrawnSystem, corners: ComplexArray | FloatArray) -> FloatArray:
-    """Return the frequencies where gains cross 1 next to a grid, as far out as four decades beyond all corners."""
-    if corners.size:
-        low, high = 1e-4 * float(np.min(corners)), 1e4 * float(np.max(corners))
-    else:
-        low, high = 1e-6, 1e6
-    high = min(high, LAST * one.nyquist)
-    if not low < high:
-        return np.zeros(0)
-    w = np.geomspace(low, high, 300)
-    gain = np.abs(one.response(w))
-    with np.errstate(invalid="ignore"):
-        crossing = np.any(np.diff((gain > 1.0).astype(np.int8), axis=-1) != 0, axis=(0, 1))
-    return np.asarray(w[:-1][crossing])
+def _range(one: DrawnSystem) -> tuple[float, float]:
+    """Return the frequencies between which all poles and zeros are seen, and crossings of gain 1 beyond them."""
+    if one.arrays is None:
+        w = np.asarray(one.source.omega, dtype=np.float64)
+        return float(w[w > 0.0].min()), float(w.max())
+    size = np.abs(one.corners)
+    # Integrators come out this large in floats.
+    size = size[size > 1e-8 * size.max(initial=0.0)]
+    corners = size if size.size else np.array([1.0])
+    last = _LAST * one.nyquist
+    w = np.geomspace(min(1e-4 * corners.min(), 1e-3 * last), min(1e4 * corners.max(), last), 300)
+    crossing = np.any(np.diff((np.abs(one.along(w)[1]) > 1.0).astype(np.int8), axis=-1) != 0, axis=(0, 1))
+    shown = np.concatenate([corners, w[:-1][crossing]])
+    low, high = 0.1 * float(shown.min()), min(10.0 * float(shown.max()), last)
+    return (min(low, 1e-3 * one.nyquist), last) if one.dt else (low, high)
