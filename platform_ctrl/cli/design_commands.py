@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,10 +31,10 @@ from platform_ctrl.errors import InputError
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.job.job import Job
     from platform_ctrl.verification import JobResult
+    from platform_ctrl.verification.comparison import Comparison
 
 
 CHECKED = Path("check")
@@ -50,7 +50,6 @@ def design(
         bool,
         option("--watch", help="Go on: design again whenever JOB or a file that it names is saved.", default=True),
     ] = False,
-    campaign: CampaignFolder = None,
     prove: Prove = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -67,17 +66,14 @@ def design(
         run7/report.html
     platform-ctrl design job.toml --watch
         again after each change, until Ctrl-C
-    platform-ctrl design job.toml --campaign campaign
-        with a section about a campaign
     platform-ctrl design job.toml --json | jq .requirements
         the verdicts, to compute with
 
     Exit code 1 if a requirement is not met, or if a method finds no controller (named on standard error).
     """  # noqa: D301
-    report = Report(out, campaign)
 
     def once() -> int:
-        return _designed(job, report, prove=prove, as_json=as_json, quiet=quiet)
+        return _designed(job, out, prove=prove, as_json=as_json, quiet=quiet)
 
     if watch:
         from platform_ctrl.cli.watching import whenever_saved
@@ -86,18 +82,18 @@ def design(
     return once()
 
 
-def _designed(job: Path, report: Report, *, prove: bool, as_json: bool, quiet: bool) -> int:
+def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: bool) -> int:
     """Design a job once; return the exit code."""
     from platform_ctrl.cli.terminal import progress
 
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        report.expect_possible(read)
-        report.prepare()
+        prepare_folder(folder, (RESULT, REPORT))
         expect_proofs_possible(prove)
         from platform_ctrl.design.jobs import attempted_loops
         from platform_ctrl.simulation.compilation import start_compilation
         from platform_ctrl.verification import check_job
+        from platform_ctrl.verification.result_file import result_record, write_record
 
         if read.manoeuvres:
             start_compilation()
@@ -108,9 +104,9 @@ def _designed(job: Path, report: Report, *, prove: bool, as_json: bool, quiet: b
                 noted(f"failed: {one.loop}, {one.name}: {one.sentence}")
             raise failures[0].error
         result = check_job(read, outcomes, say, prove=prove)
-        record = report.keep(result)
-        show = report.draw(result, record, ["design", str(job), "-o", str(report.folder)], say, as_json)
-    code = show()
+        record = write_record(result_record(result), folder / RESULT)  # before anything is drawn
+        drawn = _drawn(result, folder, ["design", str(job), "-o", str(folder)], say)
+    code = _show(result, record, folder, drawn, as_json, job)
     for one in failures:
         code = failed(f"{one.loop}, {one.name}: {one.sentence}", 1)
     return code
@@ -175,189 +171,130 @@ def check(
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         file, used = controller_file(controllers, out, job, read, quiet or as_json)
-        report = Report(folder, campaign)
-        report.expect_possible(read)
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.comparison import compare
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
-        from platform_ctrl.verification.result_file import read_record, unconfirmed
+        from platform_ctrl.verification.result_file import (
+            read_record,
+            result_record,
+            unconfirmed,
+            with_sections,
+            write_record,
+        )
 
-        accepted = None if baseline is None else read_record(baseline)  # before the work
+        # All that may be refused is read before the work.
+        accepted = None if baseline is None else read_record(baseline)
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
-        if campaign is not None:
-            campaign_summary(read, closed, campaign)  # before the work on what would be refused
-        report.prepare()
+        summary = None if campaign is None else campaign_summary(read, closed, campaign)
+        prepare_folder(folder, (RESULT, REPORT))
         expect_proofs_possible(prove)
-        outcomes = outcomes_from(read, closed, others)
-        result = check_job(read, outcomes, say, prove=prove)
+        result = check_job(read, outcomes_from(read, closed, others), say, prove=prove)
         notes = unconfirmed(file, result)
-        record = report.keep(result, file)
-        compared = None if accepted is None else compare(record, accepted, read.tolerance)
-        more: dict[str, Any] = {}
-        if compared is not None:
-            changes = [asdict(one) for one in compared.changes]
-            more = {"baseline": {"file": str(baseline), "passed": compared.passed, "changes": changes}}
+        record = with_sections(result_record(result), file)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-        show = report.draw(result, record, command, say, as_json, more)
+        again = ["platform-ctrl", "simulate", str(job), "--controllers", str(folder / RESULT)]
+        if summary is not None:
+            command += ["--campaign", str(campaign)]
+            again += ["-o", str(campaign), "--run"]
+            counted = summary.statistics.violation
+            passed = {"passed": summary.passed, "runs": counted.runs, "violating": counted.events}
+            record |= {"passed": record["passed"] and summary.passed, "campaign": passed}
+        record = write_record(record, folder / RESULT)
+        compared = None if accepted is None else compare(record, accepted, read.tolerance)
+        drawn = _drawn(result, folder, command, say, campaign=summary, again=shlex.join(again))
     noted(used)
     for note in notes:
-        typer.echo(f"{file}: not confirmed: {note}", err=True)
-    code = show()
-    if compared is None:
-        return code
+        noted(f"{file}: not confirmed: {note}")
+    if compared is not None:
+        changes = [asdict(one) for one in compared.changes]
+        record |= {"baseline": {"file": str(baseline), "passed": compared.passed, "changes": changes}}
+    code = _show(result, record, folder, drawn, as_json, job, summary)
+    return code if compared is None else _show_changes(compared, f"baseline {baseline}", as_json) or code
+
+
+def _show_changes(compared: Comparison, name: str, as_json: bool) -> int:
+    """Print what has changed since an accepted result; return the exit code."""
+    from platform_ctrl.cli.terminal import screen, show_words
     from platform_ctrl.report.failures import changes_text
 
-    typer.echo(f"baseline {changes_text(compared, str(baseline))}", err=as_json)
-    return code or (0 if compared.passed else 1)
-
-
-def expect_campaign(job: Job, folder: Path) -> Record:
-    """Return the record of a campaign of `job` that is done."""
-    from platform_ctrl.campaign.store import RECORD, TABLE, read_record
-
-    record = read_record(folder)
-    if record is None:
-        raise InputError(
-            f"--campaign {folder}: there is no {RECORD}; name the folder that platform-ctrl campaign writes"
-        )
-    if record.get("job") != job.name:
-        raise InputError(f"--campaign {folder}: belongs to the job {record.get('job')!r}, not to {job.name!r}")
-    if not record.get("complete") or not (folder / TABLE).exists():
-        raise InputError(f"--campaign {folder}: is not complete; the same platform-ctrl campaign continues it")
-    return record
+    for line in changes_text(compared, name).splitlines():
+        if as_json:
+            noted(line)
+        else:
+            show_words(screen(), line, indent="    ")
+    return 0 if compared.passed else 1
 
 
 def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
-    """Return the statistics of the campaign in a folder."""
+    """Return the statistics of the campaign of `job` in a folder, which has to be done."""
     from platform_ctrl.campaign.single_run import recorded_plan
-    from platform_ctrl.campaign.store import TABLE
-
-    made, changed = recorded_plan(job, controllers, expect_campaign(job, folder))
-    if changed:
-        raise InputError(
-            f"--campaign {folder}: was simulated with {'; '.join(changed)}; repeat it with platform-ctrl campaign, or "
-            "leave the option out"
-        )
+    from platform_ctrl.campaign.store import RECORD, TABLE, read_record
     from platform_ctrl.campaign.summary import summarise
 
+    record, where = read_record(folder), f"--campaign {folder}"
+    if record is None:
+        raise InputError(f"{where}: there is no {RECORD}; name the folder that platform-ctrl campaign writes")
+    if record.get("job") != job.name:
+        raise InputError(f"{where}: belongs to the job {record.get('job')!r}, not to {job.name!r}")
+    if not record.get("complete") or not (folder / TABLE).exists():
+        raise InputError(f"{where}: is not complete; the same platform-ctrl campaign continues it")
+    made, changed = recorded_plan(job, controllers, record)
+    if changed:
+        raise InputError(
+            f"{where}: was simulated with {'; '.join(changed)}; repeat it with platform-ctrl campaign, or leave the "
+            "option out"
+        )
     return summarise(made, folder / TABLE)
 
 
-Shown = Callable[[], int]
+def _drawn(
+    result: JobResult, folder: Path, command: Sequence[str], say: Callable[[str], None], **about: Any
+) -> tuple[bool, list[str]]:
+    """Write the report; return whether it is there, and a line for everything that is missing, and why.
+
+    `command` are the words of the command line without the program's name.
+    """
+    path = folder / REPORT
+    lines: list[str] = []
+
+    def page(path: Path) -> None:
+        from platform_ctrl.report import write_page
+        from platform_ctrl.report.page.blocks import missing
+        from platform_ctrl.report.page.job_page import prepared
+
+        content = prepared(result, command=shlex.join(["platform-ctrl", *command]), **about)
+        lines.extend(f"{path}: {words}" for words in missing(content))
+        write_page(content, path)
+
+    say(f"drawing the report: {path}")
+    line = not_drawn(path, page)
+    return not line, [*lines, line]
 
 
-@dataclass(frozen=True)
-class Report:
-    """The result's file and the report in a folder, with a section about the campaign in another."""
+def _show(
+    result: JobResult,
+    record: Mapping[str, object],
+    folder: Path,
+    drawn: tuple[bool, list[str]],
+    as_json: bool,
+    job: Path,
+    campaign: Summary | None = None,
+) -> int:
+    """Print the result; return the exit code, that of the verdict."""
+    from platform_ctrl.cli.terminal import show_result
+    from platform_ctrl.common.json_text import json_text
 
-    folder: Path
-    campaign: Path | None
-
-    def expect_possible(self, job: Job) -> None:
-        """Check the options before the work."""
-        if self.campaign is not None:
-            expect_campaign(job, self.campaign)
-
-    def prepare(self) -> None:
-        """Make sure before the work that all files can be written."""
-        prepare_folder(self.folder, (RESULT, REPORT))
-
-    def keep(self, result: JobResult, checked: Path | None = None) -> Record:
-        """Write the result's file, before anything is drawn, and return its content.
-
-        The controllers of a file that was checked keep its sections.
-        """
-        from platform_ctrl.verification.result_file import result_record, with_sections, write_record
-
-        record = result_record(result)
-        return write_record(record if checked is None else with_sections(record, checked), self.folder / RESULT)
-
-    def draw(
-        self,
-        result: JobResult,
-        record: Record,
-        command: list[str],
-        say: Callable[[str], None],
-        as_json: bool,
-        more: Mapping[str, object] | None = None,
-    ) -> Shown:
-        """Write the report; return a function that prints the result and returns the exit code, that of the verdict.
-
-        `command` are the words of the command line without the program's name, the job second; `more` is printed as
-        JSON beside the content of the result's file. What cannot be drawn is left out, and said. A campaign of other
-        controllers is left out too, and is an error at the end.
-        """
-        from platform_ctrl.verification.result_file import write_record
-
-        words = ["platform-ctrl", *command]
-        about: dict[str, Any] = {}
-        campaign: Summary | None = None
-        refused: InputError | None = None
-        if self.campaign is not None:
-            words += ["--campaign", str(self.campaign)]
-            say(f"reading the campaign: {self.campaign}")
-            try:
-                about = self._campaign_section(result, record, self.campaign, command[1])
-                campaign = about["campaign"]
-                counted = campaign.statistics.violation
-                passed = {"passed": campaign.passed, "runs": counted.runs, "violating": counted.events}
-                record |= {"passed": record["passed"] and campaign.passed, "campaign": passed}
-                record = write_record(record, self.folder / RESULT)
-            except InputError as error:
-                refused = InputError(f"{error}; the report in {self.folder} was written without it")
-        reports, missing = self._drawn(result, say, command=shlex.join(words), **about)
-
-        def show() -> int:
-            self._show(result, campaign, {**record, **(more or {})} if as_json else None, reports)
-            for line in missing:
-                noted(line)
-            if not (as_json or result.passed):
-                typer.echo(f"next:   {shlex.join(['platform-ctrl', 'serve', command[1]])} proposes what to change")
-            if refused is not None:
-                raise refused
-            return 0 if result.passed and (campaign is None or campaign.passed) else 1
-
-        return show
-
-    def _drawn(self, result: JobResult, say: Callable[[str], None], **about: Any) -> tuple[list[Path], list[str]]:
-        """Write the report; return its path if it is there, and a line for what is missing, and why."""
-        path = self.folder / REPORT
-        lines: list[str] = []
-
-        def page(path: Path) -> None:
-            from platform_ctrl.report import write_page
-            from platform_ctrl.report.page.blocks import missing
-            from platform_ctrl.report.page.job_page import prepared
-
-            content = prepared(result, **about)
-            lines.extend(f"{path}: {words}" for words in missing(content))
-            write_page(content, path)
-
-        say(f"drawing the report: {path}")
-        line = not_drawn(path, page)
-        return ([], [*lines, line]) if line else ([path], lines)
-
-    def _campaign_section(
-        self, result: JobResult, record: Mapping[str, Any], campaign: Path, job: str
-    ) -> dict[str, Any]:
-        from platform_ctrl.verification.controllers import read_controllers
-
-        # As a campaign reads them, from the record: the same numbers in the same order.
-        summary = campaign_summary(result.job, read_controllers(record, result.job), campaign)
-        again = ["simulate", job, "--controllers", str(self.folder / RESULT), "-o", str(campaign), "--run"]
-        return {"campaign": summary, "again": shlex.join(["platform-ctrl", *again])}
-
-    def _show(
-        self, result: JobResult, campaign: Summary | None, record: Mapping[str, object] | None, reports: Sequence[Path]
-    ) -> None:
-        from platform_ctrl.cli.terminal import show_result
-        from platform_ctrl.common.json_text import json_text
-
-        if record is not None:
-            typer.echo(json_text(record))
-            return
+    there, missing = drawn
+    if as_json:
+        typer.echo(json_text(record))
+    else:
         show_result(result, campaign)
-        for path in reports:
-            typer.echo(f"report: {path}")
-        typer.echo(f"values: {self.folder / RESULT}")
+        if there:
+            typer.echo(f"report: {folder / REPORT}")
+        typer.echo(f"values: {folder / RESULT}")
+    for line in missing:
+        noted(line)
+    if not (as_json or result.passed):
+        typer.echo(f"next:   {shlex.join(['platform-ctrl', 'serve', str(job)])} proposes what to change")
+    return 0 if result.passed and (campaign is None or campaign.passed) else 1
