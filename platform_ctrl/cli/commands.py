@@ -15,8 +15,7 @@ from platform_ctrl.cli.design_commands import check, design
 from platform_ctrl.cli.export_command import export
 from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate
-from platform_ctrl.cli.start_commands import equations, models, new
-from platform_ctrl.cli.warm_up_command import warm_up
+from platform_ctrl.cli.start_commands import equations, models, new, warm_up
 
 app = typer.Typer(
     rich_markup_mode=None,

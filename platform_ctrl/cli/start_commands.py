@@ -1,10 +1,11 @@
-"""The commands to start with: ``new``, ``models`` and ``equations``."""
+"""The commands to start with: ``new``, ``models``, ``equations`` and ``warm-up``."""
 
 from __future__ import annotations
 
 import os
 import re
 import shlex
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -199,3 +200,31 @@ def equations(
         if chosen_form == "json":
             written = f"{json_text(written)}\n"
     typer.echo(written, nl=False)
+
+
+def warm_up(as_json: Json = False, quiet: Quiet = False) -> None:
+    """Compile what the other commands need, once an installation.
+
+    The simulation is compiled where it is first used, which takes about half a minute, and kept beside the installed
+    package. This compiles it before anybody waits for it: in an image, before CI runs its tests, after an update. What
+    is compiled already is not compiled again.
+
+    \b
+    platform-ctrl warm-up
+        once an installation
+    platform-ctrl warm-up --quiet
+        in a Dockerfile: RUN platform-ctrl warm-up --quiet
+    """  # noqa: D301
+    from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.common.json_text import json_text
+
+    start = time.monotonic()
+    with progress(quiet or as_json, "compiling the simulation"):
+        from platform_ctrl.plant.reading import read_platform
+        from platform_ctrl.simulation.batch import compile_ahead
+        from platform_ctrl.simulation.free_motion import rollout
+
+        compile_ahead()
+        rollout(read_platform("rate_gyro"), q=[[0.0]], velocity=[[0.0] * 4], step=1e-4, steps=1)
+    seconds = time.monotonic() - start
+    typer.echo(json_text({"schema": 1, "seconds": seconds}) if as_json else f"compiled in {seconds:.0f} s")
