@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,13 +37,8 @@ Shown = Callable[[bool], int]
 def simulate(
     job: JobFile,
     run: Annotated[
-        str | None,
-        option(
-            "--run",
-            metavar="NUMBER",
-            help="Run of the job's campaign, as its table numbers them from 0. A name, or a number where there is no "
-            "campaign, is that of a manoeuvre.",
-        ),
+        int | None,
+        option("--run", metavar="NUMBER", help="Run of the job's campaign, as its table numbers them from 0."),
     ] = None,
     manoeuvre: Annotated[
         str | None,
@@ -96,23 +91,17 @@ def simulate(
         return _list(job, as_json)
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        selected = str(run if manoeuvre is None else manoeuvre)
-        of_campaign = (
-            manoeuvre is None and selected.isdecimal() and (read.campaign is not None or _has_campaign(read, out))
-        )
-        if of_campaign and selected not in [one.name for one in read.manoeuvres]:
-            chosen: int | Manoeuvre = int(selected)
-        else:
-            chosen = _manoeuvre(read, selected, job, "--run" if manoeuvre is None else "--manoeuvre")
+        chosen = None if manoeuvre is None else _manoeuvre(read, manoeuvre, job)
         file, used = controller_file(controllers, None, job, read, quiet or as_json)
         from platform_ctrl.verification.controllers import read_controllers
 
         closed = read_controllers(file, read)
-        if isinstance(chosen, int):
-            planned = _planned(read, chosen, closed, out)
+        if chosen is None:
+            assert run is not None
+            planned = _planned(read, run, closed, out)
             prepare_folder(planned[1])
-            say(f"run {chosen} of the campaign")
-            show = _campaign_run(chosen, *planned)
+            say(f"run {run} of the campaign")
+            show = _campaign_run(run, *planned)
         else:
             if out is not None:
                 prepare_folder(out)
@@ -138,7 +127,7 @@ def _list(path: Path, as_json: bool) -> int:
         show_words(console, f"{path}: has no manoeuvres; a [[manoeuvre]] adds one")
         return 0
     console.print(f"manoeuvres of {job.name}", style="bold", markup=False)
-    numbered = [(f"{k}: {one.name}", _motion(one)) for k, one in enumerate(job.manoeuvres, 1)]
+    numbered = [(f"{k}: {one.name}", f"{one.mode}, {one.duration:g} s") for k, one in enumerate(job.manoeuvres, 1)]
     show_pairs(console, numbered, indent="  ")
     words = "simulate one: --manoeuvre NUMBER or NAME"
     if job.campaign is not None:
@@ -147,29 +136,11 @@ def _list(path: Path, as_json: bool) -> int:
     return 0
 
 
-def _motion(one: Manoeuvre) -> str:
-    """Say what acts in a manoeuvre."""
-    parts = []
-    if one.rate:
-        parts.append(f"{one.rate:g} rad/s about axis {one.axis}")
-    if one.torque:
-        parts.append(f"{one.torque:g} N m about axis {one.axis}")
-    for count, word in (
-        (len(one.sines), "sine"),
-        (len(one.vibrations), "vibration"),
-        (int(one.Omega_table is not None) + int(one.torque_table is not None), "table"),
-        (len(one.faults), "fault"),
-    ):
-        if count:
-            parts.append(f"{count} {word}{'' if count == 1 else 's'}")
-    return f"{one.mode}, {one.duration:g} s: {', '.join(parts) or 'nothing acts'}"
-
-
 def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:
     from platform_ctrl.verification.simulated import simulate_manoeuvre
 
     result = simulate_manoeuvre(job, manoeuvre, controllers)
-    name = f"manoeuvre-{_place(job, manoeuvre)}.svg"
+    name = f"manoeuvre-{1 + [one.name for one in job.manoeuvres].index(manoeuvre.name)}.svg"
     figure, line = (None, "") if out is None else _drawn(result, job, manoeuvre.name, out / name)
 
     def show(as_json: bool) -> int:
@@ -180,19 +151,16 @@ def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.Sta
     return show
 
 
-def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: str) -> Shown:
+def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool) -> Shown:
     from platform_ctrl.campaign.single_run import recorded_row, rerun, unlike
 
     found = rerun(plan, number)
     row = recorded_row(folder, number) if recorded else None
     unlikely = [] if row is None else unlike(found, row)
     title = f"run {number}: {found.run.manoeuvre.name}"
-    compared = _compared(plan, found.inputs)
     figure, line = _drawn(found.run, found.job, title, folder / f"run-{number}.svg")
 
     def show(as_json: bool) -> int:
-        if note:
-            typer.echo(note, err=True)
         if as_json:
             more = {"run": number, "inputs": found.inputs, "row": found.metrics}
             more["figure"] = None if figure is None else str(figure)
@@ -200,42 +168,16 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
         else:
             from platform_ctrl.cli.terminal import show_inputs
 
-            show_inputs(f"run {number} of the campaign", found.inputs, compared)
+            show_inputs(f"run {number} of the campaign", found.inputs)
             _show(found.job, found.run)
             if row is not None and not unlikely:
                 typer.echo(f"the values are those of {folder / TABLE}")
         _show_figure(None if as_json else figure, line)
         for one in unlikely:
-            typer.echo(f"{folder / TABLE}: run {number} is not the same: {one}", err=True)
+            noted(f"{folder / TABLE}: run {number} is not the same: {one}")
         return 0 if found.metrics["passed"] else 1
 
     return show
-
-
-# Runs with which the inputs of one are compared, and the share of them beyond which one is worth saying.
-_COMPARED, _UNUSUAL = 10_000, 0.9
-
-
-def _compared(plan: Plan, inputs: Mapping[str, object]) -> dict[str, str]:
-    """Say which inputs of a run few other runs of the campaign have, the rarest first."""
-    import numpy as np
-
-    others = plan.inputs(0, min(plan.runs, _COMPARED))
-    found = []
-    for name, item in inputs.items():
-        column = np.asarray(others.get(name, ()))
-        if isinstance(item, bool) and item:
-            share = float(1.0 - column.mean())
-            words = f"in {100.0 * (1.0 - share):.2g} % of the runs"
-        elif isinstance(item, float) and column.size:
-            below, above = float((column < item).mean()), float((column > item).mean())
-            share = max(below, above)
-            words = f"{'above' if below > above else 'below'} {100.0 * share:.0f} % of the runs"
-        else:
-            continue
-        if share >= _UNUSUAL:
-            found.append((-share, name, words))
-    return {name: words for _, name, words in sorted(found)}
 
 
 def _show(job: Job, run: Run, more: dict[str, Any] | None = None) -> None:
@@ -253,34 +195,22 @@ def _show(job: Job, run: Run, more: dict[str, Any] | None = None) -> None:
     show_run(run, largest(job, run.manoeuvre, run.trajectory))
 
 
-def _has_campaign(job: Job, out: Path | None) -> bool:
-    """Whether the folder has a campaign of a job that has no [campaign]: what varied was the noise."""
-    from platform_ctrl.campaign.store import read_record
-
-    record = read_record(out or CAMPAIGN)
-    return record is not None and record.get("job") == job.name
-
-
-def _planned(
-    job: Job, number: int, controllers: list[control.StateSpace], out: Path | None
-) -> tuple[Plan, Path, bool, str]:
-    """Return the plan of the campaign in a folder if there is one, else the job's; the folder; whether; a note."""
-    from platform_ctrl.campaign.planning import plan
+def _planned(job: Job, number: int, controllers: list[control.StateSpace], out: Path | None) -> tuple[Plan, Path, bool]:
+    """Return the plan of the campaign in a folder if there is one, else the job's; the folder; and whether."""
     from platform_ctrl.campaign.single_run import recorded_plan
     from platform_ctrl.campaign.store import RECORD, read_record
 
     folder = out or CAMPAIGN
     record = read_record(folder)
-    (made, changed), note = recorded_plan(job, controllers, record), ""
+    made, changed = recorded_plan(job, controllers, record)
     if changed:
-        note = f"{folder / RECORD}: the campaign there was simulated with {'; '.join(changed)}"
-        if out is not None:
-            raise InputError(f"{note}; its runs cannot be simulated again with what there is now")
-        made = plan(job, controllers)
-        note += "; simulated instead: a run of the campaign that the job describes now"
-    if number >= made.runs:
+        raise InputError(
+            f"{folder / RECORD}: the campaign there was simulated with {'; '.join(changed)}; its runs cannot be "
+            "simulated again with what there is now"
+        )
+    if not 0 <= number < made.runs:
         raise InputError(f"--run {number}: the campaign has the runs 0 to {made.runs - 1}")
-    return made, folder, record is not None and not changed, note
+    return made, folder, record is not None
 
 
 def _drawn(run: Run, job: Job, title: str, path: Path) -> tuple[Path | None, str]:
@@ -302,11 +232,7 @@ def _show_figure(figure: Path | None, line: str) -> None:
         noted(line)
 
 
-def _place(job: Job, manoeuvre: Manoeuvre) -> int:
-    return 1 + [one.name for one in job.manoeuvres].index(manoeuvre.name)
-
-
-def _manoeuvre(job: Job, selected: str, path: Path, option: str) -> Manoeuvre:
+def _manoeuvre(job: Job, selected: str, path: Path) -> Manoeuvre:
     from platform_ctrl.plant.mistakes import given
 
     names = [manoeuvre.name for manoeuvre in job.manoeuvres]
@@ -314,11 +240,7 @@ def _manoeuvre(job: Job, selected: str, path: Path, option: str) -> Manoeuvre:
         return job.manoeuvres[names.index(selected)]
     if selected.isdecimal() and 1 <= int(selected) <= len(names):
         return job.manoeuvres[int(selected) - 1]
-    if option == "--run" and job.campaign is not None:
-        known = ", ".join(map(given, names))
-        raise InputError(
-            f"{option} {given(selected)}: must be the number of a run of the campaign, from 0, or a manoeuvre in "
-            f"{path}: {known}"
-        )
     known = ", ".join(f"{number} {given(name)}" for number, name in enumerate(names, 1))
-    raise InputError(f"{option} {given(selected)}: {path} has no such manoeuvre; its manoeuvres are: {known or 'none'}")
+    raise InputError(
+        f"--manoeuvre {given(selected)}: {path} has no such manoeuvre; its manoeuvres are: {known or 'none'}"
+    )

@@ -100,17 +100,13 @@ def _measured(key: str, number: float, signal: str) -> str:
     return " ".join(filter(None, (f"{number:.4g}", RUN_METRICS[key].unit, f"({signal})")))
 
 
-def show_inputs(title: str, inputs: Mapping[str, object], unusual: Mapping[str, str]) -> None:
-    """Print what was drawn for a run, first what is `unusual` with why."""
+def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
+    """Print what was drawn for a run."""
     console = screen()
     console.print(title, style="bold", markup=False)
-    shown = {
-        name: f"{item:.6g}" if isinstance(item, float) else {True: "yes", False: "no"}.get(item, item)  # type: ignore[call-overload]
-        for name, item in inputs.items()
-    }
-    order = [*unusual, *(name for name in shown if name not in unusual)]
-    noted = {name: f" ({words})" for name, words in unusual.items()}
-    show_pairs(console, [(name, f"{shown[name]}{noted.get(name, '')}") for name in order])
+    words: dict[object, object] = {True: "yes", False: "no"}
+    pairs = [(k, f"{x:.6g}" if isinstance(x, float) else str(words.get(x, x))) for k, x in inputs.items()]
+    show_pairs(console, pairs)
 
 
 def show_pairs(console: Console, pairs: Sequence[tuple[str, str]], indent: str = "") -> None:

@@ -157,11 +157,11 @@ def test_a_folder_that_is_named_gives_its_controllers_and_a_narrow_terminal_gets
 
 
 def test_simulate_flies_one_manoeuvre_by_name_or_number(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["simulate", "job.toml", "--run", "2", "-q"]) == 0
+    assert main(["simulate", "job.toml", "--manoeuvre", "2", "-q"]) == 0
     out, err = capsys.readouterr()
     assert err == "controllers: out/result.json\n"
     assert out.startswith("step")
-    assert main(["simulate", "job.toml", "--run", "turn", "--json"]) == 0
+    assert main(["simulate", "job.toml", "--manoeuvre", "turn", "--json"]) == 0
     run: dict[str, Any] = json.loads(capsys.readouterr().out)
     assert (run["name"], run["mode"], run["ended"]) == ("turn", "caged", "completed")
     # The same run as in the check: the seed makes it so.
@@ -182,7 +182,7 @@ def test_simulate_without_a_choice_lists_the_manoeuvres(there: Path, capsys: pyt
 
 def test_simulate_ends_with_one_when_a_limit_is_not_met(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (there / "tight.toml").write_text(JOB.replace("angle = 0.0005", "angle = 1e-9"), encoding="utf-8")
-    assert main(["simulate", "tight.toml", "--run", "step", "-q", "--controllers", "out/result.json"]) == 1
+    assert main(["simulate", "tight.toml", "--manoeuvre", "step", "-q", "--controllers", "out/result.json"]) == 1
     assert "NOT MET" in capsys.readouterr().out
 
 
@@ -339,8 +339,8 @@ def test_the_shell_gets_completion(monkeypatch: pytest.MonkeyPatch) -> None:
         (["check", "job.toml", "--controllers", "job.toml"], "job.toml: is not JSON"),
         (["check", "job.toml", "--controllers", "faster.json"], 'controllers 1 "caging 4-5-7": dt: 0.0001 s is not'),
         (
-            ["simulate", "job.toml", "--run", "3"],
-            '--run "3": job.toml has no such manoeuvre; its manoeuvres are: 1 "turn", 2 "step"',
+            ["simulate", "job.toml", "--manoeuvre", "3"],
+            '--manoeuvre "3": job.toml has no such manoeuvre; its manoeuvres are: 1 "turn", 2 "step"',
         ),
     ],
 )
@@ -360,7 +360,7 @@ def test_check_and_simulate_say_where_controllers_come_from(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "job.toml").write_text(JOB, encoding="utf-8")
-    for arguments in (["check", "job.toml"], ["simulate", "job.toml", "--run", "1"]):
+    for arguments in (["check", "job.toml"], ["simulate", "job.toml", "--manoeuvre", "1"]):
         assert f"{Path('out') / 'result.json'}: there is no such file; run platform-ctrl design first" in refused(
             capsys, *arguments
         )
