@@ -127,24 +127,30 @@ def _begin() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-@contextmanager
-def cluster(address: str) -> Iterator[tuple[Executor, int, tuple[type[BaseException], ...]]]:
-    """Yield an executor of the workers of a Dask scheduler."""
+def client_of(address: str) -> Any:
+    """Return a client of a Dask scheduler."""
     try:
         import distributed
-        import distributed.scheduler
     except ImportError:
         raise InputError("--scheduler: distributed is not installed: pip install 'platform_ctrl[cluster]'") from None
     try:
         # Checked first: a client with an invalid address prints a traceback.
         distributed.comm.get_address_host_port(address)
-        client = distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
+        return distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
     except (OSError, OverflowError, ValueError, TimeoutError) as error:
         reason = " ".join(str(error).split()) or "no answer"
         raise InputError(
             f"--scheduler {address}: {reason}; give the address of a Dask scheduler, such as tcp://host:8786"
         ) from None
-    with client:
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[tuple[Executor, int, tuple[type[BaseException], ...]]]:
+    """Yield an executor of the workers of a Dask scheduler."""
+    with client_of(address) as client:
+        import distributed
+        import distributed.scheduler
+
         try:
             executor = client.get_executor(pure=False, retries=1)
             yield executor, max(sum(client.nthreads().values()), 1), (distributed.scheduler.KilledWorker,)

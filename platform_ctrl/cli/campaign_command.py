@@ -117,20 +117,16 @@ def campaign(
         from platform_ctrl.verification.controllers import read_controllers
 
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
+        if scheduler is not None:
+            from platform_ctrl.campaign.workers import client_of
+
+            client_of(scheduler).close()  # a wrong address leaves no folder behind
         prepare_folder(out, ("campaign.json", PAGE))
-    done: int | None = None
-
-    def count(kept: int, failed: int) -> None:
-        nonlocal done
-        done = kept
-        tick(kept, failed)
-
     try:
         with campaign_progress(quiet or as_json, made.runs) as tick:
-            result = run_campaign(made, out, workers=workers, scheduler=scheduler, restart=restart, progress=count)
+            result = run_campaign(made, out, workers=workers, scheduler=scheduler, restart=restart, progress=tick)
     except KeyboardInterrupt:
-        kept = "what was simulated is kept" if done is None else f"{done:,} of {made.runs:,} runs are kept"
-        typer.echo(f"stopped: {kept} in {out}; the same command continues", err=True)
+        noted(f"stopped: what was simulated is kept in {out}; the same command continues")
         raise
     given = {"--controllers": controllers, "-o": None if out == CAMPAIGN else out}
     files = [str(word) for option, path in given.items() if path is not None for word in (option, path)]
@@ -152,8 +148,7 @@ def campaign(
     else:
         show_campaign(summary)
         _show_files(result, None if line else out / PAGE)
-    if line:
-        noted(line)
+    noted(line)
     return 0 if result.passed else 1
 
 
