@@ -8,7 +8,6 @@ import pytest
 import sympy
 
 import three_gyro_paper
-from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.linearisation import linearise
 
 PLATFORM = three_gyro_paper.unequal_platform()
@@ -62,28 +61,3 @@ def test_the_difference_of_the_pair_is_a_double_integrator_for_equal_momenta():
     direction = np.array([0.0, L8, -L6, 0.0, 0.0])
     np.testing.assert_allclose(equal.G @ direction, 0.0, atol=1e-12)
     np.testing.assert_allclose(equal.K @ direction, 0.0, atol=1e-12)
-
-
-def test_exact_form_is_the_derivative_of_the_non_linear_equations():
-    """Row by row: the exact linear form follows inverse dynamics to second order in the angles."""
-    Omega = np.array([0.3, -0.8, 0.5])
-    model = linearise(PLATFORM, Omega=Omega)
-    rng = np.random.default_rng(3)
-    direction, rate, acceleration, omega, omega_dot = (rng.normal(size=k) for k in (5, 5, 5, 3, 3))
-    errors = []
-    for size in (1e-2, 1e-3):
-        exact = inverse_dynamics(
-            PLATFORM,
-            size * direction,
-            np.concatenate([Omega + size * omega, size * rate]),
-            np.concatenate([size * omega_dot, size * acceleration]),
-        )[3:]
-        linear = model.Q0 + size * (
-            model.M @ acceleration
-            + model.G @ rate
-            + model.K @ direction
-            + model.M_Omega @ omega_dot
-            + model.G_Omega @ omega
-        )
-        errors.append(np.abs(exact - linear).max())
-    assert errors[1] < 0.011 * errors[0]

@@ -31,7 +31,7 @@ from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.rotors import rotor_momenta, with_rotors_as_gimbals
-from platform_ctrl.plant.platform import Gimbal, Platform
+from platform_ctrl.plant.platform import Platform
 
 pin = pytest.importorskip("pinocchio", reason="Pinocchio (package pin) is not installed")
 
@@ -165,24 +165,6 @@ def test_both_mass_matrices_are_composites_of_bodies(motion):
     agree("A* by elimination", m.A_star, without_free, allowed)
     without_any = inertia - coupling.T @ np.linalg.solve(whole[n:, n:], coupling)
     agree("A by elimination", m.A, without_any, allowed)
-
-
-def test_pinocchio_wants_its_joints_depth_first():
-    """Why `PinocchioTree` orders them: breadth first, CRBA lacks the coupling of a body with one added later."""
-    body = np.diag([1.0, 2.0, 2.5])
-    x, y = np.eye(3)[:2]
-    gimbals = (
-        Gimbal(name="left", parent="root", axis=x, inertia=body, angle="left"),
-        Gimbal(name="right", parent="root", axis=y, inertia=body, angle="right"),
-        Gimbal(name="on left", parent="left", axis=x, inertia=body, angle="on left"),
-    )
-    platform = Platform(name="bush", root_name="root", root_inertia=body, gimbals=gimbals)
-    deep, broad = (PinocchioTree(platform, depth_first=first) for first in (True, False))
-    ours, identity = matrices(platform).A_star, np.eye(4)[0]
-    np.testing.assert_allclose(mass_matrix(deep, deep.configuration(np.zeros(3), identity)), ours, atol=FEW)
-    wrong = mass_matrix(broad, broad.configuration(np.zeros(3), identity))
-    assert ours[3, 5] == pytest.approx(1.0)
-    assert wrong[3, 5] == 0.0
 
 
 @for_all(motions(), quick=30)

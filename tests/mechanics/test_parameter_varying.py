@@ -12,14 +12,13 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 
 import three_gyro_paper
-from platform_ctrl.errors import ArgumentError, MechanicsError
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.parameter_varying import parameter_varying
 from platform_ctrl.mechanics.polynomials import monomial_values
-from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.force_elements import Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import Torquer
 from platform_ctrl.plant.reading import read_platform
@@ -109,19 +108,6 @@ def test_specific_force_and_rate_amplitude_are_those_of_the_linear_model(platfor
     assert model.damping[3, 3] - own.damping[3, 3] == pytest.approx(4 / np.pi * 0.03 / amplitude[3])
 
 
-def test_a_quarter_turn_exchanges_monomials_and_leaves_no_rounding(platform):
-    """With gimbal 4 a quarter turned the rotors point along axis 3, and cos 90° is 6e-17."""
-    turned = parameter_varying(platform, gimbals=("5", "7"), q=(np.pi / 2, 0, 0, 0, 0))
-    straight = parameter_varying(platform, gimbals=("5", "7"))
-    exchange = str.maketrans("13", "31")
-    for kind in ("G", "K", "Q0"):
-        monomials = {
-            "*".join(sorted(name.translate(exchange).split("*"))) for name in getattr(straight, kind).monomials
-        }
-        assert set(getattr(turned, kind).monomials) == monomials
-    assert abs(turned.K["Omega3"][0, 0]) == pytest.approx(0.15)
-
-
 @settings(max_examples=25, deadline=None)
 @given(platforms(max_gimbals=4), SEEDS)
 def test_it_is_the_first_order_part_of_the_moment_balance(platform, seed):
@@ -144,18 +130,6 @@ def test_it_is_the_first_order_part_of_the_moment_balance(platform, seed):
     size = 1.0 + np.abs(torque(0.0)).max() + np.abs(linear).max()
     np.testing.assert_allclose(rows.forcing, torque(0.0), atol=1e-11 * size)
     np.testing.assert_allclose(linear, (torque(step) - torque(-step)) / (2 * step), atol=1e-5 * size)
-
-
-@FORMS
-def test_poles_at_a_constant_rate_are_those_of_the_linear_model(platform, form):
-    Omega = (3.0, -2.0, 1.0)
-    frozen = parameter_varying(platform, form=form).state_space(Omega)
-    expected = state_space(linearise(platform, Omega)).poles()
-    np.testing.assert_allclose(
-        np.sort(np.abs(frozen.poles().imag)), np.sort(np.abs(expected.imag)), rtol=1e-8, atol=1e-6
-    )
-    assert frozen.output_labels == ["alpha4", "beta5", "beta7", "alpha9", "beta10"]
-    assert frozen.input_labels[:5] == ["Q4", "Q5", "Q7", "Q9", "Q10"]
 
 
 def manoeuvre(t):
@@ -209,20 +183,6 @@ def test_along_a_manoeuvre_the_error_is_of_second_order_in_the_angles(form):
         errors.append(np.abs(full - first).max())
     assert errors[0] < 0.2 * 0.02
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
-
-
-def test_both_forms_move_alike_and_the_momenta_need_no_acceleration():
-    platform = small_three_body()
-    q, rates = np.array([0.3, -0.1, 0.2, 0.1, 0.0]), np.array([0.0, 0.5, 0.0, -0.3, 0.1])
-    runs = []
-    for form, change in (("rates", manoeuvre_change), ("momenta", None)):
-        model = parameter_varying(platform, form=form)
-        run = solve_ivp(
-            model.rhs, (0, 1), model.state(q, rates, manoeuvre(0)), args=(manoeuvre, change), rtol=1e-8, atol=1e-10
-        )
-        runs.append(run.y[:5, -1])
-        assert any(name.endswith("'") for name in model.affine().parameters) == (form == "rates")
-    np.testing.assert_allclose(runs[0], runs[1], atol=1e-7)
 
 
 def test_held_gimbals_leave_the_rows_of_the_others(platform):
@@ -287,40 +247,6 @@ def test_a_grid_holds_the_frozen_systems(platform):
     assert len(model.grid((1, 3, 1), (1, 1, 1), (1, 1, 1))) == 3
 
 
-@pytest.mark.parametrize(
-    "points", [np.int64(3), np.array(3), np.array([3, 3, 1]), [3, np.int32(3), 1], (3, 3, 1, 1, 1, 1)]
-)
-def test_whole_numbers_of_any_type_count_points(platform, points):
-    model = parameter_varying(platform, gimbals=("9", "10"))
-    expected = model.grid(3, (1.0, 2.0, 0.0))
-    for got, point in zip(model.grid(points, (1.0, 2.0, 0.0)), expected, strict=True):
-        np.testing.assert_array_equal(got.Omega, point.Omega)
-
-
-@pytest.mark.parametrize(
-    "points",
-    [
-        2.5,
-        None,
-        True,
-        np.True_,
-        0,
-        -1,
-        "3",
-        (3, 3),
-        (3, True, 3),
-        (3, 2.0, 3),
-        np.ones((3, 3), int),
-        np.ones(3),
-        [[3]] * 3,
-    ],
-)
-def test_what_counts_no_points_is_one_line(platform, points):
-    with pytest.raises(ArgumentError, match=r"points: must be a whole number >= 1, or three, or six") as told:
-        parameter_varying(platform, gimbals=("9", "10")).grid(points, (1.0, 1.0, 1.0))
-    assert "\n" not in str(told.value)
-
-
 def test_two_torquers_on_one_gimbal_are_two_inputs(platform):
     platform = dataclasses.replace(platform, torquers=(*platform.torquers, Torquer(name="spare", gimbal="9")))
     affine = parameter_varying(platform, gimbals=("9",)).affine()
@@ -355,36 +281,16 @@ def test_mistakes_are_one_line(platform):
         parameter_varying(platform, form="p")
     with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*, got the string '9'"):
         parameter_varying(platform, gimbals="9")
-    with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*got 9"):
-        parameter_varying(platform, gimbals=9)
-    with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*, got 9 among them"):
-        parameter_varying(platform, gimbals=(9, "10"))
     with pytest.raises(ArgumentError, match="at least one"):
         parameter_varying(platform, gimbals=())
-    with pytest.raises(ArgumentError, match="has none; at least one"):
-        parameter_varying(dataclasses.replace(platform, gimbals=(), rotors=(), torquers=()))
-    with pytest.raises(
-        ArgumentError,
-        match=r"monomial must be one of '1', 'Omega1', 'Omega2', 'Omega3', 'Omega1\^2', 'Omega1\*Omega2', 'Omega1",
-    ):
+    with pytest.raises(ArgumentError, match=r"monomial must be one of '1', 'Omega1', 'Omega2', 'Omega3', 'Omega1\^2'"):
         model.K["Omega4"]
-    with pytest.raises(
-        ArgumentError,
-        match=r"monomial must be one of '1', 'Omega1', 'Omega2', 'Omega3', 'Omega1\^2', 'Omega1\*Omega2', 'Omega1",
-    ):
-        monomial_values(("Omega4",))
     with pytest.raises(ArgumentError, match="form='momenta'"):
         model.rhs(0.0, np.zeros(10), manoeuvre)
     with pytest.raises(ArgumentError, match=">= 0"):
         model.vertices((-1, 1, 1))
-    with pytest.raises(ArgumentError, match=r"points: .* got 0"):
-        model.grid(0, (1, 1, 1))
+    for points in (0, True, 2.5, (3, 3), np.ones(3)):
+        with pytest.raises(ArgumentError, match=r"points: must be a whole number >= 1, or three, or six"):
+            model.grid(points, (1.0, 1.0, 1.0))
     with pytest.raises(ArgumentError, match="are 27000 points"):
         model.grid(30, (1, 1, 1))
-
-
-def test_a_gimbal_that_moves_no_inertia_is_named(platform):
-    gimbals = tuple(dataclasses.replace(g, inertia=np.zeros((3, 3))) if g.name == "9" else g for g in platform.gimbals)
-    still = dataclasses.replace(platform, gimbals=gimbals[:4], rotors=(), torquers=())
-    with pytest.raises(MechanicsError, match="alpha9"):
-        parameter_varying(still, gimbals=("9",)).affine()

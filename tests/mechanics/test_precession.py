@@ -41,32 +41,6 @@ def two_pairs(platform, stiffness, momenta=(L, L), inertia=4e-4, coupling=0.3):
     return dataclasses.replace(base, M=M, G=G, K=np.diag(stiffness), M_Omega_q=np.zeros((4, 3, 4)))
 
 
-def chain(n, momentum=50.0):
-    """Return n gimbals in a row, about axes 1 and 2 in turn, with a rotor about axis 3 in every third."""
-    gimbals = [
-        {
-            "name": f"g{k}",
-            "parent": f"g{k - 1}" if k else "base",
-            "axis": [0, 1, 0] if k % 2 else [1, 0, 0],
-            "inertia": [1, 1, 1],
-        }
-        for k in range(n)
-    ]
-    rotors = [
-        {
-            "name": f"r{k}",
-            "carrier": f"g{k}",
-            "axis": [0, 0, 1],
-            "axial_inertia": 0.1,
-            "transverse_inertia": 0.06,
-            "angular_momentum": momentum + k,
-        }
-        for k in range(0, n, 3)
-    ]
-    root = {"name": "base", "inertia": [1, 1, 1]}
-    return read_platform({"schema": 1, "name": "chain", "root": root, "gimbal": gimbals, "rotor": rotors})
-
-
 def gyro_pairs(rng):
     """Return one or two gyros in two gimbals each, on the root or one on the other, some on soft springs."""
     gimbals, rotors, parent = [], [], "base"
@@ -164,26 +138,6 @@ def test_the_cured_model_of_the_paper_written_down(platform):
     B[5, [1, 2]] = 1.0, -1.0
     np.testing.assert_allclose(sys.A, A, atol=1e-9)
     np.testing.assert_allclose(sys.B, B, atol=1e-12)
-
-
-def test_a_spring_that_is_a_million_million_times_softer_than_another_stays(platform):
-    springs = (Spring(gimbal="9", stiffness=0.3), Spring(gimbal="10", stiffness=3e-13))
-    model = linearise(dataclasses.replace(platform, springs=springs))
-    A = precession(model, ("9", "10")).state_space().A
-    np.testing.assert_allclose(A, [[0, 3e-13 / L], [-0.3 / L, 0]], rtol=1e-9, atol=0)
-
-
-@pytest.mark.parametrize(
-    ("momentum", "name", "state"),
-    [(0.14992, "beta5 - beta7", "pi_beta5"), (0.1490, "0.99 beta5 - beta7", "pi_beta7")],
-)
-def test_a_direction_is_called_after_its_largest_angle_and_among_equals_after_the_first(
-    platform, momentum, name, state
-):
-    """Equal to a thousandth is equal: (0, L8, −L6) with L8 = 0.99947 L6 is β5 against β7."""
-    whole = precession(linearise(with_momenta(platform, 0.15, momentum, L)))
-    assert whole.part("4").direction_names == (name,)
-    assert whole.state_space(momentum_states=True).state_labels[-1] == state
 
 
 def test_rates_of_the_platform_are_no_obstacle_and_the_root_is_the_gyroscopic_restraint(platform):
@@ -384,19 +338,6 @@ def test_levelling_damps_precession_and_makes_nutation_grow(platform, gain):
         assert precession(linearise(damped, specific_force=force), ("9", "10")).admissible == good
 
 
-def test_a_triple_chain_at_zero_is_an_obstacle(platform):
-    """K v0 = 0, G v0 + K v1 = 0, G v1 + K v2 = 0: from here on inertia, M v0, would enter."""
-    model = two_pairs(platform, np.zeros(4), coupling=0.0)
-    K = np.array([[0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
-    part = precession(dataclasses.replace(model, K=K)).parts[0]
-    np.testing.assert_array_equal(part.precession_roots, 0)
-    assert part.multiple_roots
-    assert not part.admissible
-
-
-# Restraints.
-
-
 # Wrong questions and the ends of the range.
 
 
@@ -418,33 +359,6 @@ def test_a_platform_without_gimbals_has_nothing_to_refuse():
     assert whole.summary() == "no gimbals: nothing precesses"
     assert whole.state_space().nstates == 0
     np.testing.assert_array_equal(whole.error([1.0, 2.0]), 0)
-
-
-def test_twenty_gimbals_in_a_row():
-    whole = precession(linearise(chain(20)))
-    part = whole.parts[0]
-    assert len(part.gimbals) == 20
-    assert part.rank == 12
-    assert part.direction_names[0] == "q_g0 - q_g2"
-    assert whole.momentum_states == 8
-    frequency = np.array([0.01, 0.1, 1.0])
-    assert np.all(whole.error(frequency, momentum_states=True) < frequency / part.nutation.min())
-
-
-def test_gimbal_lock_is_named():
-    model = linearise(chain(2))
-    locked = dataclasses.replace(model, M=np.ones((2, 2)))
-    with pytest.raises(MechanicsError, match="gimbal lock"):
-        precession(locked)
-
-
-def test_a_summary_tells_verdict_figures_reasons_and_cures(platform):
-    text = precession(linearise(platform), loop_frequency=50.0).summary()
-    lines = text.splitlines()
-    assert (
-        lines[0] == "4-5-7: precession theory not admissible; nutation from 530.3 rad/s, judged for a loop at 50 rad/s"
-    )
-    assert lines[-1] == "9-10: precession theory admissible; nutation from 474.3 rad/s, judged for a loop at 50 rad/s"
 
 
 def test_wrong_questions_get_one_line(platform):

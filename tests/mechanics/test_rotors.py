@@ -1,13 +1,10 @@
 """Regulated and free rotors, their momenta, and rotors as bodies of their own."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.rotors import (
@@ -94,16 +91,6 @@ def test_free_rotors_as_bodies_move_alike(platform, seed):
 
 
 @quick
-@given(platforms(controls=("regulated",)), seeds)
-def test_a_servo_rotor_stands_in_the_matrices_as_a_regulated_one(platform, seed):
-    q, u, u_dot = state(platform, seed)
-    rotors = tuple(dataclasses.replace(r, control="servo", speed_gain=1.0) for r in platform.rotors)
-    servo = dataclasses.replace(platform, rotors=rotors)
-    np.testing.assert_array_equal(matrices(servo, q, u).A_star, matrices(platform, q, u).A_star)
-    np.testing.assert_array_equal(inverse_dynamics(servo, q, u, u_dot), inverse_dynamics(platform, q, u, u_dot))
-
-
-@quick
 @given(platforms(), seeds)
 def test_the_routhian_of_4_to_7_gives_the_free_rows(platform, seed):
     """(5)-(7) by differences: d/dt ∂(R2 + R1)/∂q̇ − ∂(R2 + R1)/∂q = Q, with p constant."""
@@ -134,26 +121,3 @@ def test_a_rotor_that_is_no_servo_any_more_has_no_speed_loop():
         rotor = changed(read_platform(data), velocity=[0, 0, 1]).rotors[0]
         assert (rotor.speed_gain, rotor.speed_integral, rotor.torque_limit) == (0.0, 0.0, None)
         assert rotor.spin == (6.0 if rotor.control == "free" else 5.0)
-
-
-def test_a_gimbal_that_takes_the_name_of_a_rotors_body_is_refused():
-    platform = read_platform(
-        {
-            "schema": 1,
-            "name": "clash",
-            "root": {"name": "base", "inertia": [1, 1, 1]},
-            "gimbal": [{"name": "rotor a", "parent": "base", "axis": [1, 0, 0], "inertia": [1, 1, 1]}],
-            "rotor": [
-                {
-                    "name": "a",
-                    "carrier": "base",
-                    "axis": [0, 0, 1],
-                    "axial_inertia": 1,
-                    "transverse_inertia": 1,
-                    "spin": 1,
-                }
-            ],
-        }
-    )
-    with pytest.raises(ArgumentError, match=r"'rotor a': .* choose another one"):
-        with_rotors_as_gimbals(platform)

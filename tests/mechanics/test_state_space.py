@@ -14,7 +14,6 @@ from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import coupled_while_changing, state_space, subsystems
-from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.plant.reading import read_platform
 from tree_cases import platforms, with_torquers
@@ -90,7 +89,7 @@ def coupled_by_differences(platform, Omega):
     return sorted({tuple(platform.gimbal_names[k] for k in np.flatnonzero(row)) for row in either})
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("Omega", [(0, 0, 0), (0.7, 0, 0), (0, -0.4, 0.9), (0.7, -0.4, 0.9)])
 def test_subsystems_are_those_of_the_equations_of_motion_at_a_constant_rate(seed, Omega):
     platform = right_angled(seed)
@@ -148,32 +147,6 @@ def test_a_rotor_along_the_inner_axis_does_not_couple_it_to_the_outer_however_fa
     assert subsystems(linearise(platform, terms="paper")) == (("outer",), ("inner",))
 
 
-@pytest.mark.parametrize(
-    ("along", "given_here"), [((0.7, 0.5, 0.3), True), ((0.7, 0.5, 0.3), False), ((0, 0, 1), False)]
-)
-def test_rounding_of_unbalance_couples_nothing(along, given_here):
-    """A mass moment along the inner axis makes no stiffness across the axes, however large, but for rounding."""
-    turn, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))
-    f = 9.81 * np.array(along) @ turn  # (0, 0, 1): at right angles to both axes
-    platform = Platform(
-        name="gimbals",
-        root_name="base",
-        root_inertia=np.eye(3),
-        gimbals=tuple(
-            Gimbal(name=name, parent=parent, axis=turn[k], inertia=1e-4 * np.eye(3), angle=f"q_{name}")
-            for k, (name, parent) in enumerate([("outer", "base"), ("inner", "outer")])
-        ),
-        unbalances=(Unbalance(body="inner", moment=1e3 * turn[1]),),
-        specific_force=np.zeros(3) if given_here else f,
-    )
-    model = linearise(platform, terms="paper", specific_force=f)
-    assert subsystems(model) == (("outer",), ("inner",))
-    askew = dataclasses.replace(
-        platform, unbalances=(Unbalance(body="inner", moment=1e3 * turn[1] + 1e-8 * (turn[0] + turn[2])),)
-    )
-    assert subsystems(linearise(askew, terms="paper", specific_force=f + turn[1])) == (("outer", "inner"),)
-
-
 def test_nutation_frequencies(platform):
     model = linearise(platform)
     fast = np.abs(state_space(model, gimbals=("9", "10")).poles()).max()
@@ -225,34 +198,6 @@ def test_momentum_states_solve_the_second_order_equations(platform, seed, terms)
     np.testing.assert_allclose(left, right, atol=1e-8 * (1 + np.abs(right).max()))
 
 
-@settings(max_examples=30, deadline=None)
-@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
-def test_free_root_model_is_the_tangent_of_the_non_linear_equations(platform, seed):
-    """Given q(t), ω(t) ~ e^{st}, the torques that inverse dynamics asks for are those that the model answers to."""
-    rng = np.random.default_rng(seed)
-    platform = with_torquers(platform)
-    n = len(platform.gimbals)
-    Omega = rng.normal(size=3)
-    sys = state_space(linearise(platform, Omega=Omega), root="free")
-    s = float(rng.uniform(0.5, 2.0))  # a real exponential, so that the motion is real
-    response = np.asarray(sys(s)).real
-    trim = np.concatenate([Omega, np.zeros(n)])
-    h = 1e-6
-    for column in range(n + 3):
-        q, omega = response[:n, column], response[n:, column]
-        size = h / max(1.0, np.abs(response[:, column]).max())
-        motion = np.concatenate([omega, s * q])
-        torque = [
-            inverse_dynamics(platform, sign * size * q, trim + sign * size * motion, sign * size * s * motion)
-            for sign in (1, -1)
-        ]
-        slope = (torque[0] - torque[1]) / (2 * size)
-        expected = np.zeros(3 + n)
-        expected[3 + column if column < n else column - n] = 1.0
-        scale = 1 + np.abs(response[:, column]).max() * 100
-        np.testing.assert_allclose(slope, expected, atol=1e-7 * scale)
-
-
 @settings(max_examples=25, deadline=None)
 @given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
 def test_a_free_root_with_force_elements_moves_as_the_non_linear_equations_about_the_trim(platform, seed):
@@ -298,8 +243,6 @@ def test_wrong_questions_get_one_line(platform):
         state_space(model, gimbals=("9",))
     with pytest.raises(ArgumentError, match="did you mean"):
         state_space(model, gimbals=("9", "100"))
-    with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*, got the string '9'"):
-        state_space(model, gimbals="9")
     with pytest.raises(ArgumentError, match="'prescribed' or 'free'"):
         state_space(model, root="fixed")
     with pytest.raises(ArgumentError, match="leave it out"):

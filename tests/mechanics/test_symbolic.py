@@ -3,9 +3,6 @@
 import dataclasses
 import json
 import re
-import subprocess
-import sys
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,10 +11,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import three_gyro_paper
-from platform_ctrl.common.text import width
+from oracle_trees import for_all
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import kinematics
-from platform_ctrl.mechanics.linearisation import Terms, linearise
+from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import derivatives, matrices
 from platform_ctrl.mechanics.state_space import subsystems
 from platform_ctrl.mechanics.symbolic.equations import equations
@@ -28,7 +25,7 @@ from platform_ctrl.plant.source import shipped_models
 from three_gyro_paper import C6, C8, C11, J4, J5, J7, J9, J10, L6, L8, L11
 from tree_cases import platforms
 
-quick = settings(max_examples=8, deadline=None)
+SEEDS = st.integers(0, 2**32 - 1)
 GYROS = read_platform("three_gyro_platform")
 
 S = sympy.Symbol
@@ -118,17 +115,6 @@ def test_exact_equations_hold_every_term_for_any_rate(exact):
             assert sympy.expand(found[variable] - coefficient) == 0, (gimbal, variable)
 
 
-def test_symbols_carry_the_platforms_numbers(paper):
-    values = {s.name: s.value for s in paper.symbols}
-    m = matrices(GYROS)
-    assert [values[f"J{k}"] for k in (4, 5, 7, 9, 10)] == pytest.approx(np.diag(m.A)[3:].tolist())
-    assert [values["J1"], values["J12"], values["J23"]] == pytest.approx([m.A[0, 0], m.A[0, 1], m.A[1, 2]])
-    assert (values["L6"], values["C6"], values["alpha4"]) == (0.15, 1.2e-4, None)
-    assert all(s.meaning and s.unit for s in paper.symbols)
-    # Only what appears somewhere is listed: with A constant, no transverse moments.
-    assert "J5_1" not in values
-
-
 def test_without_truncation_the_directions_are_those_of_the_tree():
     found = equations(GYROS, "sympy", order=None)
     sin, cos = sympy.sin, sympy.cos
@@ -151,9 +137,9 @@ def assert_close(found, expected, size=None):
     assert np.abs(np.asarray(found) - expected).max(initial=0.0) <= 1e-12 * scale
 
 
-@quick
-@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
-def test_zero_and_first_order_are_those_of_the_numeric_route(platform, seed):
+@for_all(st.tuples(platforms(max_gimbals=4), SEEDS), quick=3, long=20)
+def test_zero_and_first_order_are_those_of_the_numeric_route(drawn):
+    platform, seed = drawn
     rng = np.random.default_rng(seed)
     n = len(platform.gimbals)
     velocity = rng.normal(size=3 + n)
@@ -176,9 +162,9 @@ def test_zero_and_first_order_are_those_of_the_numeric_route(platform, seed):
         assert_close(found.evaluate(found.G_R, q=step) - at.G_R, (up - down) / 2, np.abs(at.L).max(initial=0.0))
 
 
-@quick
-@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1), st.sampled_from(["paper", "exact"]))
-def test_coefficients_of_27_are_those_of_the_linear_model(platform, seed, terms):
+@for_all(st.tuples(platforms(max_gimbals=4), SEEDS, st.sampled_from(["paper", "exact"])), quick=4, long=30)
+def test_coefficients_of_27_are_those_of_the_linear_model(drawn):
+    platform, seed, terms = drawn
     rng = np.random.default_rng(seed)
     n = len(platform.gimbals)
     Omega, change = rng.normal(size=3), rng.normal(size=3)
@@ -206,9 +192,9 @@ def test_coefficients_of_27_are_those_of_the_linear_model(platform, seed, terms)
     assert_close(constant, model.Q0 + model.M_Omega @ change, size)
 
 
-@quick
-@given(platforms(max_gimbals=2, max_rotors=2), st.integers(0, 2**32 - 1))
-def test_without_truncation_the_matrices_are_exact_everywhere(platform, seed):
+@for_all(st.tuples(platforms(max_gimbals=2, max_rotors=2), SEEDS), quick=2, long=8)
+def test_without_truncation_the_matrices_are_exact_everywhere(drawn):
+    platform, seed = drawn
     rng = np.random.default_rng(seed)
     n = len(platform.gimbals)
     found = equations(platform, "sympy", order=None)
@@ -219,30 +205,16 @@ def test_without_truncation_the_matrices_are_exact_everywhere(platform, seed):
             assert_close(found.evaluate(getattr(found, name), q, velocity), getattr(at, name))
 
 
-@quick
+@settings(max_examples=3, deadline=None)
 @example(GYROS, 1)
 @example(GYROS, None)
-@given(platforms(max_gimbals=3), st.sampled_from([0, 1, None]))
+@given(platforms(max_gimbals=2), st.sampled_from([0, 1, None]))
 def test_17_B0_is_B_at_zero_angles_and_B_A_vanishes_there(platform, order):
     found = equations(platform, "sympy", order=order)
     assert not found.B0.free_symbols
     at = matrices(platform).B
     assert_close(found.evaluate(found.B0), at)
     assert_close(found.evaluate(found.B_A), np.zeros_like(at), 1.0)
-
-
-def test_every_order_leaves_an_error_of_the_next():
-    rng = np.random.default_rng(5)
-    direction, velocity = rng.normal(size=5), rng.normal(size=8)
-    for order in range(4):
-        found = equations(GYROS, "sympy", order=order, terms="exact")
-        for name in ("A", "BtA_RB", "G_A", "G_R", "G_root", "B"):
-            errors = []
-            for size in (0.02, 0.01):
-                at = matrices(GYROS, size * direction, velocity)
-                truth = at.B.T @ at.A_R @ at.B if name == "BtA_RB" else getattr(at, name)
-                errors.append(np.abs(found.evaluate(getattr(found, name), size * direction, velocity) - truth).max())
-            assert errors[1] < 0.6 * errors[0] * 0.5 ** (order + (name == "B")), (order, name)
 
 
 @pytest.mark.parametrize("name", shipped_models())
@@ -252,14 +224,6 @@ def test_subsystems_are_those_of_the_state_space_model(name, terms):
     platform = dataclasses.replace(read_platform(name), specific_force=np.array([1.3, -2.4, -9.5]))
     model = linearise(platform, Omega=[0.7, -0.4, 0.9], terms=terms)
     assert equations(platform, "sympy", terms=terms).groups == subsystems(model)
-
-
-@pytest.mark.parametrize("name", [name for name in shipped_models() if not read_platform(name).rotors])
-def test_equations_of_a_plant_without_rotors_speak_of_no_gyroscopic_motion(name):
-    text = equations(read_platform(name))
-    assert "(27)" in text
-    for word in ("precession", "nutation", "rotors", "gyroscopic"):
-        assert word not in text
 
 
 # Force elements
@@ -355,19 +319,6 @@ def test_names_are_valid_unique_and_left_free_by_python_and_sympy():
     assert "C_Free_one" not in by_name
 
 
-def test_names_that_fall_together_are_kept_apart():
-    root = {"name": "base", "inertia": [1, 1, 1]}
-    gimbals = [
-        {"name": name, "parent": "base", "axis": [1, 0, 0], "inertia": [1, 1, 1], "angle": angle}
-        for name, angle in (("a b", "α1"), ("a_b", "alpha1"), ("a-b", "alpha1_dot"), ("∂", "∂"), ("x", "Q_a_b"))
-    ]
-    platform = read_platform({"schema": 1, "name": "twins", "root": root, "gimbal": gimbals})
-    found = equations(platform, "sympy")
-    names = [s.name for s in found.symbols]
-    assert len(set(names)) == len(names) == len({s.text for s in found.symbols})
-    assert all(name.isidentifier() for name in names)
-
-
 # Text, LaTeX, JSON
 
 
@@ -381,14 +332,7 @@ def test_text_shows_27_as_it_is_printed_in_books():
     assert heads == ["(20)", "(22)", "(11)", "(21)", "(21)", "(23)", "(24)", "(25)", "(26)", "(27)", "(19)", "(15)"]
 
 
-@pytest.mark.parametrize("model", ["three_gyro_platform", "suspended_platform", "camera_gimbal", "vscmg_pyramid"])
-def test_text_fits_a_terminal_of_80_columns(model: str) -> None:
-    text = equations(read_platform(model))
-    assert max(map(width, text.splitlines())) <= 80
-
-
-@pytest.mark.parametrize("order", [1, None])
-@pytest.mark.parametrize("plant", [GYROS, read_platform(ELEMENTS)], ids=["gyros", "elements"])
+@pytest.mark.parametrize(("plant", "order"), [(GYROS, None), (read_platform(ELEMENTS), 1)], ids=["gyros", "elements"])
 def test_latex_is_balanced_and_holds_latex_alone(plant, order):
     found = equations(plant, "latex", order=order)
     assert found.isascii()
@@ -407,8 +351,9 @@ def test_latex_is_balanced_and_holds_latex_alone(plant, order):
     assert "%" not in re.sub(r"\\%", "", body)
 
 
-@pytest.mark.parametrize("terms", ["paper", "exact"])
-@pytest.mark.parametrize("plant", [GYROS, read_platform(ELEMENTS)], ids=["gyros", "elements"])
+@pytest.mark.parametrize(
+    ("plant", "terms"), [(GYROS, "paper"), (read_platform(ELEMENTS), "exact")], ids=["gyros", "elements"]
+)
 def test_sympy_reads_the_record_back(plant, terms):
     found = equations(plant, "sympy", order=2, terms=terms)
     record = json.loads(json.dumps(equations(plant, "json", order=2, terms=terms)))
@@ -430,26 +375,15 @@ def test_sympy_reads_the_record_back(plant, terms):
     assert {s["name"] for s in record["symbols"]} == {s.name for s in found.symbols}
 
 
-def test_equations_go_on_in_sympy():
-    found = equations(GYROS, "sympy")
-    rows = found.A_star[3:, 3:].subs(found.numbers()).subs(dict.fromkeys(found.q, 0))
-    np.testing.assert_allclose(np.array(rows, dtype=float), matrices(GYROS).A_star[3:, 3:], atol=1e-18)
-
-
 # Degenerate platforms
 
 
-def bare(platform, **changes):
-    return dataclasses.replace(platform, **changes)
-
-
-@pytest.mark.parametrize("form", ["text", "latex", "json", "sympy"])
-@pytest.mark.parametrize("order", [0, 1, None])
+@pytest.mark.parametrize(("form", "order"), [("text", 0), ("latex", 1), ("json", None), ("sympy", 1)])
 def test_a_platform_may_lack_gimbals_or_rotors_or_both(form, order):
     on_root = Rotor(name="w", carrier="platform", axis=np.array([0.0, 0, 1]), axial_inertia=0.1, transverse_inertia=0.1,
                     angular_momentum=0.0)  # fmt: skip
-    none = bare(GYROS, gimbals=(), rotors=(), torquers=(), pickoffs=())
-    for platform in (none, bare(none, rotors=(on_root,)), bare(GYROS, rotors=())):
+    none = dataclasses.replace(GYROS, gimbals=(), rotors=(), torquers=(), pickoffs=())
+    for platform in (none, dataclasses.replace(none, rotors=(on_root,)), dataclasses.replace(GYROS, rotors=())):
         assert equations(platform, form, order=order)
 
 
@@ -463,40 +397,19 @@ def test_a_rotor_on_the_root_stands_in_its_block_alone():
     assert found.evaluate(found.BtA_RB)[1, 2] == pytest.approx(0.048)
 
 
-def test_rotors_that_stand_still_keep_their_symbols():
-    still = bare(GYROS, rotors=tuple(dataclasses.replace(r, angular_momentum=0.0) for r in GYROS.rotors))
-    found = equations(still, "sympy")
-    assert found.G_R == equations(GYROS, "sympy").G_R
-
-
-@pytest.mark.parametrize("name", shipped_models())
-def test_every_shipped_platform_has_its_equations(name):
-    text = equations(read_platform(name))
-    assert "(27)" in text
-    assert "nan" not in text
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"form": "html"}, "got 'html'"),
         ({"terms": "all"}, "got 'all'"),
-        ({"terms": ["exact"]}, "got ['exact']"),
         ({"order": 4}, "got 4"),
-        ({"order": np.int64(-1)}, "got np.int64(-1)"),
         ({"order": True}, "True"),
-        ({"order": np.True_}, "np.True_"),
-        ({"order": 1.0}, "1.0"),
     ],
 )
 def test_wrong_options_are_refused_in_one_line(options, message):
     with pytest.raises(ArgumentError, match=re.escape(message)) as caught:
         equations(GYROS, **options)
     assert "\n" not in str(caught.value)
-
-
-def test_terms_are_those_of_the_linear_model():
-    assert set(TERMS) == set(get_args(Terms))
 
 
 def test_exact_form_of_a_deep_tree_is_refused():
@@ -509,20 +422,3 @@ def test_exact_form_of_a_deep_tree_is_refused():
     )
     with pytest.raises(ArgumentError, match="order: None is possible up to 5 gimbals, 3 deep, not for 4, 4 deep"):
         equations(platform, order=None)
-
-
-def test_rows_and_points_that_do_not_exist_are_refused(paper):
-    for call in (
-        lambda: paper.row_terms("6"),
-        lambda: paper.row_terms("4", "(27)"),
-        lambda: paper.evaluate(paper.forces),
-        lambda: paper.evaluate(paper.q, q=[0.0]),
-    ):
-        with pytest.raises(ArgumentError):
-            call()
-
-
-def test_sympy_is_loaded_only_when_equations_are_asked_for():
-    code = "import platform_ctrl.mechanics.symbolic, sys; print('sympy' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"

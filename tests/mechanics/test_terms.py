@@ -1,15 +1,14 @@
 """All terms together are the equation; their sizes, senses and costs are what the paper says of them."""
 
 import dataclasses
-import itertools
 import unicodedata
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from oracle_trees import for_all
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
@@ -65,9 +64,9 @@ def summed(found, names):
     return (*matrices[::-1], forcing)
 
 
-@settings(max_examples=25, deadline=None)
-@given(TREES, SEEDS)
-def test_all_terms_together_are_the_equation(platform, seed):
+@for_all(st.tuples(TREES, SEEDS), quick=5, long=25)
+def test_all_terms_together_are_the_equation(drawn):
+    platform, seed = drawn
     rng = np.random.default_rng(seed)
     platform = with_elements(platform, rng)
     n = len(platform.gimbals)
@@ -90,9 +89,9 @@ def test_all_terms_together_are_the_equation(platform, seed):
     np.testing.assert_allclose(M @ q_ddot + G @ q_dot + K @ deviation, slope, atol=1e-5 * scale)
 
 
-@settings(max_examples=25, deadline=None)
-@given(TREES, SEEDS)
-def test_the_terms_that_the_paper_keeps_are_its_equation(platform, seed):
+@for_all(st.tuples(TREES, SEEDS), quick=5, long=25)
+def test_the_terms_that_the_paper_keeps_are_its_equation(drawn):
+    platform, seed = drawn
     rng = np.random.default_rng(seed)
     platform = with_elements(platform, rng)
     n = len(platform.gimbals)
@@ -151,13 +150,6 @@ def test_amplitudes_follow_from_the_frequency_unless_given(platform):
     assert one(table, "10", "L11·Ω2·β10").size == pytest.approx(0.15 * 2 * 0.5 / 4)
 
 
-def test_ranks_shares_and_errors_belong_together(table):
-    for gimbal in table.platform.gimbal_names:
-        row = table.of(gimbal)
-        assert row[0].share == pytest.approx(1.0)
-        assert all(a.size >= b.size * (1 - 1e-8) for a, b in itertools.pairwise(row))
-
-
 def test_the_specific_force_given_stands_in_for_the_platforms_own(platform):
     platform = with_elements(platform, np.random.default_rng(0))
     f = np.array([4.0, -8.0, 2.0])
@@ -178,27 +170,6 @@ def test_a_free_rotor_is_named_by_its_p_and_has_no_axial_inertia(platform):
     assert not any(term.kind == "rotor acceleration" for term in table.terms)
 
 
-def test_without_gimbals_or_rotors_it_answers(platform):
-    bare = dataclasses.replace(platform, gimbals=(), rotors=(), torquers=(), pickoffs=())
-    nothing = terms(bare, (1, 1, 1), [])
-    assert nothing.terms == ()
-    assert "no gimbals" in nothing.text()
-    gimbals = terms(dataclasses.replace(platform, rotors=()), (0, 0, 0), np.full(5, 0.1))
-    assert {term.kind for term in gimbals.terms if term.size > 0} == {"inertia"}
-
-
-def test_the_text_is_aligned_and_leaves_out_what_is_small(platform, table):
-    text = table.text()
-    heads = [line for line in text.splitlines() if line.startswith("gimbal")]
-    assert [line.split(":")[0] for line in heads] == [f"gimbal {name}" for name in platform.gimbal_names]
-    lines = [line for line in text.splitlines() if " N m " in line or " kept" in line or " dropped" in line]
-    plain = ["".join(letter for letter in line if not unicodedata.combining(letter)) for line in lines]
-    start = plain[0].index("paper")
-    assert all(line[start : start + 4] in ("kept", "drop", "pape") for line in plain[: 1 + 15])
-    assert "Ω3·(L6 − L8)" not in text  # zero here
-    assert len(table.text(smallest=0.01).splitlines()) < len(text.splitlines())
-
-
 def test_mistakes_are_one_line(platform, table):
     with pytest.raises(ArgumentError, match="frequency"):
         terms(platform, (1, 0, 0), np.ones(5), frequency=0.0)
@@ -208,11 +179,6 @@ def test_mistakes_are_one_line(platform, table):
         table.of("6")
     with pytest.raises(ArgumentError, match=r"gimbals must .*got '6'"):
         table.text(gimbals=("6",))
-    for string in ("9", "10"):
-        with pytest.raises(ArgumentError, match=f"gimbals must be a sequence of names, .*, got the string '{string}'"):
-            table.text(gimbals=string)
-    with pytest.raises(ArgumentError, match=r"gimbals must be a sequence of names, .*got 9"):
-        table.text(gimbals=9)
 
 
 def test_the_page_shows_what_is_printed(table):

@@ -232,45 +232,32 @@ class Link:
     rotor: int | None = None
 
 
-def links(platform: Platform, rotors: str = "bodies", depth_first: bool = True) -> list[Link]:
-    """Return the bodies, root first, parents before children.
+def links(platform: Platform, rotors: str = "bodies") -> list[Link]:
+    """Return the bodies, root first, depth first: Pinocchio's CRBA takes it for granted.
 
     `rotors`: "bodies" of their own, or "locked": regulated rotors belong to their carriers with C, free ones without.
     """
     eye = np.eye(3)
-    inertias = [platform.root_inertia, *(g.inertia for g in platform.gimbals)]
+    inertias = [np.array(inertia) for inertia in (platform.root_inertia, *(g.inertia for g in platform.gimbals))]
     carriers = 1 + platform.carriers
+    along = [np.outer(rotor.axis, rotor.axis) for rotor in platform.rotors]
     if rotors == "locked":
-        inertias = [np.array(inertia) for inertia in inertias]
-        for rotor, body in zip(platform.rotors, carriers, strict=True):
-            along = np.outer(rotor.axis, rotor.axis)
-            inertias[body] += rotor.transverse_inertia * (eye - along)
-            inertias[body] += (rotor.control != "free") * rotor.axial_inertia * along
+        for rotor, body, axial in zip(platform.rotors, carriers, along, strict=True):
+            inertias[body] += rotor.transverse_inertia * (eye - axial)
+            inertias[body] += (rotor.control != "free") * rotor.axial_inertia * axial
     out = [Link(platform.root_name, -1, None, inertias[0])]
-
-    def rotors_of(body: int, at: int) -> list[Link]:
-        if rotors == "locked":
-            return []
-        found = []
-        for k in np.flatnonzero(carriers == body):
-            rotor = platform.rotors[k]
-            along = np.outer(rotor.axis, rotor.axis)
-            inertia = rotor.transverse_inertia * (eye - along) + rotor.axial_inertia * along
-            found.append(Link(f"rotor {rotor.name}", at, rotor.axis, inertia, rotor=int(k)))
-        return found
-
     waiting = [(0, 0)]
     while waiting:
-        body, at = waiting.pop() if depth_first else waiting.pop(0)
+        body, at = waiting.pop()
         if body:
             gimbal = platform.gimbals[body - 1]
             out.append(Link(gimbal.name, at, gimbal.axis, inertias[body], gimbal=body - 1))
             at = len(out) - 1
-        if depth_first:
-            out += rotors_of(body, at)
+        for k in np.flatnonzero(carriers == body) if rotors == "bodies" else ():
+            rotor = platform.rotors[k]
+            inertia = rotor.transverse_inertia * (eye - along[k]) + rotor.axial_inertia * along[k]
+            out.append(Link(f"rotor {rotor.name}", at, rotor.axis, inertia, rotor=int(k)))
         waiting += [(1 + int(k), at) for k in np.flatnonzero(platform.parents == body - 1)]
-        if not depth_first:
-            out += rotors_of(body, at)
     return out
 
 
@@ -504,23 +491,19 @@ class Tree:
 
 
 class PinocchioTree(Tree):
-    """The tree in Pinocchio: a spherical joint and hinges, every centre of mass in the fixed point but for `offsets`.
-
-    Pinocchio's CRBA takes it for granted that joints were added depth first.
-    """
+    """The tree in Pinocchio: a spherical joint and hinges, centres of mass in the fixed point but for `offsets`."""
 
     def __init__(
         self,
         platform: Platform,
         rotors: str = "bodies",
-        depth_first: bool = True,
         masses: np.ndarray | None = None,
         offsets: np.ndarray | None = None,
         gravity: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:
         import pinocchio as pin
 
-        super().__init__(links(platform, rotors, depth_first))
+        super().__init__(links(platform, rotors))
         self.model = pin.Model()
         self.model.gravity = pin.Motion(np.array(gravity, dtype=float), np.zeros(3))
         for k, body in enumerate(self.bodies):
