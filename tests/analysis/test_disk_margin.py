@@ -88,16 +88,6 @@ def test_the_perturbation_puts_a_pole_on_the_stability_boundary(m: int, seed: in
         assert spectral_abscissa(continuous_poles(np.linalg.eigvals(A), float(L.dt))) < 0.0
 
 
-def test_complex_factors_at_the_end_of_the_axis_are_told() -> None:
-    # S - I/2 = M/2 at zero frequency, with a cyclic M: its mu is reached by phases of 120 degrees as well as by signs.
-    found = analysis.disk_margin(stable_loop(53, 4, 6))
-    if found.is_real:
-        assert np.all(np.isreal(analysis.frequency_response(found.destabilising(), [0.0])))
-    else:
-        with pytest.raises(PlatformCtrlError, match="complex"):
-            found.destabilising()
-
-
 @pytest.mark.parametrize("skew", [0.0, 0.5, -0.8])
 @pytest.mark.parametrize(
     ("m", "seed", "dt", "on_boundary"),

@@ -172,11 +172,6 @@ def test_the_balance_is_a_fixed_point_of_the_linear_loop() -> None:
     assert found.rate[0] == pytest.approx(q / (2.0 * inertia * math.sqrt(2.0 / math.pi) * 0.02), rel=0.1)
 
 
-def test_a_rate_that_falls_steeply_with_damping_is_balanced() -> None:
-    found = friction_balance([BEARING], lambda b: b**4 * 1e-2)
-    assert found.rate == pytest.approx(found.viscous**4 * 1e-2, rel=1e-7)
-
-
 def test_a_bearing_that_hardly_slides_is_named() -> None:
     slow = friction_balance([BEARING], lambda b: np.full(1, 1e-3))
     assert slow.sticking[0] == pytest.approx(math.erf(1.0 / math.sqrt(2.0)))

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.feedback import sensitivity_functions
 from platform_ctrl.analysis.poles import (
     continuous_poles,
@@ -100,19 +99,6 @@ def test_signals_are_joined_by_name_and_the_rest_stays_open() -> None:
     np.testing.assert_allclose(loop.A, [[-1.0, 2.0, 0.0], [3.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def test_a_stack_of_plants_with_one_controller_gives_what_each_gives() -> None:
-    plants = [pair(seed, 0.0)[0] for seed in range(4)]
-    controller = pair(9, 0.0)[1]
-    A, B, C, D = (np.stack([getattr(plant, name) for plant in plants]) for name in "ABCD")
-    arrays = analysis.closed_loop(
-        StateArrays(A, B, C, D, 0.0), StateArrays(controller.A, controller.B, controller.C, controller.D, 0.0)
-    )
-    for i, plant in enumerate(plants):
-        single = analysis.closed_loop(plant, controller)
-        for array, name in zip(arrays[:4], "ABCD", strict=True):
-            np.testing.assert_allclose(array[i], getattr(single, name), atol=1e-12)
-
-
 def test_a_singular_algebraic_loop_is_named() -> None:
     plant = control.ss([[-1.0]], [[1.0]], [[1.0]], 2.0)
     with pytest.raises(PlatformCtrlError, match="algebraic loop"):
@@ -150,16 +136,6 @@ def test_a_pole_on_the_negative_axis_of_z_oscillates_at_the_nyquist_frequency() 
     s = continuous_poles(np.array([-0.5, 0.0, 1.0]), 0.1)
     np.testing.assert_allclose(s[0], (math.log(0.5) + 1j * math.pi) / 0.1)
     np.testing.assert_allclose(damping_ratio(s), [math.log(2.0) / math.hypot(math.log(2.0), math.pi), 1.0, 0.0])
-
-
-@given(st.floats(1e-9, 0.99), st.floats(1e-6, 1e3))
-@settings(max_examples=50, deadline=None)
-def test_slow_poles_keep_their_damping_through_z(zeta: float, w0: float) -> None:
-    period = 1e-3
-    s = w0 * complex(-zeta, math.sqrt(1.0 - zeta * zeta))
-    back = continuous_poles(np.array([np.exp(s * period)]), period)[0]
-    # z itself holds s only to a rounding of 1.
-    assert abs(back - s) <= 1e-12 * abs(s) + 1e-15 / period
 
 
 def test_stability_is_strict_and_may_ask_for_a_decay_rate() -> None:

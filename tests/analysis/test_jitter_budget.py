@@ -15,14 +15,11 @@ from noise_over_a_period import continuous_rms
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget
 from platform_ctrl.analysis.disturbances import RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
-from platform_ctrl.analysis.feedback import closed_loop
-from platform_ctrl.analysis.hybrid_plant import HybridPlant, OpenLoop
+from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates, interconnected_by_sample
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.norms import stationary_covariance
-from platform_ctrl.analysis.periodic import lifted
-from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sampling import held_input, late_outputs, sampled, with_lag
+from platform_ctrl.analysis.sampling import held_input, sampled, with_lag
 from platform_ctrl.errors import ArgumentError
 
 PERIOD = 0.7
@@ -235,14 +232,6 @@ def test_displacement_smear_and_jitter_add_up_to_the_variance(budget: Budget) ->
     assert np.all(budget.windows[0].total_jitter < budget.windows[1].total_jitter)
 
 
-def test_one_controller_after_another_gives_what_each_gives_alone() -> None:
-    prepared = JitterBudget(oscillator(), [noise()])
-    for gain in (0.5, 1.5, 1.0):
-        controller = K._replace(C=gain * K.C, D=gain * K.D)
-        alone = JitterBudget(oscillator(), [noise()]).of(controller, 1e-9)
-        assert prepared.of(controller, 1e-9).total == pytest.approx(alone.total, rel=1e-9)
-
-
 def test_a_table_is_straight_in_logarithms_and_zero_outside() -> None:
     table = Spectrum(knots=np.array([1.0, 10.0]), density=np.array([4.0, 0.04]))
     assert table.at(np.array([0.9, 1.0, -2.0, 10.0, 11.0])) == pytest.approx([0.0, 4.0, 1.0, 0.04, 0.0])
@@ -416,47 +405,6 @@ def test_noise_of_samples_in_loops_that_take_turns_is_the_mean_over_their_cycle(
         assert rms[k] == pytest.approx(0.3 * np.sqrt(expected), rel=1e-8)
 
 
-# At every how many samples controllers are computed, from what to what.
-RATES = {
-    "do not divide one another": [(2, ["position"], "rate_command"), (3, ["rate", "rate_command"], "u")],
-    "divide one another": [(6, ["position", "rate"], "rate_command"), (3, ["rate", "rate_command"], "u")],
-    "and one at every sample": [
-        (4, ["position", "rate"], "rate_command"),
-        (2, ["position", "rate_command"], "shaped"),
-        (1, ["shaped", "rate", "rate_command"], "u"),
-    ],
-}
-
-
-@pytest.mark.parametrize("rates", RATES.values(), ids=RATES)
-def test_what_sets_the_controls_is_the_stacked_loop_component_by_component(
-    rates: list[tuple[int, list[str], str]],
-) -> None:
-    """From the readings of one component to the controls of another, against the stacked samples of a cycle."""
-    generator = np.random.default_rng(1)
-    controllers = []
-    for n, inputs, output in rates:
-        B, D = generator.normal(size=(2, len(inputs))), 0.1 * generator.normal(size=(1, len(inputs)))
-        A, C = np.diag([1.0, -0.3]), 0.1 * generator.normal(size=(1, 2))
-        controllers.append(control.ss(A, B, C, D, n * PERIOD, inputs=inputs, outputs=[output]))
-    by_sample, together = taking_turns(*controllers)
-    R = len(by_sample)
-    assert together.cycle == R == math.lcm(*(n for n, *_ in rates))
-    of = OpenLoop(cascaded(cycle=R))
-    omega = np.array([0.03, 0.4]) * of.plant.turn
-    M = of.modulator(together, omega, of.family(omega, np.array([0])).sampled)
-    plant = late_outputs(of.sampled, of.plant.reading_delay)
-    whole = closed_loop(lifted([plant] * R), lifted(by_sample))
-    stacked = frequency_response(whole.part(slice(R), slice(R, None)), omega, -3)
-    w = omega[:, None] + of.plant.turn * np.arange(R)
-    turns = np.exp(1j * PERIOD * w[:, :, None] * np.arange(R))
-    # A reading that is late is seen later than what disturbs it.
-    late = np.exp(-1j * PERIOD * w[..., None] * np.array(of.plant.reading_delay))
-    expected = np.einsum("nrk,nkjp,nsj,nsp->nrsp", turns.conj() / R, stacked.reshape(2, R, R, 2), turns, late)
-    found = np.array([[M.of(k, s, np.eye(2))[:, 0] for s in range(R)] for k in range(2)]).swapaxes(1, 2)
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
-
-
 def test_a_slow_controller_alone_is_one_of_a_longer_period() -> None:
     """A cycle of three samples of which one is used, and one period of the three together: the same to the last."""
     sources = [noise(), noise("base", 1), SampleNoise(name="gyro", measured=0, rms=0.1)]
@@ -490,11 +438,3 @@ def test_a_cycle_of_five_hundred_samples_is_one_of_a_longer_period_in_little_mem
     assert again.rms == pytest.approx(whole.rms, rel=1e-6)
     assert again.windows[0].total_jitter == pytest.approx(whole.windows[0].total_jitter, rel=1e-5)
     assert len(again.edges) < 20_000
-
-
-def test_the_same_controller_at_every_sample_takes_no_turns(budget: Budget) -> None:
-    sources = [noise(), noise("base", 1), SampleNoise(name="gyro", measured=0, rms=0.1)]
-    sine = SineDisturbance(name="motor", inputs=(0,), frequency=6.0, amplitude=np.array([0.3]))
-    found = JitterBudget(oscillator(cycle=4), [*sources, sine], (0.4, 3.0)).of(K, 1e-8)
-    assert found.rms == pytest.approx(budget.rms, rel=1e-8)
-    assert found.windows[1].smear == pytest.approx(budget.windows[1].smear, rel=1e-6)

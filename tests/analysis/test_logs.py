@@ -21,7 +21,7 @@ KNOWN = TableSpectrum(frequencies_hz=[0.5, 5.0, 40.0, 150.0], densities=[1e-3, 1
 def recorded(seconds: float, jitter: float = 0.0, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Return stamps and a random signal of the known density, exact at the stamps: a sum of sines."""
     random = np.random.default_rng(seed)
-    shake = Vibration(kind="rate", axis=1, frequencies_hz=KNOWN.frequencies_hz, densities=KNOWN.densities, lines=4096)
+    shake = Vibration(kind="rate", axis=1, frequencies_hz=KNOWN.frequencies_hz, densities=KNOWN.densities, lines=2048)
     omega, amplitude = shake.amplitudes
     time = np.arange(0.0, seconds, 1.0 / RATE)
     time = time + jitter / RATE * random.uniform(-0.5, 0.5, len(time))
@@ -148,24 +148,14 @@ def recorded_log(path: Path, time: str, seconds: float, columns: str = "rate", r
     return path
 
 
-UNITS_OF_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-
-
-@pytest.mark.parametrize("unit", UNITS_OF_TIME)
-@pytest.mark.parametrize("form", ["time_{}", "Time [{}]", "time ({})", "time_{}ec"])
-def test_a_column_of_time_is_read_in_the_unit_of_its_name(unit: str, form: str, tmp_path: Path) -> None:
-    name = form.format(unit)
-    path = recorded_log(tmp_path / "log.csv", name, UNITS_OF_TIME[unit])
+@pytest.mark.parametrize(
+    ("name", "unit"), [("time_s", 1.0), ("Time [ms]", 1e-3), ("time (us)", 1e-6), ("time_nsec", 1e-9)]
+)
+def test_a_column_of_time_is_read_in_the_unit_of_its_name(name: str, unit: float, tmp_path: Path) -> None:
+    path = recorded_log(tmp_path / "log.csv", name, unit)
     for given_name in ({}, {"time": name}):
         table = TimeTable.from_log(path, (None, "rate", None), **given_name)
         np.testing.assert_allclose(table.t, np.arange(800) / 400.0, rtol=0.0, atol=1e-8)
-
-
-def test_one_column_of_time_among_several_has_to_be_named(tmp_path: Path) -> None:
-    path = recorded_log(tmp_path / "log.csv", "time_us", 1e-6, "time_ms,rate")
-    with pytest.raises(InputError, match='there is no column "time"; did you mean "time_'):
-        TimeTable.from_log(path, (None, "rate", None))
-    assert TimeTable.from_log(path, (None, "rate", None), time="time_us").t[-1] == pytest.approx(799 / 400.0)
 
 
 @pytest.mark.parametrize(
@@ -173,10 +163,6 @@ def test_one_column_of_time_among_several_has_to_be_named(tmp_path: Path) -> Non
     [
         ("time", 1e-6, 400.0, '"time_us" if it is in µs'),
         ("time", 1e-3, 1000.0, '"time_ms" if it is in ms or "time_s" if it is in s'),
-        ("time", 1e-3, 100.0, '"time_ms" if it is in ms'),
-        ("time", 1e-9, 1000.0, '"time_ns" if it is in ns'),
-        ("stamp", 1e-6, 400.0, '"stamp_us" if it is in µs'),
-        ("time_s", 1e-6, 400.0, '"time_us" if it is in µs'),
         ("time_us", 1.0, 400.0, '"time_s" if it is in s'),
     ],
 )
@@ -195,13 +181,9 @@ def test_a_clock_that_cannot_be_in_its_unit_is_refused(
     [
         ("rate", 1.0),
         ("rate_dps", math.pi / 180.0),
-        ("rate_deg_s", math.pi / 180.0),
         ("Rate (deg/s)", math.pi / 180.0),
-        ("rate [°/s]", math.pi / 180.0),
-        ("rate_mrad_s", 1e-3),
         ("rate_rpm", math.pi / 30.0),
         ("torque_mNm", 1e-3),
-        ("torque [N m]", 1.0),
         ("yaw_s", 1.0),  # of the axis s: no rate is a time
     ],
 )
@@ -242,15 +224,6 @@ def test_csv_and_parquet_hold_the_same(tmp_path: Path) -> None:
     np.testing.assert_array_equal(other.signals["gyro_z"], csv.signals["gyro_z"])
     with pytest.raises(InputError, match="must hold numbers, got the type string"):
         read_log(tmp_path / "log.parquet", ["note"])
-    with pytest.raises(InputError, match=r'there is no column "gyro_x"; did you mean "gyro_z"'):
-        read_log(tmp_path / "log.parquet", ["gyro_x"])
-    (tmp_path / "no.parquet").write_bytes(b"time,rate")
-    with pytest.raises(InputError, match="is not Parquet that can be read"):
-        read_log(tmp_path / "no.parquet", ["rate"])
-    nothing = pyarrow.table({"rate": [1.0, None] * 20, "time": np.arange(40.0)})
-    parquet.write_table(nothing, tmp_path / "null.parquet")
-    with pytest.raises(InputError, match="row 2: rate is nan; leave such lines out, which makes a gap of them"):
-        read_log(tmp_path / "null.parquet", ["rate"])
 
 
 def test_the_log_of_the_tests_is_what_its_script_writes() -> None:
@@ -261,9 +234,7 @@ def test_the_log_of_the_tests_is_what_its_script_writes() -> None:
     ("line", "says"),
     [
         ("0.105,nan", "line 13: rate is nan; leave such lines out, which makes a gap of them"),
-        ("0.105,inf", "line 13: rate is inf; leave such lines out"),
         ("0.105,", "line 13: rate is missing; leave such lines out"),
-        ("0.105", "line 13: rate is missing"),
         ("0.105,x", 'line 13: rate must be a number, got "x"; leave such lines out'),
         ("0.10,1.0", "line 13: time = 0.1 stands in line 12 already; leave one of the two out"),
         ("0.05,1.0", "line 13: time = 0.05 is before the 0.1 of line 12; sort the lines by time, or cut the log"),
@@ -281,26 +252,13 @@ def test_lines_that_make_no_sense_are_refused_by_their_number(tmp_path: Path, li
 def test_files_that_are_no_logs_are_refused(tmp_path: Path) -> None:
     for path, says in (
         (tmp_path / "none.csv", "there is no such file"),
-        (tmp_path / "none.parquet", "there is no such file"),
         (write(tmp_path / "short.csv", *ramp(5)), "has 5 samples; at least 16 are needed"),
-        (write(tmp_path / "empty.csv"), "has 0 samples"),
     ):
         with pytest.raises(InputError, match=says):
             read_log(path, ["rate"])
     path = write(tmp_path / "log.csv", *ramp())
     with pytest.raises(InputError, match='there is no column "rates"; did you mean "rate"'):
         read_log(path, ["rates"])
-    path.write_text("time,rate,rate\n", encoding="utf-8")
-    with pytest.raises(InputError, match='2 columns are called "rate"; rename all but one'):
-        read_log(path, ["rate"])
-
-
-def test_a_blank_line_is_no_line_and_is_counted(tmp_path: Path) -> None:
-    lines = ramp()
-    path = write(tmp_path / "log.csv", *lines[:5], "", *lines[5:])
-    assert len(read_log(path, ["rate"]).time) == 40
-    with pytest.raises(InputError, match="line 47: rate is nan"):
-        read_log(write(path, *lines[:5], "", *lines[5:], "", "0.5,1", "0.6,1", "0.7,1", "0.8,nan"), ["rate"])
 
 
 def test_a_log_is_read_before_its_density_is_asked_for() -> None:

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.analysis.bandwidths import bandwidth_of_response
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
@@ -49,31 +48,8 @@ def test_hinf_norm_of_a_second_order_system_is_its_closed_form(zeta: float) -> N
     assert frequency == pytest.approx(474.3 * math.sqrt(1.0 - 2.0 * zeta**2), rel=1e-6)
 
 
-@pytest.mark.parametrize("zeta", [1e-2, 1e-5])
-def test_hinf_norm_survives_poles_from_1e_minus_3_to_1e9(zeta: float) -> None:
-    # Sum of a peak at 1 rad/s, a slow lag and a very fast one, in rotated states.
-    A1, B1, C1 = resonator(zeta, 1.0)
-    A = np.zeros((4, 4))
-    A[:2, :2] = A1
-    A[2, 2], A[3, 3] = -1e-3, -1e9
-    B = np.vstack([B1, [[1e-3], [1e9]]])
-    C = np.hstack([C1, [[1e-3, 1e-3]]])
-    T = np.eye(4) + np.diag([1e-3, 1e-3, 1e-9], 1)
-    system = control.ss(T @ A @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), 0)
-
-    def gain(w: FloatArray) -> FloatArray:
-        s = 1j * w
-        out: FloatArray = np.abs(1 / (s * s + 2 * zeta * s + 1) + 1e-6 / (s + 1e-3) + 1e6 / (s + 1e9))
-        return out
-
-    truth = gain(1.0 + np.linspace(-3.0, 3.0, 200001) * zeta).max()
-    norm, frequency = analysis.hinf_norm(system)
-    assert norm == pytest.approx(truth, rel=1e-8)
-    assert frequency == pytest.approx(1.0, abs=2.0 * zeta)
-
-
 @pytest.mark.parametrize("dt", [0.0, 0.01])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_hinf_norm_agrees_with_slycot_on_scaled_systems(seed: int, dt: float) -> None:
     slycot = pytest.importorskip("slycot")
     system = random_system(seed, dt=dt)
@@ -86,20 +62,6 @@ def test_hinf_norm_agrees_with_slycot_on_scaled_systems(seed: int, dt: float) ->
     if math.isfinite(frequency):
         peak = np.linalg.norm(analysis.frequency_response(system, frequency)[:, :, 0], 2)
         assert peak == pytest.approx(norm, rel=1e-9)
-
-
-@given(seeds)
-@settings(max_examples=25, deadline=None)
-def test_hinf_norm_is_reached_and_never_below_a_grid(seed: int) -> None:
-    dt = 0.02 if seed % 2 else 0.0
-    system = random_system(seed, n=1 + seed % 7, dt=dt)
-    w = np.concatenate([[0.0], np.geomspace(1e-4, math.pi / dt if dt else 1e4, 600)])
-    response = np.moveaxis(analysis.frequency_response(system, w), -1, 0)
-    peak = np.linalg.norm(response, 2, axis=(-2, -1)).max()
-    norm, frequency = analysis.hinf_norm(system)
-    assert peak <= norm * (1.0 + 1e-9)
-    at = system.D if math.isinf(frequency) else analysis.frequency_response(system, frequency)[:, :, 0]
-    assert np.linalg.norm(at, 2) == pytest.approx(norm, rel=1e-9)
 
 
 @given(seeds)
@@ -131,16 +93,6 @@ def test_an_unstable_system_has_no_hinf_norm_but_a_peak() -> None:
     with pytest.raises(PlatformCtrlError, match="must be stable"):
         analysis.hinf_norm(system)
     assert analysis.hinf_norm(system, allow_unstable=True) == pytest.approx((2.0, 0.0))
-
-
-def test_an_integrator_has_an_infinite_norm_at_zero_frequency() -> None:
-    assert analysis.hinf_norm(control.ss([[0.0]], [[1.0]], [[1.0]], 0)) == (math.inf, 0.0)
-
-
-def test_a_norm_reached_at_infinite_frequency_is_that_of_d() -> None:
-    norm, frequency = analysis.hinf_norm(control.ss([[-1.0]], [[1.0]], [[-1.0]], 1.0))
-    assert norm == pytest.approx(1.0)
-    assert frequency == math.inf
 
 
 @pytest.mark.parametrize("zeta", [0.7, 1e-3])
@@ -206,18 +158,7 @@ def test_bandwidth_of_a_loop_that_does_not_hold_is_zero() -> None:
     assert analysis.bandwidth(plant, control.ss([], [], [], [[1.0]])) == 0.0
 
 
-def test_bandwidth_from_responses_agrees_with_the_exact_one() -> None:
-    period = 1e-3
-    plant = analysis.sampled(control.ss([[0.0]], [[1.0]], [[1.0]], 0), period, delay=period)
-    controller = control.ss([], [], [], [[-40.0]], period)
-    exact = analysis.bandwidth(plant, controller)
-    w = np.geomspace(1.0, 2000.0, 400)
-    S = np.moveaxis(analysis.gang(plant, controller, w).S_output, -1, 0)
-    stacked = bandwidth_of_response(w, np.stack([S, S]))
-    np.testing.assert_allclose(stacked, exact, rtol=1e-4)
-
-
-@pytest.mark.parametrize(("p", "m"), [(1, 1), (1, 4), (2, 2), (3, 3), (4, 2), (2, 5), (8, 8), (8, 20)])
+@pytest.mark.parametrize(("p", "m"), [(1, 4), (2, 2), (3, 3), (8, 20)])
 def test_largest_singular_values_are_those_of_lapack(p: int, m: int) -> None:
     rng = np.random.default_rng(10 * p + m)
     H = rng.normal(size=(21, p, m)) + 1j * rng.normal(size=(21, p, m))
@@ -233,8 +174,7 @@ def test_largest_singular_values_are_those_of_lapack(p: int, m: int) -> None:
 
 
 @pytest.mark.parametrize("measure", ["hinf_norm", "h2_norm", "disk_margin"])
-@pytest.mark.parametrize(("b", "c"), [(1e-300, 1e300), (1e300, 1e-300), (1e300, 1e300), (1e200, 1.0)])
-@pytest.mark.parametrize("a", [1.0, 1e160])
+@pytest.mark.parametrize(("a", "b", "c"), [(1.0, 1e-300, 1e300), (1e160, 1e300, 1e300), (1.0, 1e200, 1.0)])
 def test_no_library_prints_about_numbers_whose_squares_overflow(
     measure: str, a: float, b: float, c: float, capfd: pytest.CaptureFixture[str]
 ) -> None:

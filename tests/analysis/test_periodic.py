@@ -60,14 +60,6 @@ def test_the_norm_is_that_of_the_stacked_system(N: int, n: int, m: int) -> None:
         assert periodic_norm(systems) == pytest.approx(stacked, rel=5e-9)
 
 
-def test_a_system_without_an_output_has_no_norm() -> None:
-    (one,) = taking_turns(0, 1, 3, 2)
-    nothing = one._replace(C=0.0 * one.C, D=0.0 * one.D)
-    assert periodic_norm([nothing, nothing]) == 0.0
-    through = one._replace(C=0.0 * one.C)
-    assert periodic_norm([through, through]) == pytest.approx(np.linalg.norm(one.D, 2), rel=1e-8)
-
-
 @pytest.mark.parametrize(("n", "late"), [(4, 0), (6, 3), (5, 12), (30, 17)])
 def test_a_late_reading_costs_no_more_states_than_are_going_to_be_read(n: int, late: int) -> None:
     """Margin, noise and poles are those of the stacked system, in which every sample on its way is a state."""

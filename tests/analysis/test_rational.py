@@ -41,11 +41,6 @@ def test_a_sine_is_drawn_as_lines_between_its_samples() -> None:
     assert np.abs(analysis.time_response(lag, t, np.sin(2 * t), hold="zoh") - exact).max() > 0.04
 
 
-def test_squeeze_is_one_of_three() -> None:
-    with pytest.raises(ArgumentError, match="squeeze must be None, True or False, got 'yes'"):
-        analysis.time_response(control.ss(-1, 1, 1, 0), [0, 1], [0, 1], squeeze="yes")  # type: ignore[arg-type]
-
-
 def test_a_transfer_function_responds_as_its_polynomials() -> None:
     w = np.array([0.0, 0.3, 2.0, 7.0])
     np.testing.assert_allclose(analysis.frequency_response(RESONANCE, w)[0, 0], RESONANCE(1j * w), rtol=1e-14)
@@ -94,17 +89,6 @@ def test_a_loop_of_a_transfer_function_has_the_margin_of_its_states() -> None:
     assert analysis.disk_margin(one).alpha > 0.5
 
 
-def test_plants_and_controllers_may_be_transfer_functions() -> None:
-    plant, controller = 1 / (s**2 + s), -(2 * s + 1) / (0.1 * s + 1)
-    states = control.ss(plant), control.ss(controller)
-    found, expected = (analysis.loop_margins(*pair).alpha for pair in ((plant, controller), states))
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-    loop = analysis.closed_loop(plant, controller)
-    assert is_stable(loop)
-    assert loop.state_labels == ["plant_0", "plant_1", "controller_x_0"]
-    assert analysis.bandwidth(plant, controller) == pytest.approx(analysis.bandwidth(*states))
-
-
 def test_data_are_what_they_are_at_their_frequencies_and_nothing_else() -> None:
     w = np.array([0.5, 1.0, 2.0])
     data = control.frd(RESONANCE, w)
@@ -124,8 +108,3 @@ def test_improper_and_undated_transfer_functions_are_refused(ask) -> None:
         ask(s)
     with pytest.raises(ArgumentError, match="dt=True"):
         ask(control.tf([1.0], [1.0, 0.5], True))
-
-
-def test_a_transfer_function_has_no_initial_state() -> None:
-    with pytest.raises(ArgumentError, match="a transfer function has no states of its own; convert it first"):
-        analysis.time_response(RESONANCE, [0, 1], [0, 1], initial_state=[1.0, 0.0])

@@ -15,62 +15,12 @@ from platform_ctrl.common.values import FloatArray
 seeds = st.integers(0, 2**31 - 1)
 
 
-def rotation(n: int, seed: int = 0) -> FloatArray:
-    out: FloatArray = np.linalg.qr(np.random.default_rng(seed).normal(size=(n, n)))[0]
-    return out
-
-
-@pytest.mark.parametrize("dt", [0.0, 0.05])
-@pytest.mark.parametrize("seed", range(4))
-def test_frequency_response_agrees_with_python_control(seed: int, dt: float) -> None:
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(7, 7))
-    A = 0.5 * A / np.abs(np.linalg.eigvals(A)).max() if dt else A - 3.0 * np.eye(7)
-    system = control.ss(A, rng.normal(size=(7, 2)), rng.normal(size=(3, 7)), rng.normal(size=(3, 2)), dt)
-    w = np.geomspace(0.01, 60.0, 50)
-    np.testing.assert_allclose(
-        analysis.frequency_response(system, w),
-        system(np.exp(1j * w * dt) if dt else 1j * w),
-        rtol=1e-10,
-    )
-
-
-def test_a_defective_matrix_does_no_harm() -> None:
-    # A chain of four lags 1/(s + 1): one Jordan block, rotated so that nothing is triangular any more.
-    U = rotation(4)
-    A = U @ (-np.eye(4) + np.eye(4, k=1)) @ U.T
-    w = np.geomspace(1e-3, 1e3, 60)
-    out = analysis.frequency_response(control.ss(A, U[:, [3]], U[:, [0]].T, 0), w)
-    np.testing.assert_allclose(out[0, 0], 1.0 / (1.0 + 1j * w) ** 4, rtol=1e-9, atol=1e-13)
-
-
-@pytest.mark.parametrize("zeta", [1e-3, 1e-6])
-def test_the_response_next_to_a_lightly_damped_pole_is_right_beside_poles_at_1e_minus_3_and_1e9(zeta: float) -> None:
-    A = np.zeros((4, 4))
-    A[:2, :2] = [[0.0, 1.0], [-1.0, -2.0 * zeta]]
-    A[2, 2], A[3, 3] = -1e-3, -1e9
-    B = np.array([[0.0], [1.0], [1e-3], [1e9]])
-    C = np.array([[1.0, 0.0, 1.0, 1.0]])
-    T = np.eye(4) + np.diag([0.5, 0.25, 2.0**-30], 1)
-    system = control.ss(T @ A @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), 0)
-    w = np.concatenate([np.geomspace(1e-5, 1e11, 40), 1.0 + zeta * np.linspace(-3.0, 3.0, 31)])
-    s = 1j * w
-    truth = 1.0 / (s * s + 2.0 * zeta * s + 1.0) + 1e-3 / (s + 1e-3) + 1e9 / (s + 1e9)
-    np.testing.assert_allclose(analysis.frequency_response(system, w)[0, 0], truth, rtol=1e-9)
-
-
 def test_a_double_integrator_sampled_fast_keeps_its_digits_at_low_frequency() -> None:
     period, w = 1e-4, np.geomspace(1e-3, 1e3, 30)
     plant = analysis.sampled(control.ss([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0), period)
     z_minus_1 = np.expm1(1j * w * period)
     truth = 0.5 * period**2 * (z_minus_1 + 2.0) / z_minus_1**2
     np.testing.assert_allclose(analysis.frequency_response(plant, w)[0, 0], truth, rtol=1e-9)
-
-
-def test_on_a_pole_the_response_is_not_finite_and_raises_no_warning() -> None:
-    system = control.ss([[0.0]], [[1.0]], [[1.0]], 0)
-    assert not np.isfinite(analysis.frequency_response(system, [0.0]))[0, 0, 0]
-    np.testing.assert_allclose(analysis.frequency_response(system, [2.0])[0, 0, 0], -0.5j)
 
 
 def test_a_stack_gives_what_its_systems_give_one_by_one() -> None:
@@ -94,19 +44,6 @@ def test_a_gain_without_states_has_a_response() -> None:
 
 @given(seeds)
 @settings(max_examples=15, deadline=None)
-def test_time_response_is_that_of_forced_response(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(5, 5)) - 2.0 * np.eye(5)
-    system = control.ss(A, rng.normal(size=(5, 2)), rng.normal(size=(3, 5)), rng.normal(size=(3, 2)))
-    t = np.linspace(0.0, 4.0, 2 + seed % 90)
-    u, x0 = rng.normal(size=(2, t.size)), rng.normal(size=5)
-    reference = control.forced_response(system, t, u, x0).outputs
-    out = analysis.time_response(system, t, u, initial_state=x0)
-    np.testing.assert_allclose(out, reference, atol=1e-9 * np.abs(reference).max())
-
-
-@given(seeds)
-@settings(max_examples=15, deadline=None)
 def test_time_response_of_a_discrete_system_is_its_recurrence(seed: int) -> None:
     rng = np.random.default_rng(seed)
     A = 0.5 * rng.normal(size=(3, 3))
@@ -121,20 +58,13 @@ def test_time_response_of_a_discrete_system_is_its_recurrence(seed: int) -> None
     np.testing.assert_allclose(out, expected, atol=1e-11 * max(1.0, np.abs(expected).max()))
 
 
-def test_a_held_step_and_a_ramp_have_their_closed_forms() -> None:
-    lag = control.ss([[-2.0]], [[2.0]], [[1.0]], 0)
-    t = np.linspace(0.0, 3.0, 13)
-    np.testing.assert_allclose(analysis.time_response(lag, t, np.ones(13), hold="zoh"), -np.expm1(-2.0 * t), rtol=1e-12)
-    np.testing.assert_allclose(analysis.time_response(lag, t, t), t + 0.5 * np.expm1(-2.0 * t), rtol=1e-11, atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("timepts", "inputs", "says"),
     [
         ([0.0, 3.0, 1.0], np.ones(3), "must increase"),
         ([0.0], np.ones(1), "at least two"),
         ([0.0, 1.0], np.ones((2, 2)), r"must be finite, \(1, 2\)"),
-        ([0.0, 1.0], [np.nan, 0.0], "inputs must be real numbers, all finite, got one that is not"),
+        ([0.0, 1.0], [np.nan, 0.0], "inputs must be finite"),
     ],
 )
 def test_time_response_says_what_does_not_fit(timepts: list[float], inputs: FloatArray, says: str) -> None:

@@ -111,14 +111,6 @@ def test_no_scheduler_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert "\n" not in str(raised.value)
 
 
-def test_an_address_without_sense_reaches_no_client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # It would leave a traceback behind at the end of the process.
-    monkeypatch.setattr("distributed.Client", lambda *given, **options: pytest.fail("a client was made"))
-    for wrong in ("127.0.0.1", "http://127.0.0.1:8786", ""):
-        with pytest.raises(InputError, match="the address of a Dask scheduler"):
-            carried_out(tmp_path, wrong)
-
-
 def test_a_worker_with_other_versions_is_refused(tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from platform_ctrl.campaign.identity import versions
 

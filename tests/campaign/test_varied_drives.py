@@ -8,11 +8,8 @@ from platform_ctrl.campaign.identity import identity
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.common.values import replaced
-from platform_ctrl.job.campaign_checks import misfits
 from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.job.parameters import parameters
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.variation import Vary
 from platform_ctrl.simulation import simulate_batch
 
 K = control.ss([], [], [], [[-2.0, 2.0]], 0.001, inputs=["rate", "rate_command"], outputs=["Qpitch"], name="K")
@@ -99,18 +96,3 @@ def test_runs_with_other_drives_are_another_campaign() -> None:
     """Kept runs are continued only by runs that follow from the same: what drives feed forward moves the gimbals."""
     one, other = (identity(plan(job(friction=friction), [K])) for friction in (0.05, 0.04))
     assert {key for key in one if one[key] != other[key]} == {"job"}
-
-
-def test_numbers_that_no_drive_and_no_command_has_do_not_exist() -> None:
-    own = job()
-    known = parameters([manoeuvre_scenario(own, own.manoeuvres[0])], ())
-    mine = {path for path in known if path.startswith(("drive.", "command."))}
-    assert mine == {
-        "drive.Qpitch.friction",
-        "drive.Qpitch.friction_rate",
-        "command.rate.step",
-        "command.rate.at",
-    }
-    below = Vary(parameter="drive.Qpitch.friction", distribution="uniform", numbers={"low": -0.1, "high": 0.1})
-    [(_, _, line)] = misfits([below], [manoeuvre_scenario(own, own.manoeuvres[0])], ())
-    assert "allowed is a number >= 0" in line
