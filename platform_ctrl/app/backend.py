@@ -210,7 +210,7 @@ class Backend:
         """Return the curves and the results for the settings.
 
         `on_drawn` is called with what is drawn before it is measured, which takes as long again. Requirements are as
-        `check` measures them, but the simultaneous margin of all loops together is sampled: within about a thousandth.
+        `check` measures them.
         """
         begun = time.perf_counter()
         whole("axis", settings.axis, 1, 3)
@@ -247,7 +247,7 @@ class Backend:
             drawing, measure = caged_parts(loop, settings, labels, self._loops.cached_metrics(settings, loop))
         else:
             free, notes = self._loops.stabilised(settings)
-            drawing, measure = stabilised_parts(free, settings, labels, self._loops.cached_margins(settings))
+            drawing, measure = stabilised_parts(free, settings, labels, lambda: self._loops.coupled(settings))
         if not settings.overlays:
             return (drawing, measure), notes
         overlays, more = self._designs.overlays(settings, spec, drawing.bode.frequency)

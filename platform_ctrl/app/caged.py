@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidths import bandwidth_of_response
-from platform_ctrl.analysis.feedback import commanded_loop, sensitivity_functions, with_error_alone
+from platform_ctrl.analysis.feedback import commanded_loop, with_error_alone
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
 from platform_ctrl.analysis.loop_set import LoopSet, Transfer
@@ -19,28 +19,24 @@ from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
-from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
     EDGE,
     GRID_POINTS,
     Band,
-    ChannelMargins,
     Drive,
     LoopCurves,
-    LoopTransfers,
     Parts,
     channel_margins,
     channel_response,
     drive,
-    frequency_parts,
+    frequency_gain,
     gain_locus,
-    locus,
-    overlay,
+    near_locus,
     settling,
     step_size,
 )
 from platform_ctrl.app.excitation import caged_excitation
-from platform_ctrl.app.pictures import Drawing, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
+from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Measured, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import limits_and_goals, requirements_of
@@ -59,8 +55,7 @@ _QUICK = 48
 class CagedLoop:
     """A caging loop: controller u = K y, the whole set of plants, and the plant that is shown alone.
 
-    `shaped` returns a controller with its commands
-    where the design says what to do with them.
+    `shaped` returns a controller with its commands where the design says what to do with them.
     """
 
     job: Job
@@ -74,11 +69,7 @@ class CagedLoop:
     @property
     def delivered(self) -> StateArrays:
         """The controller that is measured, with its commands where it does more with them than to compare."""
-        return self.with_commands(self.controller)
-
-    def with_commands(self, K: StateArrays) -> StateArrays:
-        """Return a controller of the loop as it is measured: see `delivered`."""
-        return K if self.shaped is None else self.shaped(K)
+        return self.controller if self.shaped is None else self.shaped(self.controller)
 
     @property
     def plant(self) -> StateArrays:
@@ -89,10 +80,6 @@ class CagedLoop:
     def exact(self) -> bool:
         """Whether the loop has few enough states for exact norms while a slider moves."""
         return int(self.plants.A.shape[-1]) + len(self.controller.A) <= _QUICK
-
-    def limit(self, metric: str) -> float | None:
-        """Return the job's limit of a metric for the nominal plant, or None."""
-        return self.spec.limits.get(METRICS[metric].key)
 
 
 # A cache of a loop's metrics: computes them if they are not known.
@@ -108,20 +95,47 @@ def loop_metrics(loop: CagedLoop, whole: LoopSet | None = None) -> LoopMetrics:
 
 
 class CagedCurves(LoopCurves):
-    """The curves of a caging loop; with `band` those of the whole set too."""
+    """The curves of a caging loop; with `whole` those of the whole set too, failed parts left out."""
 
-    def __init__(self, loop: CagedLoop, settings: Settings, band: LoopSet | None = None) -> None:
-        plants = loop.plants
-        self._loop, self.job, self.axis, self.band = loop, loop.job, settings.axis, band
-        self.index = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
-        self.channel = plants.torques[self.index]
+    def __init__(self, loop: CagedLoop, settings: Settings, whole: LoopSet | None = None) -> None:
+        names = loop.plants
+        channel = settings.channel if settings.channel in names.torques else names.torques[0]
+        super().__init__(job=loop.job, settings=settings, plant=loop.plant, controller=loop.controller,
+                         readings=names.angles, torquers=names.torques, channel=channel)  # fmt: skip
+        self.loop, self.whole = loop, whole
         self.shown = LoopSet(loop.shown, loop.controller)
-        self.poles = continuous_poles(self.shown.poles[0], plants.period)
-        self.stable = bool(self.shown.decay[0] > 0.0)
+        self.set: LoopSet | None = None
+        if whole is not None and settings.band and len(names.labels) > 1:
+            inside = np.flatnonzero(names.of(_BAND))
+            self.set = whole if len(inside) == len(names.labels) else whole.only(inside.tolist())
+            own = self.set.plants
+            self.band = Band(own.labels, own.frequency, channel_response(self.set.S_input, self.index))
 
-    def grid(self) -> FloatArray:
-        """Return the frequencies of the Bode diagram, rad/s."""
-        plant, s = self._loop.shown, self.poles
+    @cached_property
+    def z_poles(self) -> ComplexArray:
+        """Closed-loop poles of the plant shown, in z, without those of equilibria that nothing sees."""
+        return np.asarray(self.shown.poles[0])
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether the loops of all plants without a fault are stable."""
+        return self.whole is None or bool(np.all(self.whole.decay[self.loop.plants.of(_BAND)] > 0.0))
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of what is read, seen and set."""
+        sensors = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
+        torques = {name: sensors.get(name.removesuffix(COMMAND), "N m") for name in self.torquers}
+        return sensors | dict.fromkeys(self.loop.plants.sight, "rad/s") | torques
+
+    def limit(self, metric: str) -> float | None:
+        """Return the job's limit of a metric for the nominal plant, or None."""
+        return self.loop.spec.limits.get(METRICS[metric].key)
+
+    @cached_property
+    def frequency(self) -> FloatArray:
+        """Frequencies of the Bode diagram, rad/s."""
+        plant, s = self.loop.shown, self.poles
         nyquist = math.pi / plant.period
         own = continuous_poles(np.linalg.eigvals(plant.A[0]), plant.period)
         low = max(min(2e-3 * plant.nutation, 0.05 * nyquist), 1e-4 * nyquist)
@@ -131,40 +145,29 @@ class CagedCurves(LoopCurves):
         # With the frequencies of the band, whose phases are those of this curve and a difference.
         return np.union1d(grid, plant.frequency)
 
-    def transfers(self, frequency: FloatArray) -> LoopTransfers:
-        """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
-        P = frequency_response(self._loop.plant, frequency, -3)
-        K = frequency_response(self._loop.controller, frequency, -3)
-        return LoopTransfers(P, K, sensitivity_functions(-K @ P)[0])
-
-    def readings(self) -> tuple[list[str], str]:
-        """Return the units of what the controller reads, and of what it sets at the channel."""
-        units = self._units
-        return [units[name] for name in self._loop.plants.angles], units[self.channel]
-
     def step(self) -> TimeResponse:
         """Return the response to a torque step at the channel, of a loop around another one to one of its command."""
-        plants, unit = self._loop.plants, self._units[self.channel]
+        plants = self.loop.plants
         size = step_size(float(plants.torque_limit[self.index]))
-        duration = settling(self.poles, self.shown.plants.nutation, plants.period, self.stable)
-        title = f"{1e3 * size:g} m{unit} step at {self.channel}"
+        duration = settling(self.poles, self.loop.shown.nutation, plants.period, self.stable)
+        title = f"{1e3 * size:g} m{self.units[self.channel]} step at {self.channel}"
         step = drive(title, duration, plants.period, lambda t: np.full(len(t), size))
-        return self._responses(
+        return self._over_time(
             step, lambda one: one.arrays if self._sight else one.own_arrays, [self.index], step.u[None]
         )
 
     def disturbance(self) -> TimeResponse:
         """Return the response to the job's manoeuvre about the axis, linear model."""
-        plants, m = self._loop.plants, self.shown.m
+        plants, m = self.loop.plants, self.shown.m
         given = caged_excitation(self.job, self.axis, plants.angles, plants.nutation)
-        limit = None if self._loop.spec.kind == "rate" else given.limit
+        limit = None if self.loop.spec.kind == "rate" else given.limit
         turn = drive(given.title, given.duration, plants.period, given.rate, limit)
         commands = given.commands(np.arange(len(turn.u), dtype=np.float64) * plants.period).T
         inputs = np.vstack([turn.u, commands])
         columns = [m + self.axis - 1, *(m + 3 + plants.angles.index(name) for name in given.readings)]
         if len(commands) and not turn.u.any():
             turn = turn._replace(u=commands[0])
-        return self._responses(turn, commanded_arrays if len(commands) else lambda one: one.arrays, columns, inputs)
+        return self._over_time(turn, commanded_arrays if len(commands) else lambda one: one.arrays, columns, inputs)
 
     @property
     def _sight(self) -> tuple[str, ...]:
@@ -172,121 +175,66 @@ class CagedCurves(LoopCurves):
 
         Designs that read other sensors are compared by them. A limit on the readings is shown with the readings.
         """
-        loop = self._loop
-        read = loop.spec.kind != "rate" or loop.limit("Omega rejection") is not None
-        return () if read else loop.plants.sight
+        read = self.loop.spec.kind != "rate" or self.limit("Omega rejection") is not None
+        return () if read else self.loop.plants.sight
 
-    @property
-    def _units(self) -> dict[str, str]:
-        """Units of what is read, seen and set."""
-        sensors = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
-        torques = {name: sensors.get(name.removesuffix(COMMAND), "N m") for name in self._loop.plants.torques}
-        return sensors | dict.fromkeys(self._loop.plants.sight, "rad/s") | torques
-
-    def _responses(
+    def _over_time(
         self, given: Drive, arrays: Callable[[LoopSet], StateArrays], columns: Sequence[int], inputs: FloatArray
     ) -> TimeResponse:
-        m, p, names, units = self.shown.m, self.shown.p, self._loop.plants, self._units
-        seen = self._sight or names.angles
-        signals = {name: units[name] for name in (*seen, *names.torques)}
+        m, p = self.shown.m, self.shown.p
+        seen = self._sight or self.readings
         # The last outputs are those of the line of sight.
         rows = [*(range(-len(seen), 0) if self._sight else range(m, m + p)), *range(m)]
-        band = None if self.band is None else arrays(self.band).part(rows, columns)
-        return self._time_response(given, signals, arrays(self.shown).part(rows, columns), band, inputs)
+        band = None if self.set is None else arrays(self.set).part(rows, columns)
+        return self.over_time(given, [*seen, *self.torquers], arrays(self.shown).part(rows, columns), band, inputs)
 
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from Omega to what is read, or to the line of sight, at `frequency` (F,), rad/s."""
-        axis, band, metric = self.axis - 1, None, METRICS["Omega rejection"]
+        axis, band, kind = self.axis - 1, None, self.loop.spec.kind
         part = Transfer("Omega", "sight" if self._sight else "angle")
-        if self.band is not None:
-            every = np.arange(len(self.band.plants.labels))
-            band = self.band.plants.frequency, self.band.responses(part, every)[0][..., axis]
-        words = "line of sight" if self._sight else "rates" if self._loop.spec.kind == "rate" else "angles"
-        shown = LoopSet(self.shown.plants.on(frequency), self._loop.controller)
-        return self._disturbance_gain(
-            f"rate Omega{self.axis} → {words}",
-            of_readings(metric.unit, self._loop.spec.kind),
-            frequency,
-            shown.responses(part, np.zeros(1, dtype=np.intp))[0][0, ..., axis],
-            band,
-            self._loop.limit("Omega rejection"),
-        )
+        if self.set is not None:
+            every = np.arange(len(self.set.plants.labels))
+            band = self.set.plants.frequency, self.set.responses(part, every)[0][..., axis]
+        words = "line of sight" if self._sight else "rates" if kind == "rate" else "angles"
+        shown = LoopSet(self.loop.shown.on(frequency), self.controller)
+        own = shown.responses(part, np.zeros(1, dtype=np.intp))[0][0, ..., axis]
+        unit, limit = of_readings(METRICS["Omega rejection"].unit, kind), self.limit("Omega rejection")
+        return frequency_gain(f"rate Omega{self.axis} → {words}", unit, frequency, own, band, limit)
 
     def locus(self) -> Locus:
         """Return the root locus."""
-        loop, s = self._loop, self.poles
-        nyquist = math.pi / loop.shown.period
+        shown, s = self.loop.shown, self.poles
+        nyquist = math.pi / shown.period
         size = np.where(np.isfinite(s), np.abs(s), np.inf)
         # Oscillations, and what is about as fast as nutation: faster poles would squeeze everything else together.
         oscillating = size[(s.imag > 1e-6 * size) & (size < 0.7 * nyquist)]
-        nutation = min(loop.shown.nutation, 0.3 * nyquist)
-        if loop.spec.around is not None:
+        nutation = min(shown.nutation, 0.3 * nyquist)
+        if self.loop.spec.around is not None:
             # The poles of delayed trackers reach far beyond the loop.
             oscillating = oscillating[oscillating < _AROUND * nutation]
         reach = min(1.25 * max(oscillating.max(initial=0.0), 1.5 * nutation), nyquist)
-        branches = gain_locus(self._loop.plant, loop.controller, reach)
-        others = np.zeros(0, dtype=np.complex128)
-        if self.band is not None:
-            others = continuous_poles(self.band.poles, loop.shown.period).ravel()
-        return locus(branches, s, others, reach, loop.limit("damping"))
+        none = np.zeros(0, dtype=np.complex128)
+        others = none if self.set is None else continuous_poles(self.set.poles, shown.period).ravel()
+        return near_locus(gain_locus(self.plant, self.controller, reach), s, others, reach, self.limit("damping"))
 
 
 def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMetrics) -> Parts:
     """Return what is drawn for a caging loop, and the function that measures it; `labels` are those of all plants."""
-    plants = loop.plants
-    whole = LoopSet(plants, loop.delivered)
-    inside = np.flatnonzero(plants.of(_BAND))
-    band = None
-    if settings.band and len(plants.labels) > 1:
-        band = whole if len(inside) == len(plants.labels) else whole.only(inside.tolist())
-    curves = CagedCurves(loop, settings, band)
-    grid = curves.grid()
-    transfers = curves.transfers(grid)
-    response = channel_response(transfers.S, curves.index)
-    bode, nichols = frequency_parts(
-        curves.channel,
-        grid,
-        response,
-        math.pi / plants.period,
-        settings.plant,
-        None
-        if band is None
-        else Band(band.plants.labels, band.plants.frequency, channel_response(band.S_input, curves.index)),
-        loop.limit("disk margin"),
-    )
-    margins = channel_margins(grid, response, curves.stable)
+    curves = CagedCurves(loop, settings, LoopSet(loop.plants, loop.delivered))
+    drawing = curves.drawing(labels)
 
     def measured_parts() -> Measured:
-        metrics = cached(lambda: loop_metrics(loop, whole))
-        requirements, goals = limits_and_goals(loop.spec, loop.design, plants, metrics)
+        metrics = cached(lambda: loop_metrics(loop, curves.whole))
+        requirements, goals = limits_and_goals(loop.spec, loop.design, loop.plants, metrics)
         sampled = "peaks are the highest on a frequency grid: the loop is too large for exact ones while a slider moves"
         return Measured(
-            margins=_margins(loop, metrics, curves, margins, inside),
+            margins=_margins(loop, metrics, curves, drawing.bode),
             requirements=requirements,
             goals=goals,
             notes=() if loop.exact else (sampled,),
         )
 
-    drawing = Drawing(
-        settings=settings,
-        plants=labels,
-        bode=bode,
-        closed=curves.closed_loop(transfers),
-        nichols=nichols,
-        locus=curves.locus(),
-        step=curves.step(),
-        Omega_time=curves.disturbance(),
-        Omega_frequency=curves.disturbance_gain(grid),
-        bandwidth=loop.limit("bandwidth"),
-        stable=curves.stable,
-        all_stable=bool(np.all(whole.decay[inside] > 0.0)),
-    )
     return drawing, measured_parts
-
-
-def caged_overlay(loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray) -> Overlay:
-    """Return what is drawn of another design of the loop at `frequency` (F,), rad/s."""
-    return overlay(CagedCurves(loop, settings), loop.design, method, frequency)
 
 
 def commanded_arrays(loops: LoopSet) -> StateArrays:
@@ -295,10 +243,9 @@ def commanded_arrays(loops: LoopSet) -> StateArrays:
     return commanded_loop(loops.plants.whole, K, range(loops.m), range(loops.p))
 
 
-def _margins(
-    loop: CagedLoop, metrics: LoopMetrics, curves: CagedCurves, channel: ChannelMargins, inside: NDArray[np.intp]
-) -> Margins:
+def _margins(loop: CagedLoop, metrics: LoopMetrics, curves: CagedCurves, bode: Bode) -> Margins:
     plants, shown = loop.plants, curves.shown
+    inside = np.flatnonzero(plants.of(_BAND))
     worst = int(inside[np.argmin(metrics.disk_margin[inside])])
     disk = float(metrics.disk_margin[0])  # of the nominal plant
     if not all(np.array_equal(getattr(loop.shown, of)[0], getattr(plants, of)[0]) for of in "ABCD"):
@@ -313,7 +260,7 @@ def _margins(
         worst_disk=float(metrics.disk_margin[worst]),
         worst_plant=plants.labels[worst],
         worst_sampled=not loop.exact,
-        **channel._asdict(),
+        **channel_margins(bode, curves.stable)._asdict(),
         bandwidth=bandwidth,
         damping=float(minimum_damping(shown.poles, plants.period)[0]),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Hashable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,6 @@ from platform_ctrl.app.free_plants import StabilisedLoop
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.app.stabilised import CachedMargins
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import LoopProblem, designed, shaped
 from platform_ctrl.design.partition import Channels
@@ -56,9 +55,8 @@ class ClosedLoops:
         self._made: Bounded[Made] = Bounded(_ROOM)
         self._given: dict[Hashable, Made] = {}
         self._specs = {spec.name: spec for spec in job.loops}
-        self._margins: Bounded[dict[str, float]] = Bounded(16)
         self._measures: Bounded[LoopMetrics] = Bounded(8)
-        self._coupled: Bounded[CoupledCheck] = Bounded(4)
+        self._coupled: Bounded[CoupledCheck] = Bounded(16)
         self.sight = LineOfSight(self)
         self._take([] if controllers is None else existing_designs(controllers, job))
 
@@ -186,15 +184,6 @@ class ClosedLoops:
             job=job, model=self.plants.model, spec=spec, controllers=controllers, plants=plants, shown=shown
         )
         return loop, tuple(one.note for one in closed if one.note)
-
-    def cached_margins(self, settings: Settings) -> CachedMargins:
-        """Return the cache of the disk margins of the caging loops, for while only the servo's sliders move."""
-        others = tuple(self.closed_key(settings, spec) for spec in self.read.loops if spec.has_plants)
-
-        def of(name: str, make: Callable[[], dict[str, float]]) -> dict[str, float]:
-            return self._margins.get((name, others), make)
-
-        return of
 
     def closed(self, settings: Settings) -> dict[str, str]:
         """Return the name of the design that is closed in each loop, the shown one in its own."""

@@ -1,18 +1,20 @@
-"""The curves of a closed loop and of a set of plants that both modes draw: frequency, time, poles, margins."""
+"""The curves of a closed loop and of a set of plants: frequency, time, poles, margins."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop
+from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.analysis.poles import continuous_poles, pole_branches
+from platform_ctrl.analysis.poles import continuous_poles, pole_branches, poles, spectral_abscissa
+from platform_ctrl.analysis.resolvent import AxisResponse
 from platform_ctrl.app.pictures import (
     Bode,
     ClosedLoop,
@@ -24,6 +26,7 @@ from platform_ctrl.app.pictures import (
     Overlay,
     TimeResponse,
 )
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.drawing import signal_series
@@ -153,7 +156,7 @@ def gain_locus(plant: StateArrays, controller: StateArrays, reach: float) -> tup
     """
     A, B, C, D, period = plant
 
-    def poles(factors: FloatArray) -> ComplexArray:
+    def z_poles(factors: FloatArray) -> ComplexArray:
         f = factors[:, None, None]
         closed = closed_loop(
             StateArrays(A, B, C, D, period),
@@ -163,13 +166,13 @@ def gain_locus(plant: StateArrays, controller: StateArrays, reach: float) -> tup
 
     # From 0 on poles move as the root of the factor: closer steps there.
     gains = np.concatenate([np.linspace(0.0, 1.0, 9) ** 1.5, np.linspace(1.0, 2.5, 6)[1:]])
-    z = poles(gains)
+    z = z_poles(gains)
     for k in range(_HALVINGS + _TURNS):
         far = np.flatnonzero(_steps(continuous_poles(z, period), 1.5 * reach) > _STEP * reach)
         if k >= _HALVINGS:
             far = np.flatnonzero(np.diff((np.abs(z.imag) > _REAL).sum(axis=1)))
         between = 0.5 * (gains[far] + gains[far + 1])
-        gains, z = np.insert(gains, far + 1, between), np.insert(z, far + 1, poles(between), axis=0)
+        gains, z = np.insert(gains, far + 1, between), np.insert(z, far + 1, z_poles(between), axis=0)
     return gains, continuous_poles(pole_branches(z), period)
 
 
@@ -185,9 +188,16 @@ EDGE = 0.999
 # Points of a frequency grid besides those at resonances.
 GRID_POINTS = 160
 
-ALL = slice(None)
 # Curves to draw, and the function that measures the same loop.
 Parts = tuple[Drawing, Callable[[], Measured]]
+
+
+class Band(NamedTuple):
+    """The loop transfers of a set: labels of the N plants, frequencies (B,), rad/s, and responses, complex (N, B)."""
+
+    labels: tuple[str, ...]
+    frequency: FloatArray
+    responses: ComplexArray
 
 
 class LoopTransfers(NamedTuple):
@@ -199,43 +209,70 @@ class LoopTransfers(NamedTuple):
 
 
 class LoopCurves(ABC):
-    """The curves of a closed loop in one mode, shown broken at one torquer; with a band those of the whole set too.
+    """The curves of a closed loop, shown broken at one torquer; with a `band` those of the whole set too.
 
-    A subclass sets `job`, `axis`, `channel`, the torquer's name, its `index`, and `poles` (n,), rad/s, and `stable` of
-    the plant shown.
+    A subclass says what is disturbed, and over which frequencies.
+
+    Parameters
+    ----------
+    job, settings
+        What the loop belongs to, and what is shown of it.
+    plant, controller
+        Of the plant shown, u = K y.
+    readings, torquers
+        Their signals, one of which is the `channel` that is broken.
     """
 
-    job: Job
-    axis: int
-    channel: str
-    index: int
-    poles: ComplexArray
-    stable: bool
+    def __init__(
+        self,
+        job: Job,
+        settings: Settings,
+        plant: StateArrays,
+        controller: StateArrays,
+        readings: Sequence[str],
+        torquers: Sequence[str],
+        channel: str,
+    ) -> None:
+        self.job, self.settings, self.axis = job, settings, settings.axis
+        self.plant, self.controller = plant, controller
+        self.readings, self.torquers, self.channel = list(readings), list(torquers), channel
+        self.index = self.torquers.index(channel)
+        self.band: Band | None = None
+        self._responses = AxisResponse(plant), AxisResponse(controller)
+
+    @cached_property
+    def z_poles(self) -> ComplexArray:
+        """Closed-loop poles of the plant shown, in z, (n,)."""
+        return poles(closed_loop(self.plant, self.controller).A)
+
+    @cached_property
+    def poles(self) -> ComplexArray:
+        """The same in s = ln(z)/T, rad/s."""
+        return continuous_poles(self.z_poles, self.plant.dt)
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop of the plant shown is."""
+        return bool(spectral_abscissa(self.poles) < 0.0)
+
+    @property
+    @abstractmethod
+    def all_stable(self) -> bool:
+        """Whether the loops of all plants of the set are."""
+
+    @property
+    @abstractmethod
+    def units(self) -> Mapping[str, str]:
+        """Units of readings and torques, and of what else is shown."""
 
     @abstractmethod
-    def transfers(self, frequency: FloatArray) -> LoopTransfers:
-        """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
+    def limit(self, metric: str) -> float | None:
+        """Return the job's limit of a metric that a curve is drawn with, or None."""
 
+    @cached_property
     @abstractmethod
-    def readings(self) -> tuple[list[str], str]:
-        """Return the units of what the controller reads, and of what it sets at the channel."""
-
-    def response(self, frequency: FloatArray) -> ComplexArray:
-        """Return the loop transfer of the plant shown at `frequency` (F,), rad/s."""
-        return channel_response(self.transfers(frequency).S, self.index)
-
-    def closed_loop(self, loop: LoopTransfers) -> ClosedLoop:
-        """Return what noise and loads come to at the channel."""
-        units, torque = self.readings()
-        rows = [k for k, unit in enumerate(units) if unit == units[0]]
-        with np.errstate(all="ignore"):
-            KS = (loop.S[:, [self.index]] @ loop.K[..., rows])[:, 0]
-            PS = (loop.P[:, rows] @ loop.S[..., [self.index]])[..., 0]
-        return ClosedLoop(
-            KS=np.asarray(np.linalg.norm(KS, axis=-1)),
-            PS=np.asarray(np.linalg.norm(PS, axis=-1)),
-            units=(_per(torque, units[0]), _per(units[0], torque)),
-        )
+    def frequency(self) -> FloatArray:
+        """Frequencies of the Bode diagram (F,), rad/s, those of the band among them."""
 
     @abstractmethod
     def step(self) -> TimeResponse:
@@ -249,56 +286,149 @@ class LoopCurves(ABC):
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from what disturbs the loop at `frequency` (F,), rad/s."""
 
-    def _time_response(
-        self, drive: Drive, signals: Mapping[str, str], shown: StateArrays, band: StateArrays | None, inputs: FloatArray
+    @abstractmethod
+    def locus(self) -> Locus:
+        """Return the root locus over the gain."""
+
+    def transfers(self, frequency: FloatArray) -> LoopTransfers:
+        """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
+        P, K = (one.at(frequency) for one in self._responses)
+        return LoopTransfers(P, K, sensitivity_functions(-K @ P)[0])
+
+    @cached_property
+    def own(self) -> LoopTransfers:
+        """What the loop of the plant shown consists of at the frequencies of the Bode diagram."""
+        return self.transfers(self.frequency)
+
+    def drawing(self, labels: tuple[str, ...]) -> Drawing:
+        """Return what is drawn; `labels` are those of all plants that may be shown."""
+        response = channel_response(self.own.S, self.index)
+        bode, nichols = self._frequency_parts(response)
+        return Drawing(
+            settings=self.settings,
+            plants=labels,
+            bode=bode,
+            closed=self._closed_loop(),
+            nichols=nichols,
+            locus=self.locus(),
+            step=self.step(),
+            Omega_time=self.disturbance(),
+            Omega_frequency=self.disturbance_gain(self.frequency),
+            bandwidth=self.limit("bandwidth"),
+            stable=self.stable,
+            all_stable=self.all_stable,
+        )
+
+    def overlay(self, design: str, method: str, frequency: FloatArray) -> Overlay:
+        """Return what is drawn of this design over a picture whose Bode diagram is at `frequency`."""
+        response = channel_response(self.transfers(frequency).S, self.index)
+        return Overlay(
+            design=design,
+            method=method,
+            response=response,
+            phase=degrees(response),
+            poles=self.poles,
+            step=self.step(),
+            Omega_step=self.disturbance(),
+            Omega_gain=self.disturbance_gain(frequency).gain,
+        )
+
+    def _closed_loop(self) -> ClosedLoop:
+        """Return what noise and loads come to at the channel."""
+        units, torque = [self.units[name] for name in self.readings], self.units[self.channel]
+        rows = [k for k, unit in enumerate(units) if unit == units[0]]
+        P, K, S = self.own
+        with np.errstate(all="ignore"):
+            KS = (S[:, [self.index]] @ K[..., rows])[:, 0]
+            PS = (P[:, rows] @ S[..., [self.index]])[..., 0]
+        return ClosedLoop(
+            KS=np.asarray(np.linalg.norm(KS, axis=-1)),
+            PS=np.asarray(np.linalg.norm(PS, axis=-1)),
+            units=(_per(torque, units[0]), _per(units[0], torque)),
+        )
+
+    def _frequency_parts(self, response: ComplexArray) -> tuple[Bode, Nichols]:
+        """Return both diagrams of the loop broken at the channel."""
+        grid, shown = self.frequency, self.settings.plant
+        magnitude, phase = np.abs(response), degrees(response)
+        w = low = high = phase_low = phase_high = np.zeros(0)
+        labels: tuple[str, ...] = (shown,)
+        phases, sizes, where = phase[None], magnitude[None], grid
+        if self.band is not None:
+            labels, w, responses = self.band
+            at, where = np.searchsorted(grid, w), w
+            sizes, phases = np.abs(responses), degrees_beside(responses, response[at], phase[at])
+            low, high = around(sizes, magnitude[at])
+            phase_low, phase_high = around(phases, phase[at])
+            first = [k for k, label in enumerate(labels) if label == shown][:1]
+            order = [*first, *(k for k in range(len(labels)) if k not in first)]
+            labels, sizes, phases = tuple(labels[k] for k in order), sizes[order], phases[order]
+        bode = Bode(
+            channel=self.channel,
+            frequency=grid,
+            response=response,
+            magnitude=magnitude,
+            phase=phase,
+            band_frequency=w,
+            magnitude_low=low,
+            magnitude_high=high,
+            phase_low=phase_low,
+            phase_high=phase_high,
+            crossovers=gain_crossings(grid, response)[0],
+            nyquist=math.pi / self.plant.dt,
+        )
+        disk_margin = self.limit("disk margin")
+        return bode, Nichols(labels=labels, phase=phases, magnitude=sizes, frequency=where, disk_margin=disk_margin)
+
+    def over_time(
+        self, drive: Drive, signals: Sequence[str], shown: StateArrays, band: StateArrays | None, inputs: FloatArray
     ) -> TimeResponse:
-        """Return what `inputs` (m, T) do to the outputs of closed loops; `signals` have their units."""
+        """Return what `inputs` (m, T) do to the outputs of closed loops, which are the `signals`."""
         values = sampled_responses(shown, inputs, drive.every)[0]
         low = high = np.zeros((len(values), 0))
         if band is not None:
             low, high = around(sampled_responses(band, inputs, drive.every), values)
         colour = signal_series(self.job.platform)
-        u = drive.u[:: drive.every]
         return TimeResponse(
             title=drive.title,
             t=drive.t,
             signals=tuple(signals),
             series=tuple(colour[name.removesuffix(COMMAND)] for name in signals),
-            units=tuple(signals.values()),
+            units=tuple(self.units[name] for name in signals),
             values=values,
             low=low,
             high=high,
-            drive=u / (float(np.abs(drive.u).max()) or 1.0),
+            drive=drive.u[:: drive.every] / (float(np.abs(drive.u).max()) or 1.0),
             limit=drive.limit,
         )
 
-    def _disturbance_gain(
-        self,
-        title: str,
-        unit: str,
-        frequency: FloatArray,
-        shown: ComplexArray,
-        band: tuple[FloatArray, ComplexArray] | None,
-        limit: float | None = None,
-    ) -> FrequencyGain:
-        """Return the gain of the plant shown, with responses (F, k), and its extremes over the set.
 
-        The set has responses (N, B, k) at frequencies (B,).
-        """
-        w = low = high = np.zeros(0)
-        if band is not None:
-            w, gains = band[0], np.linalg.norm(band[1], axis=-1)
-            low, high = gains.min(axis=0), gains.max(axis=0)
-        return FrequencyGain(
-            title=title,
-            unit=unit,
-            frequency=frequency,
-            gain=np.asarray(np.linalg.norm(shown, axis=-1)),
-            band_frequency=w,
-            low=low,
-            high=high,
-            limit=limit,
-        )
+def frequency_gain(
+    title: str,
+    unit: str,
+    frequency: FloatArray,
+    shown: ComplexArray,
+    band: tuple[FloatArray, ComplexArray] | None,
+    limit: float | None = None,
+) -> FrequencyGain:
+    """Return the gain of the plant shown, with responses (F, k), and its extremes over the set.
+
+    The set has responses (N, B, k) at frequencies (B,).
+    """
+    w = low = high = np.zeros(0)
+    if band is not None:
+        w, gains = band[0], np.linalg.norm(band[1], axis=-1)
+        low, high = gains.min(axis=0), gains.max(axis=0)
+    return FrequencyGain(
+        title=title,
+        unit=unit,
+        frequency=frequency,
+        gain=np.asarray(np.linalg.norm(shown, axis=-1)),
+        band_frequency=w,
+        low=low,
+        high=high,
+        limit=limit,
+    )
 
 
 def _per(unit: str, other: str) -> str:
@@ -306,92 +436,9 @@ def _per(unit: str, other: str) -> str:
     return f"{above}/({other})" if set(other) & set(" /") else f"{above}/{other}"
 
 
-def overlay(curves: LoopCurves, design: str, method: str, frequency: FloatArray) -> Overlay:
-    """Return what is drawn of another design over a picture whose Bode diagram is at `frequency`."""
-    response = curves.response(frequency)
-    return Overlay(
-        design=design,
-        method=method,
-        response=response,
-        phase=degrees(response),
-        poles=curves.poles,
-        step=curves.step(),
-        Omega_step=curves.disturbance(),
-        Omega_gain=curves.disturbance_gain(frequency).gain,
-    )
-
-
-class Band(NamedTuple):
-    """The loop transfers of a set: labels of the N plants, frequencies (B,), rad/s, and responses, complex (N, B)."""
-
-    labels: tuple[str, ...]
-    frequency: FloatArray
-    responses: ComplexArray
-
-
-def frequency_parts(
-    channel: str,
-    grid: FloatArray,
-    response: ComplexArray,
-    nyquist: float,
-    shown: str,
-    band: Band | None,
-    disk_margin: float | None,
-) -> tuple[Bode, Nichols]:
-    """Return both diagrams of the loop broken at `channel`; the frequencies of a band are part of `grid`."""
-    magnitude, phase = np.abs(response), degrees(response)
-    none = np.zeros(0)
-    w, low, high, phase_low, phase_high = none, none, none, none, none
-    labels: tuple[str, ...] = (shown,)
-    phases, sizes, where = phase[None], magnitude[None], grid
-    if band is not None:
-        labels, w, where = band.labels, band.frequency, band.frequency
-        at = np.searchsorted(grid, w)
-        sizes, phases = np.abs(band.responses), degrees_beside(band.responses, response[at], phase[at])
-        low, high = around(sizes, magnitude[at])
-        phase_low, phase_high = around(phases, phase[at])
-        first = [k for k, label in enumerate(labels) if label == shown][:1]
-        order = [*first, *(k for k in range(len(labels)) if k not in first)]
-        labels, sizes, phases = tuple(labels[k] for k in order), sizes[order], phases[order]
-    bode = Bode(
-        channel=channel,
-        frequency=grid,
-        response=response,
-        magnitude=magnitude,
-        phase=phase,
-        band_frequency=w,
-        magnitude_low=low,
-        magnitude_high=high,
-        phase_low=phase_low,
-        phase_high=phase_high,
-        crossovers=gain_crossings(grid, response)[0],
-        nyquist=nyquist,
-    )
-    return bode, Nichols(labels=labels, phase=phases, magnitude=sizes, frequency=where, disk_margin=disk_margin)
-
-
 def around(every: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the extremes over the first axis of `every` and `own`, of the shape of `own`."""
     return np.minimum(every.min(axis=0), own), np.maximum(every.max(axis=0), own)
-
-
-def locus(
-    gain_branches: tuple[FloatArray, ComplexArray],
-    present: ComplexArray,
-    others: ComplexArray,
-    reach: float,
-    damping: float | None,
-) -> Locus:
-    """Return the root locus with the poles of other plants that a view of size `reach` may show."""
-    gains, branches = gain_branches
-    return Locus(
-        gains=gains,
-        branches=branches,
-        present=present,
-        others=others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)],
-        reach=reach,
-        damping=damping,
-    )
 
 
 class ChannelMargins(NamedTuple):
@@ -404,10 +451,10 @@ class ChannelMargins(NamedTuple):
     crossover: float | None
 
 
-def channel_margins(grid: FloatArray, response: ComplexArray, stable: bool) -> ChannelMargins:
+def channel_margins(bode: Bode, stable: bool) -> ChannelMargins:
     """Return the margins of a channel by its loop transfer on a grid."""
-    w, above = gain_crossings(grid, response)
-    down, up = gain_range(response) if stable else (math.nan, math.nan)
+    w, above = gain_crossings(bode.frequency, bode.response)
+    down, up = gain_range(bode.response) if stable else (math.nan, math.nan)
     # Phase that may be lost: how far above -180 degrees, taken upwards from there.
     lead = np.radians(above % 360.0)
     return ChannelMargins(
@@ -417,6 +464,19 @@ def channel_margins(grid: FloatArray, response: ComplexArray, stable: bool) -> C
         delay=float((lead / w).min(initial=math.inf)) if stable else math.nan,
         crossover=float(w[-1]) if len(w) else None,
     )
+
+
+def near_locus(
+    gain_branches: tuple[FloatArray, ComplexArray],
+    present: ComplexArray,
+    others: ComplexArray,
+    reach: float,
+    damping: float | None,
+) -> Locus:
+    """Return the root locus with the poles of other plants that a view of size `reach` may show."""
+    gains, branches = gain_branches
+    others = others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)]
+    return Locus(gains=gains, branches=branches, present=present, others=others, reach=reach, damping=damping)
 
 
 def step_size(limit: float) -> float:

@@ -10,12 +10,12 @@ from functools import partial
 import numpy as np
 
 from platform_ctrl.app.background import Background, Designing, IsCancelled, TaskCancelled
-from platform_ctrl.app.caged import CagedLoop, caged_overlay
+from platform_ctrl.app.caged import CagedCurves, CagedLoop
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Overlay
 from platform_ctrl.app.plants import Bounded
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.app.stabilised import stabilised_overlay
+from platform_ctrl.app.stabilised import StabilisedCurves
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, LoopSpec
@@ -188,6 +188,6 @@ class Designs:
             if not spec.has_plants:
                 # The picture below it has the lines about the other loops.
                 free, _ = self._loops.stabilised(own)
-                return stabilised_overlay(free, own, method, frequency), ""
+                return StabilisedCurves(free, own).overlay(name, method, frequency), ""
             loop, notes = self.caged(own)
-            return caged_overlay(loop, own, method, frequency), " ".join(notes)
+            return CagedCurves(loop, own).overlay(name, method, frequency), " ".join(notes)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from itertools import product
 from typing import TYPE_CHECKING
@@ -11,15 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
-from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.interconnection import interconnected
-from platform_ctrl.analysis.norms import peak
-from platform_ctrl.analysis.poles import continuous_poles, poles
-from platform_ctrl.analysis.resolvent import AxisResponse
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, sampled
-from platform_ctrl.app.curves import EDGE, GRID_POINTS, LoopTransfers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
 from platform_ctrl.job.job import Job, LoopSpec
@@ -171,38 +164,3 @@ class StabilisedLoop:
         torquers = [name for name in plants.torquers if name in used]
         K = interconnected(self.controllers, plants.sensors, torquers, plants.period)
         return K, [plants.torquers.index(name) for name in torquers], tuple(torquers)
-
-
-def loop_grid(P: StateArrays, s: ComplexArray) -> FloatArray:
-    """Return frequencies for the responses of a plant and a loop with the poles `s`, (F,), rad/s."""
-    nyquist = math.pi / P.dt
-    finite = s[np.isfinite(s)]
-    slowest = float(np.abs(finite).min(initial=nyquist))
-    low = max(min(0.1 * slowest, 0.01 * nyquist), 1e-5 * nyquist)
-    own = continuous_poles(poles(P.A), P.dt)
-    # Free poles at z = 1 are integrators, no resonances.
-    return following_grid(np.concatenate([s, own]), low, EDGE * nyquist, GRID_POINTS)
-
-
-class Sensitivity:
-    """S at the plant's input over frequency; what does not depend on the frequency is computed once."""
-
-    def __init__(self, P: StateArrays, K: StateArrays) -> None:
-        self._P, self._K = AxisResponse(P), AxisResponse(K)
-
-    def transfers(self, w: FloatArray) -> LoopTransfers:
-        """Return what the loop consists of at `w` (F,), rad/s."""
-        P, K = self._P.at(w), self._K.at(w)
-        return LoopTransfers(P, K, sensitivity_functions(-K @ P)[0])
-
-    def at(self, w: FloatArray) -> ComplexArray:
-        """Return S at `w` (F,), rad/s, complex (F, m, m)."""
-        return self.transfers(w).S
-
-
-def disk_margins(P: StateArrays, K: StateArrays, channels: Sequence[int]) -> FloatArray:
-    """Return 1/max |S_ii - 1/2| over all frequencies of channels of a stable loop, broken one at a time."""
-    # From a torque disturbance to the torque the closed loop is S - 1.
-    closed = closed_loop(P, K)
-    parts = [closed.part([i], [i]) for i in channels]
-    return np.array([1.0 / peak(part._replace(D=part.D + 0.5))[0] for part in parts])

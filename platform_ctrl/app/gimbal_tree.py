@@ -34,7 +34,7 @@ def tree_data(platform: Platform) -> dict[str, Any]:
     axes = [*(g.axis for g in platform.gimbals), *(r.axis for r in platform.rotors)]
     count = len(platform.gimbals)
     texts = [
-        *(g.name if greek(g.angle) == g.name else f"{g.name} {greek(g.angle)}" for g in platform.gimbals),
+        *(greek(g.angle) if g.angle.endswith(g.name) else f"{g.name} {greek(g.angle)}" for g in platform.gimbals),
         *(r.name for r in platform.rotors),
     ]
     tips = {one.body: one.points[-1] for one in shapes if one.kind in ("axis", "spin")}

@@ -10,7 +10,6 @@ from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.app.caged import CagedLoop
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.settings import Settings, Slider
-from platform_ctrl.app.stabilised import requirements
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import requirements_of
 from platform_ctrl.design.tuning import SHARE, OptionEffects, deciding, largest_ratios, option_effects
@@ -46,10 +45,10 @@ def caged_influence(
 def stabilised_influence(
     loops: ClosedLoops, settings: Settings, sliders: Sequence[Slider], settings_with: Callable[[Slider], Settings]
 ) -> OptionEffects:
-    """Return what `sliders` do to the coupled limits, on the nominal plant."""
+    """Return what `sliders` do to the coupled limits."""
 
     def results(now: Settings) -> tuple[CheckResult, ...]:
-        return requirements(loops.stabilised(now.but(band=False))[0], loops.cached_margins(now))
+        return loops.coupled(now).results
 
     first = results(settings)
 

@@ -488,20 +488,18 @@ def coupled_results(
     cost: FloatArray,
     simultaneous: tuple[float, float],
     of_torquers: Mapping[str, FloatArray],
-    proved: bool = True,
-    at: tuple[str, str] = ("", ""),
+    at: tuple[str, str],
 ) -> tuple[CheckResult, ...]:
     """Return the verdicts on the requirements on the coupled system; see `CoupledCheck`.
 
-    `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin; `proved` is whether the
-    lower one holds between all frequencies. `of_torquers` is as `torquer_metrics` returns it. `at` are words for the
-    gimbal angles at which decay and margin are worst.
+    `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin. `of_torquers` is as
+    `torquer_metrics` returns it. `at` are words for the gimbal angles at which decay and margin are worst.
     """
     scaling = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}{at[1]}"
     costliest = int(np.argmax(cost))
     measured: dict[str, tuple[float, str, Method]] = {
         STABLE.name: (decay, f"poles of the coupled sampled closed loop{at[0]}", "exact"),
-        COUPLED_METRICS["simultaneous disk margin"].name: (simultaneous[0], scaling, "bound" if proved else "sampled"),
+        COUPLED_METRICS["simultaneous disk margin"].name: (simultaneous[0], scaling, "bound"),
         COUPLED_METRICS["coupling cost"].name: (
             float(cost[costliest]),
             f"channel {channels[costliest]}, loop by loop",

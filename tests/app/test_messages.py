@@ -46,7 +46,7 @@ def test_what_is_drawn_is_the_pictures_and_comes_before_it_is_measured(
         raise AssertionError("measured before it was drawn")
 
     monkeypatch.setattr("platform_ctrl.app.caged.measure", measured)
-    monkeypatch.setattr("platform_ctrl.app.stabilised.requirements", measured)
+    monkeypatch.setattr("platform_ctrl.app.closed_loops.coupled_check", measured)
     with pytest.raises(Stopped):
         bench.picture(settings, stop)
 

@@ -14,25 +14,22 @@ import dense_peak
 import narrow_loops
 from cli.test_cli import undrawn  # noqa: F401
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.loop_metrics import measure, measured
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_plants
-from platform_ctrl.app.stabilised import requirements
 from platform_ctrl.cli import main
 from platform_ctrl.design.fixed_structure.descent import Search
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.sections import Named
 from platform_ctrl.design.fixed_structure.structures import Units
-from platform_ctrl.design.partition import notch, side_by_side
 from platform_ctrl.design.tuning import tune, worst_ratio
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import WORST_CASE, requirement
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.verification.coupled import coupled_check, sensed_rates
+from platform_ctrl.verification.coupled import coupled_check
 
 PERIOD = 5e-4
 JOB = """
@@ -282,29 +279,3 @@ def three_loops() -> tuple[Job, list[control.StateSpace]]:
     # None of them is the one that is closed: what saturation does to that takes seconds.
     loops = tuple(dataclasses.replace(s, designs=s.designs[-2:-1] or s.designs, use="") for s in job.loops)
     return job, [one.designs[0].controller for one in design.loops(dataclasses.replace(job, loops=loops))]
-
-
-@pytest.mark.parametrize(
-    ("centre_hz", "depth", "width"),
-    [pytest.param(30.0, 0.3, 1e-4, marks=pytest.mark.slow), (60.0, 0.3, 3e-4), (60.0, 3.0, 3e-4)],
-)
-def test_the_page_sees_a_narrow_resonance_of_the_coupled_loop(
-    centre_hz: float, depth: float, width: float, three_loops: tuple[Job, list[control.StateSpace]]
-) -> None:
-    """The page works its values out its own way, fast enough for a slider: they are those of the coupled check."""
-    job, (first, second, servo) = three_loops
-    A, B, C, D, _ = state_arrays(second, "K")
-    a, b, c, d, _ = side_by_side(*[notch(2.0 * np.pi * centre_hz, depth, width, PERIOD)] * 2)
-    both = np.block([[a, np.zeros((len(a), len(A)))], [B @ c, A]])
-    K = StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
-    controllers = (first, named_system(K, second.input_labels, second.output_labels), servo)
-    plants = free_plants(job, corners(job)[:1], sensed_rates(job, controllers), False)
-    model = linearise(job.platform)
-    loop = StabilisedLoop(job=job, model=model, spec=job.loops[2], controllers=controllers, plants=plants, shown=plants)
-    found = requirements(loop, lambda name, make: make())
-    expected = coupled_check(job, model, controllers).results
-    assert [one.name for one in found] == [one.name for one in expected]
-    np.testing.assert_allclose([one.value for one in found], [one.value for one in expected], rtol=1e-3, atol=1e-6)
-    assert [one.passed for one in found] == [one.passed for one in expected]
-    assert "sampled" in [one.method for one in found]
-    assert "sampled" not in [one.method for one in expected]

@@ -185,13 +185,21 @@ def strip_data(states: Sequence[ChipState], loop: str) -> dict[str, Any]:
     """Return the strip of the whole job: a line about all requirements, and a chip for each part; `loop` is shown."""
     count, checked, missed = (sum(getattr(one, of) for one in states) for of in ("count", "checked", "missed"))
     left = f", {count - checked} not checked" if checked < count else ""
+    left = ", checking ..." if any(map(_is_open, states)) else left
     if missed:
         verdict, words = "bad", f"{missed} of {count} missed{left}"
+    elif not checked and left.endswith("..."):
+        verdict, words = "open", f"Checking {count} limits ..."
     elif left:
         verdict, words = "open", f"{checked} of {count} met{left}"
     else:
         verdict, words = "good", f"All {count} limits met"
     return {"verdict": verdict, "words": words, "chips": [_chip(one, loop) for one in states]}
+
+
+def _is_open(one: ChipState) -> bool:
+    """Return whether nothing is known of a chip yet, which is measured without a request."""
+    return one.worst is None and not one.on_request and not one.error and one.count > 0
 
 
 def _chip(one: ChipState, loop: str) -> dict[str, Any]:
@@ -213,7 +221,7 @@ def _chip(one: ChipState, loop: str) -> dict[str, Any]:
         "verdict": "bad" if one.missed else "good" if whole else "open",
         "margin": None if worst is None else plain_number(worst.margin),
         "short": short,
-        "measuring": worst is None and not one.on_request and not one.error and one.count > 0,
+        "measuring": _is_open(one),
         "words": words,
         "shown": bool(chip.loop) and chip.loop == loop and chip.key.startswith("loop "),
     }

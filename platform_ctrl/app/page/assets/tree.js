@@ -3,6 +3,8 @@ import { byId, on } from "./messages.js";
 
 // Seconds that a run is shown for, the largest angle that is shown of it, rad, and the size of the labels, pixels.
 const SHOWN = 8, SEEN = 0.35, TEXT = 11;
+// Places of a label about its own, in widths to the right and heights down.
+const BESIDE = [[0, 0], [0, -0.8], [0, 0.8], [0.6, 0], [-0.6, 0], [0.6, -0.8], [-0.6, 0.8], [0, -1.6], [0, 1.6]];
 const panel = byId("panel-tree"), svg = panel.querySelector(".plot svg"), scene = JSON.parse(panel.dataset.scene);
 const [play, slider, time, note] = [".play", ".controls input", ".controls output", ".note"].map((one) => panel.querySelector(one));
 
@@ -37,10 +39,15 @@ const pose = (angles = [], turn = [0, 0, 0]) => {
     const line = points.map((point) => placed(point, body, angles, turn).map((x) => x.toFixed(3)).join(" "));
     paths[k].setAttribute("d", `M${line.join("L")}${line.length > 1 ? "" : "h0"}`);
   }
-  for (const [k, { body, at }] of scene.labels.entries()) {
-    const [x, y] = placed(at, body, angles, turn);
-    texts[k].setAttribute("x", x);
-    texts[k].setAttribute("y", y);
+  // A label stands at the tip of its arrow, or beside that where another one is.
+  const size = parseFloat(svg.style.fontSize) || 0, taken = [];
+  for (const [k, { body, at, text }] of scene.labels.entries()) {
+    const [x, y] = placed(at, body, angles, turn), width = 0.62 * size * text.length;
+    const free = ([right, down]) => taken.every(([a, b, w]) => Math.abs(x + right * width - a) >= 0.5 * (width + w) || Math.abs(y + down * size - b) >= size);
+    const [right, down] = BESIDE.find(free) ?? BESIDE[0];
+    taken.push([x + right * width, y + down * size, width]);
+    texts[k].setAttribute("x", x + right * width);
+    texts[k].setAttribute("y", y + down * size);
   }
 };
 
@@ -50,7 +57,10 @@ const [xs, ys] = [0, 1].map((k) => all.map((point) => point[k])), [left, top] = 
 svg.setAttribute("viewBox", [left, top, Math.max(...xs) + 0.6 - left, Math.max(...ys) + 0.6 - top].join(" "));
 new ResizeObserver(() => {
   const scale = svg.getScreenCTM()?.a;
-  if (scale) svg.style.fontSize = `${TEXT / scale}px`;
+  if (!scale) return;
+  svg.style.fontSize = `${TEXT / scale}px`;
+  if (run) show();
+  else pose();
 }).observe(svg);
 
 let run = null, factor = 1, playing = false, before = 0, now = 0;
