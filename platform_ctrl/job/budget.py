@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.common.arguments import real_numbers
+from platform_ctrl.common.arguments import one_of, real_numbers
 from platform_ctrl.common.units import G, Quantity, Unit, column_unit
 from platform_ctrl.common.values import FloatArray, input_value, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.spectra import SPECTRA, Lines, LogSpectrum, Spectrum
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Unfit
+from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, useless, wrong
 from platform_ctrl.plant.tables import TABLE, Array, OneOf
 
 MOST_SOURCES = 100
@@ -83,7 +85,7 @@ def unit_mistake(kind: str, unit: str | None, column: str | None) -> str:
     if stated is None or stated.quantity == "time":  # a signal is no time: its name ends in s
         return ""
     own = SOURCE_KINDS[kind]
-    words = f'column "{column}" is in {stated.name} by its name'
+    words = f'column: "{column}" is in {stated.name} by its name'
     if stated.quantity != own.quantity:
         known = " or ".join(f'"{one}"' for one in own.units)
         wanted = f'kind = "{kind}" needs {own.quantity}; name another column, or state unit = {known}'
@@ -143,16 +145,35 @@ class Source:
 
     def __post_init__(self) -> None:
         """Judge what the kind needs."""
-        if self.kind not in SOURCE_KINDS:
-            raise ArgumentError(f"Source: kind must be one of {', '.join(SOURCE_KINDS)}, got {self.kind!r}")
-        kind = SOURCE_KINDS[self.kind]
-        if (self.axis is None) == (kind.place == "axis") or (self.gimbal is None) == (kind.place == "gimbal"):
-            raise ArgumentError(f"source {self.name!r}: kind = {self.kind!r} needs {kind.place} and nothing else")
-        if self.unit is not None and self.unit not in kind.units:
-            known = ", ".join(kind.units)
-            raise ArgumentError(f"source {self.name!r}: unit must be one of {known}, got {self.unit!r}")
-        if words := unit_mistake(self.kind, self.unit, getattr(self.spectrum, "column", None)):
+        one_of("Source: kind", self.kind, tuple(SOURCE_KINDS))
+        stated = {key: item for key in ("kind", "axis", "gimbal", "unit") if (item := getattr(self, key)) is not None}
+        stated |= {"column": self.spectrum.column} if isinstance(self.spectrum, LogSpectrum) else {}
+        for _, words in self._misfits(stated):
             raise ArgumentError(f"source {self.name!r}: {words}")
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        kind, of, unit = SOURCE_KINDS[table["kind"]], f"kind = {given(table['kind'])}", table.get("unit")
+        for key, words in (("axis", "the root axis, 1 to 3"), ("gimbal", "the name of the gimbal")):
+            if key == kind.place and key not in table:
+                yield missing(key, f"{of} needs {words}")
+            elif key != kind.place and key in table:
+                yield useless(table, key, f"with {of}, which takes {kind.place}")
+        if unit is not None and unit not in kind.units:
+            yield wrong(table, "unit", f"{' or '.join(map(given, kind.units))} with {of}")
+        elif contradiction := unit_mistake(table["kind"], unit, table.get("column")):
+            yield "column", contradiction
+        if "profile" in table:
+            profile = PROFILES[table["profile"]]
+            if profile.kind != table["kind"]:
+                words = f"profile {given(profile.name)} is of kind {given(profile.kind)}, got {of}"
+                fitting = ", ".join(given(one.name) for one in PROFILES.values() if one.kind == table["kind"]) or "none"
+                yield "profile", f"{words}; profiles of this kind: {fitting}"
+            if unit is not None:
+                yield useless(table, "unit", "with a profile, which is in SI units; use scale")
+        if "harmonics" in table and table["kind"] != "torque":
+            yield "harmonics", 'harmonics: a turning motor is a torque: kind = "torque" and a gimbal'
+        yield from of_length(table, "densities", "frequencies_hz")
 
     @property
     def factor(self) -> float:
@@ -256,8 +277,16 @@ class Budget:
     spatial_frequencies: fields.Positives = ()
     runs: fields.SeveralRuns | None = None
     limits: Annotated[BudgetLimits, TABLE] = field(default_factory=BudgetLimits)
-    sources: Annotated[tuple[Source, ...], Array("source", least=1, most=MOST_SOURCES)]
+    sources: Annotated[tuple[Source, ...], Array("source", least=1, most=MOST_SOURCES, unique=("name",))]
     correlations: Annotated[tuple[Correlation, ...], Array("correlation")] = ()
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if not table["from_hz"] < table["to_hz"]:
+            yield wrong(table, "to_hz", f"above from_hz = {given(table['from_hz'])}")
+        for key in {"windowed_jitter", "smear"} & table.get("limits", {}).keys():
+            if "exposure" not in table:
+                yield ("limits", key), f"{key} has no effect without exposure, the exposure times in s"
 
     @property
     def coherences(self) -> NDArray[np.complex128]:

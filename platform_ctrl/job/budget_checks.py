@@ -1,4 +1,4 @@
-"""What must fit together in the budget of a job file: where sources act, their units and sizes, their correlations."""
+"""What the values of a budget show: logs that cannot be read, sizes that cannot be meant, coherences of no signals."""
 
 from __future__ import annotations
 
@@ -12,86 +12,12 @@ import numpy as np
 from platform_ctrl.analysis.logs import Log, read_log
 from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source, unit_mistake
-from platform_ctrl.job.profiles import PROFILES
+from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source
 from platform_ctrl.job.spectra import SPECTRA, LogSpectrum
-from platform_ctrl.plant.entry import Entry
 from platform_ctrl.plant.mistakes import Mistake, Path, given
-from platform_ctrl.plant.platform import Platform
 
 # A mean specific force so near to 1 is gravity in g rather than 1 m/s².
 NEAR_ONE = 0.05
-
-
-def budget_mistakes(job: Entry, platform: Platform | None) -> Iterator[Mistake]:
-    """Walk what can be said of the plain data; without a platform, what can be said without it."""
-    budget = job.table("budget")
-    low, high, limits = budget.number("from_hz"), budget.number("to_hz"), budget.table("limits")
-    if low is not None and high is not None and not low < high:
-        yield budget.wrong("to_hz", f"above from_hz = {given(budget.data['from_hz'])}")
-    for key in ("windowed_jitter", "smear"):
-        if key in limits and not budget.data.get("exposure"):
-            yield limits.text_at(key, f"{key} has no effect without exposure, the exposure times in s")
-    if platform is not None and platform.line_of_sight is None:
-        words = "the plant has no line of sight to be limited; state its body and direction in [line_of_sight]"
-        if limits.data:
-            yield budget.says("limits", words)
-        yield from (source.says("limit", words) for source in budget.tables("source") if "limit" in source)
-    yield from budget.unique("source")
-    for source in budget.tables("source"):
-        yield from _source(source, platform)
-    yield from _correlations(budget)
-
-
-def _source(source: Entry, platform: Platform | None) -> Iterator[Mistake]:
-    name, gimbal, unit = (source.text(key) for key in ("kind", "gimbal", "unit"))
-    if name not in SOURCE_KINDS:
-        return
-    kind, of = SOURCE_KINDS[name], f"kind = {given(name)}"
-    for key, words in (("axis", "the root axis, 1 to 3"), ("gimbal", "the name of the gimbal")):
-        if key == kind.place and key not in source:
-            yield source.missing(key, f"{of} needs {words}")
-        elif key != kind.place and key in source:
-            yield source.useless(key, f"with {of}, which takes {kind.place}")
-    if gimbal is not None and platform is not None and gimbal not in platform.gimbal_names:
-        yield source.unknown("gimbal", gimbal, "gimbal of the plant", platform.gimbal_names)
-    if unit is not None and unit not in kind.units:
-        yield source.wrong("unit", f"{' or '.join(map(given, kind.units))} with {of}")
-    elif words := unit_mistake(name, unit, source.text("column")):
-        yield source.says("column", words.removeprefix("column "))
-    if name == "specific-force" and platform is not None and not platform.unbalances:
-        words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]] to it"
-        yield source.says("kind", words)
-    profile = source.text("profile")
-    if profile in PROFILES:
-        if PROFILES[profile].kind != name:
-            words = f"profile {given(profile)} is of kind {given(PROFILES[profile].kind)}, got {of}"
-            fitting = ", ".join(given(one.name) for one in PROFILES.values() if one.kind == name) or "none"
-            yield source.text_at("profile", f"{words}; profiles of this kind: {fitting}")
-        if unit is not None:
-            yield source.useless("unit", "with a profile, which is in SI units; use scale")
-    if "harmonics" in source and name != "torque":
-        yield source.says("harmonics", 'a turning motor is a torque: kind = "torque" and a gimbal')
-    yield from source.of_length("densities", "frequencies_hz")
-
-
-def _correlations(budget: Entry) -> Iterator[Mistake]:
-    names = budget.named("source")
-    taken: dict[frozenset[str], int] = {}
-    for one in budget.tables("correlation"):
-        between = one.names("between")
-        if between != one.data.get("between"):
-            continue
-        pair = frozenset(between)
-        unknown = next((name for name in between if name not in names), None)
-        if len(between) != 2 or len(pair) != 2:
-            yield one.wrong("between", "the names of two sources")
-        elif unknown is not None:
-            yield one.unknown("between", unknown, "[[budget.source]] of the job", names)
-        elif pair in taken:
-            words = f"these two are in [[budget.correlation]] {taken[pair]} already; leave one of them out"
-            yield one.says("between", words)
-        taken.setdefault(pair, one.place)
 
 
 def with_logs(budget: Budget, folder: FilePath) -> tuple[Budget, list[Mistake]]:

@@ -1,106 +1,16 @@
-"""What must fit together in a campaign: its tables, its distributions, and the numbers that can be drawn from them."""
+"""What a campaign can draw that the job would not accept."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.parameters import Parameter, drawn_value, nominal, parameters, unknown_parameter
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS, Vary
-from platform_ctrl.plant.entry import Entry
-from platform_ctrl.plant.mistakes import Mistake, given, one_line, suggestion
-
-Data = dict[str, Any]
-
-_NUMBERS = sorted({key for keys in DISTRIBUTION_NUMBERS.values() for key in keys})
-_KEYS = {"parameter", "distribution", "relative", "values", "weights", *_NUMBERS}
-# Standard deviations from the mean at which a truncated normal distribution has to start at the latest: beyond, there
-# is less than 1e-15 of it, and its quantiles are rounding.
-FARTHEST = 8.0
-# Standard deviation of a natural logarithm at most: of numbers that lie further apart, some are none any more.
-WIDEST = 10.0
-
-
-def campaign_mistakes(job: Entry) -> Iterator[Mistake]:
-    """Walk what can be said of the plain data."""
-    if not isinstance(job.data.get("campaign"), dict):
-        return
-    campaign = job.table("campaign")
-    if not job.data.get("manoeuvre"):
-        words = "[campaign] has no manoeuvre to simulate; add a [[manoeuvre]] to the job"
-        yield job.text_at("campaign", words)
-    for kind, key in (("manoeuvre", "name"), ("fault", "fault")):
-        known = job.named(kind)
-        taken: dict[str, int] = {}
-        for one in campaign.tables(kind):
-            name = one.text(key)
-            if name is None:
-                continue
-            if name not in known:
-                yield one.wrong(key, f"the name of a [[{kind}]] of the job", f"; {suggestion(name, known)}")
-            elif name in taken:
-                words = f"is in [[campaign.{kind}]] {taken[name]} already; leave one of them out"
-                yield one.says(key, f"{given(name)} {words}")
-            taken.setdefault(name, one.place)
-    for vary in campaign.tables("vary"):
-        yield from _distribution(vary)
-
-
-def _distribution(vary: Entry) -> Iterator[Mistake]:
-    name = vary.text("distribution")
-    keys = next((keys for known, keys in DISTRIBUTION_NUMBERS.items() if known == name), None)
-    if keys is None:
-        return
-    choice = name == "choice"
-    needed = ("values",) if choice else keys
-    # A factor lies about 1 unless it is said otherwise; whether it is one is not known where that is written wrongly.
-    relative = vary.data.get("relative", False)
-    factor = relative is True or not isinstance(relative, bool) or set(vary.data) - _KEYS
-    of = f"distribution = {given(name)}"
-    for key in needed:
-        if key not in vary and not (key in CENTRES and factor):
-            yield vary.missing(key, f"{of} needs {', '.join(needed)}")
-    yield from vary.takes(of, (), (*needed, "weights") if choice else needed, (*_NUMBERS, "values", "weights"))
-    if choice:
-        yield from _weights(vary)
-        return
-    n = {key: number for key in keys if (number := vary.number(key)) is not None}
-    if "mean" in keys:
-        n.setdefault("mean", 1.0)
-    if name == "log-normal" and n.get("deviation", 0.0) > WIDEST:
-        far = f": one number in six would be e^{n['deviation']:.6g} times the median or more"
-        yield vary.wrong("deviation", f"at most {WIDEST:g}", far)
-    low, high = n.get("low"), n.get("high")
-    if low is None or high is None:
-        return
-    if not low < high:
-        yield vary.wrong("high", f"above low = {given(vary.data['low'])}")
-    elif name == "log-uniform" and low <= 0.0:
-        yield vary.wrong("low", "a number > 0, which has a logarithm")
-    elif name == "triangular" and not low <= n.get("peak", 1.0) <= high:
-        words = f"peak must be from low, {low:.6g}, to high, {high:.6g}, got {given(n.get('peak', 1.0))}"
-        yield vary.text_at("peak", words)
-    elif name == "truncated-normal" and n.get("deviation", 0.0) > 0.0:
-        nearest = max(low - n["mean"], n["mean"] - high) / n["deviation"]
-        if nearest > FARTHEST:
-            words = f"mean must be at most {FARTHEST:g} deviations outside low and high, got {given(n['mean'])}"
-            yield vary.text_at("mean", f"{words}, {nearest:.4g} deviations outside")
-
-
-def _weights(vary: Entry) -> Iterator[Mistake]:
-    values, weights = vary.data.get("values"), vary.data.get("weights")
-    if not isinstance(values, list) or not isinstance(weights, list):
-        return
-    yield from vary.of_length("weights", "values")
-    found = [Entry({"weight": weight}).number("weight") for weight in weights]
-    if len(values) == len(weights) and None not in found:
-        numbers = [number for number in found if number is not None]
-        if min(numbers, default=0.0) < 0.0 or not any(numbers):
-            yield vary.wrong("weights", "numbers >= 0, not all of them 0")
+from platform_ctrl.job.variation import Vary
+from platform_ctrl.plant.mistakes import Mistake, one_line
 
 
 def variation_mistakes(job: Job) -> Iterator[Mistake]:

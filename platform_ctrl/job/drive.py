@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +14,12 @@ from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import configuration, topology
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.mistakes import Misfit, missing, useless
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import RateSensor, gimbal_rate
 
+# The keys that belong together: the first, and what has no effect without it.
+_WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",)}
 # Relative part of a rate that sensors may leave out: rounding.
 _ROUNDING = 1e-9
 
@@ -46,6 +51,18 @@ class Drive:
     sensors: fields.Names = ()
     secant_of: fields.Text | None = None
     secant_limit: fields.AtLeastOne = 5.0
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if not _WITH.keys() & table.keys():
+            yield missing("friction", "a drive needs friction with sensors, secant_of, or both")
+            return
+        for key, others in _WITH.items():
+            for other in others:
+                if key not in table and other in table:
+                    yield useless(table, other, f"without {key}; add it, or leave the key out")
+        if table.get("friction") and not table.get("sensors"):
+            yield missing("sensors", "friction is fed forward by the rate that rate sensors of the base or gimbal show")
 
 
 @input_value

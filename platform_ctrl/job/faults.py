@@ -7,14 +7,15 @@ docs/architecture.md shows a new entry.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Annotated, Literal
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, Literal
 
 from platform_ctrl.common.arguments import number, one_of, positive, within
 from platform_ctrl.common.values import input_value, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.mistakes import Misfit, given, missing, takes, useless, wrong
 from platform_ctrl.plant.platform import Platform
 
 # What fails; None: the controllers.
@@ -70,6 +71,17 @@ class Fault:
     rate: fields.NotZero = 0.0
     probability: fields.SomePart = 1.0
     impulse: fields.NotZero = 0.0
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if table["at"] >= table.get("until", math.inf):
+            yield wrong(table, "until", f"after at = {given(table['at'])}")
+        kind, of = FAULT_KINDS[table["kind"]], f"kind = {given(table['kind'])}"
+        yield from takes(table, of, kind.needed, kind.optional, sorted(FAULT_NUMBERS.keys() - {"at"}))
+        if kind.part is None and "part" in table:
+            yield useless(table, "part", f"with {of}, which is of all controllers; leave the key out")
+        elif kind.part is not None and "part" not in table:
+            yield missing("part", f"{of} needs the name of {PART_WORDS[kind.part]}")
 
     def __post_init__(self) -> None:
         """Check the times, and the numbers of its kind."""

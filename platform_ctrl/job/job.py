@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from itertools import product
 from typing import Annotated, Any, get_args
@@ -19,12 +20,13 @@ from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.methods import LoopKind as LoopKind
 from platform_ctrl.job.methods import Structure as Structure
-from platform_ctrl.job.scenario import Command, HalfCosine, Scenario, Sine, Start, TimeTable, Vibration
+from platform_ctrl.job.scenario import Command, HalfCosine, Scenario, Sine, Start, TimeTable, Vibration, too_large
 from platform_ctrl.job.scenario import Mode as Mode
 from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, suggestion, useless, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
-from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key, Shape
+from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key, Shape, unknown_key
 
 MOST_LOOPS, MOST_DRIVES, MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 100, 100, 20, 100, 100
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate, lambda period: 1.0 / period)
@@ -49,6 +51,11 @@ class Uncertainty:
     inertia: fields.Share = 0.0
     spin: fields.Share = 0.0
     samples: fields.Samples = 0
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if table.get("samples") and not (table.get("inertia") or table.get("spin")):
+            yield useless(table, "samples", "without inertia or spin > 0")
 
 
 @input_value
@@ -120,6 +127,13 @@ class Feedforward:
     into: Annotated[Into, fields.one_of(get_args(Into))] = "torque"
     bandwidth_hz: fields.Positive | None = None
 
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if not table["sensors"]:
+            yield "sensors", "sensors must be a list of names, rate sensors of the root"
+        if table.get("into") == "reading" and "bandwidth_hz" in table:
+            yield useless(table, "bandwidth_hz", 'with into = "reading"; leave the key out')
+
 
 @input_value
 class DesignSpec:
@@ -156,6 +170,50 @@ class DesignSpec:
     sensors: fields.Names = ()
     feedforward: Annotated[Feedforward | None, TABLE] = None
     responses: fields.AnyText | None = None
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        name = table["method"]
+        method = METHODS[name]
+        known = ["name", "method", *(["structure"] if method.structures else ())]
+        known += ["responses"] if method.responses is not None else []
+        known += ["tune", *DESIGN_SIGNALS, *sorted(method.options), "command"]
+        for key, item in table.items():
+            if key not in known:
+                yield key, unknown_key((key,), item, known).words
+            elif key in method.options and not item > 0.0:
+                yield wrong(table, key, "a number > 0")
+        if table.get("tune") and not method.tunes:
+            tuned = ", ".join(given(one) for one in sorted(METHODS) if METHODS[one].tunes)
+            yield "tune", f"tune must be false: method {given(name)} has no tuner; methods that have one: {tuned}"
+
+
+# Keys of a design that are about signals, and the loops whose designs have them.
+DESIGN_SIGNALS, WITH_SIGNALS = ("sensors", "feedforward"), ("rate", "pointing")
+# Kinds of loops that may be computed at every n-th sample.
+OWN_RATES = ("rate", "pointing", "tracking")
+# Keys that have no effect in a loop, by its kind.
+_NO_EFFECT = {
+    "caging": {"sensors", "torquers", "around"},
+    "rate": {"around"},
+    "pointing": {"around"},
+    "tracking": {"gimbals", "torquers"},
+    "stabilisation": {"gimbals", "sensors", "torquers", "around", "soft"},
+}
+
+
+def _of_kind(design: Mapping[str, Any], kind: LoopKind) -> Iterator[tuple[str, str]]:
+    """Walk what a design has that does not go with the kind of its loop."""
+    if kind not in METHODS[design["method"]].kinds:
+        expected = " or ".join(given(name) for name, one in METHODS.items() if kind in one.kinds)
+        words = f"method must be one for a {kind} loop, {expected}, got {given(design['method'])}"
+        yield "method", words
+    if "command" in design and kind in ("caging", "stabilisation"):
+        yield "command", f"command has no effect in a {kind} loop, which holds zero; leave it out"
+    for key in DESIGN_SIGNALS if kind not in WITH_SIGNALS else ():
+        if key in design:
+            words = f"{key} belongs to designs of rate and pointing loops alone; leave it out of this {kind} loop"
+            yield key, words
 
 
 @input_value
@@ -194,10 +252,24 @@ class LoopSpec:
     torquers: fields.Names = ()
     around: fields.Text | None = None
     rate_hz: fields.Positive | None = None
-    designs: Annotated[tuple[DesignSpec, ...], Array("design", least=1, most=MOST_LOOPS)]
+    designs: Annotated[tuple[DesignSpec, ...], Array("design", least=1, most=MOST_LOOPS, unique=("name",))]
     use: fields.Text
     limits: Annotated[dict[str, float], _LOOP_LIMITS] = field(default_factory=dict)
     soft: Annotated[dict[str, float], _LOOP_LIMITS] = field(default_factory=dict)
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        kind, designs = table["kind"], table["design"]
+        for key in _NO_EFFECT[kind] & table.keys():
+            yield useless(table, key, f"in a {kind} loop; leave the key out")
+        if "rate_hz" in table and kind not in OWN_RATES:
+            slower = f"{', '.join(OWN_RATES)} loops alone may be slower than [sampling]"
+            yield useless(table, "rate_hz", f"in a {kind} loop; leave it out: {slower}")
+        for k, design in enumerate(designs):
+            yield from ((("design", k, key), text) for key, text in _of_kind(design, kind))
+        names = [design["name"] for design in designs]
+        if table["use"] not in names:
+            yield wrong(table, "use", "the name of a design of this loop", f"; {suggestion(table['use'], names)}")
 
     @property
     def has_plants(self) -> bool:
@@ -243,7 +315,43 @@ def _time_table(columns: tuple[str, ...]) -> Shape:
         values = dict(zip(columns, table.values.T.tolist(), strict=True))
         return {"t": table.t.tolist(), **values, "smooth": table.smooth}
 
-    return Shape(made, keys | {"smooth": Key(fields.TRUTH, "smooth")}, back=back)
+    def misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if not set(columns) & table.keys():
+            first, second, third = columns
+            yield missing(first, f"the table needs {first}, {second} or {third} beside the times")
+        for column in columns:
+            yield from of_length(table, column, "t")
+            if columns is OMEGA_NAMES:
+                yield from too_large(column, table.get(column, 0.0), "base-rate")
+
+    return Shape(made, keys | {"smooth": Key(fields.TRUTH, "smooth")}, back=back, misfits=misfits)
+
+
+# The keys that make a motion of each mode: all of them or none; and the table that adds to it or replaces it.
+MOTION = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
+_MOTION_TABLE = {"caged": "Omega_table", "stabilised": "torque_table"}
+# What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
+_EVENTS = ("vibration", "sine", "command", "faults", "initial")
+
+
+def _motion(table: Mapping[str, Any]) -> Iterator[Misfit]:
+    """Walk what is wrong with the motion of a manoeuvre."""
+    mode = table["mode"]
+    keys, instead = MOTION[mode], _MOTION_TABLE[mode]
+    needed = f"a {mode} manoeuvre needs {', '.join(keys)} and axis, or {instead}"
+    if set(keys) & table.keys():
+        yield from (missing(key, needed) for key in (*keys, "axis") if key not in table)
+    elif not any(table.get(key) for key in (instead, *_EVENTS)):
+        yield missing(keys[0], needed)
+    for other in MOTION:
+        for key in (*MOTION[other], _MOTION_TABLE[other]):
+            if other != mode and key in table:
+                words = f"{key} = {given(table[key])} is for a {other} manoeuvre"
+                yield key, f"{words}; leave it out with mode = {given(mode)}"
+    yield from too_large("rate", table.get("rate", 0.0), "base-rate")
+    least = 2 * table.get("rise", 0.0) + table.get("hold", 0.0)
+    if table["duration"] < least * (1 - fields.ROUNDING):
+        yield wrong(table, "duration", f"at least 2 rise + hold, {least:.6g} s")
 
 
 @input_value
@@ -302,6 +410,28 @@ class Manoeuvre:
     fade: fields.NotNegative = 0.0
     limits: Annotated[dict[str, float], _LIMITS] = field(default_factory=dict)
 
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        yield from _motion(table)
+        for key in ("settle", "fade"):
+            if table.get(key, 0.0) >= table["duration"]:
+                yield wrong(table, key, f"less than duration, {table['duration']:.6g} s")
+        if table.get("fade") and not (table.get("vibration") or table.get("sine")):
+            words = "fade is the time over which a vibration or a sine rises, and this manoeuvre has neither"
+            yield "fade", f"{words}: leave it out"
+        for key in ("vibration", "sine"):
+            for k, one in enumerate(table.get(key, ())):
+                if one["kind"] == "rate" and table["mode"] == "stabilised":
+                    words = 'kind must be "force" with mode = "stabilised", got "rate"'
+                    yield (key, k, "kind"), f"{words}: only a caged platform has a prescribed rate"
+        for k, command in enumerate(table.get("command", ())):
+            if command.get("at", 0.0) >= table["duration"]:
+                words = f"at must be before the end of the run, {table['duration']:.6g} s, got {given(command['at'])}"
+                yield ("command", k, "at"), words
+        if "attenuation_db" in table.get("limits", {}) and table["mode"] == "stabilised":
+            words = "attenuation_db is for a caged manoeuvre, whose base moves as prescribed; leave it out"
+            yield ("limits", "attenuation_db"), words
+
 
 @input_value
 class Job:
@@ -356,11 +486,11 @@ class Job:
     uncertainty: Annotated[Uncertainty, TABLE] = field(default_factory=Uncertainty)
     faults: Annotated[Faults, TABLE] = field(default_factory=Faults)
     sampling: Annotated[Sampling, TABLE]
-    loops: Annotated[tuple[LoopSpec, ...], Array("loop", least=1, most=MOST_LOOPS)]
-    drives: Annotated[tuple[Drive, ...], Array("drive", most=MOST_DRIVES)] = ()
+    loops: Annotated[tuple[LoopSpec, ...], Array("loop", least=1, most=MOST_LOOPS, unique=("name",))]
+    drives: Annotated[tuple[Drive, ...], Array("drive", most=MOST_DRIVES, unique=("torquer",))] = ()
     coupled: Annotated[CoupledLimits, TABLE] = field(default_factory=CoupledLimits)
-    manoeuvres: Annotated[tuple[Manoeuvre, ...], Array("manoeuvre")] = ()
-    fault_events: Annotated[tuple[Fault, ...], Array("fault")] = ()
+    manoeuvres: Annotated[tuple[Manoeuvre, ...], Array("manoeuvre", unique=("name",))] = ()
+    fault_events: Annotated[tuple[Fault, ...], Array("fault", unique=("name",))] = ()
     campaign: Annotated[Campaign | None, TABLE] = None
     budget: Annotated[Budget | None, TABLE] = None
     tolerance: fields.Part = 0.01

@@ -12,8 +12,7 @@ from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.budget_checks import size_mistakes, with_logs
 from platform_ctrl.job.campaign_checks import variation_mistakes
-from platform_ctrl.job.checks import job_mistakes, locked_mistakes, locked_names
-from platform_ctrl.job.drive_checks import misplaced_drives
+from platform_ctrl.job.checks import job_mistakes, locked_mistakes
 from platform_ctrl.job.exercised import unexercised
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS, resolved
@@ -78,21 +77,22 @@ def read_job(
     if crowd := list(overfull(JOB_FILE, document.data)):
         raise report(document.label, document.data, crowd)
     platform, plant_wrong = _plant(document, start or document.folder)
-    if platform is not None:
-        plant_wrong += (of_locks := list(locked_mistakes(document.data, platform)))
-        platform = platform if of_locks else with_locked(platform, locked_names(document.data))
     read, wrong = read_table(JOB_FILE, document.data)
-    mistakes = [*document.mistakes, *plant_wrong, *job_mistakes(document.data, platform), *wrong]
+    mistakes = [*document.mistakes, *plant_wrong, *wrong]
     if mistakes or platform is None:
         raise report(document.label, document.data, mistakes)
     del read["schema"]
     if not isinstance(read["plant"], str):
         read["plant"] = platform.name
-    job = Job(**made(read), platform=platform)
+    read = made(read)
+    locked = read.get("locked", ())
+    if mistakes := locked_mistakes(locked, read["loops"], platform):
+        raise report(document.label, document.data, mistakes)
+    job = Job(**read, platform=with_locked(platform, locked))
+    if mistakes := job_mistakes(job):
+        raise report(document.label, document.data, mistakes)
     if job.campaign is not None and "seed" not in document.data["campaign"]:
         job = replaced(job, {"campaign": replaced(job.campaign, {"seed": job.seed})})
-    if mistakes := list(misplaced_drives(job)):
-        raise report(document.label, document.data, mistakes)
     job, of_responses = _with_responses(job, start or document.folder)
     mistakes = [*of_responses, *variation_mistakes(job)]
     if job.budget is not None:

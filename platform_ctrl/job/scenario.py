@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,11 +16,12 @@ from platform_ctrl.common.arguments import number, positive, real_array, real_nu
 from platform_ctrl.common.units import column_unit
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.budget import SOURCE_KINDS
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.spectra import interpolated
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.mistakes import given
+from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, useless
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.source import path_of
 
@@ -214,6 +215,30 @@ def _expect_place(what: str, kind: str, axis: int | None, gimbal: str | None) ->
         whole(f"{what}: axis", axis, 1, 3)
 
 
+# What shakes in a run, by the kinds of a budget's sources.
+_KINDS = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
+
+
+def too_large(key: str, numbers: ArrayLike, kind: str) -> Iterator[Misfit]:
+    """Walk numbers of a kind of a budget's sources that are larger than can be meant."""
+    most, unit = SOURCE_KINDS[kind].largest_rms, next(iter(SOURCE_KINDS[kind].units))
+    worst = float(np.abs(numbers).max(initial=0.0))
+    if worst > most:
+        yield key, f"{key}: {worst:.6g} {unit} cannot be meant, at most {most:g}; write it in {unit}"
+
+
+def _shaking(table: Mapping[str, Any]) -> Iterator[Misfit]:
+    """Walk what is wrong with a vibration or a sine."""
+    kind = table["kind"]
+    needed, other = ("gimbal", "axis") if kind == "torque" else ("axis", "gimbal")
+    if needed not in table:
+        yield missing(needed, f"kind = {given(kind)} needs it")
+    if other in table:
+        yield useless(table, other, f"with kind = {given(kind)}; leave the key out")
+    yield from too_large("amplitude", table.get("amplitude", 0.0), _KINDS[kind])
+    yield from of_length(table, "densities", "frequencies_hz")
+
+
 @input_value
 class Vibration:
     """Random vibration of the base, or torque on a gimbal, with a one-sided power spectral density.
@@ -247,6 +272,7 @@ class Vibration:
     frequencies_hz: fields.Frequencies
     densities: fields.Densities
     lines: fields.Lines = 64
+    _misfits = staticmethod(_shaking)
 
     def __post_init__(self) -> None:
         """Judge the density, and keep it where nobody writes."""
@@ -300,6 +326,7 @@ class Sine:
     frequency_hz: Annotated[float, fields.FREQUENCY]
     amplitude: fields.NotZero
     phase: fields.Number = 0.0
+    _misfits = staticmethod(_shaking)
 
     def __post_init__(self) -> None:
         """Judge the numbers."""
@@ -307,6 +334,17 @@ class Sine:
         positive("Sine: frequency_hz", self.frequency_hz)
         for name in ("amplitude", "phase"):
             number(f"Sine: {name}", getattr(self, name))
+
+
+# The keys that make a command: each with what it needs beside it, and what may stand there too.
+_COMMANDS = {"step": (), "ramp": (), "amplitude": ("frequency_hz",), "value": ("t",)}
+_BESIDE = {
+    "at": ("step", "ramp"),
+    "frequency_hz": ("amplitude",),
+    "phase": ("amplitude",),
+    "t": ("value",),
+    "smooth": ("value",),
+}
 
 
 @input_value
@@ -339,6 +377,19 @@ class Command:
     t: Annotated[tuple[float, ...], fields.TIMES] = ()
     value: fields.Numbers = ()
     smooth: fields.Truth = False
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        made = [key for key in _COMMANDS if key in table]
+        if not made:
+            yield missing("step", "a command needs step, ramp, amplitude with frequency_hz, or value with t")
+            return
+        for key in made:
+            yield from (missing(one, f"{key} has no effect without it") for one in _COMMANDS[key] if one not in table)
+        for key, of in _BESIDE.items():
+            if key in table and not any(one in table for one in of):
+                yield useless(table, key, f"without {' or '.join(of)}; add it, or leave the key out")
+        yield from of_length(table, "value", "t")
 
     def __post_init__(self) -> None:
         """Judge the numbers."""

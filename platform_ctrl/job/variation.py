@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import field
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from platform_ctrl.common.values import input_value, value
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, takes, wrong
 from platform_ctrl.plant.tables import Array, Collected
 
 Points = Literal["sobol", "latin-hypercube", "random"]
@@ -27,8 +29,35 @@ _NUMBERS = Collected(
     dict.fromkeys(("low", "high", "mean", "peak"), fields.NUMBER)
     | dict.fromkeys(("median", "deviation"), fields.POSITIVE)
 )
+# Standard deviations from the mean at which a truncated normal distribution has to start at the latest: beyond, there
+# is less than 1e-15 of it, and its quantiles are rounding.
+FARTHEST = 8.0
+# Standard deviation of a natural logarithm at most: of numbers that lie further apart, some are none any more.
+WIDEST = 10.0
 # Centres: 1 unless given where the numbers multiply the nominal value.
 CENTRES = frozenset({"mean", "median", "peak"})
+
+
+def _spread(table: Mapping[str, Any], name: Distribution) -> Iterator[Misfit]:
+    """Walk numbers of a distribution that do not fit one another."""
+    deviation = table.get("deviation", 0.0)
+    if name == "log-normal" and deviation > WIDEST:
+        far = f": one number in six would be e^{deviation:.6g} times the median or more"
+        yield wrong(table, "deviation", f"at most {WIDEST:g}", far)
+    if not {"low", "high"} <= table.keys():
+        return
+    low, high = table["low"], table["high"]
+    if not low < high:
+        yield wrong(table, "high", f"above low = {given(low)}")
+    elif name == "log-uniform" and low <= 0.0:
+        yield wrong(table, "low", "a number > 0, which has a logarithm")
+    elif name == "triangular" and not low <= table["peak"] <= high:
+        yield wrong(table, "peak", f"from low, {low:.6g}, to high, {high:.6g}")
+    elif name == "truncated-normal" and deviation > 0.0:
+        farthest = max(low - table["mean"], table["mean"] - high) / deviation
+        if farthest > FARTHEST:
+            words = f"at most {FARTHEST:g} deviations outside low and high"
+            yield wrong(table, "mean", words, f", {farthest:.4g} deviations outside")
 
 
 @input_value
@@ -58,6 +87,22 @@ class Vary:
     values: fields.Numbers = ()
     weights: fields.Numbers = ()
     relative: fields.Truth = False
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        name: Distribution = table["distribution"]
+        of, keys = f"distribution = {given(name)}", DISTRIBUTION_NUMBERS[name]
+        needed, more = (("values",), ("weights",)) if name == "choice" else (keys, ())
+        for key in needed:
+            # A factor lies about 1 unless it is said otherwise.
+            if key not in table and not (key in CENTRES and table.get("relative")):
+                yield missing(key, f"{of} needs {', '.join(needed)}")
+        yield from takes(table, of, (), (*needed, *more), (*_NUMBERS.keys, "values", "weights"))
+        yield from of_length(table, "weights", "values")
+        weights = table.get("weights", (1.0,))
+        if min(weights) < 0.0 or not any(weights):
+            yield wrong(table, "weights", "numbers >= 0, not all of them 0")
+        yield from _spread({"mean": 1.0, "peak": 1.0, **table}, name)
 
     def __post_init__(self) -> None:
         """Order the numbers; the centre of factors is 1 unless given."""
@@ -184,6 +229,6 @@ class Campaign:
     seed: fields.Seed = 0
     sampling: Annotated[Points, fields.one_of(get_args(Points))] = "sobol"
     step: fields.Positive = 1e-4
-    manoeuvres: Annotated[tuple[CampaignManoeuvre, ...], Array("manoeuvre")] = ()
+    manoeuvres: Annotated[tuple[CampaignManoeuvre, ...], Array("manoeuvre", unique=("name",))] = ()
     vary: Annotated[tuple[Vary, ...], Array("vary")] = ()
-    faults: Annotated[tuple[CampaignFault, ...], Array("fault")] = ()
+    faults: Annotated[tuple[CampaignFault, ...], Array("fault", unique=("fault",))] = ()

@@ -10,9 +10,8 @@ from typing import Any
 from platform_ctrl.common.json_text import plain_types
 from platform_ctrl.common.values import replaced
 from platform_ctrl.job.budget import Source
-from platform_ctrl.job.job import Job
+from platform_ctrl.job.job import MOTION, Job
 from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
-from platform_ctrl.job.run_checks import MOTION
 from platform_ctrl.job.spectra import LogSpectrum
 from platform_ctrl.plant.tables import written
 from platform_ctrl.plant.writing import plant_data

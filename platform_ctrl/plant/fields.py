@@ -48,11 +48,10 @@ class Expected:
 class Refers:
     """Mark of a field that names a gimbal or, with `root`, any body.
 
-    `once`: what a body may have only one of; `hint`: what to write in its place where the root is meant.
+    `hint`: what to write in its place where the root is meant.
     """
 
     root: bool = False
-    once: str = ""
     hint: str = ""
 
 
@@ -256,6 +255,15 @@ def stops(item: object) -> tuple[float, float]:
     return low, high
 
 
+def _stops_in_radians(item: object) -> tuple[float, float]:
+    """Return the lowest and the highest angle, which are no degrees."""
+    ends = stops(item)
+    if max(map(abs, ends)) > TURN:
+        degrees = ", ".join(f"{end:.10g}" for end in stops_in_degrees(ends))
+        raise Unfit(f"more than a turn; is it in degrees? then write stops_deg, else stops_deg = [{degrees}]")
+    return ends
+
+
 def stops_in_degrees(ends: Sequence[float]) -> list[float]:
     """Return stops in degrees, of which `math.radians` makes the same ones, as far as there are such numbers."""
     out = []
@@ -337,7 +345,8 @@ PLANT = Expected("the name of a shipped model, a path relative to this file, or 
 TEXT = Expected("a line of text that is not empty", text)
 TRUTH = Expected("true or false", _truth)
 SCHEMA = Expected("1, the format that this version reads", integer(1, 1))
-STOPS = Expected("[lower, upper] with 0 between them", stops)
+STOPS = Expected("[lower, upper] with 0 between them", _stops_in_radians)
+STOPS_DEG = Expected(STOPS.words, stops)
 
 Number = Annotated[float, NUMBER]
 Positive = Annotated[float, POSITIVE]

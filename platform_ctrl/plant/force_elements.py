@@ -6,11 +6,13 @@ Their torques are part of Q in eq. (11); `platform_ctrl.mechanics.forces` evalua
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
 
 from platform_ctrl.common.values import input_value
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Refers
+from platform_ctrl.plant.mistakes import Misfit, given, useless, wrong
 
 
 @input_value
@@ -58,12 +60,22 @@ class Friction:
         `coulomb`.
     """
 
-    gimbal: Annotated[fields.Text, Refers(once="friction")]
+    gimbal: Annotated[fields.Text, Refers()]
     viscous: fields.NotNegative = 0.0
     coulomb: fields.Coulomb = (0.0, 0.0)
     coulomb_rate: fields.Positive = 0.01
     breakaway: fields.Coulomb = (0.0, 0.0)
     stribeck_rate: fields.Positive = math.inf
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        for key, other in (("breakaway", "stribeck_rate"), ("stribeck_rate", "breakaway")):
+            if key in table and other not in table:
+                yield useless(table, key, f'without "{other}"; give both')
+        dry = table.get("coulomb", 0.0)
+        pairs = zip(fields.coulomb(table.get("breakaway", dry)), fields.coulomb(dry), strict=True)
+        if any(low < high for low, high in pairs):
+            yield wrong(table, "breakaway", f"at least coulomb, {given(dry)}, to either side")
 
     def __post_init__(self) -> None:
         """Let `breakaway` follow a `coulomb` that `dataclasses.replace` has changed, too."""
@@ -122,7 +134,7 @@ class Cage:
         Middle of the cage, rad.
     """
 
-    gimbal: Annotated[fields.Text, Refers(once="cage")]
+    gimbal: Annotated[fields.Text, Refers()]
     stiffness: fields.Positive
     damping: fields.NotNegative = 0.0
     clearance: fields.NotNegative = 0.0

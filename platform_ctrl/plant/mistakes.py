@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,8 @@ from platform_ctrl.errors import InputError
 Path = tuple[str | int, ...]
 
 LONGEST = 60
+# Whole floats below this are shown without a decimal point.
+_WHOLE = 1e15
 # Known names that a message lists.
 LISTED = 20
 # Further mistakes whose place a message names.
@@ -34,6 +36,66 @@ class Mistake:
     def words(self) -> str:
         """The text, found."""
         return self.text if isinstance(self.text, str) else self.text()
+
+
+# What is wrong with a table or its record: the key (keys that lead further in, () for the table itself), the sentence.
+Misfit = tuple[str | Path, str]
+
+
+def at(path: Path, misfits: Iterable[Misfit]) -> Iterator[Mistake]:
+    """Walk what is wrong with the table at `path`."""
+    for keys, text in within(path, misfits):
+        yield Mistake(keys, one_line(text))
+
+
+def within(path: Path, misfits: Iterable[Misfit]) -> Iterator[tuple[Path, str]]:
+    """Walk what is wrong with the table at `path`, by the keys that lead there and further in."""
+    for keys, text in misfits:
+        yield (*path, *((keys,) if isinstance(keys, str) else keys)), text
+
+
+def wrong(table: object, key: str, words: str, more: str = "") -> Misfit:
+    """Return what a key must be."""
+    return key, f"{key} must be {words}, got {_stands(table, key)}{more}"
+
+
+def missing(key: str, words: str) -> Misfit:
+    """Return that a key is missing, and what needs it."""
+    return key, f'the key "{key}" is missing; {words}'
+
+
+def useless(table: object, key: str, words: str) -> Misfit:
+    """Return that a key has no effect, and with or without what."""
+    return key, f"{key} = {_stands(table, key)} has no effect {words}"
+
+
+def unknown(key: str, name: str, what: str, known: Iterable[str]) -> Misfit:
+    """Return that a name under a key is no `what`."""
+    return key, f"{key}: {given(name)} is no {what}; {suggestion(name, known)}"
+
+
+def takes(
+    table: Mapping[str, Any], of: str, needed: Iterable[str], others: Iterable[str], every: Iterable[str]
+) -> Iterator[Misfit]:
+    """Walk keys that are `needed` and missing, and those of `every` that are neither needed nor among `others`."""
+    needed, allowed = list(needed), [*needed, *others]
+    yield from (missing(key, f"{of} needs {', '.join(needed)}") for key in needed if key not in table)
+    for key in every:
+        if key in table and key not in allowed:
+            yield useless(table, key, f"with {of}, which takes {', '.join(allowed) or 'at alone'}")
+
+
+def of_length(table: Mapping[str, Any], key: str, beside: str) -> Iterator[Misfit]:
+    """Walk a list that has not as many elements as another one."""
+    if key in table and beside in table and len(table[key]) != len(table[beside]):
+        words = f"{key} must have as many elements as {beside}, {len(table[beside])}, got {len(table[key])}"
+        yield key, words
+
+
+def _stands(table: object, key: str) -> str:
+    """Show the value of a key of a table, or of a record, whose numbers are floats."""
+    item = table.get(key) if isinstance(table, Mapping) else getattr(table, key)
+    return given(int(item) if isinstance(item, float) and item.is_integer() and abs(item) < _WHOLE else item)
 
 
 def given(item: object, depth: int = 0) -> str:

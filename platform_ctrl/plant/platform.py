@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from functools import cache
 from itertools import chain
-from typing import Annotated, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,9 @@ from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import input_value, read_only, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.fields import NUMBER, STOPS, Refers, default_angle, default_torquer
+from platform_ctrl.plant.fields import NUMBER, STOPS_DEG, Refers, default_angle, default_torquer
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
+from platform_ctrl.plant.mistakes import Misfit, given, useless, wrong
 from platform_ctrl.plant.sensors import (
     AngleSensor,
     AttitudeSensor,
@@ -27,7 +28,7 @@ from platform_ctrl.plant.sensors import (
     Sensor,
     gimbal_rate,
 )
-from platform_ctrl.plant.tables import TABLE, Array, At, Instead, Shape, shape
+from platform_ctrl.plant.tables import TABLE, Array, At, Instead, Shape, either, shape
 from platform_ctrl.plant.writing import plant_data, toml
 
 RotorControl = Literal["regulated", "free", "servo"]
@@ -40,7 +41,7 @@ FORCE_NAMES = ("f1", "f2", "f3")
 # Gimbals of a plant, and of each other part: their equations and matrices are worked out in full.
 MOST_GIMBALS, MOST_PARTS = 100, 200
 
-_STOPS_DEG = Instead("stops_deg", STOPS, lambda stops, _: (math.radians(stops[0]), math.radians(stops[1])))
+_STOPS_DEG = Instead("stops_deg", STOPS_DEG, lambda stops, _: (math.radians(stops[0]), math.radians(stops[1])))
 _SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
 
 
@@ -77,6 +78,11 @@ class Gimbal:
     angle: fields.Text = ""
     stops: Annotated[fields.Stops | None, _STOPS_DEG] = None
     restitution: fields.Part = 0.0
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if "restitution" in table and not {"stops", "stops_deg"} & table.keys():
+            yield useless(table, "restitution", 'without "stops" or "stops_deg"')
 
     def __post_init__(self) -> None:
         """Name the angle."""
@@ -126,6 +132,17 @@ class Rotor:
     speed_integral: fields.NotNegative = 0.0
     torque_limit: fields.Positive | None = None
 
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        axial, servo = table["axial_inertia"], table.get("control") == "servo"
+        if table["transverse_inertia"] < axial / 2 * (1 - fields.ROUNDING):
+            yield wrong(table, "transverse_inertia", f"at least half of axial_inertia = {given(axial)}")
+        if servo and "speed_gain" not in table:
+            yield "control", 'control = "servo" needs "speed_gain", N m s'
+        for key in ("speed_gain", "speed_integral", "torque_limit"):
+            if key in table and not servo:
+                yield useless(table, key, 'without control = "servo"')
+
     @property
     def spin(self) -> float:
         """Spin relative to the carrier (for a free rotor: with the carrier at rest), rad/s."""
@@ -159,6 +176,11 @@ class Torquer:
     lag: fields.NotNegative = 0.0
     rate_limit: fields.Positive | None = None
     added: fields.Truth = False
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if ("gimbal" in table) == ("root_axis" in table):
+            yield (), either("gimbal", "root_axis", "gimbal" in table)
 
     def __post_init__(self) -> None:
         """Name the signal."""
@@ -207,17 +229,19 @@ class Platform:
     root_name: Annotated[fields.Text, At("root", "name")]
     root_inertia: Annotated[fields.Inertia, At("root", "inertia")]
     # The kinds of parts: `Array` names the table of the plant file, whose keys are the fields of the class.
-    gimbals: Annotated[tuple[Gimbal, ...], Array("gimbal", most=MOST_GIMBALS)] = ()
-    rotors: Annotated[tuple[Rotor, ...], Array("rotor", most=MOST_PARTS)] = ()
+    gimbals: Annotated[tuple[Gimbal, ...], Array("gimbal", most=MOST_GIMBALS, unique=("name",))] = ()
+    rotors: Annotated[tuple[Rotor, ...], Array("rotor", most=MOST_PARTS, unique=("name",))] = ()
     torquers: Annotated[tuple[Torquer, ...], Array("torquer", most=MOST_PARTS)] = ()
-    pickoffs: Annotated[tuple[PickOff, ...], Array("pickoff", most=MOST_PARTS)] = ()
-    rate_sensors: Annotated[tuple[RateSensor, ...], Array("rate_sensor", most=MOST_PARTS)] = ()
+    pickoffs: Annotated[tuple[PickOff, ...], Array("pickoff", most=MOST_PARTS, unique=("gimbal",))] = ()
+    rate_sensors: Annotated[
+        tuple[RateSensor, ...], Array("rate_sensor", most=MOST_PARTS, unique=("gimbal", "root_axis"))
+    ] = ()
     angle_sensors: Annotated[tuple[AngleSensor, ...], Array("angle_sensor", most=MOST_PARTS)] = ()
     attitude_sensors: Annotated[tuple[AttitudeSensor, ...], Array("attitude_sensor", most=MOST_PARTS)] = ()
     line_of_sight: Annotated[LineOfSight | None, TABLE] = None
     springs: Annotated[tuple[Spring, ...], Array("spring", most=MOST_PARTS)] = ()
-    frictions: Annotated[tuple[Friction, ...], Array("friction", most=MOST_PARTS)] = ()
-    cages: Annotated[tuple[Cage, ...], Array("cage", most=MOST_PARTS)] = ()
+    frictions: Annotated[tuple[Friction, ...], Array("friction", most=MOST_PARTS, unique=("gimbal",))] = ()
+    cages: Annotated[tuple[Cage, ...], Array("cage", most=MOST_PARTS, unique=("gimbal",))] = ()
     unbalances: Annotated[tuple[Unbalance, ...], Array("unbalance", most=MOST_PARTS)] = ()
     erections: Annotated[tuple[Erection, ...], Array("erection", most=MOST_PARTS)] = ()
     specific_force: Annotated[fields.Vector, At("root", "specific_force")] = field(

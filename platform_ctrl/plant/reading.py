@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from platform_ctrl.plant.checks import plant_mistakes
+from platform_ctrl.plant.checks import plant_mistakes, tree_mistakes
 from platform_ctrl.plant.fields import SCHEMA
 from platform_ctrl.plant.mistakes import Mistake, given, report
 from platform_ctrl.plant.platform import Platform
@@ -81,11 +81,15 @@ def judge_plant(document: Document, kind: type[Platform] = Platform) -> tuple[Pl
     if crowd := list(overfull(_file(kind), data)):
         return None, crowd
     read, wrong = read_table(_file(kind), data)
-    mistakes = [*document.mistakes, *plant_mistakes(data), *wrong]
-    if mistakes:
+    if mistakes := [*document.mistakes, *wrong]:
         return None, mistakes
     del read["schema"]
-    return kind(**made(read)), []
+    parts = made(read)
+    if mistakes := tree_mistakes(kind, parts):
+        return None, mistakes
+    platform = kind(**parts)
+    mistakes = plant_mistakes(platform)
+    return (None, mistakes) if mistakes else (platform, [])
 
 
 def _axis_by_axis(data: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from operator import attrgetter
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
@@ -28,6 +28,7 @@ from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NOT_NEGATIVE, Refers
+from platform_ctrl.plant.mistakes import Misfit, missing, useless
 from platform_ctrl.plant.tables import Instead
 
 if TYPE_CHECKING:
@@ -199,7 +200,7 @@ class PickOff(_GimbalAngle):
         Whether the device itself does not have it.
     """
 
-    gimbal: Annotated[fields.Text, Refers(once="pick-off")]
+    gimbal: Annotated[fields.Text, Refers()]
     added: fields.Truth = False
 
 
@@ -244,12 +245,24 @@ class RateSensor(Sensor):
 
     unit = "rad/s"
     name: Annotated[str, fields.TEXT] = ""
-    gimbal: Annotated[fields.Text | None, Refers(once="rate sensor", hint="root_axis measures the root")] = None
+    gimbal: Annotated[fields.Text | None, Refers(hint="root_axis measures the root")] = None
     root_axis: fields.RootAxis | None = None
     body: Annotated[fields.Text | None, Refers(root=True)] = None
     axis: fields.Axis | None = None
     frame: Annotated[Frame, fields.one_of(get_args(Frame))] = "inertial"
     misalignment: fields.Vector | None = None
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        places = [key for key in ("gimbal", "root_axis", "body") if key in table]
+        if len(places) != 1:
+            which = "not " + " and ".join(f'"{key}"' for key in places) if places else "one of them is needed"
+            yield (), f'give one of "gimbal", "root_axis" and "body", {which}'
+        elif places == ["body"] and "axis" not in table:
+            yield missing("axis", "it must be the sensing axis in the body's axes")
+        elif places != ["body"]:
+            for key in {"axis", "frame", "misalignment"} & table.keys():
+                yield useless(table, key, 'without "body"')
 
     def signals(self, platform: Platform) -> Mapping[str, float]:
         """Return the signals that are read, and their weights.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
@@ -18,7 +18,7 @@ import numpy as np
 
 from platform_ctrl.common.arguments import nearest
 from platform_ctrl.plant.fields import Expected, Refers, Unfit
-from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion
+from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, given, suggestion
 
 # Keys of a table at most: no format has half as many.
 MOST_KEYS = 500
@@ -31,6 +31,7 @@ class Array:
     key: str
     least: int = 0
     most: int = 1000
+    unique: tuple[str, ...] = ()  # keys of which no two of the tables may have a value in common
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +101,8 @@ class Shape:
     others: tuple[str, Expected] | None = None
     one_of: OneOf | None = None
     back: Callable[[Any], dict[str, Any]] | None = None
+    # What is wrong with a table whose keys are all right, the record's `_misfits`.
+    misfits: Callable[[dict[str, Any]], Iterable[Misfit]] = lambda table: ()
 
 
 # Mark of a field that is a record, in a table of the field's name.
@@ -148,7 +151,7 @@ def _shape(record: type) -> Shape:
             alternatives += [] if alone else [(one.name, instead.key, needed)]
     for table, inner in elsewhere.items():
         keys[table] = Key(Shape(None, inner), "", needed=any(key.needed for key in inner.values()))
-    return Shape(make, keys, tuple(alternatives), others, one_of)
+    return Shape(make, keys, tuple(alternatives), others, one_of, misfits=getattr(record, "_misfits", lambda table: ()))
 
 
 def _made_of(record: type, name: str, mark: OneOf) -> Callable[..., Any]:
@@ -330,7 +333,18 @@ def _item(key: Key, item: Any, path: Path, mistakes: list[Mistake]) -> Any:
         return ()
     if len(item) < key.array.least:
         mistakes.append(_wrong(path, item, f"must have at least one [[{_header(path)}]]"))
+    mistakes += (mistake for name in key.array.unique for mistake in _twice(name, item, path))
     return tuple([_value(key.holds, entry, (*path, k), mistakes) for k, entry in enumerate(item)])
+
+
+def _twice(key: str, tables: list[Any], path: Path) -> Iterator[Mistake]:
+    """Walk tables of an array that have the value of `key` in common with an earlier one."""
+    taken: dict[str | int, int] = {}
+    for k, table in enumerate(tables):
+        name = table.get(key) if isinstance(table, dict) else None
+        if isinstance(name, str | int) and taken.setdefault(name, k) != k:
+            words = f"{key} = {given(name)} is the {key} of [[{_header(path)}]] {taken[name] + 1} already"
+            yield Mistake((*path, k, key), f"{words}; choose another, or leave one of them out")
 
 
 def _value(holds: Expected | Shape, item: Any, path: Path, mistakes: list[Mistake]) -> Any:
@@ -343,7 +357,10 @@ def _value(holds: Expected | Shape, item: Any, path: Path, mistakes: list[Mistak
     if not isinstance(item, dict):
         mistakes.append(_wrong(path, item, "must be a table"))
         return {}
+    before = len(mistakes)
     arguments = _read(holds, item, path, mistakes)
+    if len(mistakes) == before:
+        mistakes += at(path, holds.misfits(item))
     return arguments if holds.make is None else _Table(holds.make, arguments)
 
 

@@ -327,9 +327,12 @@ def test_correlations_that_no_signals_have_are_refused() -> None:
 
 def test_sources_made_in_python_are_judged_too() -> None:
     for make, says in (
-        (lambda: base_rate(TABLE, "g"), "unit must be one of rad/s, deg/s, got 'g'"),
-        (lambda: Source(name="x", kind="torque", axis=1, spectrum=TABLE), "kind = 'torque' needs gimbal"),
-        (lambda: Source(name="x", kind="wind", axis=1, spectrum=TABLE), "kind must be one of base-rate"),
+        (lambda: base_rate(TABLE, "g"), 'unit must be "rad/s" or "deg/s" with kind = "base-rate", got "g"'),
+        (
+            lambda: Source(name="x", kind="torque", axis=1, spectrum=TABLE),
+            'has no effect with kind = "torque", which takes gimbal',
+        ),
+        (lambda: Source(name="x", kind="wind", axis=1, spectrum=TABLE), "kind must be 'base-rate'"),
         (lambda: TableSpectrum(frequencies_hz=[2.0, 1.0], densities=[1.0, 1.0]), "two or more frequencies > 0 that"),
         (lambda: TableSpectrum(frequencies_hz=[1.0, 2.0], densities=[1.0, -1.0]), "densities must be > 0"),
         (lambda: ProfileSpectrum(profile="x"), "profile must be one of"),

@@ -99,7 +99,7 @@ def test_the_computer_does_not_know_a_misalignment() -> None:
         (SECANT | {"secant_of": "yaw"}, "\"yaw\" is no sensor of the angle of a gimbal that 'outer' carries"),
         (SECANT | {"secant_limit": 0.9}, "secant_limit must be a number >= 1"),
         (SECANT | {"sensors": ["base_yaw"]}, 'sensors = ["base_yaw"] has no effect without friction'),
-        (FRICTION | {"secant_limit": 4.0}, "secant_limit = 4.0 has no effect without secant_of"),
+        (FRICTION | {"secant_limit": 4.0}, "secant_limit = 4 has no effect without secant_of"),
     ],
 )
 def test_a_drive_that_makes_no_sense_is_refused_by_one_line(drive: dict[str, Any], words: str) -> None:
@@ -110,7 +110,7 @@ def test_a_drive_that_makes_no_sense_is_refused_by_one_line(drive: dict[str, Any
 
 
 def test_a_torquer_has_one_drive() -> None:
-    with pytest.raises(InputError, match=r'torquer: "Qouter" has \[\[drive\]\] 1 already'):
+    with pytest.raises(InputError, match=r'torquer = "Qouter" is the torquer of \[\[drive\]\] 1 already'):
         read_job(driven_job(FRICTION, SECANT))
 
 

@@ -88,10 +88,12 @@ def small_job() -> dict[str, Any]:
 def test_the_first_mistake_in_the_files_order_is_named_wherever_it_was_found() -> None:
     data = job()
     data["sampling"]["delay"] = -1
-    data["loop"][0]["gimbals"] = ["9", "11"]
+    data["loop"][0]["design"][0]["method"] = "clasical"
     data["manoeuvre"][0]["axis"] = 0
     assert "delay must be a number >= 0, got -1" in refusal(read_job, data)
-    assert refusal(read_job, data).endswith(' (and 2 more: [[loop]] 1 "caging": gimbals, [[manoeuvre]] 1 "turn": axis)')
+    assert refusal(read_job, data).endswith(
+        ' (and 2 more: [[loop]] 1 "caging": [[loop.design]] 1 "hand": method, [[manoeuvre]] 1 "turn": axis)'
+    )
     assert "axis must be 1, 2 or 3, got 0" in refusal(read_job, dict(reversed(data.items())))
 
 

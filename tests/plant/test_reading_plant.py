@@ -267,13 +267,13 @@ def test_an_unknown_shipped_name_gets_the_nearest_one(tmp_path: Path, monkeypatc
 def test_of_several_mistakes_the_first_in_the_files_order_is_told_and_the_others_placed() -> None:
     data = plant()
     put(-1, "torquer", 0, "limit")(data)
-    put("nobody", "rotor", 0, "carrier")(data)
+    put("", "rotor", 0, "carrier")(data)
     put([0, 0, 0], "gimbal", 1, "axis")(data)
-    put("platfrom", "gimbal", 0, "parent")(data)
+    put(3, "gimbal", 0, "parent")(data)
     for path, fragment, more in (
         (
             ("gimbal", 0, "parent"),
-            'parent must be the name of the root or a gimbal, got "platfrom"; did you mean "platform"',
+            "parent must be a line of text that is not empty, got 3",
             ' (and 3 more: [[gimbal]] 2 "5": axis, [[rotor]] 1 "6": carrier, [[torquer]] 1 (gimbal "4"): limit)',
         ),
         (
@@ -283,7 +283,7 @@ def test_of_several_mistakes_the_first_in_the_files_order_is_told_and_the_others
         ),
         (
             ("rotor", 0, "carrier"),
-            'carrier must be the name of the root or a gimbal, got "nobody"; known: "platform", "4", ',
+            'carrier must be a line of text that is not empty, got "" (empty)',
             ' (and 1 more: [[torquer]] 1 (gimbal "4"): limit)',
         ),
         (("torquer", 0, "limit"), "limit must be a number > 0, got -1", ""),
