@@ -22,16 +22,14 @@ from platform_ctrl.cli.job_arguments import (
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     import control
 
     from platform_ctrl.job.job import Job
-    from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget
+    from platform_ctrl.verification.budget_result import LineOfSightBudget
     from platform_ctrl.verification.simulated_budget import SimulatedBudget
 
-# Columns for the name of a source; with three axes a line has 80.
-_NAME, _KIND = 24, 14
 _MICRO = 1e6
 # Shares of the mean square that are none.
 _ROUNDING = 1e-12
@@ -93,8 +91,7 @@ def budget(
 
         typer.echo(json_text(budget_record(read, found, runs, others)))
     else:
-        for line in budget_lines(read, found, runs, others):
-            typer.echo(line)
+        show_budget(read, found, runs, others)
         show_requirements(screen(), found.results)
     return 0 if found.passed else 1
 
@@ -159,98 +156,82 @@ def _controllers(
     return read_controllers(file, job), read_controllers(file, job, "alternatives"), used
 
 
-def budget_lines(
+def show_budget(
     job: Job,
     found: LineOfSightBudget,
     runs: SimulatedBudget | None = None,
     others: Mapping[str, LineOfSightBudget | None] | None = None,
-) -> Iterator[str]:
-    """Walk the lines of the tables, 80 columns wide; `others` are the budgets of other designs."""
+) -> None:
+    """Print the tables; `others` are the budgets of other designs, None where they are not stable."""
+    from platform_ctrl.cli.terminal import screen, show_table, show_words
     from platform_ctrl.verification.budget_result import TOGETHER
 
     assert job.budget is not None
-    yield f"{job.name}: line of sight, {job.budget.from_hz:g} to {job.budget.to_hz:g} Hz, µrad rms and share"
-    yield ""
-    yield f"{'source':{_NAME}}{'kind':{_KIND}}" + "".join(f"{name:>14}" for name in found.axes)
-    micro = _column(max(found.total, default=0.0))
+    console, axes, largest = screen(), found.axes, max(found.total, default=0.0)
+    show_words(
+        console, f"{job.name}: line of sight, {job.budget.from_hz:g} to {job.budget.to_hz:g} Hz, µrad rms and share"
+    )
+    rows = []
     for name, kind, rms, shares in zip(found.names, found.kinds, found.rms, found.shares, strict=True):
         # Rounding shows in axes on which a source does not act.
-        pairs = [(x if s > _ROUNDING else 0.0, s) for x, s in zip(rms, shares, strict=True)]
-        numbers = "".join(f"{micro(x):>8}{_percent(s):>6}" for x, s in pairs)
-        # A long name that says the kind stands alone.
-        alone = len(name) >= _NAME and kind in name
-        label = _short(name, _NAME + _KIND - 1) if alone else f"{_short(name, _NAME - 1):{_NAME}}{kind}"
-        yield f"{label:{_NAME + _KIND}}{numbers}".rstrip()
-    yield _row(TOGETHER, map(micro, found.total))
-    yield _row("both axes across, angles zero", [micro(found.jitter)])
-    for name, other in (others or {}).items():
-        yield _row(
-            _short(f"with {name}", _NAME + _KIND - 1), ["not stable"] if other is None else map(micro, other.total)
+        acting = [float(x) if share > _ROUNDING else 0.0 for x, share in zip(rms, shares, strict=True)]
+        rows.append(
+            (
+                name,
+                kind,
+                *(x for pair in zip(_micro(acting, largest), map(_percent, shares), strict=True) for x in pair),
+            )
         )
+    totals = {TOGETHER: _micro(found.total, largest), "both axes across, angles zero": _micro([found.jitter], largest)}
+    totals |= {
+        f"with {name}": ["not stable"] if one is None else _micro(one.total, largest)
+        for name, one in (others or {}).items()
+    }
+    rows += [(name, "", *(x for one in numbers for x in (one, ""))) for name, numbers in totals.items()]
+    show_table(console, ("source", "kind", *(x for name in axes for x in (name, ""))), rows, words=2)
     for window in found.windows:
-        yield ""
-        yield from _window(job, window)
+        most = max(window.displacement, default=0.0)
+        named = {
+            "displacement: the mean": _micro(window.displacement, most),
+            "smear: the line's extent, end to end": _micro(window.smear, most),
+            "jitter about the line": _micro(window.jitter, most),
+            "about the mean, smear included": _micro(window.about_mean, most),
+        }
+        for k, nu in enumerate(job.budget.spatial_frequencies):
+            named[f"contrast at {nu:g} cycles/rad"] = [f"{x:.4f}" for x in window.contrast[:, k]]
+        rows = [(name, *numbers) for name, numbers in named.items()]
+        console.print()
+        show_table(console, (f"within {1e3 * window.exposure:g} ms, µrad rms", *axes), rows)
     for line in () if found.friction is None else found.friction.statement:
-        yield ""
-        yield from _wrapped(line)
-    if runs is not None:
-        yield ""
-        yield from _runs(runs)
-    yield ""
-
-
-def _runs(runs: SimulatedBudget) -> Iterator[str]:
-    micro = _column(max(runs.linear, default=0.0))
-    yield f"simulated, {runs.runs} runs of seed {runs.seed}: µrad rms about the mean of {runs.time:g} s"
-    yield _row("  non-linear plant", map(micro, runs.rms))
-    yield _row("  its 95 % interval, from", map(micro, runs.low))
-    yield _row("  to", map(micro, runs.high))
-    yield _row("  linear budget of the same", map(micro, runs.linear))
-    yield from _wrapped(f"both axes across: simulated over linear {runs.ratio:.3f}")
+        console.print()
+        show_words(console, line)
+    console.print()
+    if runs is None:
+        return
+    show_words(console, f"simulated, {runs.runs} runs of seed {runs.seed}: µrad rms about the mean of {runs.time:g} s")
+    most = max(runs.linear, default=0.0)
+    of_runs = {
+        "non-linear plant": runs.rms,
+        "its 95 % interval, from": runs.low,
+        "to": runs.high,
+        "linear budget of the same": runs.linear,
+    }
+    show_table(console, ("", *axes), [(name, *_micro(rms, most)) for name, rms in of_runs.items()])
+    show_words(console, f"both axes across: simulated over linear {runs.ratio:.3f}")
     for line in runs.left_out:
-        yield from _wrapped(f"not simulated: {line}")
+        show_words(console, f"not simulated: {line}")
+    console.print()
 
 
-def _window(job: Job, window: WindowBudget) -> Iterator[str]:
-    assert job.budget is not None
-    yield f"within {1e3 * window.exposure:g} ms, µrad rms"
-    micro = _column(max(window.displacement, default=0.0))
-    for words, rms in (
-        ("displacement: the mean", window.displacement),
-        ("smear: the line's extent, end to end", window.smear),
-        ("jitter about the line", window.jitter),
-        ("about the mean, smear included", window.about_mean),
-    ):
-        yield _row(f"  {words}", map(micro, rms))
-    for k, nu in enumerate(job.budget.spatial_frequencies):
-        yield _row(f"  contrast at {nu:g} cycles/rad", [f"{x:.4f}" for x in window.contrast[:, k]])
-
-
-def _row(words: str, numbers: Iterable[str]) -> str:
-    return f"{words:{_NAME + _KIND}}{''.join(f'{number:>8}      ' for number in numbers)}".rstrip()
-
-
-def _column(largest: float) -> Callable[[float], str]:
-    """Return what writes angles, rad, in µrad, all with as many decimals as show the largest to four digits."""
+def _micro(rms: Iterable[float], largest: float) -> list[str]:
+    """Return angles, rad, in µrad, all with as many decimals as show the largest to four digits."""
     decimals = max(3 - math.floor(math.log10(_MICRO * largest)), 0) if 0.0 < largest < math.inf else 0
     least = 10.0**-decimals
-
-    def micro(rad: float) -> str:
-        small = 0.0 < _MICRO * rad < 0.5 * least
-        return f"< {least:.{decimals}f}" if small else f"{_MICRO * rad:.{decimals}f}" if rad else "0"
-
-    return micro
+    return [
+        f"< {least:.{decimals}f}" if 0.0 < _MICRO * x < 0.5 * least else f"{_MICRO * x:.{decimals}f}" if x else "0"
+        for x in rms
+    ]
 
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %" if share > _ROUNDING else ""
-
-
-def _short(text: str, most: int) -> str:
-    return text if len(text) <= most else text[: most - 3] + "..."
-
-
-def _wrapped(text: str) -> list[str]:
-    import textwrap
-
-    return textwrap.wrap(text, 80)

@@ -208,44 +208,19 @@ def show_campaign(summary: Summary) -> None:
 
 
 def _show_rows(console: Console, rows: tuple[ProbabilityRow, ...], confidence: float) -> None:
-    """Print probabilities by manoeuvre, the likeliest first, in columns or in lines where these do not fit."""
-    from rich.text import Text
-
-    from platform_ctrl.cli.terminal import show_words
-
-    heads = ("requirement", "limit", "violations", "probability", f"{100.0 * confidence:g} % bounds")
-    cells = [(f"  {row.requirement}", row.limit, row.violations, row.probability, row.bounds) for row in rows]
-    widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
-
-    def aligned(line: tuple[str, ...]) -> str:
-        return "  ".join([f"{line[0]:<{widths[0]}}", *map("{:>{}}".format, line[1:], widths[1:])]).rstrip()
-
-    wide = sum(widths) + 2 * (len(widths) - 1) <= console.width
-    if wide and rows:
-        console.print(Text(aligned(heads), "dim"), soft_wrap=True)
-    groups = list(dict.fromkeys(row.group for row in rows))
-    order = sorted(range(len(rows)), key=lambda k: (groups.index(rows[k].group), -rows[k].numbers.estimate))
-    before = ""
-    for k in order:
-        if rows[k].group != before:
-            show_words(console, _named(rows[k]), "bold")
-        before = rows[k].group
-        style = "red" if rows[k].numbers.events else ""
-        if wide:
-            console.print(Text(aligned(cells[k]), style), soft_wrap=True)
-        else:
-            show_words(console, _line(rows[k]), style, indent="    ")
-
-
-def _named(row: ProbabilityRow) -> str:
+    """Print probabilities by manoeuvre, the likeliest first."""
+    from platform_ctrl.cli.terminal import show_table
     from platform_ctrl.report.page.campaign_tables import ALL_MANOEUVRES
 
-    return "all, over their limits" if row.group == ALL_MANOEUVRES else row.group
-
-
-def _line(row: ProbabilityRow) -> str:
-    limit = f" ({row.limit})" if row.limit not in ("", "–") else ""
-    return f"  {row.requirement}{limit}: {row.violations}, {row.probability} ({row.bounds})"
+    heads = ("requirement", "limit", "violations", "probability", f"{100.0 * confidence:g} % bounds")
+    cells, styles = [], []
+    for group in dict.fromkeys(row.group for row in rows):
+        cells.append(("all, over their limits" if group == ALL_MANOEUVRES else group, "", "", "", ""))
+        styles.append("bold")
+        for row in sorted((row for row in rows if row.group == group), key=lambda row: -row.numbers.estimate):
+            cells.append((f"  {row.requirement}", row.limit, row.violations, row.probability, row.bounds))
+            styles.append("red" if row.numbers.events else "")
+    show_table(console, heads, cells, styles=styles)
 
 
 def _show_drivers(console: Console, summary: Summary) -> None:

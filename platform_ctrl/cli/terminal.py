@@ -120,6 +120,24 @@ def show_pairs(console: Console, pairs: Sequence[tuple[str, str]], indent: str =
         show_words(console, f"{indent}{name}".ljust(widest) + words, indent=" " * widest)
 
 
+def show_table(
+    console: Console,
+    heads: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    words: int = 1,
+    styles: Sequence[str] | None = None,
+) -> None:
+    """Print a table whose first `words` columns hold words, the others numbers; `styles` are of its rows."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for k, head in enumerate(heads):
+        table.add_column(head, justify="left" if k < words else "right", no_wrap=k >= words)
+    for row, style in zip(rows, styles or [""] * len(rows), strict=True):
+        table.add_row(*row, style=style)
+    console.print(table)
+
+
 def show_words(console: Console, words: str, style: str = "", indent: str = "") -> None:
     """Print a statement, wrapped between words; a number keeps its unit."""
     together = re.sub(r"(?<=\d) (?=[^\W\d]|[%°/])", "\N{NO-BREAK SPACE}", words)

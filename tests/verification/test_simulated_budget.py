@@ -76,6 +76,7 @@ def test_the_command_prints_what_runs_show_beside_the_budget(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
     job(tmp_path, LIMITS)
     K = controllers()[0]
     record = {"name": "pitch", "inputs": ["gyro"], "outputs": ["Qpitch"], "dt": 0.001, "delay": 0.0007}
