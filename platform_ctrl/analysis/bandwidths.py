@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, square_responses
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, resonances, spectral_abscissa
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -52,10 +52,10 @@ def bandwidth_of_sensitivity(S: StateArrays) -> float:
     """Return the bandwidth, as `bandwidth` does, of a loop with the sensitivity `S`."""
     from scipy.optimize import brentq
 
-    s = continuous_poles(poles(S.A), S.dt)
+    axis = FrequencyAxis(S)
+    s = continuous_poles(axis.poles(), S.dt)
     if S.A.shape[0] and spectral_abscissa(s) >= 0.0:
         return 0.0
-    axis = FrequencyAxis(S)
     w = _grid(axis, s)
 
     sizes = axis.gains(w)

@@ -8,7 +8,7 @@ from typing import get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.direct_metrics import torque_noise
 from platform_ctrl.analysis.loop_set import Indices, LoopSet
@@ -43,6 +43,7 @@ class LoopMetrics:
     decay: FloatArray  # (N,): decay rate of the slowest closed-loop pole, 1/s; negative where the loop is unstable
     # (m,): nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
     torque_noise: FloatArray
+    poles: ComplexArray  # (N, n): closed-loop poles in z, without those of equilibria that no sensor sees
     groups: tuple[Group, ...]  # what each plant represents, as in `PlantSet`
     # Whether peaks, bandwidths and margins are taken over all frequencies: the worst of every group of plants that a
     # request is about is then exact, and the others are no worse than it. Else they are the largest at the frequencies
@@ -108,6 +109,7 @@ def measure(
         damping=damping,
         decay=loops.decay,
         torque_noise=torque_noise(loops, slice(1))[0],
+        poles=loops.poles,
         groups=plants.groups,
         exact=exact,
         free_angles=loops.free_angles,

@@ -304,7 +304,7 @@ def exceeds(system: StateArrays, level: float, s: ComplexArray, band: Band = WHO
 
     The system has no poles in the band; `s` (n,) are its continuous(-equivalent) ones.
     """
-    axis = FrequencyAxis(system)
+    axis = FrequencyAxis(system, s)
     crossings = level_frequencies(axis, level)
     if not crossings.size and level > 0.0 and axis.system.A.size:
         # The Hamiltonian leaves floating point: nothing is shown.

@@ -29,13 +29,14 @@ Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 class FrequencyAxis:
     """One system, of any stability and number of states, on the imaginary axis or the unit circle.
 
-    `system` is it in balanced states; `edge` is the highest frequency, rad/s: infinite, or the Nyquist frequency.
+    `system` is it in balanced states; `edge` is the highest frequency, rad/s: infinite, or the Nyquist frequency. `s`
+    are its continuous(-equivalent) poles, perhaps among others, where they are known already.
     """
 
-    def __init__(self, system: StateArrays) -> None:
+    def __init__(self, system: StateArrays, s: ComplexArray | None = None) -> None:
         A, B, C, D, dt = system
         self.edge = math.inf if dt == 0.0 else math.pi / dt
-        self._given = A
+        self._given, self._s = A, s
         self.system = StateArrays(*scaled(A, B, C), D, dt)
         self._w_plane: Matrices | None = None
         self._along = AxisResponse(self.system, balanced=True)
@@ -102,7 +103,7 @@ class FrequencyAxis:
     @cached_property
     def _grid(self) -> tuple[FloatArray, ComplexArray]:
         """Frequencies that follow the poles and the turns of the oldest values, rad/s, and the response there."""
-        own = resonances(continuous_poles(self.poles(), self.system.dt))
+        own = resonances(continuous_poles(self.poles(), self.system.dt) if self._s is None else self._s)
         turns = np.linspace(0.0, self.edge, _IN_A_TURN * self._along.oldest)
         w = np.unique(np.concatenate([own[own < self.edge], turns]))
         return w, self.response(w)

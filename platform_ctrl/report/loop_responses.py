@@ -21,7 +21,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
+from platform_ctrl.design.loop import LoopDesign, sampled_plant
 from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.mechanics.linearisation import LinearModel
@@ -101,6 +101,9 @@ def loop_responses(
     nyquist = np.pi / plants.period
     P = plants.of_torques()
     loops = {one.name: LoopSet(nominal[one.name], nominal[one.name].joined(one.controller)) for one in designs}
+    for one in designs:
+        assert one.measures is not None
+        loops[one.name].poles = one.measures.poles[:1]
     poles = np.concatenate([np.linalg.eigvals(P.A), *(loop.poles[0] for loop in loops.values())])
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
     grid = following_grid(continuous_poles(poles, plants.period), low, 0.999 * nyquist)
@@ -162,7 +165,8 @@ def _design_responses(
     with np.errstate(all="ignore"):
         # L = S⁻¹ T: never the product of two integrators' infinities.
         loop_transfer = np.linalg.solve(S_in, T_in)
-    poles = continuous_poles(closed_loop_poles(design.plants, design.own_controller), design.plants.period)
+    assert design.measures is not None
+    poles = continuous_poles(design.measures.poles, design.plants.period)
     faults = design.plants.of(("faults",))
     metrics = peak_metrics()
     return DesignResponses(

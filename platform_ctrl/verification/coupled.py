@@ -12,6 +12,7 @@ which no loop is closed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -152,7 +153,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     plant = coupled_plant(job, model, controllers)
     together = _Together(job, controllers, plant)
     channels, coupled = together.channels, together.loop_margins
-    decoupled = _decoupled_margins(job, model, controllers, channels)
+    decoupled = _decoupled_margins(job, model, controllers, together)
     # A decoupled loop without a margin has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
     simultaneous, of_torquers = together.simultaneous, together.of_torquers
@@ -256,7 +257,7 @@ class _Together:
         own = -float(spectral_abscissa(continuous_poles(self.poles, self.period)))
         return own if self._whole.growth <= 0.0 else min(own, -self._whole.growth)
 
-    @property
+    @cached_property
     def loop_margins(self) -> FloatArray:
         """Disk margin of each channel, all others closed."""
         if self._periodic is not None:
@@ -419,11 +420,16 @@ def used_signals(
 
 
 def _decoupled_margins(
-    job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], channels: Sequence[str]
+    job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], whole: _Together
 ) -> FloatArray:
+    """Return the disk margin of each channel in the design models; `whole` are all loops on the coupled one."""
+    channels = whole.channels
     gimbal_torquers = [t for t in job.platform.torquers if t.gimbal is not None and t.name in channels]
     own = {t.name for t in gimbal_torquers} | {name for K in controllers for name in K.input_labels}
     caging = [K for K in controllers if set(K.output_labels) <= own]
+    if len(caging) == len(controllers):
+        # All loops cage gyros or turn gimbals: the design models are the coupled one.
+        return whole.loop_margins
     margins: dict[str, float] = {}
     if caging:
         plant = coupled_plant(job, model, caging)
