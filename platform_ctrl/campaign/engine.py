@@ -14,7 +14,7 @@ from platform_ctrl.campaign.identity import identity
 from platform_ctrl.campaign.single_run import SimulateRuns, kinds_of
 from platform_ctrl.campaign.store import Record, Store
 from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_SIMULATED
-from platform_ctrl.campaign.workers import cluster, parts_of, processes, simulated
+from platform_ctrl.campaign.workers import cluster, parts_of, processes_here, simulated
 from platform_ctrl.common.processes import processors
 from platform_ctrl.common.progress import shown_runs
 from platform_ctrl.common.values import value
@@ -101,7 +101,7 @@ def run_campaign(
         raise ArgumentError(f"workers must be at least one, got {workers}")
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
     store = Store(Path(folder), identity(plan), about, plan.runs, kinds_of(plan), restart)
-    pool = partial(cluster, scheduler) if scheduler is not None else partial(processes, workers or processors())
+    pool = partial(cluster, scheduler) if scheduler is not None else partial(processes_here, workers or processors())
     failed = 0
     with (
         shown_runs(progress, plan.runs) as tick,

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -16,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.campaign.identity import versions
 from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, row_not_simulated
 from platform_ctrl.campaign.table import Columns
+from platform_ctrl.common.processes import processes
 from platform_ctrl.errors import InputError, PlatformCtrlError, SimulationError
 
 if TYPE_CHECKING:
@@ -102,29 +99,10 @@ def _columns(plan: Plan, part: range, simulate: SimulateRuns, expected: Mapping[
 
 
 @contextmanager
-def processes(workers: int) -> Iterator[tuple[Executor, int, tuple[type[BaseException], ...]]]:
-    """Yield an executor of processes on this machine, which end with it and with this process."""
-    before = set(multiprocessing.active_children())
-    executor = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin)
-    try:
+def processes_here(workers: int) -> Iterator[tuple[Executor, int, tuple[type[BaseException], ...]]]:
+    """Yield an executor of processes on this machine."""
+    with processes(workers) as executor:
         yield executor, workers, (BrokenExecutor,)
-    finally:
-        for child in {*multiprocessing.active_children()} - before:
-            child.terminate()
-        executor.shutdown(cancel_futures=True)
-
-
-def _begin() -> None:
-    """Prepare a worker process: an interrupt at the terminal is meant for its parent, with which it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def follow() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
 
 
 def client_of(address: str) -> Any:

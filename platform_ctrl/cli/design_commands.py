@@ -90,6 +90,7 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
         read = job_of(job)
         prepare_folder(folder, (RESULT, REPORT))
         expect_proofs_possible(prove)
+        from platform_ctrl.common.processes import processors
         from platform_ctrl.design.jobs import attempted_loops
         from platform_ctrl.simulation.compilation import start_compilation
         from platform_ctrl.verification import check_job
@@ -97,7 +98,7 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
 
         if read.manoeuvres:
             start_compilation()
-        outcomes = attempted_loops(read, say)
+        outcomes = attempted_loops(read, say, processors())
         failures = [one.failure for one in outcomes if one.failure is not None]
         if not any(one.designs for one in outcomes):
             for one in (one for outcome in outcomes for one in outcome.failed if one is not failures[0]):

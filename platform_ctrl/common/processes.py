@@ -8,6 +8,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import gc
+import multiprocessing
 import os
 import pickle
 import queue
@@ -16,7 +17,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 # Longest time that a process may take to start, s; imports from a cold disk are slow.
@@ -159,6 +162,39 @@ def next_result(
         except queue.Empty:
             if time.monotonic() >= end:
                 raise ProcessTimeout from None
+
+
+@contextmanager
+def processes(
+    workers: int, method: str = "spawn", prepare: Callable[..., None] | None = None, *given: object
+) -> Iterator[Executor]:
+    """Yield an executor of processes, which end with it and with this process; each calls ``prepare(*given)`` first.
+
+    `method` is a way of `multiprocessing` to start them; "fork" hands `given` over as they are.
+    """
+    before = set(multiprocessing.active_children())
+    executor = ProcessPoolExecutor(workers, multiprocessing.get_context(method), _begin, (prepare, given))
+    try:
+        yield executor
+    finally:
+        for child in {*multiprocessing.active_children()} - before:
+            child.terminate()
+        executor.shutdown(cancel_futures=True)
+
+
+def _begin(prepare: Callable[..., None] | None, given: tuple[object, ...]) -> None:
+    """Prepare a process: an interrupt at the terminal is meant for its parent, with which it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+    if prepare is not None:
+        prepare(*given)
 
 
 def collect_seldom() -> None:

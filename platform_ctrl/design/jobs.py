@@ -8,18 +8,17 @@ from collections.abc import Mapping, Sequence
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.progress import Local, Progress, shown
-from platform_ctrl.common.reasons import began_with_interrupt, reason
+from platform_ctrl.common.reasons import reason
 from platform_ctrl.common.values import value
-from platform_ctrl.design.caging_claims import with_largest_rates
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, evaluated, instability, with_commands
+from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, instability, with_commands
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.design.reduced_jobs import design_job, plant_job
+from platform_ctrl.design.side_by_side import made_of
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
-from platform_ctrl.job.methods import known_method, resolved
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 
@@ -105,14 +104,18 @@ def loops(
 def attempted_loops(
     job: Job | str | os.PathLike[str] | Mapping[str, object],
     progress: Progress | bool | None = None,
+    processes: int = 1,
 ) -> tuple[LoopOutcome, ...]:
-    """Return what `loops` returns, though designs that loops use have failed; then a loop may have no design at all."""
+    """Return what `loops` returns, though designs that loops use have failed; then a loop may have no design at all.
+
+    Designs are made side by side in up to so many processes.
+    """
     job = job if isinstance(job, Job) else read_job(job)
     with shown(progress) as say:
-        return _loops(job, say)
+        return _loops(job, say, processes)
 
 
-def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
+def _loops(job: Job, progress: Progress, processes: int) -> tuple[LoopOutcome, ...]:
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plants_of_all = {spec.name: _plants_of_designs(plant_job(job, spec), spec) for spec in job.loops}
@@ -132,7 +135,7 @@ def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
                 _problem(job, spec, design, model, *own, progress)
                 for design, own in zip(spec.designs, directed, strict=True)
             ]
-        found = [_attempted(problem) for problem in problems]
+        found = made_of(problems, processes, progress)
         for spec in specs:
             own = [
                 (problem.design, one)
@@ -142,21 +145,6 @@ def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
             if own:
                 made[spec.name] = _outcome(spec, own)
     return in_order(job, [made[spec.name] for spec in job.loops])
-
-
-def _attempted(problem: LoopProblem) -> LoopDesign | Exception:
-    """Return the design of a problem, or why there is none."""
-    spec, design = problem.spec, problem.design
-    problem.progress(f"{spec.name}: {design.name}")
-    try:
-        made = evaluated(problem, resolved(known_method(design.method).design)(problem), stable=False)
-        return with_largest_rates(made) if spec.kind == "caging" and spec.use else made
-    except Exception as error:
-        if began_with_interrupt(error):
-            raise
-        if not isinstance(error, DesignError) or problem.plant_set is None or str(error).startswith(f"{spec.name}, "):
-            return error
-        return type(error)(f"{spec.name}, {design.name}: {error}", error.problem)
 
 
 def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, LoopDesign | Exception]]) -> LoopOutcome:

@@ -48,7 +48,7 @@ def mishaps(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulate in this process: quicker, where nothing is said about processes."""
-    monkeypatch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
+    monkeypatch.setattr("platform_ctrl.campaign.engine.processes_here", processes_here)
 
 
 def stopped_halfway(made: Plan, folder: Path) -> int:
