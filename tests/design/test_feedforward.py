@@ -325,7 +325,7 @@ def mistakes(fed: dict[str, Any], kind: str = "rate", **more: Any) -> str:
         ),
         ({"sensors": ["Omega1"]}, {}, "the rates Omega1 add nothing to this loop"),
         ({"sensors": BASE, "bandwidth_hz": 1000.0}, {}, "bandwidth_hz must be below half the sample rate, 1000 Hz"),
-        ({"sensors": BASE, "into": "reading", "bandwidth_hz": 9.0}, {"sensors": RATES}, "bandwidth_hz = 9.0 has no"),
+        ({"sensors": BASE, "into": "reading", "bandwidth_hz": 9.0}, {"sensors": RATES}, "bandwidth_hz = 9 has no"),
         ({"sensors": BASE}, {"sensors": ["q_az"]}, "measures an angle; a rate loop reads sensors of rates"),
     ],
 )

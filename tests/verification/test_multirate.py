@@ -434,11 +434,11 @@ def test_the_job_is_written_with_its_rates(job: Job) -> None:
 @pytest.mark.parametrize(
     ("loop", "rate", "words"),
     [
-        (1, 300.0, r"rate_hz must be 1000 Hz, .* over a whole number, got 300.0; the nearest: 333.333 or 250"),
+        (1, 300.0, r"rate_hz must be 1000 Hz, .* over a whole number, got 300; the nearest: 333.333 or 250"),
         (1, 2000.0, r"the nearest: 1000"),
         (1, 9.0, r"the nearest: 9.00901 or 8.92857"),
         (1, 0.5, r"repeat after 2000 samples, more than 1000"),
-        (0, 10.0, r"rate_hz must be that of the loop inside, 10 Hz, over a whole number, got 50.0; try 10"),
+        (0, 10.0, r"rate_hz must be that of the loop inside, 10 Hz, over a whole number, got 50; try 10"),
     ],
 )
 def test_rates_that_do_not_fit_are_one_line(loop: int, rate: float, words: str) -> None:
