@@ -116,38 +116,6 @@ def _requirements(budget: Budget) -> list[tuple[tuple[str, str], Requirement]]:
     return out
 
 
-def reduced_source(
-    names: Sequence[str], rms: FloatArray, target: CheckResult, factor: float
-) -> tuple[str, float, CheckResult] | None:
-    """Return the largest source of a limited rms, the share to which its amplitude falls, and the limit compared then.
-
-    `rms` (sources, 3) are those in the band, rad. Where the limit is missed the share is the one that meets it, or a
-    hundredth; where it is met it is `factor`. Sources are taken to be independent. None for limits of exposures.
-    """
-    axes = {BUDGET_METRICS["jitter"].name: (0, 1), BUDGET_METRICS["jitter_per_axis"].name: (0,)}
-    own = next(
-        (k for k, name in enumerate(names) if target.name == f"{BUDGET_METRICS['limit'].name} from {name}"), None
-    )
-    if own is None and target.name not in axes:
-        return None
-    if target.name == BUDGET_METRICS["jitter_per_axis"].name:
-        columns = [LOS_ANGLES.index(target.evidence.partition(",")[0])]
-    else:
-        columns = [0, 1]
-    each = np.sum(rms[:, columns] ** 2, axis=1)
-    largest = int(each.argmax()) if own is None else own
-    share = 1.0 if own is not None else float(each[largest] / each.sum())
-    if target.ratio > 1.0:
-        left = 1.0 - (1.0 - target.ratio**-2) / share
-        factor = max(math.floor(100.0 * math.sqrt(max(left, 0.0))) / 100.0, 0.01)
-    value = target.value * math.sqrt(1.0 - share * (1.0 - factor**2))
-    required = Requirement(name=target.name, limit=target.limit, unit=target.unit, sense=target.sense)
-    after = required.judge(
-        value, subject=target.subject, stage="coupled", evidence=target.evidence, method=target.method
-    )
-    return names[largest], factor, after
-
-
 def is_limited(job: Job) -> bool:
     """Return whether a job has a budget with limits."""
     return job.budget is not None and bool(_requirements(job.budget))

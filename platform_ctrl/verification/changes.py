@@ -1,25 +1,55 @@
 """What would take missed requirements of a checked job to their limits, and what that costs elsewhere.
 
-Nothing is designed again: options are moved of designs that are built from them directly, the gain of others is scaled,
-another design of the loop is closed, a source of the budget is made smaller. A change is measured in its own loop, in a
-loop around it, in the coupled system and in the budget; simulated runs are not repeated.
+Nothing is designed again: options are moved of designs that are built from them directly, or another design of the loop
+is closed. A change is measured in its own loop, in a loop around it, in the coupled system and in the budget; simulated
+runs are not repeated.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.tuning import ResultChange, Score, largest_loss
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import (
+    LoopDesign,
+    LoopProblem,
+    designed,
+    in_signals,
+    limits_and_goals,
+    requirements_of,
+    with_commands,
+    with_controller,
+)
+from platform_ctrl.design.partition import Channels
+from platform_ctrl.design.plants import tracking_plants
+from platform_ctrl.design.reduced_jobs import design_job, plant_job
+from platform_ctrl.design.tuning import (
+    SHARE,
+    OptionEffects,
+    OptionValue,
+    ResultChange,
+    Score,
+    candidates,
+    largest_loss,
+    option_effects,
+)
+from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.verification.budget_limits import LINE_OF_SIGHT, reduced_source
-from platform_ctrl.verification.linear_trials import Key, LinearTrials, Trial
+from platform_ctrl.job.methods import METHODS, resolved
+from platform_ctrl.verification.budget import PreparedBudget
+from platform_ctrl.verification.coupled import coupled_check
 
 if TYPE_CHECKING:
+
     from platform_ctrl.verification.verdict import JobResult
 
 # Rows that are returned; missed requirements that are looked at for them.
@@ -34,10 +64,21 @@ _MISSED = 0.5
 _LOSS, _WORST = 0.05, 10.0
 # A limit that is missed already is violated further by more than rounding.
 _FURTHER = 1.001
-# Factor of a source's amplitude where its limit is met.
-_SMALLER = 0.9
+# Relative moves of an option: wider than those of a slider, since a missed limit may be far.
+_MOVES = (*(-0.05 * k for k in range(10, 0, -1)), *(0.05 * k for k in range(1, 11)), 0.6, 0.8, 1.0)
+# Shares of the move that is expected to be best that are tried: nothing is as linear as expected.
+_PARTS = (0.6, 1.0, 1.4)
 
-Kind = Literal["option", "gain", "design", "source"]
+# What is measured beside the changed loop itself.
+Scope = Literal["loop", "budget", "coupled", "all"]
+# Subject, stage and name of a requirement.
+Key = tuple[str, str, str]
+Results = dict[Key, CheckResult]
+
+
+def keyed(results: Sequence[CheckResult]) -> Results:
+    """Return results by subject, stage and name."""
+    return {(one.subject, one.stage, one.name): one for one in results}
 
 
 @value
@@ -47,15 +88,13 @@ class Change:
     Attributes
     ----------
     kind
-        ``"option"`` of a design, ``"gain"`` of a controller as a whole, another ``"design"`` of the loop, or a
-        ``"source"`` of the budget.
+        ``"option"`` of a design, or another ``"design"`` of the loop.
     loop, design
-        Where; empty for a source.
+        Where.
     name
-        Option, other design, or source.
+        Option, or other design.
     before, after
-        Of an option, in the units of the job file; of a gain, and of the amplitude of a source, 1 and the factor; of a
-        design nan.
+        Of an option, in the units of the job file; of a design nan.
     target
         The requirement that it is for.
     violated
@@ -64,7 +103,7 @@ class Change:
         The requirement that loses most margin; None where none does.
     """
 
-    kind: Kind
+    kind: Literal["option", "design"]
     loop: str
     design: str
     name: str
@@ -75,6 +114,17 @@ class Change:
     loss: ResultChange | None = None
 
 
+class _Trial(NamedTuple):
+    """An option of a loop's closed design at another value, or another design closed in the loop."""
+
+    kind: Literal["option", "design"]
+    loop: str
+    design: str
+    name: str
+    before: float = math.nan
+    after: float = math.nan
+
+
 def changes(result: JobResult) -> tuple[Change, ...]:
     """Return at most five changes for missed requirements: what takes each to its limit, or nearer to it.
 
@@ -83,65 +133,24 @@ def changes(result: JobResult) -> tuple[Change, ...]:
     """
     if result.passed:
         return ()
-    trials = LinearTrials(result)
-    out: dict[tuple[str, str, float], Change] = {}
+    trials = _Trials(result)
+    out: dict[_Trial, Change] = {}
     with np.errstate(all="ignore"):
-        targets = _targets(trials.before)
-        queues: dict[Key, list[Trial | Change]] = {}
+        missed = sorted((key for key, one in trials.before.items() if one.ratio > 1.0), key=trials.margin)[:_TARGETS]
+        queues: dict[Key, list[_Trial]] = {}
         # The best for each target, then a second one.
-        for key in targets * 2:
+        for key in missed * 2:
             if key not in queues:
-                queues[key] = _ranked(result, trials, key)
-            found = _next(trials, key, queues[key], out)
+                queues[key] = trials.ranked(key)
+            queue, found = queues[key], None
+            while queue and found is None:
+                if (trial := queue.pop(0)) not in out:
+                    found = _change(trials, trial, key)
             if found is not None:
-                out[found.loop, found.name, found.after] = found
+                out[trial] = found
             if len(out) == _ROWS:
                 break
     return tuple(out.values())
-
-
-def _targets(before: dict[Key, CheckResult]) -> list[Key]:
-    """Return the requirements that are missed, those by most first."""
-    missed = [key for key in before if before[key].ratio > 1.0]
-    return sorted(missed, key=lambda key: before[key].margin)[:_TARGETS]
-
-
-def _ranked(result: JobResult, trials: LinearTrials, target: Key) -> list[Trial | Change]:
-    """Return trials for a requirement, one of each option, gain or design, the best first.
-
-    A source of the budget that suffices leads.
-    """
-    own, keys = trials.before[target], list(trials.before)
-    ratios = np.array([one.ratio for one in trials.before.values()])
-    score = _score(keys.index(target), ratios)
-    scope = trials.scope(target)
-    scored = []
-    for loop in trials.loops_for(target):
-        for one in trials.trials(loop, score, scope):
-            measured = trials.results(one, exact=False, scope=scope)
-            if measured is not None:
-                scored.append((score(np.array([measured[key].ratio for key in keys])), one))
-    scored = sorted((one for one in scored if math.isfinite(one[0])), key=lambda one: one[0])
-    best = {(one.kind, one.loop, one.name): one for _, one in reversed(scored)}
-    found: list[Trial | Change] = [one for _, one in scored if one in best.values()]
-    source = _source(result, own)
-    if source is not None:
-        # It costs nothing in the loops.
-        found.insert(0 if source.target.after.passed else 1, source)
-    return found
-
-
-def _next(
-    trials: LinearTrials, target: Key, queue: list[Trial | Change], known: dict[tuple[str, str, float], Change]
-) -> Change | None:
-    """Return the next change for a requirement that is not among the known ones, and take it from the queue."""
-    while queue:
-        one = queue.pop(0)
-        if (one.loop, one.name, one.after) not in known:
-            found = one if isinstance(one, Change) else _measured(trials, one, target)
-            if found is not None:
-                return found
-    return None
 
 
 def _score(at: int, before: FloatArray) -> Score:
@@ -166,7 +175,7 @@ def _score(at: int, before: FloatArray) -> Score:
     return of
 
 
-def _measured(trials: LinearTrials, trial: Trial, target: Key) -> Change | None:
+def _change(trials: _Trials, trial: _Trial, target: Key) -> Change | None:
     """Return a trial measured as `check_job` does it; None where that finds no gain."""
     before, after = trials.before, trials.results(trial, exact=True, scope="all")
     if after is None or not after[target].ratio < before[target].ratio:
@@ -178,29 +187,192 @@ def _measured(trials: LinearTrials, trial: Trial, target: Key) -> Change | None:
         if not one.after.passed and (one.before.passed or one.after.ratio > _FURTHER * one.before.ratio)
     ]
     return Change(
-        kind=trial.kind,
-        loop=trial.loop,
-        design=trial.design,
-        name=trial.name,
-        before=trial.before,
-        after=trial.after,
+        **trial._asdict(),
         target=ResultChange(before=before[target], after=after[target]),
         violated=tuple(sorted(violated, key=lambda one: -one.after.ratio)),
-        loss=_loss(pairs),
+        loss=largest_loss([one.before for one in pairs], [one.after for one in pairs]) if pairs else None,
     )
 
 
-def _loss(pairs: Sequence[ResultChange]) -> ResultChange | None:
-    return largest_loss([one.before for one in pairs], [one.after for one in pairs]) if pairs else None
+class _Trials:
+    """The requirements of a checked job that are measured without a simulated run, with one design changed."""
+
+    def __init__(self, result: JobResult) -> None:
+        self._job, self._model = result.job, result.model
+        self._outcomes = {outcome.spec.name: outcome for outcome in result.loops}
+        self._around = {one.spec.around: one for one in result.loops if one.spec.around}
+        self._budgeted = keyed(() if result.budget is None else result.budget.results)
+        self._coupled = keyed(() if result.coupled is None else result.coupled.results)
+        own = keyed([one for outcome in result.loops for one in outcome.closed.results])
+        self.before = own | self._coupled | self._budgeted
+        self._problems: dict[str, LoopProblem | None] = {}
+        self._effects: dict[tuple[str, Scope], OptionEffects] = {}
+        self._results: dict[tuple[_Trial, bool, Scope], Results | None] = {}
+
+    def margin(self, key: Key) -> float:
+        """Return the margin of a requirement."""
+        return self.before[key].margin
+
+    def ranked(self, target: Key) -> list[_Trial]:
+        """Return trials for a requirement, one of each option or design, the best first."""
+        keys = list(self.before)
+        score = _score(keys.index(target), np.array([one.ratio for one in self.before.values()]))
+        scope: Scope = "budget" if target in self._budgeted else "coupled" if target in self._coupled else "loop"
+        loops = list(self._outcomes)
+        if target not in self._budgeted and target[0] in self._outcomes:
+            loops = [one for one in (target[0], self._outcomes[target[0]].spec.around) if one]
+        scored = []
+        for trial in (one for loop in loops for one in self._proposed(loop, score, scope)):
+            measured = self.results(trial, exact=False, scope=scope)
+            if measured is not None:
+                scored.append((score(np.array([measured[key].ratio for key in keys])), trial))
+        scored = sorted((one for one in scored if math.isfinite(one[0])), key=lambda one: one[0])
+        best = {(one.kind, one.loop, one.name): one for _, one in reversed(scored)}
+        return [one for _, one in scored if one in best.values()]
+
+    def _proposed(self, loop: str, score: Score, scope: Scope) -> list[_Trial]:
+        """Return the other designs of a loop, and the moves of its closed one that are expected to help most.
+
+        For the coupled system the best move of a gain alone, as expected: each costs a coupled check.
+        """
+        outcome = self._outcomes[loop]
+        out = [_Trial("design", loop, one.name, one.name) for one in outcome.alternatives]
+        options = {one.name: one for one in self._options(outcome, gains=scope == "coupled")}
+        if not options:
+            return out
+        found = candidates(self._effects_of(outcome, options, scope), list(options.values()), score, _MOVES)
+        if scope == "coupled":
+            found = found[:1]
+        else:
+            found = [(name, options[name].moved(after, part)) for name, after in found for part in _PARTS]
+        return out + [
+            _Trial("option", loop, outcome.closed.name, name, options[name].value, after)
+            for name, after in found
+            if options[name].low <= after <= options[name].high
+        ]
+
+    def results(self, trial: _Trial, exact: bool, scope: Scope) -> Results | None:
+        """Return all requirements with a trial, None where it makes no loop.
+
+        Of the changed loop they are `exact` or those on a grid; what is not in the scope is as before.
+        """
+        # Another design is measured already.
+        key = (trial, exact or trial.kind == "design", scope)
+        if key not in self._results:
+            try:
+                self._results[key] = self._measured(trial, exact, scope)
+            except PlatformCtrlError:
+                self._results[key] = None
+        return self._results[key]
+
+    def _measured(self, trial: _Trial, exact: bool, scope: Scope) -> Results:
+        outcome = self._outcomes[trial.loop]
+        if trial.kind == "design":
+            design = next(one for one in outcome.designs if one.name == trial.name)
+            own = keyed(design.results)
+        else:
+            design = self._moved(outcome, trial)
+            own = {} if design.plants is None else _own(outcome, design, exact)
+        out = self.before | own
+        around = self._around.get(trial.loop)
+        if around is not None:
+            plants, _ = self._plants_around(around, outcome, design)
+            out |= _own(around, dataclasses.replace(around.closed, plants=plants), exact)
+        controllers = [
+            design.controller if name == trial.loop else one.closed.controller for name, one in self._outcomes.items()
+        ]
+        if self._budgeted and scope in ("budget", "all"):
+            # A design that reads other signals needs a budget of its own.
+            same = list(outcome.closed.controller.input_labels) == list(design.controller.input_labels)
+            found = self._budget.of(controllers) if same else PreparedBudget(self._job, controllers).first
+            out |= keyed(found.results)
+        if scope in ("coupled", "all"):
+            out |= keyed(coupled_check(self._job, self._model, controllers).results)
+        return out
+
+    @cached_property
+    def _budget(self) -> PreparedBudget:
+        return PreparedBudget(self._job, [one.closed.controller for one in self._outcomes.values()])
+
+    def _effects_of(self, outcome: LoopOutcome, options: dict[str, OptionValue], scope: Scope) -> OptionEffects:
+        loop, closed = outcome.spec.name, outcome.closed.name
+        if (loop, scope) not in self._effects:
+
+            def ratios(option: OptionValue, factor: float) -> FloatArray:
+                trial = _Trial("option", loop, closed, option.name, option.value, factor * option.value)
+                # As it is, all beside the loop is known.
+                found = self._measured(trial, exact=False, scope=scope if factor != 1.0 else "loop")
+                return np.array([found[key].ratio for key in self.before])
+
+            found = option_effects(
+                list(options),
+                [name for _, _, name in self.before],
+                ratios(next(iter(options.values())), 1.0),
+                [lambda option=option: ratios(option, 1.0 + SHARE) for option in options.values()],  # type: ignore[misc]
+            )
+            exact = np.array([one.ratio for one in self.before.values()])
+            self._effects[loop, scope] = dataclasses.replace(found, ratios=exact)
+        return self._effects[loop, scope]
+
+    def _options(self, outcome: LoopOutcome, gains: bool) -> list[OptionValue]:
+        """Return the options of a closed design that may be moved; `gains`: no others."""
+        if self._problem(outcome) is None:
+            return []
+        known, rate_hz = METHODS[outcome.closed.method].options, 1.0 / self._job.period_of(outcome.spec)
+        return [
+            OptionValue(
+                name=name,
+                value=x,
+                low=0.0 if known[name].unit == "Hz" else known[name].low,
+                high=known[name].high * (rate_hz if known[name].unit == "Hz" else 1.0),
+            )
+            for name, x in outcome.closed.options.items()
+            if name in known and not known[name].whole and x > 0.0 and (known[name].group == "gains" or not gains)
+        ]
+
+    def _moved(self, outcome: LoopOutcome, trial: _Trial) -> LoopDesign:
+        """Return the closed design with one option moved, not measured."""
+        closed, problem = outcome.closed, self._problem(outcome)
+        assert problem is not None, "a loop with moves has a problem"
+        moved = dataclasses.replace(problem.design, options={**closed.options, trial.name: trial.after}, tune=False)
+        problem = dataclasses.replace(problem, design=moved)
+        if problem.plant_set is None:
+            return designed(problem)
+        K = resolved(METHODS[closed.method].design)(problem).controller
+        return with_controller(closed, in_signals(problem, K))
+
+    def _problem(self, outcome: LoopOutcome) -> LoopProblem | None:
+        """Return what the method of a closed design is given; None where it does not build a design from options."""
+        loop = outcome.spec.name
+        if loop not in self._problems:
+            self._problems[loop] = self._problem_of(outcome)
+        return self._problems[loop]
+
+    def _problem_of(self, outcome: LoopOutcome) -> LoopProblem | None:
+        closed, method = outcome.closed, METHODS.get(outcome.closed.method)
+        spec = next((one for one in outcome.spec.designs if one.name == closed.name), None)
+        if spec is None or method is None or not method.instant or method.key != spec.method or not closed.options:
+            return None
+        alone = design_job(self._job, outcome.spec, spec)
+        plants = closed.plants
+        problem = LoopProblem(job=alone, spec=alone.loops[-1], design=spec, model=self._model, plant_set=plants)
+        if plants is None:
+            return problem
+        inner = self._outcomes.get(outcome.spec.around or "")
+        directions = problem.channel if inner is None else self._plants_around(outcome, inner, inner.closed)[1]
+        return dataclasses.replace(problem, directions=directions)
+
+    def _plants_around(self, outcome: LoopOutcome, inner: LoopOutcome, design: LoopDesign) -> tuple[PlantSet, Channels]:
+        """Return the plants of a tracking loop around a `design` of the loop inside, and their directions."""
+        assert design.plants is not None, "a rate loop has plants"
+        K = with_commands(design.plants, design.controller)
+        job = plant_job(self._job, outcome.spec, inner.spec)
+        return tracking_plants(job, outcome.spec, inner.spec, design.plants, K)
 
 
-def _source(result: JobResult, target: CheckResult) -> Change | None:
-    """Return the source of the budget that counts most for `target`, smaller: to the limit if that is possible."""
-    if result.budget is None or target.subject != LINE_OF_SIGHT or target.stage != "coupled":
-        return None
-    found = reduced_source(result.budget.names, result.budget.rms, target, _SMALLER)
-    if found is None:
-        return None
-    name, factor, after = found
-    pair = ResultChange(before=target, after=after)
-    return Change(kind="source", loop="", design="", name=name, before=1.0, after=factor, target=pair)
+def _own(outcome: LoopOutcome, design: LoopDesign, exact: bool) -> Results:
+    """Return the requirements of a loop with a design of it."""
+    plants = design.plants
+    assert plants is not None, "the loop has plants"
+    measures = measure(plants, with_commands(plants, design.controller), requirements_of(outcome.spec), exact=exact)
+    return keyed(limits_and_goals(outcome.spec, design.name, plants, measures)[0])

@@ -316,7 +316,6 @@ def change_part(result: JobResult, rows: tuple[Change, ...]) -> tuple[Block, ...
         "changes_measured",
         rows=rows,
         runs=sum(one.stage == "simulated" for one in missed),
-        scaled=any(one.kind == "gain" for one in rows),
         tuned=any((one.loop, one.design) in tuned for one in rows if one.kind == "option"),
     )
     first, notes = (Paragraph(text=text, tone="quiet") for text in (words, more))
@@ -350,11 +349,7 @@ def _change_table(rows: tuple[Change, ...]) -> Table:
 def _change(one: Change) -> Cell:
     if one.kind == "design":
         return Cell(text=f"close “{one.name}”", note=f"{one.loop}: a design of this job")
-    if one.kind == "source":
-        return Cell(text=f"{one.name} at {plain(100.0 * one.after, 3)} %", note="amplitude of a source of the budget")
     where = f"{one.loop}, {one.design}"
-    if one.kind == "gain":
-        return Cell(text=f"gain × {plain(one.after, 3)}", note=where)
     method = next((kind for kind in METHODS.values() if kind.instant and one.name in kind.options), None)
     unit = "" if method is None else f" {method.options[one.name].unit}"
     return Cell(text=f"{one.name} {plain(one.before)} → {plain(one.after)}{unit}".rstrip(), note=where)
