@@ -61,7 +61,8 @@ def _begin(problems: Sequence[LoopProblem]) -> None:
 
 
 def _made_in_process(k: int) -> Made:
-    made = _made(_problems[k])
+    # A thread of the other process may have held what a progress display waits for when this one was forked.
+    made = _made(dataclasses.replace(_problems[k], progress=lambda line: None))
     # The plants are known where it goes.
     known = isinstance(made, LoopDesign) and made.plants is _problems[k].plant_set
     return _with_plants(made, None) if known else made
