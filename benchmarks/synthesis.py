@@ -124,7 +124,7 @@ def true_norm(system: control.StateSpace, norm: Callable[[Any], Any]) -> float:
 
 
 def _route(plant: Partition, P: control.StateSpace) -> Any:
-    return hinf_riccati(autoscale(plant), 0.02, P)
+    return hinf_riccati(plant, 0.02, P)
 
 
 def hinf_rows(cases: list[Case], slycot: Any, rounds: int) -> None:

@@ -425,7 +425,7 @@ DESIGNED = (
     (r"/(value|lower|upper|largest_pole_radius)$", 0.2, 1e-3),
 )
 MEASURED = ((r"/claims/largest Omega", 1e-7, 0.0), (r"/(cost|margin)$", EXACT, 1e-9))
-GAINS = {"tolerances": ((r"/gamma$", 1e-2, 0.0),), "minimised": r"/gamma$"}
+GAINS = {"tolerances": ((r"/gamma$", 1e-2, 0.0), (r"/gamma_optimal$", 1.5e-3, 0.0)), "minimised": r"/gamma$"}
 PARTS = {
     "equations": Part(equations),
     "mechanics": Part(mechanics),

@@ -3,19 +3,20 @@
 In SI units a solver gets 1e-4 kg m² beside 1e4 rad/s and fails, with or without an error. Ranks and stabilisability are
 checked in these units too, and what the Riccati routes assume, which can be added where it does not hold: D12 has full
 column rank (every control costs something), D21 full row rank (every measurement is noisy), and no invariant zero of
-w → y or u → z lies on the imaginary axis (nothing on the axis is left to itself).
+w → y or u → z lies on the stability boundary (nothing there is left to itself). No check depends on how fast the
+fastest pole is: poles are found block by block, and a rank is that of rows and columns of unit length.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition, with_direct_path
 from platform_ctrl.errors import IllPosedError, NotStabilisableError, UnscalableError
@@ -25,28 +26,24 @@ if TYPE_CHECKING:
 
 # Sweeps over all states that balance a plant, at most.
 MOST_SWEEPS = 50
-# Singular values below this share of the largest (of unit columns or rows) count as zero.
+# Steps towards the unit of time of a chain of integrators; each leaves a third of the distance, in powers.
+UNIT_STEPS = 30
+# Singular values of D12 and D21 below this share of the largest (of unit columns or rows) count as zero.
 RANK_TOLERANCE = 1e-8
+# Singular values of a pencil below this share of the largest count as a loss of rank; rows smaller than this, relative
+# to the unit of time, may be rounding and keep their size.
+RANK_LOSS, SMALLEST_ROW = 1e-10, 1e-3
 # A unit of the norm within so many powers of two is left as it is.
 NEAR_UNITS = 4
-# Rounding of an eigenvalue with condition 1, and the largest rounding assumed, relative to A.
+# Rounding of an eigenvalue with condition 1, and the largest rounding assumed, relative to its block of A.
 ROUNDING, LARGEST_ROUNDING = 1e-14, 1e-9
-# Poles that are slow beside the norm of A, and the rounding errors of their block of a Schur form over that norm.
-_SLOW, _BLOCK_ROUNDING = 1e-3, 1e-15
-# Poles below this share of the fastest give no unit of time.
-_SLOW_FLOOR = 1e-11
-# Zeros nearer to the axis than this share of the size of A are checked for a loss of rank.
-NEAR_AXIS = 1e-7
-# Singular values below this share of the size of A count as a loss of rank.
-RANK_LOSS = 1e-10
-# A direct path below this share of D11 counts as zero.
-NO_DIRECT_PATH = 1e-10
+# Poles below this share of their block, or of A, count as zero: they give no unit of time.
+ZERO_POLE, ZERO_IN_ALL = 1e-6, 1e-11
+# Zeros nearer to the stability boundary than this share of their block are checked for a loss of rank.
+NEAR_BOUNDARY = 1e-7
+# Poles this near, relative to their block, may be copies of a defective one.
+CLUSTER = 1e-3
 REGULARISE = "give regularise=1e-3"
-
-
-def remedy(where: str) -> str:
-    """Return what helps where an assumption of the Riccati equations does not hold."""
-    return f'{REGULARISE}, or method="lmi", which needs none of this' if where.startswith("hinf") else REGULARISE
 
 
 @value
@@ -84,25 +81,10 @@ def _unit_controls(B2: FloatArray, D12: FloatArray) -> tuple[FloatArray, int]:
 def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
     """Scale a plant: D22 shifted out, D12 and D21 to unit columns and rows, time, states; the norm scales by `gain`.
 
-    Time is measured by the geometric mean of the poles' moduli; where all are 0 by the frequency at which a control
-    costs as much as what it does to the states; of a sampled plant by its period, so that poles stay where they are.
-    States are balanced by Osborne's iteration on [A B; C 0].
+    States are balanced by Osborne's iteration on [A B; C 0]; for the unit of time see `_unit_of_time`. A sampled plant
+    counts time in periods, so that poles stay where they are.
     """
-    root = np.sqrt(gain)
-    every = np.abs(np.linalg.eigvals(plant.A))
-    # Poles at 0 are computed as rounding, defective ones as more: they give no unit of time.
-    moduli = every[every > 1e-6 * np.max(every, initial=0.0)]
-    if moduli.size < every.size and not plant.dt:
-        # Beside a pole far away slow ones look like poles at 0.
-        block = _slow_part(plant.A, plant.B2, 0.0)[0]
-        slow = np.abs(np.linalg.eigvals(block))
-        # Poles at 0 are rounding of the size of their block, too.
-        floor = max(1e-6 * float(np.linalg.norm(block)), _SLOW_FLOOR * np.max(every))
-        moduli = slow[slow > floor] if np.any(slow > floor) else moduli
-    rate = 1.0
-    if not plant.dt:
-        rate = float(np.exp(np.mean(np.log(moduli)))) if moduli.size else _crossover(plant)
-
+    root, rate = np.sqrt(gain), 1.0 if plant.dt else _unit_of_time(plant)
     A, B1, C1 = plant.A / rate, plant.B1 / rate / root, plant.C1 / root
     S, control_rank = _unit_controls(plant.B2 / rate, plant.D12 / root)
     St, measurement_rank = _unit_controls(plant.C2.T, plant.D21.T / root)
@@ -124,29 +106,24 @@ def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
     )  # fmt: skip
 
 
-def _crossover(plant: Partition) -> float:
-    """Return the frequency, rad/s, from which on u counts less in z by way of the states than directly; else 1.
+def _unit_of_time(plant: Partition) -> float:
+    """Return a unit of frequency, rad/s: the geometric mean of the poles' moduli, those at 0 left out.
 
-    Or from which on w counts less in y by way of the states than directly, where u is not in z.
+    Where all are 0 the size of A in the unit itself, with controls and measurements in units of D12 and D21.
     """
-    # The unit of a single integrator is that of its state.
-    for one in (plant, plant.dual) if len(plant.A) > 1 else ():
-        S, rank = _unit_controls(one.B2, one.D12)
-        if not rank:
-            continue
-
-        def ratio(frequency: float, one: Partition = one, S: FloatArray = S) -> float:
-            states = np.linalg.solve(1j * frequency * np.eye(len(one.A)) - one.A, one.B2 @ S)
-            return float(np.linalg.norm(one.C1 @ states, 2))
-
-        low, high = 1e-9, 1e9
-        if not ratio(low) > 1.0 > ratio(high):
-            continue
-        while high > 1.1 * low:
-            middle = float(np.sqrt(low * high))
-            low, high = (middle, high) if ratio(middle) > 1.0 else (low, middle)
-        return low
-    return 1.0
+    A = plant.A
+    least = ZERO_IN_ALL * float(np.linalg.norm(A))
+    moduli = [m for poles, _, size in blocks(A) for m in np.abs(poles) if m > max(ZERO_POLE * size, least)]
+    if moduli:
+        return float(np.exp(np.mean(np.log(moduli))))
+    S, St = _unit_controls(plant.B2, plant.D12)[0], _unit_controls(plant.C2.T, plant.D21.T)[0]
+    rate, B, C = 1.0, np.hstack([plant.B1, plant.B2 @ S]), np.vstack([plant.C1, St.T @ plant.C2])
+    for _ in range(UNIT_STEPS):
+        d = balance(A / rate, B / rate, C)
+        size = float(np.linalg.norm(A / d[:, None] * d, 2))
+        # A single integrator has the unit of its state.
+        rate = size or rate
+    return rate
 
 
 def autoscaled_with_gain(plant: Partition) -> ScaledPlant:
@@ -202,6 +179,65 @@ def unscale(controller: StateArrays, scaled: ScaledPlant) -> StateArrays:
     return with_direct_path(StateArrays(A=A, B=B, C=C, D=D), scaled.D22)
 
 
+def blocks(A: FloatArray) -> list[tuple[ComplexArray, FloatArray, float]]:
+    """Return poles, their rounding errors and the norm of A, of each block of states that act on one another.
+
+    What is fast in one block does not blur the poles of another.
+    """
+    from scipy.linalg import eig
+    from scipy.sparse.csgraph import connected_components
+
+    count, own = connected_components(A != 0.0, connection="strong")
+    out = []
+    for k in range(count):
+        block = A[np.ix_(own == k, own == k)]
+        size = float(np.linalg.norm(block))
+        poles, left, right = eig(block, left=True, right=True)
+        aligned = np.abs(np.sum(np.conj(left) * right, axis=0))
+        rounding = size * np.minimum(ROUNDING * len(poles) / np.maximum(aligned, ROUNDING), LARGEST_ROUNDING)
+        out.append((np.asarray(poles, dtype=np.complex128), rounding, size))
+    return out
+
+
+def _with_means(poles: ComplexArray, chosen: NDArray[np.bool_], size: float) -> list[complex]:
+    """Return chosen poles, and the means of their clusters: copies of a defective pole scatter, their mean does not."""
+    clusters = [poles[np.abs(poles - one) < CLUSTER * size] for one in poles[chosen]]
+    return [*map(complex, poles[chosen]), *(complex(np.mean(some)) for some in clusters if some.size > 1)]
+
+
+def _rank_margin(pole: complex, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> tuple[float, FloatArray]:
+    """Return the least singular value over the largest of [A − pole I, B; C, D], and where it is, (columns,).
+
+    Its rows and columns are in units in which they have unit length, taken from the sizes of the terms of its entries.
+    """
+    eye = np.eye(len(A))
+    size = np.abs(np.block([[np.abs(A) + np.abs(pole) * eye, B], [C, D]]))
+    rows = 1.0 / np.maximum(np.linalg.norm(size, axis=1), SMALLEST_ROW)
+    columns = 1.0 / np.maximum(np.linalg.norm(size * rows[:, None], axis=0), np.finfo(np.float64).eps)
+    pencil = np.block([[A - pole * eye, B], [C, D]])
+    _, sigma, Vh = np.linalg.svd(pencil * rows[:, None] * columns)
+    return (float(sigma[-1] / sigma[0]) if sigma[0] > 0.0 else 0.0), np.abs(Vh[-1]) * columns
+
+
+def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
+    """Return the unstable mode that is hardest to stabilise: relative singular value, property, pole.
+
+    The pole is in rad/s, of a sampled plant in z. Test of Popov, Belevitch and Hautus; ``(inf, "", 0)`` where every
+    pole is stable.
+    """
+    plant = scaled.plant
+    weakest = (float("inf"), "", 0j)
+    for word, A, B in (("stabilisable", plant.A, plant.B2), ("detectable", plant.A.T, plant.C2.T)):
+        n, m = B.shape
+        for poles, rounding, size in blocks(A):
+            beyond = np.abs(poles) - 1.0 if plant.dt else poles.real
+            for pole in _with_means(poles, beyond >= -rounding, size):
+                sigma, _ = _rank_margin(pole, A, B, np.zeros((0, n)), np.zeros((0, m)))
+                if sigma < weakest[0]:
+                    weakest = (sigma, word, pole * scaled.rate)
+    return weakest
+
+
 def require_stabilisable(
     plant: Partition, P: StateSpace, where: str = "hinf", scaled: ScaledPlant | None = None
 ) -> None:
@@ -210,7 +246,7 @@ def require_stabilisable(
     The plant may be in the w-plane of a sampled P; `scaled` is the same plant, if it is available.
     """
     sigma, word, pole = weakest_mode(scaled or autoscaled_with_gain(plant))
-    if word and sigma < 1e-10:
+    if word and sigma < RANK_LOSS:
         verb = "no control u moves" if word == "stabilisable" else "no measurement y sees"
         at = f"{pole.real:.4g}{pole.imag:+.4g}j rad/s"
         if P.dt:
@@ -223,195 +259,87 @@ def require_stabilisable(
         )
 
 
-def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
-    """Return the unstable mode that is hardest to stabilise: smallest singular value relative to A, property, pole.
-
-    The pole is in rad/s, of a sampled plant in z. Test of Popov, Belevitch and Hautus; ``(inf, "", 0)`` where every
-    pole is stable.
-    """
-    plant = scaled.plant
-    weakest = (float("inf"), "", 0j)
-    for word, A, B in (("stabilisable", plant.A, plant.B2), ("detectable", plant.A.T, plant.C2.T)):
-        # Of the modes that are not fast and stable alone: in units of theirs, whatever the fastest pole is.
-        slow, into = _slow_part(A, B, plant.dt)
-        size = float(np.linalg.norm(np.hstack([slow, into]), 2)) if slow.size else 0.0
-        floor = _BLOCK_ROUNDING * float(np.linalg.norm(A, 2))
-        for pole in (one for one in not_stable(slow, size, plant.dt, floor) if np.isfinite(one)):
-            pencil = np.hstack([slow - pole * np.eye(len(slow)), into])
-            sigma = float(np.linalg.svd(pencil, compute_uv=False)[-1]) / size if size > 0.0 else 0.0
-            if sigma < weakest[0]:
-                weakest = (sigma, word, pole * scaled.rate)
-    return weakest
-
-
-def _slow_part(A: FloatArray, B: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Return the motion of the modes that are unstable, or stable and slow beside the fastest, and what drives it."""
-    from scipy.linalg import schur
-
-    if not len(A) or not np.isfinite(A).all():
-        return A, B
-    edge = _SLOW * float(np.linalg.norm(A, 2))
-
-    def chosen(real: float, imaginary: float) -> bool:
-        return bool(dt) or np.hypot(real, imaginary) <= edge or real >= -edge
-
-    T, Z, count = schur(A.T, sort=chosen)
-    return np.asarray(T[:count, :count].T), np.asarray(Z[:, :count].T @ B)
-
-
-def not_stable(A: FloatArray, size: float, dt: float, floor: float = 0.0) -> list[complex]:
-    """Return poles that are not stable by more than rounding, at least `floor`, and the means of their clusters."""
-    from scipy.linalg import eig
-
-    poles, left, right = eig(A, left=True, right=True)
-    aligned = np.abs(np.sum(np.conj(left) * right, axis=0))
-    rounding = size * np.minimum(ROUNDING * len(poles) / np.maximum(aligned, ROUNDING), LARGEST_ROUNDING) + floor
-    found = (np.abs(poles) - 1.0 if dt else poles.real) >= -rounding
-    return clustered(poles, size, found)
-
-
-def clustered(poles: NDArray[Any], size: float, chosen: NDArray[np.bool_] | None = None) -> list[complex]:
-    """Return poles, and the means of their clusters: a defective pole scatters, the mean of its copies is accurate."""
-    those = poles if chosen is None else poles[chosen]
-    out = [complex(p) for p in those]
-    for p in those:
-        near = poles[np.abs(poles - p) < 1e-3 * size]
-        if near.size > 1:
-            out.append(complex(np.mean(near)))
-    return out
-
-
 def named(direction: FloatArray, labels: Sequence[str]) -> str:
     """Return the signals that make up most of a direction."""
     share = np.abs(direction) / max(float(np.abs(direction).max(initial=0.0)), np.finfo(float).tiny)
     return ", ".join(label for label, x in zip(labels, share, strict=True) if x >= 0.3)
 
 
-def require_full_rank(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
-    """Raise an IllPosedError where D12 or D21 does not have full rank."""
+def require_assumptions(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
+    """Raise an IllPosedError where D12 or D21 loses rank or an invariant zero lies on the stability boundary."""
+    cure = f'{REGULARISE}, or method="lmi", which needs none of this' if where.startswith("hinf") else REGULARISE
     nu, ny = scaled.plant.B2.shape[1], scaled.plant.C2.shape[0]
     if scaled.control_rank < nu:
         lost = np.abs(scaled.control[:, scaled.control_rank :]).sum(axis=1)
         raise IllPosedError(
             f"{where}: D12 must have full column rank {nu}, but has {scaled.control_rank}: z does not contain "
-            f"{named(lost, P.input_labels[-nu:])} directly; add a small weight on every control to z, or "
-            f"{remedy(where)}",
+            f"{named(lost, P.input_labels[-nu:])} directly; add a small weight on every control to z, or {cure}",
             P,
         )
     if scaled.measurement_rank < ny:
         lost = np.abs(scaled.measurement[scaled.measurement_rank :]).sum(axis=0)
         raise IllPosedError(
             f"{where}: D21 must have full row rank {ny}, but has {scaled.measurement_rank}: no w disturbs "
-            f"{named(lost, P.output_labels[-ny:])} directly; add a small noise on every measurement to w, or "
-            f"{remedy(where)}",
+            f"{named(lost, P.output_labels[-ny:])} directly; add a small noise on every measurement to w, or {cure}",
             P,
         )
+    found = zero_on_boundary(scaled.plant)
+    if found is None:
+        return
+    what, zero, states = found
+    if scaled.plant.dt:
+        place = f"the unit circle, but {what} at z = {zero.real:.4g}{zero.imag:+.4g}j"
+    else:
+        place = f"the imaginary axis, but {what} at {abs(zero) * scaled.rate:.4g} rad/s" + " (w-plane)" * bool(P.dt)
+    raise IllPosedError(
+        f"{where}: there must be no zero on {place} in the states {named(states * scaled.state, P.state_labels)}; "
+        f"shift the weight with that pole or zero to the left, or {cure}",
+        P,
+    )
 
 
-def zero_on_axis(p: Partition) -> tuple[str, float, FloatArray] | None:
-    """Return which matrix loses rank on the axis, the frequency (scaled) and the states involved, (n,), or None.
+def zero_on_boundary(p: Partition) -> tuple[str, complex, FloatArray] | None:
+    """Return which matrix loses rank on the stability boundary, where (scaled), and the states involved, (n,), or None.
 
     `p` is scaled and its D12 and D21 have orthonormal columns and rows.
     """
-    size = max(1.0, float(np.linalg.norm(p.A, 2)))
     for one, what in (
         (p, "[A − jωI, B2; C1, D12] loses column rank"),
         (p.dual, "[A − jωI, B1; C2, D21] loses row rank"),
     ):
         A, B, C, D = one.A, one.B2, one.C1, one.D12
         # D'D = I: zeros are eigenvalues of A − B D'C.
-        for zero in clustered(np.linalg.eigvals(A - B @ D.T @ C), size):
-            # In units of the zero, not of the fastest pole.
-            own = max(1.0, abs(zero)) + _BLOCK_ROUNDING / RANK_LOSS * size
-            if abs(zero.real) > NEAR_AXIS * own:
-                continue
-            shifted = A - 1j * zero.imag * np.eye(len(A))
-            _, sigma, Vh = np.linalg.svd(np.block([[shifted, B], [C, D]]))
-            if sigma[-1] < RANK_LOSS * own:
-                return what, abs(zero.imag), np.abs(Vh[-1, : len(A)])
+        for zeros, _, size in blocks(A - B @ D.T @ C):
+            for zero in _with_means(zeros, np.ones(len(zeros), dtype=np.bool_), size):
+                distance, nearest = abs(zero.real), 1j * zero.imag
+                if p.dt:
+                    distance, nearest = abs(abs(zero) - 1.0), zero / (abs(zero) or 1.0)
+                if distance > NEAR_BOUNDARY * max(size, abs(zero)):
+                    continue
+                sigma, where = _rank_margin(nearest, A, B, C, D)
+                if sigma < RANK_LOSS:
+                    return what, nearest, where[: len(A)]
     return None
 
 
-def require_no_zero_on_axis(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
-    """Raise an IllPosedError that names an invariant zero on the imaginary axis."""
-    found = zero_on_axis(scaled.plant)
-    if found is None:
-        return
-    what, frequency, states = found
-    place = f"{frequency * scaled.rate:.4g} rad/s"
-    if P.dt:
-        place += " (w-plane)"
-    raise IllPosedError(
-        f"{where}: there must be no zero on the imaginary axis, but {what} at {place} in the states "
-        f"{named(states * scaled.state, P.state_labels)}; shift the weight with that pole or zero to the left, or "
-        f"{remedy(where)}",
-        P,
-    )
+def regularised(plant: Partition, size: float) -> tuple[Partition, float]:
+    """Return a plant that fulfils the assumptions of Riccati equations, and by how much its boundary is moved.
 
-
-def without_direct_path(plant: Partition, P: StateSpace, where: str) -> tuple[Partition, FloatArray]:
-    """Return the plant with the gain D_K closed that cancels D11, and D_K; D12 and D21 are orthonormal or zero."""
-    gain = -plant.D12.T @ plant.D11 @ plant.D21.T
-    closed = plant.with_gain(gain)
-    rest = closed.D11
-    if np.linalg.norm(rest) > NO_DIRECT_PATH * np.linalg.norm(plant.D11):
-        z, w = np.unravel_index(int(np.argmax(np.abs(rest))), rest.shape)
-        raise IllPosedError(
-            f"{where}: the H2 norm is infinite: no gain from y to u cancels the direct path D11 from "
-            f"{P.input_labels[int(w)]} to {P.output_labels[int(z)]}; put a low-pass on that w or z",
-            P,
-        )
-    return dataclasses.replace(closed, D11=np.zeros_like(rest)), gain
-
-
-def widened(p: Partition, rows: FloatArray, columns: FloatArray) -> Partition:
-    """Return the plant with further outputs `rows` u in z, and further inputs of w that enter y by `columns`."""
-    n, more_z, more_w = len(p.A), len(rows), columns.shape[1]
-    return dataclasses.replace(
-        p,
-        B1=np.hstack([p.B1, np.zeros((n, more_w))]),
-        C1=np.vstack([p.C1, np.zeros((more_z, n))]),
-        D11=np.pad(p.D11, ((0, more_z), (0, more_w))),
-        D12=np.vstack([p.D12, rows]),
-        D21=np.hstack([p.D21, columns]),
-    )
-
-
-def regularised(scaled: ScaledPlant, size: float) -> tuple[ScaledPlant, float, float]:
-    """Return a scaled plant that fulfils the assumptions, and what was added or 0: ε, and a shift of A, rad/s.
-
-    It has rows ε u in z for the controls, and columns ε in w for the measurements, that D12 and D21 left out (relative
-    to scaled signals), and A + shift in place of A where a zero was on the axis. Every closed-loop norm from the old w
-    to the old z is at most that of this plant (maximum modulus).
+    It has rows ε u in z, columns ε in w for y (ε = `size`, relative to scaled signals), and s − σ in place of s, σ
+    being ε times the unit of time, rad/s; sampled: z / (1 + ε) in place of z. With s + σ, or z (1 + ε), in its
+    controller every norm from the old w to the old z is at most that of this plant (maximum modulus).
     """
-    p, r, s = scaled.plant, scaled.control_rank, scaled.measurement_rank
-    nu, ny = p.B2.shape[1], p.C2.shape[0]
-    # The left-out controls are counted in units of 1/ε, so that D12 keeps orthonormal columns.
-    into, out = np.ones(nu), np.ones(ny)
-    into[r:], out[s:] = 1.0 / size, 1.0 / size
-    rows, columns = np.eye(nu)[r:], np.eye(ny)[:, s:]
-    plant = widened(dataclasses.replace(p, B2=p.B2 * into, C2=p.C2 * out[:, None]), rows, columns)
-    shift = size if zero_on_axis(plant) is not None else 0.0
-    if shift:
-        plant = dataclasses.replace(plant, A=p.A + shift * np.eye(len(p.A)))
+    scaled = autoscaled_with_gain(plant)
+    n, (ny, nu), unit = len(plant.A), plant.D22.shape, size * np.sqrt(scaled.gain)
+    grow, shift = (1.0 + size, 0.0) if plant.dt else (1.0, size * scaled.rate)
     changed = dataclasses.replace(
-        scaled, plant=plant, control=scaled.control * into, measurement=scaled.measurement * out[:, None],
-        control_rank=nu, measurement_rank=ny,
-    )  # fmt: skip
-    return changed, size if r < nu or s < ny else 0.0, shift * scaled.rate
-
-
-def regularised_and_report(
-    scaled: ScaledPlant, size: float | None, what: str, least: Callable[[ScaledPlant], float]
-) -> tuple[ScaledPlant, dict[str, float]]:
-    """Return the regularised plant, and what was added with the `least` norm that a tenth of it would give."""
-    if size is None:
-        return scaled, {}
-    changed, added, shift = regularised(scaled, size)
-    if not (added or shift):
-        return changed, {}
-    return changed, {
-        "regularisation of controls and measurements": added,
-        "regularisation by a shift of A, rad/s": shift,
-        f"least {what} at a tenth of it": least(regularised(scaled, 0.1 * size)[0]),
-    }
+        plant,
+        A=grow * plant.A + shift * np.eye(n),
+        B1=np.hstack([grow * plant.B1, np.zeros((n, ny))]),
+        B2=grow * plant.B2,
+        C1=np.vstack([plant.C1, np.zeros((nu, n))]),
+        D11=np.pad(plant.D11, ((0, nu), (0, ny))),
+        D12=np.vstack([plant.D12, unit * np.linalg.inv(scaled.control)]),
+        D21=np.hstack([plant.D21, unit * np.linalg.inv(scaled.measurement)]),
+    )
+    return changed, size if plant.dt else shift

@@ -13,6 +13,8 @@ of the plant as given.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -31,7 +33,7 @@ from platform_ctrl.design.partition import (
     out_of_w_plane,
     partition,
 )
-from platform_ctrl.design.scaling import autoscaled_with_gain, require_stabilisable
+from platform_ctrl.design.scaling import regularised, require_stabilisable
 from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError, UnscalableError
 
 if TYPE_CHECKING:
@@ -46,6 +48,9 @@ NORM_TOLERANCE = 0.01
 CURE = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
 # A direct term of a closed loop below this share of what it is the sum of is rounding.
 DIRECT_ROUNDING = 1e-9
+
+# What a route finds: the controller in the units of its plant, the least level, figures of merit.
+Found = tuple[StateArrays, float, dict[str, float]]
 
 
 @value
@@ -200,9 +205,8 @@ def hinf(
             "sample with another period, or close a small gain from y to u first",
             P,
         ) from None
-    scaled = autoscaled_with_gain(flat)
     if not plant.dt:
-        require_stabilisable(flat, P, "hinf", scaled)
+        require_stabilisable(flat, P, "hinf")
 
     def by(route: HinfMethod, reason: str = "") -> Synthesis:
         try:
@@ -213,7 +217,8 @@ def hinf(
             else:
                 from platform_ctrl.design.riccati.hinf import hinf_riccati
 
-                made, least, residual = hinf_riccati(scaled, backoff, P, regularise)
+                solve = partial(hinf_riccati, backoff=backoff, P=P)
+                made, least, residual = or_regularised(solve, flat, regularise, "gamma")
             made = out_of_w_plane(made, plant.dt)
         except np.linalg.LinAlgError as error:
             raise UnscalableError(f"hinf, {route}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
@@ -232,6 +237,29 @@ def hinf(
         return by("lmi", str(refused).rpartition(";")[0])
     except DesignError as error:
         raise type(error)(f"{error} (the other route fails, too: {refused})", P) from None
+
+
+def or_regularised(solve: Callable[[Partition], Found], plant: Partition, size: float | None, what: str) -> Found:
+    """Return what `solve` finds; where it fails, and `size` is given, of the plant with what is missing added.
+
+    With the residuals it then says what was added, and which least level, called `what`, a tenth of it would give.
+    """
+    try:
+        return solve(plant)
+    except (IllPosedError, UnscalableError):
+        if size is None:
+            raise
+    changed, moved = regularised(plant, size)
+    made, least, residual = solve(changed)
+    if plant.dt:
+        made = made._replace(A=made.A / (1.0 + moved), B=made.B / (1.0 + moved))
+    else:
+        made = made._replace(A=made.A - moved * np.eye(len(made.A)))
+    return made, least, residual | {
+        "regularisation of controls and measurements": size,
+        "regularisation by a shift of the boundary" + ", rad/s" * (not plant.dt): moved,
+        f"least {what} at a tenth of it": solve(regularised(plant, 0.1 * size)[0])[1],
+    }
 
 
 def require_time_limit(where: str, given: float) -> None:

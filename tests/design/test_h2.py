@@ -145,7 +145,7 @@ def test_a_zero_on_the_axis_is_named_and_shifted_by_regularisation():
         h2(P, 1, 1)
     result = h2(P, 1, 1, regularise=1e-2)
     assert result.spectral_abscissa < 0
-    assert result.residual["regularisation by a shift of A, rad/s"] > 0
+    assert result.residual["regularisation by a shift of the boundary, rad/s"] > 0
     assert result.gamma <= result.level
 
 

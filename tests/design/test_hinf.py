@@ -13,8 +13,8 @@ from scipy.linalg import solve_continuous_are
 
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.design.partition import closed_loop, partition, whole
-from platform_ctrl.design.riccati.hinf import _central, _floor, _normal_form, _sides, _trial, hinf_riccati
+from platform_ctrl.design.partition import partition, whole
+from platform_ctrl.design.riccati.hinf import _floor, _least_gamma, _normal_form, _trial
 from platform_ctrl.design.scaling import autoscale, balance, require_stabilisable
 from platform_ctrl.design.synthesis import certify, hinf
 from platform_ctrl.errors import (
@@ -29,6 +29,8 @@ from platform_ctrl.errors import (
 METHODS = ("lmi", "riccati")
 # The least gamma of the LMI route is as good as its solver, that of the Riccati route as its bisection.
 ACCURACY = {"lmi": 1e-4, "riccati": 1e-6}
+# z = (x, u) and y = x + noise, of one control and one measurement.
+NOISY = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
 
 
 def gyro(lag=2e-4, J9=5e-4, J10=2e-4, L=0.15):
@@ -86,6 +88,19 @@ def random_plant(seed, n=6, nw=4, nz=4, ny=2, nu=2, stable=False):
     return control.ss(A, rng.normal(size=(n, nw + nu)), rng.normal(size=(nz + ny, n)), D)
 
 
+def without(P, controls=(), measurements=()):
+    """A plant whose D12 and D21 are zero in some columns and rows."""
+    D = P.D.copy()
+    D[:4, controls] = 0
+    D[measurements, :4] = 0
+    return control.ss(P.A, P.B, P.C, D, inputs=P.input_labels, outputs=P.output_labels)
+
+
+def hidden_integrator():
+    """z does not see the integrator."""
+    return control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], NOISY)
+
+
 SHAPED = {
     "gyro": gyro(),
     "gyro behind integrators": with_integrators(*gyro(), 30.0, 50.0),
@@ -106,6 +121,11 @@ def test_gyros_in_si_units_reach_the_closed_form_of_the_coprime_factor_problem(n
     assert result.gamma == pytest.approx(hinf_norm(result.closed_loop)[0], rel=1e-9)
     assert result.spectral_abscissa < 0
     assert result.controller.nstates == P.nstates
+    if name == "gyro":
+        # With X and Y small where the separation does not look, the LMI route had poles at 1e5 rad/s here.
+        assert np.abs(result.controller.poles()).max() < 2 * 5000
+    if method == "riccati":
+        assert all(value < 1e-12 for key, value in result.residual.items() if "residual" in key)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -119,73 +139,61 @@ def test_integrators_and_an_unstable_pole_have_their_textbook_gamma(denominator,
     assert result.gamma_optimal == pytest.approx(least, rel=ACCURACY[method])
 
 
-def test_controllers_of_both_routes_are_not_faster_than_the_plant_asks_for():
-    # With X and Y small where the separation does not look, the LMI route had poles at 1e5 rad/s here.
-    P, nmeas, ncon = coprime_problem(*gyro())
-    fastest = [np.abs(hinf(P, nmeas, ncon, method=method).controller.poles()).max() for method in METHODS]
-    assert max(fastest) < 2 * 5000
-
-
 def test_the_default_is_the_riccati_route_where_its_assumptions_hold_and_the_result_says_why():
     P = random_plant(7, n=4)
     default, asked = hinf(P, 2, 2), hinf(P, 2, 2, method="riccati")
     assert (default.method, default.reason) == ("hinf, riccati", "the assumptions of the Riccati equations hold")
-    assert (default.gamma, default.gamma_optimal) == (asked.gamma, asked.gamma_optimal)
-    assert asked.reason == ""
-    D = P.D.copy()
-    D[:4, 4:] = 0
-    singular = hinf(control.ss(P.A, P.B, P.C, D), 2, 2)
-    assert singular.method == "hinf, lmi"
-    assert singular.reason.startswith("hinf, riccati: D12 must have full column rank 2, but has 0")
-    integrator = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
-    unseen = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], integrator)
-    found = hinf(unseen, 1, 1)
-    assert found.method == "hinf, lmi"
-    assert "loses column rank at 0 rad/s" in found.reason
-    # What has to be added for the Riccati equations is added to them.
-    assert hinf(unseen, 1, 1, regularise=1e-3).method == "hinf, riccati"
-
-
-def test_where_both_routes_fail_the_error_names_both_reasons():
-    P = random_plant(7, n=4)
-    D = P.D.copy()
-    D[:4, 4:] = 0
+    assert (default.gamma, default.gamma_optimal, asked.reason) == (asked.gamma, asked.gamma_optimal, "")
+    for plant, ports, why in (
+        (without(P, [4, 5]), 2, r"hinf, riccati: D12 must have full column rank 2, but has 0"),
+        (hidden_integrator(), 1, r"[A − jωI, B2; C1, D12] loses column rank at 0 rad/s"),
+    ):
+        found = hinf(plant, ports, ports)
+        assert found.method == "hinf, lmi"
+        assert why in found.reason
+        with pytest.raises(IllPosedError, match='method="lmi"') as refused:
+            hinf(plant, ports, ports, method="riccati")
+        assert why in str(refused.value)
+        assert refused.value.problem is plant
     with pytest.raises(TimeLimitError, match=r"did not finish .*the other route fails, too: .*D12 must have"):
-        hinf(control.ss(P.A, P.B, P.C, D), 2, 2, time_limit=1e-6)
+        hinf(without(P, [4, 5]), 2, 2, time_limit=1e-6)
+
+
+def test_missing_weights_are_named_by_their_signals():
+    P = random_plant(7, n=4)
+    named = control.ss(P.A, P.B, P.C, P.D, inputs=["d1", "d2", "d3", "d4", "Q9", "Q10"])
+    with pytest.raises(IllPosedError, match=r"D12 must .* but has 1: z does not contain Q10 directly"):
+        hinf(without(named, [5]), 2, 2, method="riccati")
+    D = P.D.copy()
+    D[5, :4] = D[4, :4]
+    with pytest.raises(IllPosedError, match=r"no w disturbs y\[4\], y\[5\] directly"):
+        hinf(control.ss(P.A, P.B, P.C, D), 2, 2, method="riccati")
 
 
 def test_eigenvalues_on_the_axis_are_not_taken_for_a_solution():
     # Below the least gamma of this plant, 7.857, the Hamiltonian matrix has eigenvalues on the axis that rounding puts
     # on either side of it in equal numbers: sb10ad takes 6.246 for the answer.
     P = random_plant(2)
-    results = [hinf(P, 2, 2, method=method) for method in METHODS]
-    assert results[0].gamma_optimal == pytest.approx(results[1].gamma_optimal, rel=1e-4)
+    lmi, riccati = (hinf(P, 2, 2, method=method).gamma_optimal for method in METHODS)
+    assert riccati == pytest.approx(lmi, rel=1e-4)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     seed=st.integers(0, 50),
     exponents=st.lists(st.floats(-4, 4), min_size=6, max_size=6),
     rate=st.floats(-3, 4),
     ports=st.lists(st.floats(-5, 5), min_size=4, max_size=4),
+    unit=st.floats(-9, 9),
 )
-def test_least_gamma_does_not_depend_on_the_units(seed, exponents, rate, ports):
+def test_least_gamma_does_not_depend_on_the_units_but_for_that_of_z(seed, exponents, rate, ports, unit):
     P = random_plant(seed, stable=True)
-    d, r = 10.0 ** np.array(exponents), 10.0**rate
-    u, y = 10.0 ** np.array([0, 0, 0, 0, *ports[:2]]), 10.0 ** np.array([0, 0, 0, 0, *ports[2:]])
+    d, r, z = 10.0 ** np.array(exponents), 10.0**rate, 10.0**unit
+    u, y = 10.0 ** np.array([0, 0, 0, 0, *ports[:2]]), 10.0 ** np.array([*[unit] * 4, *ports[2:]])
     other = control.ss(r * P.A / d[:, None] * d, r * P.B / d[:, None] * u, y[:, None] * P.C * d, y[:, None] * P.D * u)
     here, there = (hinf(p, 2, 2, method="riccati") for p in (P, other))
-    assert there.gamma_optimal == pytest.approx(here.gamma_optimal, rel=1e-6)
-    assert there.gamma == pytest.approx(here.gamma, rel=1e-4)
-
-
-@pytest.mark.parametrize("gain", [1e-6, 1e6])
-def test_lmi_route_finds_a_gamma_of_any_size(gain):
-    P = random_plant(4)
-    scaled = control.ss(P.A, P.B, np.vstack([gain * P.C[:4], P.C[4:]]), np.vstack([gain * P.D[:4], P.D[4:]]))
-    assert hinf(scaled, 2, 2, method="lmi").gamma_optimal == pytest.approx(
-        gain * hinf(P, 2, 2, method="riccati").gamma_optimal, rel=1e-4
-    )
+    assert there.gamma_optimal == pytest.approx(z * here.gamma_optimal, rel=1e-6)
+    assert there.gamma == pytest.approx(z * here.gamma, rel=1e-4)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -199,47 +207,27 @@ def test_direct_feedthrough_from_u_to_y_costs_nothing(method):
     assert shifted.gamma_optimal == pytest.approx(plain.gamma_optimal, rel=1e-6)
 
 
-def lower_fraction(p, k):
-    """The response from w to z of a plant's with that of u = k y."""
-    return p[:4, :4] + p[:4, 4:] @ k @ np.linalg.solve(np.eye(2) - p[4:, 4:] @ k, p[4:, :4])
-
-
-def test_closed_loop_is_the_linear_fractional_transformation():
-    rng = np.random.default_rng(6)
-    P = random_plant(6)
-    D = P.D.copy()
-    D[4:, 4:] = 0.3
-    P = control.ss(P.A, P.B, P.C, D)
-    K = control.ss(*(0.5 * rng.normal(size=s) for s in ((3, 3), (3, 2), (2, 3), (2, 2))))
-    loop = closed_loop(partition(P, 2, 2), state_arrays(K, "K"))
-    for s in (0.3j, 2j, 1 + 1j):
-        expected = lower_fraction(P(s), K(s))
-        found = loop.C @ np.linalg.solve(s * np.eye(len(loop.A)) - loop.A, loop.B) + loop.D
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("missing", ["D12", "D21", "both"])
-def test_lmi_route_needs_no_rank_and_reaches_less_than_the_regularised_problem(missing):
+def test_what_is_missing_is_not_needed_by_the_lmi_route_and_added_where_that_is_asked_for():
     P = random_plant(7, n=4)
-    D, regular = P.D.copy(), P.D.copy()
-    if missing in ("D12", "both"):
-        D[:4, 4:], regular[:4, 4:] = 0, 1e-3 * P.D[:4, 4:]
-    if missing in ("D21", "both"):
-        D[4:, :4], regular[4:, :4] = 0, 1e-3 * P.D[4:, :4]
-    singular = control.ss(P.A, P.B, P.C, D)
-    result = hinf(singular, 2, 2)
-    near = hinf(control.ss(P.A, P.B, P.C, regular), 2, 2, method="riccati")
-    assert result.gamma_optimal == pytest.approx(near.gamma_optimal, rel=0.02)
-    assert result.gamma <= 1.021 * result.gamma_optimal
-    with pytest.raises(DesignError, match=r"D(12|21) must have full .* but has 0.* method=\"lmi\"") as refused:
-        hinf(singular, 2, 2, method="riccati")
-    assert refused.value.problem is singular
-
-
-def test_riccati_equations_are_solved():
-    residual = hinf(*coprime_problem(*gyro()), method="riccati").residual
-    assert all(value < 1e-12 for name, value in residual.items() if "residual" in name)
-    assert residual["spectral radius of X Y over gamma squared"] < 1
+    singular = without(P, [5], [5])
+    least = hinf(singular, 2, 2).gamma_optimal
+    for size in (1e-2, 1e-3):
+        result = hinf(singular, 2, 2, method="riccati", regularise=size)
+        assert result.residual["regularisation of controls and measurements"] == size
+        changed = result.level / (1 + result.backoff)
+        assert result.residual["least gamma at a tenth of it"] <= changed
+        assert result.gamma_optimal == min(result.gamma, changed)
+        assert result.gamma <= 1.021 * changed
+        assert least * (1 - 1e-3) <= changed <= least * (1 + 20 * size)
+    # A zero on the axis is shifted.
+    shifted = hinf(hidden_integrator(), 1, 1, regularise=1e-3)
+    assert shifted.method == "hinf, riccati"
+    assert shifted.residual["regularisation by a shift of the boundary, rad/s"] > 0
+    assert shifted.gamma <= shifted.level
+    assert shifted.level == pytest.approx(hinf(hidden_integrator(), 1, 1, method="lmi").level, rel=0.05)
+    # Nothing is added where nothing is missing.
+    plain, same = (hinf(P, 2, 2, method="riccati", regularise=size) for size in (None, 1e-3))
+    assert (same.gamma, same.residual.keys()) == (plain.gamma, plain.residual.keys())
 
 
 def test_wrong_controllers_and_norms_below_the_least_are_not_certified():
@@ -281,15 +269,6 @@ def test_a_mode_out_of_reach_is_named(B2, C2, word, pole, method):
         hinf(control.ss(A, B, C, D), 1, 1, method=method)
 
 
-def test_riccati_route_names_a_zero_on_the_axis_that_the_lmi_route_allows():
-    # z does not see the integrator.
-    D = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
-    P = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], D)
-    with pytest.raises(DesignError, match=r"\[A − jωI, B2; C1, D12\] loses column rank at 0 rad/s"):
-        hinf(P, 1, 1, method="riccati")
-    assert hinf(P, 1, 1, method="lmi").spectral_abscissa < 0
-
-
 @pytest.mark.parametrize(
     ("arguments", "options", "match"),
     [
@@ -314,35 +293,23 @@ def test_arguments_that_make_no_sense_are_refused(arguments, options, match):
         hinf(*arguments, **options)
 
 
-@pytest.mark.parametrize("unit", [1e-9, 1e6, 1e9])
-def test_gamma_follows_the_unit_of_z(unit):
-    P = random_plant(1)
-    in_unit = np.concatenate([np.full(4, unit), np.ones(2)])[:, None]
-    here = hinf(P, 2, 2, method="riccati")
-    there = hinf(control.ss(P.A, P.B, in_unit * P.C, in_unit * P.D), 2, 2, method="riccati")
-    assert there.gamma_optimal == pytest.approx(unit * here.gamma_optimal, rel=1e-6)
-
-
-def beside(pole, controls=1.0):
-    """A sampled plant with a further pole that w and, where asked, u drive, and that y and z see."""
-    P = control.ss(0.5, [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]], 0.1)
-    A, B = np.diag([0.5, pole]), np.vstack([P.B, [[1, 0, controls]]])
-    return control.StateSpace(A, B, np.hstack([P.C, [[1], [0], [1]]]), P.D, 0.1, remove_useless_states=False)
-
-
 def test_a_sampled_pole_at_minus_one_is_named():
-    with pytest.raises(NotStabilisableError, match=r"no control u moves the mode at z = -1\+0j"):
-        hinf(beside(-1.0, controls=0.0), 1, 1)
-    with pytest.raises(IllPosedError, match="pole at z = -1") as caught:
-        hinf(beside(-1.0), 1, 1)
-    assert caught.value.problem is not None
+    for seen, error, match in (
+        (0.0, NotStabilisableError, r"no control u moves the mode at z = -1\+0j"),
+        (1.0, IllPosedError, "pole at z = -1"),
+    ):
+        A, B, C = np.diag([0.5, -1.0]), [[1, 0, 1], [1, 0, seen]], [[1, 1], [0, 0], [1, 1]]
+        P = control.StateSpace(A, B, C, NOISY, 0.1, remove_useless_states=False)
+        with pytest.raises(error, match=match) as caught:
+            hinf(P, 1, 1)
+        assert caught.value.problem is P
 
 
 def test_a_stable_mode_far_slower_than_another_is_allowed():
     # Poles at -0.01 and -1e9 rad/s: no control reaches the slow one, none has to.
     P = control.StateSpace(
         np.diag([-0.01, -1e9]), [[0.1, 0, 0], [3e4, 0, 3e4]], [[0.1, 3e4], [0, 0], [0.1, 3e4]],
-        [[0, 0, 0], [0, 0, 1], [0, 1, 0]], remove_useless_states=False,
+        NOISY, remove_useless_states=False,
     )  # fmt: skip
     require_stabilisable(partition(P, 1, 1), P)
     unstable = control.StateSpace(np.diag([0.01, -1e9]), P.B, P.C, P.D, remove_useless_states=False)
@@ -379,7 +346,11 @@ def test_sampled_plants_have_the_norm_of_their_w_plane(seed, method):
     assert result.gamma_optimal == pytest.approx(flat.gamma_optimal, rel=ACCURACY[method])
     # Recomputed along the unit circle from plant and controller alone.
     z = np.exp(1j * np.linspace(0, np.pi, 400))
-    peaks = [np.linalg.norm(lower_fraction(P(one), result.controller(one)), 2) for one in z]
+    peaks = []
+    for one in z:
+        p, k = P(one), result.controller(one)
+        loop = p[:4, :4] + p[:4, 4:] @ k @ np.linalg.solve(np.eye(2) - p[4:, 4:] @ k, p[4:, :4])
+        peaks.append(np.linalg.norm(loop, 2))
     assert 0.98 * result.gamma < max(peaks) <= result.gamma * (1 + 1e-6)
     assert np.abs(result.poles).max() < 1
     assert result.spectral_abscissa < 0
@@ -400,7 +371,7 @@ def test_slycot_agrees_to_six_digits_where_its_own_loop_has_the_norm_that_it_cla
             assert true == pytest.approx(claimed, rel=1e-4)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
     n=st.integers(1, 8),
@@ -408,78 +379,25 @@ def test_slycot_agrees_to_six_digits_where_its_own_loop_has_the_norm_that_it_cla
     more=st.tuples(*[st.integers(0, 3)] * 2),
     stable=st.booleans(),
 )
-@example(seed=154, n=8, ports=(2, 1), more=(1, 0), stable=False)  # its coefficients' rounding moves gamma by 2e-6
 # X, and Y, becomes infinite a second time past the least gamma.
 @example(seed=1828, n=8, ports=(1, 2), more=(0, 0), stable=False)
 @example(seed=5035, n=6, ports=(3, 2), more=(0, 0), stable=False)
+# D12 is square: X is zero but for rounding, and gamma ends where Y does.
+@example(seed=1781, n=3, ports=(2, 1), more=(0, 1), stable=False)
 def test_just_above_the_least_gamma_there_are_solutions_and_just_below_none(seed, n, ports, more, stable):
     (nu, ny), (z, w) = ports, more
     P = random_plant(seed, n, ny + w, nu + z, ny, nu, stable)
-    scaled = autoscale(partition(P, ny, nu))
-    least = hinf_riccati(scaled, 0.02, P)[1] / scaled.gain
+    normal = _normal_form(autoscale(partition(P, ny, nu)).plant)
+    least = _least_gamma(normal, P)
     if least < 1e-3:
         return  # Nothing stands in the way of gamma = 0 but rounding.
-    sides = _sides(_normal_form(scaled.plant))
-    # Rounding moves the stable subspace by eps / distance, and with it a solution as large as 1 / room.
-    start = _trial(sides, 0.0)
-    near = max(1e-6, np.finfo(float).eps / (min(start.room) * start.distance))
-    assert _trial(sides, (least * (1 + near)) ** -2).slack > 0
-    floor = max(_floor(_normal_form(scaled.plant)), 1e-6)
-    beyond = _trial(sides, (least * (1 - near)) ** -2).slack
-    assert least <= floor * (1 + near) or beyond is None or beyond < 0
 
+    def reached(gamma):
+        found = _trial(normal, gamma)
+        return found is not None and found.radius < gamma**2
 
-@pytest.mark.parametrize("seed", [1781, 2476])
-def test_a_coupling_that_is_rounding_does_not_end_the_search(seed):
-    # D12 is square: X is zero but for rounding, and gamma ends where Y does.
-    P = random_plant(seed, 3, nw=2, nz=2, ny=1, nu=2)
-    scaled = autoscale(partition(P, 1, 2))
-    least = hinf_riccati(scaled, 0.02, P)[1] / scaled.gain
-    beyond = _trial(_sides(_normal_form(scaled.plant)), (least * (1 - 1e-7)) ** -2).slack
-    assert beyond is None or beyond < 0
-
-
-def test_missing_weights_are_named_by_their_signals():
-    P = random_plant(7, n=4)
-    D = P.D.copy()
-    D[:4, 5] = 0
-    singular = control.ss(P.A, P.B, P.C, D, inputs=["d1", "d2", "d3", "d4", "Q9", "Q10"])
-    with pytest.raises(IllPosedError, match=r"D12 must .* but has 1: z does not contain Q10 directly"):
-        hinf(singular, 2, 2, method="riccati")
-    D = P.D.copy()
-    D[5, :4] = D[4, :4]
-    with pytest.raises(IllPosedError, match=r"no w disturbs y\[4\], y\[5\] directly"):
-        hinf(control.ss(P.A, P.B, P.C, D), 2, 2, method="riccati")
-
-
-def test_a_stated_regularisation_tends_to_the_lmi_route_from_above():
-    P = random_plant(7, n=4)
-    D = P.D.copy()
-    D[:4, 5] = D[5, :4] = 0
-    P = control.ss(P.A, P.B, P.C, D)
-    least = hinf(P, 2, 2, method="lmi").gamma_optimal
-    for size in (1e-2, 1e-3):
-        result = hinf(P, 2, 2, method="riccati", regularise=size)
-        assert result.residual["regularisation of controls and measurements"] == size
-        changed = result.level / (1 + result.backoff)
-        assert result.residual["least gamma at a tenth of it"] <= changed
-        assert result.gamma_optimal == min(result.gamma, changed)
-        assert result.gamma <= 1.021 * changed
-        assert least * (1 - 1e-3) <= changed <= least * (1 + 20 * size)
-    # Nothing is added where nothing is missing.
-    regular = random_plant(7, n=4)
-    plain, same = (hinf(regular, 2, 2, method="riccati", regularise=size) for size in (None, 1e-3))
-    assert same.gamma == plain.gamma
-    assert same.residual.keys() == plain.residual.keys()
-
-
-def test_a_zero_on_the_axis_is_shifted_by_regularisation():
-    D = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
-    P = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], D)
-    result = hinf(P, 1, 1, method="riccati", regularise=1e-3)
-    assert result.residual["regularisation by a shift of A, rad/s"] > 0
-    assert result.gamma <= result.level
-    assert result.level == pytest.approx(hinf(P, 1, 1, method="lmi").level, rel=0.05)
+    assert reached(least * (1 + 1e-6))
+    assert least <= max(_floor(normal), 1e-6) * (1 + 1e-6) or not reached(least * (1 - 1e-6))
 
 
 def test_where_the_central_controller_is_not_well_posed_another_one_is_taken():
@@ -488,17 +406,6 @@ def test_where_the_central_controller_is_not_well_posed_another_one_is_taken():
     result = hinf(P, 1, 1, method="riccati")
     assert result.gamma_optimal == pytest.approx(1, rel=1e-6)
     assert 1 <= result.gamma <= 1.021
-
-
-@pytest.mark.parametrize("share", [0.3, -0.9])
-def test_every_free_parameter_below_gamma_keeps_gamma(share):
-    P = random_plant(5)
-    scaled = autoscale(partition(P, 2, 2))
-    normal = _normal_form(scaled.plant)
-    least = hinf_riccati(scaled, 0.02, P)[1] / scaled.gain
-    best = _trial(_sides(normal), (1.05 * least) ** -2).solution
-    loop = closed_loop(normal, _central(normal, 1.05 * least, best, share))
-    assert hinf_norm(control.ss(loop.A, loop.B, loop.C, loop.D))[0] <= 1.05 * least * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("method", ["lmi", None])
@@ -510,7 +417,7 @@ def test_the_weight_of_a_force_on_a_mass_alone_scales_time(k, method):
 
 
 @pytest.mark.filterwarnings("ignore:connect")
-@pytest.mark.parametrize("pole", [1e5, 1e6, 5e6])
+@pytest.mark.parametrize("pole", [1e6, 5e6, 1e8])
 @pytest.mark.parametrize("denominator", [[1, -1, 3], [1, -1], [1, 0.01, 1]])
 @pytest.mark.parametrize("weight", [1.0, 0.01])
 def test_the_pole_of_a_weight_far_away_hides_no_mode(pole, denominator, weight):
