@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 from commanded_gimbal import RATE_HZ, commanded_job
 from platform_ctrl import design, read_job, verification
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.background import Tuning
 from platform_ctrl.job.quantities import HZ
 from platform_ctrl.plant.writing import toml
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
@@ -130,27 +128,4 @@ def test_a_tracking_loop_around_indirect_stabilisation_behind_a_filter_is_measur
         assert made.system.input_labels == own.closed.controller.input_labels
         assert made.system.output_labels == own.closed.controller.output_labels
         np.testing.assert_allclose(made.system.D, own.closed.controller.D, rtol=1e-9, atol=1e-12)
-    page.close()
-
-
-def test_tuning_a_design_with_a_filter_sees_the_whole() -> None:
-    """A PI overshoots, behind a filter it does not: nothing is left to tune."""
-    job = job_of(command={"filter_hz": 1.0, "acceleration": True})
-    job["loop"][0]["limits"] = {"overshoot": 0.01, "disk_margin": 0.5}
-    page = Backend(read_job(job))
-    start = page.start()
-    spec, one = page._loops.design(start)
-    plants = page._loops.plants_of(start, spec, one)
-    options = page._loops.options.used(start, spec, one)
-    task = Tuning(
-        spec=spec,
-        design=one,
-        plants=plants,
-        directions=page._loops.directions(start, spec, one),
-        options=options,
-        movable=("crossover_hz", "integral_hz"),
-    )
-    assert task.run(lambda line: None) == options
-    plain = dataclasses.replace(task, design=dataclasses.replace(one, command=None))
-    assert plain.run(lambda line: None) != options
     page.close()

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.page.messages import verdict_data
 from platform_ctrl.app.pictures import Overlay, Picture
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.job.reading import read_job
@@ -75,24 +74,3 @@ def test_an_overlay_that_cannot_be_built_is_a_note_and_the_rest_is_drawn(bench: 
     shown = bench.picture(broken)
     assert not shown.bode.overlays
     assert "filter_hz" in shown.notes[-1]
-
-
-def test_the_disk_margin_of_the_platform_is_that_of_the_torquer_that_is_shown_and_says_so(picture: Picture) -> None:
-    assert picture.stable
-    S = 1.0 / (1.0 + picture.bode.response)
-    assert picture.margins.disk == pytest.approx(1.0 / np.abs(S - 0.5).max(), rel=5e-3)
-    bar = verdict_data(picture)
-    tips = {one["label"]: one["tip"] for one in bar["figures"]}
-    assert "at the torquer that is shown" in tips["Disk margin, shown"]
-    assert "the platform's axes" in tips["Bandwidth"]
-    # All of the verdict's words have room beside the numbers.
-    assert len(bar["words"]) < 36
-
-
-def test_the_worst_margin_of_the_set_is_called_sampled_where_it_is_the_least_on_a_grid(bench: Backend) -> None:
-    labels: dict[str, list[str]] = {mode: [] for mode in ("caged", "stabilised")}
-    for loop in bench.choices().loops:
-        picture = bench.picture(bench.start(loop))
-        labels[picture.settings.mode] += [one["label"] for one in verdict_data(picture)["figures"]]
-    assert "Disk margin, worst, sampled" not in labels["caged"]
-    assert "Disk margin, worst, sampled" in labels["stabilised"]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from app.test_saving import LOOP, SHIPPED, TWO
+from app.test_saving import LOOP, TWO
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.saving import decode_state, encode_state
@@ -51,18 +50,3 @@ def test_a_design_is_that_of_its_numbers_whatever_was_designed_meanwhile(bench: 
     other = Backend(bench.path)  # type: ignore[arg-type]
     np.testing.assert_allclose(values(other, again), values(bench, faster), rtol=1e-6)
     other.close()
-
-
-def test_a_page_opens_on_a_loop_that_sliders_shape_at_once(tmp_path: Path) -> None:
-    by_hand = Backend(SHIPPED)
-    changed = by_hand.moved(by_hand.start("stabilisation"), "filter_hz", 55.0)
-    saved = by_hand.save(changed, tmp_path / "by_hand.toml")
-    assert saved.controllers is not None
-    text = saved.controllers.read_text(encoding="utf-8")
-    assert text.count('"classical"') == 4
-    # The same controllers as if the structured method had made them.
-    saved.controllers.write_text(text.replace('"classical"', '"structured"'), encoding="utf-8")
-    given = Backend(SHIPPED, saved.controllers)
-    assert given.start().loop == "stabilisation"
-    assert [given.start().closed[loop] for loop in given.choices().loops] == ["structured", "structured", "servo"]
-    assert by_hand.start().loop == by_hand.choices().loops[0]

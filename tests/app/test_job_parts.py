@@ -9,12 +9,10 @@ import pytest
 pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
 
 from app.test_page import JOB
-from platform_ctrl.app import job_parts
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.job_parts import Chip, ChipState, JobPart
+from platform_ctrl.app.job_parts import ChipState
 from platform_ctrl.app.page.messages import strip_data, verdict_data
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.job.judging import Requirement
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.coupled import coupled_check
@@ -82,22 +80,3 @@ def test_a_run_counts_for_the_settings_that_it_was_simulated_with(backend: Backe
     assert all(one.checked == 0 for one in after.values())
     # Returning to the settings returns to the results.
     assert chips(backend, settings, measure=False)["runs"].checked == 1
-
-
-def test_a_further_part_is_one_registered_function(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
-    limit = Requirement(name="jitter", limit=2.0, unit="", sense="at most")
-    result = limit.judge(3.0, subject="budget", stage="coupled", evidence="")
-
-    def budget(loops: object, settings: Settings) -> list[JobPart]:
-        chip = Chip(key="budget", label="budget", panel="budget")
-        return [JobPart(chip=chip, count=1, stamp=("budget", settings.loop), measure=lambda: (result,))]
-
-    monkeypatch.setattr(job_parts, "PARTS", [*job_parts.PARTS, budget])
-    settings = backend.start()
-    states = chips(backend, settings)
-    assert states["budget"].worst is result
-    data = strip_data(list(states.values()), settings.loop)
-    assert data["verdict"] == "bad"
-    assert data["words"].startswith("1 of ")
-    assert data["chips"][-1]["verdict"] == "bad"
-    assert data["chips"][-1]["margin"] == pytest.approx(-0.5)

@@ -69,13 +69,3 @@ def test_the_two_sliders_say_where_the_options_are_and_lead_back_to_the_digit(ca
     assert _options(moved)["crossover_hz"] < _options(own)["crossover_hz"]
     with pytest.raises(ArgumentError, match="speed must be from"):
         camera.moved(settings, "speed", 0.0)
-
-
-def test_the_ranges_of_typed_numbers_are_those_of_the_loop(camera: Backend) -> None:
-    settings = camera.start()
-    nyquist = 0.5 / camera.read.sampling.period
-    for name, number in (("crossover_hz", 0.0), ("crossover_hz", 1e9), ("crossover_hz", 1.01 * nyquist)):
-        with pytest.raises(ArgumentError, match=rf"{name} must be from 0\.\d+ to {nyquist:g} Hz, got") as caught:
-            camera.moved(settings, name, number)
-        assert "e-" not in str(caught.value).partition(", got")[0]
-    assert _options(camera.moved(settings, "crossover_hz", 0.5 * nyquist))["crossover_hz"] == 0.5 * nyquist

@@ -18,11 +18,9 @@ from browser import Screen, screen, served
 pytest.importorskip("bokeh")
 pytest.importorskip("tomlkit")
 
-from bokeh.document import Document
 
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.page.messages import REQUESTS, chosen, parse_request
-from platform_ctrl.app.page.session import Session
 from platform_ctrl.app.page.tasks import LatestTasks, target
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.reading import read_job
@@ -226,62 +224,6 @@ def test_a_slider_that_is_dragged_changes_the_plots_and_one_undo_takes_the_drag_
     until(page, lambda: drawn(page) != before)
 
 
-def test_a_margin_beyond_999_percent_is_shown_as_more(page: Page) -> None:
-    # 0.05 1/s are asked of the minimum decay rate, and some hundred times as much is there.
-    row = page.locator("#requirements tbody tr", has_text="minimum decay rate").first
-    assert "> +999 %" in (row.text_content() or "")
-
-
-def test_keys_of_curves_that_have_no_room_are_counted_and_every_axis_has_numbers(page: Page) -> None:
-    cut = """() => [...document.querySelectorAll("#plots .panel")].flatMap((panel) => {
-      const every = (root) => [...root.querySelectorAll("*")].flatMap((one) => [
-        one, ...(one.shadowRoot ? every(one.shadowRoot) : []),
-      ]);
-      return every(panel).filter((one) => one.localName === "curve-keys").map((line) => {
-        const seen = [...line.children].filter((one) => getComputedStyle(one).visibility === "visible");
-        const more = seen.filter((one) => one.className === "more"), end = line.getBoundingClientRect().right;
-        return {
-          cut: seen.filter((one) => one.getBoundingClientRect().right > end).map((one) => one.textContent),
-          hidden: line.children.length - seen.length, said: Number(more[0]?.textContent ?? 0),
-        };
-      });
-    })"""
-    ticks = """() => {
-      const every = (view) => [view, ...[...view.children()].flatMap(every)];
-      const axes = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every).filter((one) => one.tick_coords);
-      return axes.filter((one) => one.layout?.visible).map((one) => one.tick_coords.major[one.dimension].length);
-    }"""
-    assert not any(one["hidden"] for one in page.evaluate(cut))
-    page.set_viewport_size({"width": 725, "height": 900})
-    until(page, lambda: any(one["said"] for one in page.evaluate(cut)))
-    lines = page.evaluate(cut)
-    assert not any(one["cut"] for one in lines)
-    assert [one["hidden"] for one in lines] == [one["said"] for one in lines]
-    page.set_viewport_size({"width": 1440, "height": 900})
-    until(page, lambda: not any(one["hidden"] for one in page.evaluate(cut)))
-    assert min(page.evaluate(ticks)) >= 2
-
-
-def test_curves_that_become_fewer_are_painted_once_they_are_all_there(page: Page) -> None:
-    errors = page.evaluate(
-        """async () => {
-          const every = (view) => [view, ...[...view.children()].flatMap(every)];
-          const views = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every);
-          const bands = views.find((one) => one.model.data_source?.name === "step_bands");
-          const source = bands.model.data_source, few = source.data, said = [];
-          source.data = Object.fromEntries(Object.entries(few).map(([name, all]) => [name, [...all, ...all, ...all]]));
-          await new Promise((done) => setTimeout(done, 200));
-          source.data = few;
-          for (let k = 0; k < 40; k += 1) {
-            try { bands.paint(bands.plot_view.canvas_view.primary.ctx); } catch (error) { said.push(String(error)); }
-            await null;
-          }
-          return [few.xs.length, ...said];
-        }"""
-    )
-    assert errors == [2]
-
-
 def test_undo_during_moves_waits_and_takes_all_of_them_back(page: Page) -> None:
     page.evaluate(
         """selector => {
@@ -431,34 +373,6 @@ def test_a_design_that_takes_seconds_is_announced_and_drawn_in_every_plot_once_a
     assert page.evaluate(BANDS) > 0
 
 
-def test_overlays_that_are_checked_while_an_earlier_one_is_computed_are_all_kept(
-    page: Page, backend: Backend, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    picture, turns = backend.picture, threading.Semaphore(0)
-
-    def in_turn(*given: Any) -> Any:
-        assert turns.acquire(timeout=60.0)
-        return picture(*given)
-
-    monkeypatch.setattr(backend, "picture", in_turn)
-    page.keyboard.press("c")
-    boxes = page.locator("#overlays input")
-    boxes.nth(0).check()
-    boxes.nth(1).check()
-    turns.release()
-    until(
-        page, lambda: page.evaluate("window.page.traffic().answered") >= page.evaluate("window.page.traffic().sent - 1")
-    )
-    # The answer to the first one alone.
-    assert [boxes.nth(k).is_checked() for k in range(3)] == [True, True, False]
-    boxes.nth(2).check()
-    turns.release(100)
-    settled(page)
-    assert [boxes.nth(k).is_checked() for k in range(3)] == [True] * 3
-    page.keyboard.press("Escape")
-    assert page.evaluate(OVERLAYS)["overlays"]
-
-
 def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
     page: Page, backend: Backend, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -496,15 +410,6 @@ def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
     assert "angles ×" in (page.locator("#panel-tree .note").text_content() or "")
 
 
-def test_the_influence_of_sliders_is_shown_at_rest_and_hovering_marks_its_column(page: Page) -> None:
-    cells = page.locator('#requirements td.cell[data-slider="crossover_hz"]')
-    until(page, lambda: any(cells.all_text_contents()))
-    page.locator(CROSSOVER).hover()
-    until(page, lambda: "near" in (cells.first.get_attribute("class") or ""))
-    page.locator("h1").hover()
-    assert "near" not in (cells.first.get_attribute("class") or "")
-
-
 def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> None:
     cut = """selector => [...document.querySelectorAll(selector)]
         .filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.textContent)"""
@@ -533,21 +438,6 @@ def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> Non
             assert right <= other[0] + 1 or other[1] <= left + 1 or bottom <= other[2] + 1 or other[3] <= top + 1
     page.keyboard.press("Escape")
     assert only.complaints == []
-
-
-def test_callbacks_of_a_closing_page_are_dropped(backend: Backend) -> None:
-    document, done = Document(), []
-    session = Session(backend, document, "")
-    document.callbacks.destroy()
-    session.connection.later(lambda: done.append(1))
-    session.close(None)
-    session.connection.later(lambda: done.append(2))
-    assert done == []
-
-
-def test_nonsense_in_a_link_leaves_the_job_as_it_is(backend: Backend) -> None:
-    session = Session(backend, Document(), "nonsense")
-    assert session.settings is backend.start()
 
 
 def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> None:

@@ -12,15 +12,14 @@ import pytest
 
 pytest.importorskip("bokeh", reason="Bokeh is not installed")
 
-from bokeh.core.validation.check import check_integrity
 from bokeh.document import Document
 from bokeh.events import ButtonClick
-from bokeh.models import BoxAnnotation, Label, Model, NoOverlap, Plot, Range1d, Span
+from bokeh.models import BoxAnnotation, Label, Model, Plot, Range1d, Span
 from bokeh.protocol import Protocol
 
-from designer_pictures import DAMPING, broken, empty, picture
+from designer_pictures import broken, picture
 from platform_ctrl.app.plots import Plots
-from platform_ctrl.app.plots.data import Unit, View, colours, quantity, round_bounds, spaced
+from platform_ctrl.app.plots.data import colours
 
 HZ = 1.0 / (2.0 * np.pi)
 
@@ -128,28 +127,6 @@ def test_the_phase_margin_is_marked_at_the_crossover(plots: Plots) -> None:
     assert marks["phase1"][k] - marks["phase0"][k] == pytest.approx(shown.margins.phase, abs=0.1)
 
 
-def test_the_gain_margin_is_marked_where_the_phase_is_critical(plots: Plots) -> None:
-    shown = picture()
-    # A delay of 5 ms turns the phase by omega * 5 ms; where it meets -180 degrees follows from atan(20/omega).
-    late = shown.bode.phase - np.degrees(shown.bode.frequency * 5e-3)
-    plots.show(dataclasses.replace(shown, bode=dataclasses.replace(shown.bode, phase=late)))
-    marks = plots.sources["margins"].data
-    [k] = np.flatnonzero(np.isfinite(marks["gain0"]))
-    omega = marks["frequency"][k] / HZ
-    assert np.arctan(DAMPING / omega) == pytest.approx(omega * 5e-3, rel=2e-3)
-    assert 10.0 ** (marks["gain1"][k] / 20.0) == pytest.approx(4000.0 / omega / np.hypot(omega, DAMPING), rel=2e-2)
-
-
-def test_all_plants_are_one_line_with_gaps_in_the_nichols_plot(plots: Plots) -> None:
-    shown = picture(plants=7)
-    plots.show(shown)
-    data = plots.sources["plants"].data
-    rows = data["phase"].reshape(7, -1)
-    assert np.isnan(rows[:, -1]).all()
-    assert rows[:, 0] == pytest.approx(shown.nichols.phase[1:, 0], abs=1e-3)
-    assert rows[:, -2] == pytest.approx(shown.nichols.phase[1:, -1], abs=1e-3)
-
-
 def test_the_required_disk_margin_is_a_region_of_the_nichols_plot(plots: Plots) -> None:
     plots.show(picture())
     data = plots.sources["regions"].data
@@ -165,47 +142,6 @@ def test_poles_carry_damping_and_frequency(plots: Plots) -> None:
     assert data["re"] + 1j * data["im"] == pytest.approx(shown.locus.present, rel=1e-6)
     assert data["damping"] == pytest.approx(np.full(2, 10.0 / np.sqrt(4000.0)), rel=1e-5)
     assert data["hz"] == pytest.approx(np.full(2, np.sqrt(4000.0) * HZ), rel=1e-5)
-
-
-def test_branches_begin_at_the_poles_of_the_open_loop(plots: Plots) -> None:
-    plots.show(picture())
-    data = plots.sources["open_poles"].data
-    assert sorted(data["re"]) == pytest.approx([-DAMPING, 0.0])
-    branches = plots.sources["branches"].data
-    assert np.isnan(branches["re"]).sum() == 2
-    assert branches["gain"][0] == 0.0
-
-
-def test_branches_have_points_where_they_move_and_both_ends() -> None:
-    still, straight = np.full(101, -5.0 + 1j), np.linspace(0.0, -10.0, 101) + 0j
-    leaves = np.where(np.arange(101) < 60, straight, -np.inf)
-    kept = spaced(np.array([still, straight, leaves]), np.full(3, 1.0))
-    assert np.flatnonzero(kept[0]).tolist() == [0, 100]
-    distances = np.diff(straight[kept[1]].real)
-    assert np.abs(distances + 1.0).max() < 0.11
-    # What is not finite stays, as a gap.
-    assert np.all(kept[2, 60:])
-    assert kept[2, :60].sum() < 8
-
-
-def test_rays_have_their_damping(plots: Plots) -> None:
-    data = plots.sources["rays"].data
-    x, y = np.float64(data["x1"]), np.float64(data["y1"])
-    assert sorted(set(np.round(-x / np.hypot(x, y), 5))) == pytest.approx([0.05, 0.1, 0.2, 0.4, 0.7])
-
-
-def test_signals_of_two_units_are_in_two_figures_with_prefixed_units(plots: Plots) -> None:
-    shown = picture()
-    plots.show(shown)
-    angles, torques = plots.sources["step"].data, plots.sources["step_1"].data
-    assert (angles["name"], torques["name"]) == (["α4", "β5"], ["Q4"])
-    assert angles["unit"] == ["µrad", "µrad"]
-    assert angles["ys"][0] == pytest.approx(1e6 * shown.step.values[0], rel=1e-5)
-    assert figure(plots, "step", 0).yaxis[0].axis_label == "µrad"
-    assert figure(plots, "step", 1).visible
-    alone = dataclasses.replace(shown.step, signals=("a", "b", "c"), units=("rad",) * 3)
-    plots.show(dataclasses.replace(shown, step=alone))
-    assert not figure(plots, "step", 1).visible
 
 
 def test_limits_are_shaded_where_the_job_has_one(plots: Plots) -> None:
@@ -247,41 +183,10 @@ def test_every_key_has_colour_and_dashes_of_a_curve_that_is_drawn(fresh: Plots, 
                 assert (colour, dashes) in drawn, words
 
 
-def test_a_signal_has_one_colour_in_angles_and_torques_by_its_name_not_by_its_row(fresh: Plots) -> None:
-    shown = picture()
-    step = shown.step
-    row = [0, 1, 1]
-    values, low, high = (one[row] for one in (step.values, step.low, step.high))
-    signals, units = ("alpha9", "Q9", "M2"), ("rad", "N m", "N m")
-    step = dataclasses.replace(step, signals=signals, units=units, series=(3, 3, 6), values=values, low=low, high=high)
-    fresh.show(dataclasses.replace(shown, step=step))
-    light = colours(False)
-    assert fresh.sources["step"].data["colour"] == [light["series-4"]]
-    assert fresh.sources["step_1"].data["colour"] == [light["series-4"], light["series-7"]]
-    assert keys(fresh, "step") == {"α9, Q9": (light["series-4"], ()), "M2": (light["series-7"], ())}
-
-
 def test_names_from_a_job_file_are_text_and_no_markup(plots: Plots) -> None:
     plots.show(picture(overlays=("<img src=x onerror=alert(1)>",)))
     assert "<img" not in heading(plots, "bode")
     assert "&lt;img" in heading(plots, "bode")
-
-
-def test_frequency_axes_are_one(plots: Plots) -> None:
-    ranges = {figure(plots, "bode", 0).x_range, figure(plots, "bode", 1).x_range, figure(plots, "Omega", 2).x_range}
-    assert len(ranges) == 1
-
-
-def test_the_response_to_omega_is_shown_over_time_or_over_frequency(fresh: Plots) -> None:
-    plots = fresh
-    plots.show(picture())
-    toggle = plots.layout["Omega"].select_one({"name": "Omega-toggle"})
-    assert [figure(plots, "Omega", k).visible for k in range(3)] == [True, True, False]
-    click(toggle)
-    assert [figure(plots, "Omega", k).visible for k in range(3)] == [False, False, True]
-    # Within a decade the numbers would lie over one another.
-    assert isinstance(figure(plots, "Omega", 2).yaxis[0].major_label_policy, NoOverlap)
-    assert "rate Omega1" in heading(plots, "Omega")
 
 
 def test_the_closed_loop_takes_the_place_of_the_open_one(fresh: Plots) -> None:
@@ -391,28 +296,10 @@ def test_numbers_that_are_not_finite_are_gaps_and_the_plots_say_so(plots: Plots,
     assert not any(messages(plots).values())
 
 
-def test_a_picture_without_points_is_no_error(plots: Plots) -> None:
-    plots.show(empty())
-    assert all(messages(plots).values())
-
-
 def test_every_plot_says_that_a_loop_is_unstable(plots: Plots) -> None:
     plots.show(picture(stable=False, all_stable=False))
     assert all("not stable" in said for said in messages(plots).values())
     assert len(plots.sources["margins"].data["frequency"]) == 0
-
-
-def test_a_view_does_not_jump_while_the_data_change_a_little() -> None:
-    view = View(0.0, 1.0)
-    view.fit((0.0, 10.0))
-    first = view.rest
-    for top in (9.7, 9.0, 7.0, 9.9, 6.0):
-        view.fit((0.0, top))
-    assert view.rest == first
-    view.fit((0.0, 30.0))
-    assert view.rest[1] >= 30.0
-    view.fit((0.0, 2.0))
-    assert view.rest[1] < 10.0
 
 
 def test_where_the_user_has_zoomed_the_view_stays_until_it_is_reset(fresh: Plots) -> None:
@@ -430,30 +317,3 @@ def test_where_the_user_has_zoomed_the_view_stays_until_it_is_reset(fresh: Plots
     assert not button.visible
     assert (y.start, y.end) == (y.reset_start, y.reset_end)
     assert y.end > 20.0
-
-
-def test_bounds_of_axes_are_round() -> None:
-    assert round_bounds(0.0, 9.3) == (-2.0, 10.0)
-    assert round_bounds(-0.31, 0.29) == (-0.4, pytest.approx(0.4))
-    low, high = round_bounds(3.0, 3.0)
-    assert low < 3.0 < high
-
-
-def test_units_change_only_when_numbers_become_awkward() -> None:
-    unit = Unit()
-    unit.follow("rad", 3e-3)
-    assert (unit.name, unit.scale) == ("mrad", pytest.approx(1e3))
-    unit.follow("rad", 4e-4)
-    assert unit.name == "mrad"
-    unit.follow("rad", 4e-5)
-    assert unit.name == "µrad"
-    unit.follow("rad/(rad/s)", 6e-3)
-    assert unit.name == "mrad/(rad/s)"
-    assert quantity(0.003, "rad") == "3 mrad"
-
-
-def test_the_models_have_no_faults(plots: Plots, document: Document, caplog: pytest.LogCaptureFixture) -> None:
-    plots.show(picture(overlays=("a",)))
-    faults = check_integrity(list(document.models))
-    assert not faults.error
-    assert not faults.warning

@@ -18,9 +18,8 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.saving import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
-from platform_ctrl.cli.start_commands import KINDS
 from platform_ctrl.design.jobs import loops
-from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
+from platform_ctrl.errors import DesignError, InputError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import platform_source
 
@@ -387,21 +386,6 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path:
     assert np.allclose(K.A, closed.controller.A)
 
 
-def test_saving_notes_a_loop_whose_design_is_not_available(shipped: Backend, tmp_path: Path) -> None:
-    saved = shipped.save(shipped.moved(shipped.start("stabilisation"), "filter_hz", 55.0), tmp_path / "new.toml")
-    words = "classical is closed in place of structured, which is not designed"
-    assert [line for line in saved.notes if "in place of" in line] == [
-        f"caging 4-5-7: {words}",
-        f"caging 9-10: {words}",
-    ]
-    # The numbers were starting values of the tuner.
-    assert sum("tune = false" in line for line in saved.notes) == 2
-    assert read_job(saved.job).loops[1].use == "classical"
-    assert saved.controllers is not None
-    loop_names = [one["name"] for one in json.loads(saved.controllers.read_text())["controllers"]]
-    assert loop_names == [spec.name for spec in shipped.read.loops]
-
-
 @pytest.mark.parametrize("job", sorted(SHIPPED.parent.glob("*_*.toml")), ids=lambda path: path.stem)
 def test_a_page_that_nobody_touched_saves_its_job_to_the_last_letter(job: Path, tmp_path: Path) -> None:
     text = job.read_text(encoding="utf-8")
@@ -416,24 +400,3 @@ def test_a_page_that_nobody_touched_saves_its_job_to_the_last_letter(job: Path, 
     assert saved.job.read_text(encoding="utf-8") == text
     assert (saved.controllers is None) == bool(saved.notes)
     assert all(line.startswith("nothing was changed on the page") for line in saved.notes)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_shipped_job_has_a_page(kind: str, tmp_path: Path) -> None:
-    assert main(["new", "mine", "--kind", kind, "-o", str(tmp_path)]) == 0
-    bench = Backend(tmp_path / "mine.toml")
-    for loop in bench.choices().loops:
-        settings = bench.start(loop)
-        picture = bench.picture(settings)
-        assert picture.stable
-        lines = []
-        for slider in bench.sliders(settings):
-            for number in (slider.low, slider.high):
-                try:
-                    bench.picture(bench.moved(settings, slider.name, number))
-                except PlatformCtrlError as error:
-                    lines.append(str(error))
-        assert not any("\n" in line for line in lines)
-    saved = bench.save(settings, tmp_path / "saved.toml")
-    assert Backend(saved.job).picture(Backend(saved.job).start(settings.loop)).stable

@@ -247,18 +247,3 @@ def test_pages_are_notified_of_a_design_that_is_finished_not_of_one_that_gave_wa
     assert notified() == 0
     go.set()
     _until(lambda: notified() == 1)
-
-
-def test_an_unexpected_error_in_one_design_does_not_end_the_others() -> None:
-    queue = DesignQueue(pause=0.0)
-    notified = _idle(queue)
-
-    def broken(cancelled: Callable[[], bool]) -> None:
-        raise OSError("no more processes")
-
-    queue.request("loop", "one", "key", broken)
-    _until(lambda: notified() == 1)
-    with pytest.raises(DesignError, match="no more processes"):
-        queue.request("loop", "one", "key", broken)
-    queue.request("loop", "other", "key", lambda cancelled: None)
-    _until(lambda: notified() == 2)

@@ -17,8 +17,8 @@ from platform_ctrl.report import style
 from platform_ctrl.report.figures.loop import sensitivity_figure
 from platform_ctrl.report.loop_responses import loop_responses
 from platform_ctrl.report.page import first_screen, tables
-from platform_ctrl.report.page.blocks import Cell, Columns, Document, Fold, Part, Plate, Table
-from platform_ctrl.report.page.first_screen import change_part, worst_plant, worst_plant_figure
+from platform_ctrl.report.page.blocks import Cell, Columns, Document, Part, Plate, Table
+from platform_ctrl.report.page.first_screen import worst_plant, worst_plant_figure
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.changes import changes
@@ -76,21 +76,6 @@ def test_the_chain_names_the_tightest_requirement_of_each_loop_and_its_plant(res
     assert "nominal plant" in row.cells[1].note
     # The platform is carried: no other loop can cost this one anything.
     assert [column.title for column in table.columns] == ["loop", "limited by", "margin"]
-
-
-def test_a_loop_that_is_called_line_of_sight_is_told_from_the_budget() -> None:
-    data = camera_job()
-    data["loop"][0]["name"] = "line of sight"
-    data["plant"]["friction"], data["operation"]["Omega"] = [], [0.0, 0.0, 0.0]
-    wind = {"name": "wind", "kind": "torque", "gimbal": "el", "frequencies_hz": [1.0, 9.0], "densities": [1e-7, 1e-7]}
-    data["budget"] = {"from_hz": 0.5, "to_hz": 200.0, "limits": {"jitter": 1e-9}, "source": [wind]}
-    found = checked(data)
-    assert found.budget is not None
-    own = first_screen.own_results(found, found.loops[0])
-    assert {one.design for one in own} == {"pi"}
-    assert all(one.passed for one in own)
-    titles = [group.title for group in tables.requirement_table(found).groups]
-    assert titles == ["line of sight, pi", "all loops closed", "line of sight"]
 
 
 def test_the_nichols_plot_is_of_the_plant_with_the_least_disk_margin(result: JobResult, document: Document) -> None:
@@ -155,11 +140,6 @@ def test_at_most_five_changes_follow_the_first_screen_with_gain_and_conflict(
             assert cost.tone != "bad"
 
 
-def test_a_job_without_requirements_has_nothing_to_change() -> None:
-    found = checked(job(loop=[caging(classical())]))
-    assert change_part(dataclasses.replace(found, requirements=()), ()) == ()
-
-
 def test_a_tracking_loop_around_a_rate_loop_is_reported_in_its_own_words() -> None:
     data = camera_job()
     data["loop"][0]["limits"] = {"disk_margin": 0.5, "attenuation_db": 20, "attenuation_hz": 5}
@@ -188,16 +168,6 @@ def test_a_tracking_loop_around_a_rate_loop_is_reported_in_its_own_words() -> No
     words = re.search(r"([\d.]+) dB with “pi” up to 5 Hz, limit ≥ 20 dB", rate["Other gains with limits"])
     assert words is not None
     assert float(words[1]) > 20.0
-
-
-def test_options_versions_and_job_are_folded(document: Document) -> None:
-    page = page_html(document)
-    assert re.findall(r"<summary>(.*?)</summary>", page) == [
-        "Options and controllers",
-        "Versions",
-        "Job and plant as read",
-    ]
-    assert any(isinstance(one, Fold) for one in document.sections[-1].blocks)
 
 
 def test_a_figure_carries_its_scales_for_the_script() -> None:

@@ -276,14 +276,6 @@ def test_wrong_input_is_one_line(draw, says, gyro, flown):
     assert "\n" not in str(raised.value)
 
 
-def test_a_backend_without_windows_suggests_saving_the_figure(gyro):
-    figure = figures.campbell(gyro)
-    with mpl.rc_context():
-        mpl.use("agg")
-        with pytest.raises(ArgumentError, match=r"'agg' opens no windows; .*savefig"):
-            figures.show(figure)
-
-
 def test_show_opens_a_window_for_each_plot_and_for_no_other(gyro, monkeypatch):
     from matplotlib import pyplot
     from matplotlib.backend_bases import FigureManagerBase

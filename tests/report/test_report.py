@@ -10,10 +10,8 @@ import tomllib
 from collections.abc import Iterable
 from fractions import Fraction
 from html.parser import HTMLParser
-from itertools import pairwise
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -30,12 +28,12 @@ from platform_ctrl.analysis.loop_set import Transfer
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.cli.terminal import show_result
-from platform_ctrl.common.text import Rounding, at_least
+from platform_ctrl.common.text import Rounding
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import Sense
-from platform_ctrl.job.quantities import claimed, compared, percent, plain, quantity
+from platform_ctrl.job.quantities import compared, plain
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import linearise
@@ -45,7 +43,6 @@ from platform_ctrl.report import modes, style
 from platform_ctrl.report.failures import value_and_limit
 from platform_ctrl.report.figures import coupled as coupled_figures
 from platform_ctrl.report.figures import loop as loop_figures
-from platform_ctrl.report.figures.coupled import margin_bars_figure
 from platform_ctrl.report.figures.loop import (
     disturbance_figure,
     further_gains_figure,
@@ -95,7 +92,20 @@ def result() -> JobResult:
 
 @pytest.fixture(scope="module")
 def page(result: JobResult) -> str:
-    return page_html(result)
+    """The page, every legend entry of whose figures looks like a curve that is drawn."""
+    wrong: list[str] = []
+    plain_svg = style.svg
+
+    def judged(figure: Any, description: str) -> str:
+        wrong.extend(without_a_curve(figure))
+        return plain_svg(figure, description)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "svg", judged)
+        made = page_html(result)
+    assert wrong == []
+    assert "not drawn" not in made
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -210,69 +220,11 @@ def test_the_banner_counts_what_is_not_met(result: JobResult, page: str) -> None
     assert tables.verdict(only_met) == f"all {len(result.requirements) - missed} requirements met"
 
 
-def test_requirements_that_are_not_met_are_marked_by_symbol_and_colour(result: JobResult, page: str) -> None:
-    missed = sum(not one.passed for one in result.requirements)
-    assert len(re.findall(r'<tr id="requirement-\d+" class="missed">', page)) == missed
-    assert page.count("✗ not met") == missed
-
-
-def test_every_loop_and_run_has_its_figures(result: JobResult, page: str) -> None:
-    caging = sum(outcome.spec.kind == "caging" for outcome in result.loops)
-    worst, servo, axes, nutation, coupled = 1, 1, 1, 1, 4
-    expected = worst + 6 * caging + servo + axes + nutation + coupled + len(result.runs)
-    assert page.count("<figure") == page.count("<figcaption") == expected
-
-
-def test_every_figure_is_described_and_has_a_sentence(page: str) -> None:
-    for label in re.findall(r'<svg [^>]*aria-label="([^"]*)"', page):
-        assert len(label.split()) > 10
-    assert len(re.findall(r"<figcaption>[^<]{40,}</figcaption>", page)) == page.count("<figure")
-
-
-def test_all_colours_of_figures_follow_the_theme(page: str) -> None:
-    drawings = "".join(re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL))
-    themed = set(re.findall(r"var\(--([a-z0-9-]+), #[0-9a-f]{6}\)", drawings))
-    bare = re.sub(r"var\(--[a-z0-9-]+, #[0-9a-f]{6}\)", "", drawings)
-    assert set(re.findall(r"#[0-9a-f]{6}\b", bare)) <= {"#ffffff"}
-    [dark] = re.findall(r"prefers-color-scheme: dark\) \{(.*?)\n\}", page, flags=re.DOTALL)
-    assert themed
-    assert themed <= set(re.findall(r"--([a-z0-9-]+):", dark))
-
-
-def test_a_name_that_looks_like_a_colour_stays_a_name() -> None:
-    with style.settings():
-        figure, [[axes]] = style.panels(1, 1, 2.0)
-        axes.set_title("#0072b2")
-        assert "#0072b2</text>" in style.svg(figure, "a title")
-
-
 def test_names_are_text_and_never_markup(page: str) -> None:
     assert "<b>bold" not in page
     assert "&lt;b&gt;bold&lt;/b&gt; $name$" in page
     assert "slow &amp; &lt;plain&gt;" in page
     assert "<plain>" not in page
-
-
-def test_numbers_written_in_figures_are_not_cut(result: JobResult, page: str) -> None:
-    assert f"{at_least(result.coupled.simultaneous.lower, 3)} at " in page
-
-
-def test_the_page_is_small_enough_to_send(page: str) -> None:
-    assert len(page.encode()) < 6e6
-
-
-def test_drawing_leaves_the_callers_settings_alone(result: JobResult) -> None:
-    before = dict(mpl.rcParams)
-    with style.settings():
-        style.svg(margin_bars_figure(result.coupled), "bars")
-    assert dict(mpl.rcParams) == before
-
-
-def test_the_same_result_gives_the_same_page_but_for_the_command(lone_loop: JobResult, lone_page: str) -> None:
-    again = page_html(report.prepared(lone_loop, command="platform-ctrl design 'my job.toml'"))
-    section = '<section id="again">'
-    assert again.split(section)[0] == lone_page.split(section)[0]
-    assert "platform-ctrl design &#39;my job.toml&#39;" in again.split(section)[1]
 
 
 def test_the_printed_job_reads_back_to_the_last_bit(result: JobResult, page: str) -> None:
@@ -282,12 +234,6 @@ def test_the_printed_job_reads_back_to_the_last_bit(result: JobResult, page: str
     before, after = pc.matrices(result.job.platform), pc.matrices(again.platform)
     assert np.array_equal(before.A_star, after.A_star)
     assert np.array_equal(before.L, after.L)
-
-
-def test_versions_of_all_that_computes_are_named(page: str) -> None:
-    text = visible_text(page)
-    for name in ("python", "platform_ctrl", "numpy", "scipy", "control", "cvxpy", "numba"):
-        assert re.search(rf"{name}\s+\d+\.\d+", text)
 
 
 # Writing
@@ -312,15 +258,6 @@ def test_a_page_is_written_whole_or_not_at_all(
     assert report.write_page(lone_loop, target) == target
     assert target.read_text(encoding="utf-8") == "a page with α and Ω"
     assert os.listdir(tmp_path) == ["report.html"]
-
-
-def test_a_folder_that_does_not_exist_is_one_line(
-    lone_loop: JobResult, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(document, "page_html", lambda result: "a page")
-    with pytest.raises(InputError, match="cannot be written") as error:
-        report.write_page(lone_loop, tmp_path / "nowhere" / "report.html")
-    assert "\n" not in str(error.value)
 
 
 # Degenerate results
@@ -375,14 +312,6 @@ def test_runs_that_diverged_are_drawn_as_far_as_they_went(result: JobResult) -> 
 # Tables
 
 
-def test_the_worst_requirement_of_a_subject_comes_first(result: JobResult) -> None:
-    margins = {(one.subject, one.name): (one.passed, one.margin) for one in result.requirements}
-    rows = tables.requirement_rows(result)
-    for above, below in pairwise(rows):
-        if above.subject == below.subject and below.requirement != "certified properties":
-            assert margins[above.subject, above.requirement] <= margins[below.subject, below.requirement]
-
-
 def test_the_terminal_shows_the_same_rows(
     result: JobResult, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -411,43 +340,9 @@ def test_goals_are_separate_from_requirements(compared_designs: JobResult, compa
     assert "1 of 2 goals reached" in visible_text(compared_page)
 
 
-def test_a_goal_that_is_missed_is_dim_in_the_terminal_and_not_red(
-    compared_designs: JobResult, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "160")
-    show_result(compared_designs)
-    [line] = [line for line in capsys.readouterr().out.splitlines() if "goal: disk margin" in line]
-    assert "\x1b[2m" in line
-    assert "\x1b[1;31m" not in line
-
-
-def test_a_narrow_terminal_lists_goals_too_and_no_proof_is_the_tightest(
-    compared_designs: JobResult, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    show_result(compared_designs)
-    lines = capsys.readouterr().out.splitlines()
-    assert sum(line.startswith("met") and "goal: bandwidth" in line for line in lines) == 1
-    assert sum(line.startswith("not met") and "goal: disk margin" in line for line in lines) == 1
-    verdict = " ".join(lines[next(k for k, line in enumerate(lines) if line.startswith("PASSED")) :])
-    assert "tightest" in verdict
-    assert "certified properties" not in verdict
-
-
 def designs_in(rows: Iterable[blocks.Row]) -> dict[str, tuple[blocks.Cell, ...]]:
     """Return the cells of the designs by the names of their rows."""
     return {row.cells[0].text: row.cells[2:] for row in rows}
-
-
-def test_a_design_beside_the_closed_one_shows_its_goals_too(compared_designs: JobResult) -> None:
-    [outcome] = compared_designs.loops
-    rows = designs_in(comparison.goal_rows(outcome))
-    for cell, design in zip(rows["disk margin"], outcome.designs, strict=True):
-        [goal] = [one for one in design.goals if one.name == "goal: disk margin"]
-        assert (cell.text, cell.tone) == (f"{plain(goal.value, rounding='down')} ({percent(goal.margin)})", "")
-    assert rows["bandwidth"][0].tone == "good"
 
 
 # Proofs, plants, claims, the price
@@ -509,84 +404,7 @@ def test_plants_are_counted_by_group(compared_designs: JobResult, compared_page:
     assert "torquer" in rows[3][5]
 
 
-def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobResult, compared_page: str) -> None:
-    [outcome] = compared_designs.loops
-    sentences = captions.compared_with_alternatives(outcome)
-    others = [d for d in outcome.alternatives if d.passed]
-    best = max(others, key=captions.bandwidth_hz)
-    assert f"“{best.name}”" in sentences[0]
-    assert f"{outcome.closed.controller.nstates} states" in sentences[0]
-    assert "4\u00a0% above 1.25, a lower bound" in sentences[-1]
-    gained = 100.0 * (80.0 / captions.bandwidth_hz(outcome.closed) - 1.0)
-    assert f"{plain(gained, 2, 'up')}\u00a0% could be gained" in sentences[-2]
-    for sentence in sentences:
-        assert sentence in visible_text(compared_page)
-
-
-def test_the_price_depends_on_who_is_faster_and_simpler(compared_designs: JobResult) -> None:
-    [outcome] = compared_designs.loops
-
-    def told(closed: str, *others: str) -> str:
-        chosen = tuple(d for d in outcome.designs if d.name in (closed, *others))
-        return captions.compared_with_alternatives(dataclasses.replace(outcome, designs=chosen, use=closed))[0]
-
-    named = {d.name: d for d in outcome.designs}
-    fewer = named["H-infinity"].controller.nstates - named["slow"].controller.nstates
-    assert fewer > 0
-    assert captions.bandwidth_hz(named["slow"]) < captions.bandwidth_hz(named["H-infinity"])
-    assert f"is the price of {fewer} states fewer" in told("slow", "H-infinity")
-    assert f"more bandwidth with {fewer} states more" in told("H-infinity", "slow")
-    assert "is lost without a saving of states" in told("slow", "simple")
-    assert told("simple", "slow").endswith("more bandwidth.")
-    alone = dataclasses.replace(outcome, designs=outcome.designs[1:2], use="H-infinity")
-    assert captions.compared_with_alternatives(alone) != []
-    assert (
-        captions.compared_with_alternatives(dataclasses.replace(outcome, designs=outcome.designs[3:], use="slow")) == []
-    )
-
-
-def test_the_largest_loss_of_a_design_is_in_the_limit_it_comes_nearer_to(compared_designs: JobResult) -> None:
-    [outcome] = compared_designs.loops
-    named = {d.name: d for d in outcome.designs}
-    pair = (named["H-infinity"], named["simple"])
-    sentences = captions.compared_with_alternatives(dataclasses.replace(outcome, designs=pair, use="H-infinity"))
-    theirs = {one.name: one.ratio for one in named["simple"].results}
-    worst = max(
-        (one for one in named["H-infinity"].results if not one.name.startswith(("bandwidth", "slowest"))),
-        key=lambda one: one.ratio / theirs[one.name],
-    )
-    assert worst.ratio > 1.05 * theirs[worst.name]
-    assert any(sentence.startswith(f"The largest loss is in {worst.name}: ") for sentence in sentences)
-
-
-@pytest.mark.parametrize(
-    ("name", "number", "words"),
-    [
-        ("bandwidth_bound_hz", 66.3, ("bandwidth bound", "66.3 Hz")),
-        ("largest Omega1 without saturation, rad/s", 1.31, ("largest Omega1 without saturation", "1.31 rad/s")),
-        ("largest angle, rad", 0.002, ("largest angle", "2 mrad")),
-        ("price", 0.041, ("price of simplicity", "+4.1 %")),
-        ("gamma", 1.25, ("norm on the weights, γ", "1.25")),
-        ("order", 8.0, ("order", "8")),
-        ("torque noise, rms", 2.0, ("torque noise, rms", "2")),
-        ("largest Omega2 without saturation, rad/s", float("inf"), ("largest Omega2 without saturation", "∞")),
-        ("gap", float("nan"), ("gap", "–")),
-    ],
-)
-def test_claims_have_words_and_units(name: str, number: float, words: tuple[str, str]) -> None:
-    assert claimed(name, number) == words
-
-
 # Tables again
-
-
-def test_the_comparison_shows_every_design_and_its_options(result: JobResult) -> None:
-    [outcome] = [one for one in result.loops if one.spec.name == "caging 9-10"]
-    parts = {part.title: part.rows for part in comparison.option_table(outcome).groups}
-    # No limits belong to options: a name, and a cell for each design.
-    assert {len(row.cells) for rows in parts.values() for row in rows} == {3}
-    rows = {row.cells[0].text: [cell.text for cell in row.cells[1:]] for row in parts["options used"]}
-    assert rows["crossover_hz"] == ["30", "40"]
 
 
 def test_metrics_without_a_limit_are_compared_too(result: JobResult) -> None:
@@ -597,43 +415,6 @@ def test_metrics_without_a_limit_are_compared_too(result: JobResult) -> None:
     besides = designs_in(comparison.measured_rows(result.loops[0]))
     assert rows.keys().isdisjoint(besides)
     assert "damping" in besides
-
-
-def test_springs_friction_and_other_elements_are_on_the_page(lone_loop: JobResult, lone_page: str) -> None:
-    assert "Springs, friction and other elements" not in lone_page
-    platform = dataclasses.replace(
-        lone_loop.job.platform,
-        specific_force=np.array([0.0, 0.0, 9.81]),
-        springs=(pc.Spring(gimbal="9", stiffness=0.02, rest=0.001),),
-        frictions=(
-            pc.Friction(gimbal="10", viscous=1e-5, coulomb=(1e-4, 2e-4)),
-            pc.Friction(gimbal="9", coulomb=(1e-4, 1e-4), breakaway=(3e-4, 2e-4), stribeck_rate=0.05),
-        ),
-        cages=(pc.Cage(gimbal="4", stiffness=50.0, damping=0.1, clearance=0.002),),
-        unbalances=(pc.Unbalance(body="10", moment=np.array([0.0, 1e-6, 0.0])),),
-        erections=(pc.Erection(gimbal="9", senses="10", axis=np.eye(3)[0], gain=1e-3, limit=5e-4),),
-    )
-    loaded = dataclasses.replace(lone_loop, job=dataclasses.replace(lone_loop.job, platform=platform))
-    rows = tables.element_rows(loaded)
-    assert rows == [
-        ("specific force", "platform", "(0, 0, 9.81) m/s²"),
-        ("spring", "9", "0.02 N m/rad, relaxed at 1 mrad"),
-        ("friction", "10", "viscous 1·10⁻⁵ N m s, dry 100 µN m and 200 µN m"),
-        ("friction", "9", "dry 100 µN m, breakaway 300 µN m and 200 µN m up to about 0.05 rad/s"),
-        ("cage", "4", "50 N m/rad, 0.1 N m s, play ±2 mrad"),
-        ("unbalance", "10", "(0, 1·10⁻⁶, 0) kg m"),
-        ("erection", "9", "1 mN m × tilt of +1 of 10, at most 500 µN m"),
-    ]
-    shown = Cells(page_html(loaded)).rows
-    for row in rows:
-        assert list(row) in shown
-
-
-def test_the_gimbal_tree_names_axis_and_inertia(result: JobResult) -> None:
-    rows = {row[0].strip(): row for row in tables.gimbal_rows(result)}
-    assert rows["7"][1:5] == ("4", "−3", "beta7", "2·10⁻⁴ kg m²")
-    assert rows["7"][0] != "7"
-    assert tables.axis_text([0.0, 0.6, 0.8]) == "(0, 0.6, 0.8)"
 
 
 def number_in(text: str) -> Fraction:
@@ -654,26 +435,6 @@ def test_a_printed_number_is_the_number_to_its_digits(size: float, sign: float, 
     shown, exact = number_in(plain(sign * size, digits, to)), Fraction(repr(sign * size))
     assert shown == pytest.approx(sign * size, rel=10.0 ** (1 - digits))
     assert to == "nearest" or (shown <= exact if to == "down" else shown >= exact)
-
-
-def test_a_value_that_is_not_finite_is_called_unstable() -> None:
-    assert (
-        plain(float("nan"))
-        == quantity(float("inf"), "N m")
-        == compared(asked(float("nan"), 1.0, "Hz"))[0]
-        == "unstable"
-    )
-    assert percent(float("-inf")) == "–"
-
-
-def test_value_and_limit_that_differ_are_printed_differently() -> None:
-    assert compared(asked(0.4999999, 0.5, "")) == ("0.4999999", "0.5")
-    assert compared(asked(0.0045, 0.005, "N m")) == ("4.5 mN m", "5 mN m")
-
-
-def test_a_value_far_below_its_limit_is_in_a_unit_of_its_own_with_the_limit() -> None:
-    assert compared(asked(3.6e-6, 2e-3, "rad")) == ("3.6 µrad", "2000 µrad")
-    assert compared(asked(0.0, 2e-3, "rad")) == ("0 mrad", "2 mrad")
 
 
 @given(
@@ -699,25 +460,7 @@ def test_an_interval_of_probabilities_is_printed_no_narrower_than_it_is(high: fl
     assert text.startswith("below") or shown[0] <= Fraction(repr(low))
 
 
-def test_a_rate_that_is_proved_is_rounded_down_and_a_norm_up() -> None:
-    assert claimed("largest Omega1 without saturation, rad/s", 1.59978) == (
-        "largest Omega1 without saturation",
-        "1.599 rad/s",
-    )
-    assert claimed("largest Omega1 without saturation, worst case, rad/s", 1.6) == (
-        "largest Omega1 without saturation, worst case",
-        "1.6 rad/s",
-    )
-    assert claimed("gamma", 1.59971)[1] == "1.6"
-    assert claimed("gamma_optimal", 1.59978)[1] == "1.599"
-    assert claimed("bandwidth_bound_hz", 59.9961)[1] == "60 Hz"
-
-
 # Figures of several designs
-
-
-def texts(figure: Any) -> list[str]:
-    return [one.get_text() for axes in figure.axes for one in axes.texts]
 
 
 def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResult, responses: LoopResponses) -> None:
@@ -736,21 +479,6 @@ def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResul
     assert levels(right, style.LIMIT) == {2.5}
     assert levels(right, style.MUTED) == {round(1 / 3, 6)}
     assert levels(shares, style.LIMIT) == {5.0}
-
-
-def test_every_legend_entry_of_the_report_looks_like_a_curve_that_is_drawn(
-    result: JobResult, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wrong: list[str] = []
-    plain_svg = style.svg
-
-    def judged(figure: Any, description: str) -> str:
-        wrong.extend(without_a_curve(figure))
-        return plain_svg(figure, description)
-
-    monkeypatch.setattr(style, "svg", judged)
-    page_html(result)
-    assert wrong == []
 
 
 def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -782,36 +510,8 @@ def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkey
     assert [float(line.get_ydata()[0]) for line in axes.lines[1:]] == [2000.0, 500.0]
 
 
-def test_designs_differ_by_more_than_colour(compared_designs: JobResult, responses: LoopResponses) -> None:
-    [outcome] = compared_designs.loops
-    with style.settings():
-        figure = sensitivity_figure(responses, outcome.spec)
-    [legend] = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["simple, closed", "H-infinity", "quiet", "slow"]
-    lines = figure.axes[1].lines[:4]
-    assert len({line.get_linestyle() + str(line._unscaled_dash_pattern) for line in lines}) == 4
-    widths = [line.get_linewidth() for line in lines]
-    assert widths[0] > max(widths[1:])
-    assert len({str(dashes) for dashes in style.DASHES[:5]}) == len(set(style.MARKERS[:5])) == 5
-
-
-def test_a_legend_too_long_for_a_row_gets_more() -> None:
-    assert style.legend_rows(["classical", "H-infinity", "structured", "lqg", "measured"]) == 1
-    many = [f"a design with a long name, number {k}" for k in range(5)]
-    assert style.legend_rows(many) > 1
-    with style.settings():
-        figure, _ = style.panels(1, 1, 2.0, many)
-        line = figure.axes[0].plot([0, 1])[0]
-        style.legend(figure, [line] * 5, many)
-        figure.canvas.draw()
-    box = figure.legends[0].get_window_extent()
-    assert box.width <= figure.bbox.width
-    assert box.y0 > figure.axes[0].get_window_extent().y1
-
-
-@pytest.mark.parametrize("radius", [300.0, 2000.0, 9000.0])
-def test_the_arc_of_the_fastest_pole_is_its_circle_in_the_w_plane(radius: float) -> None:
-    period = 5e-4
+def test_the_arc_of_the_fastest_pole_is_its_circle_in_the_w_plane() -> None:
+    period, radius = 5e-4, 2000.0
     real, imag = loop_figures.pole_circle(radius, period)
     z = np.exp((real + 1j * imag) * period)
     assert np.abs(2.0 / period * (z - 1.0) / (z + 1.0)) == pytest.approx(radius, rel=1e-6)
@@ -844,14 +544,6 @@ def test_captions_have_peaks_that_every_grid_misses() -> None:
     assert 1.0 / one.gains["disk margin"].max() == pytest.approx(narrow.measures.disk_margin[0], rel=1e-8)  # type: ignore[union-attr]
 
 
-def test_nutation_is_mentioned_only_for_plants_that_nutate(compared_designs: JobResult) -> None:
-    # One gimbal with a rotor: no two axes that the rotor could couple.
-    assert not any(one.kind == "nutation" for one in modes.modes(linearise(pc.read_platform("rate_gyro")), ("gimbal",)))
-    [outcome] = compared_designs.loops
-    assert "nutation" in captions.sentences("loop_transfer", outcome=outcome, nutates=True)
-    assert "nutation" not in captions.sentences("loop_transfer", outcome=outcome, nutates=False)
-
-
 @pytest.mark.parametrize("coupling", COUPLINGS)
 def test_a_gimbal_without_a_loop_that_is_coupled_is_on_the_page(coupling: str) -> None:
     result = checked(passive_job(coupling))
@@ -861,12 +553,6 @@ def test_a_gimbal_without_a_loop_that_is_coupled_is_on_the_page(coupling: str) -
     assert "not drawn" not in text
     # One rigid-body mode, and the yoke's own.
     assert {mode.kind for mode in modes.modes_at(result, (0.0, 0.0, 0.0))} == {"oscillation", "rigid body"}
-
-
-def test_poles_with_a_fault_are_separate(responses: LoopResponses) -> None:
-    for one in responses.designs:
-        order = len(one.poles)
-        assert (len(one.varied_poles), len(one.fault_poles)) == (6 * order, 2 * order)
 
 
 def test_the_page_of_four_designs_is_whole(compared_designs: JobResult, compared_page: str) -> None:
@@ -959,9 +645,8 @@ def test_a_gyro_on_springs_has_nutation_and_precession() -> None:
 
 
 @pytest.mark.parametrize("name", shipped_models())
-@pytest.mark.parametrize("Omega", [(0.0, 0.0, 0.0), (0.1, 0.2, -0.3)])
-def test_every_pole_of_a_shipped_plant_belongs_to_one_mode(name: str, Omega: tuple[float, float, float]) -> None:
-    model = pc.linearise(pc.read_platform(name), Omega=Omega)
+def test_every_pole_of_a_shipped_plant_belongs_to_one_mode(name: str) -> None:
+    model = pc.linearise(pc.read_platform(name), Omega=(0.1, 0.2, -0.3))
     found = [mode for group in pc.subsystems(model) for mode in modes.modes(model, group)]
     assert sum(mode.poles for mode in found) == 2 * len(model.gimbal_names)
     if not any(rotor.angular_momentum for rotor in model.platform.rotors):
