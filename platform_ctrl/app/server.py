@@ -103,12 +103,13 @@ class PageServer:
 
     async def _answer(self, ready: Callable[[], None] | None, check: Callable[[], None] | None) -> None:
         from bokeh.server.server import BaseServer
+        from tornado.httpserver import HTTPServer
         from tornado.ioloop import IOLoop
 
-        from platform_ctrl.app.web import BODY_BYTES, HEADER_BYTES, PATIENCE, Listening, PageApplication
+        from platform_ctrl.app.web import BODY_BYTES, HEADER_BYTES, PATIENCE, PageApplication
 
         self.application = PageApplication(self._filled, self.hosts)
-        listening = Listening(
+        listening = HTTPServer(
             self.application,
             max_body_size=BODY_BYTES,
             max_header_size=HEADER_BYTES,
@@ -133,7 +134,7 @@ class PageServer:
 
     def _filled(self, document: Any) -> None:
         """Fill a new document; an error is shown on the page and in the terminal."""
-        from platform_ctrl.app.web import FAILED
+        from jinja2 import Template
 
         try:
             (self._make or _page())(self._backend, document)
@@ -141,7 +142,9 @@ class PageServer:
             words = str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
             _say(f"a page could not be made: {words}")
             document.clear()
-            document.template_variables[FAILED] = f"This page could not be made: {_line(words)}"
+            # No scripts: the server may end before it could send them.
+            document.template = Template("This page could not be made: {{ words }}", autoescape=True)
+            document.template_variables["words"] = _line(words)
 
 
 def require_bokeh() -> None:

@@ -137,8 +137,7 @@ def backend(job: Path) -> Iterator[Backend]:
 @pytest.fixture(scope="module")
 def server(backend: Backend) -> Iterator[PageServer]:
     with pytest.MonkeyPatch.context() as patch:
-        # Pages that were lost without a word are waited for a shorter time.
-        patch.setattr("platform_ctrl.app.web.LINGER", 6_000)
+        patch.setattr("platform_ctrl.app.web.LINGER", 2_000)
         with served(backend) as running:
             yield running
 

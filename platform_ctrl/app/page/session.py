@@ -18,6 +18,7 @@ from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
 from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
 
@@ -424,6 +425,7 @@ def page(backend: Backend, document: Document) -> None:
     document.template_variables.update(
         panels=PANELS,
         budget_panels=BUDGET_PANELS if has_budget else (),
+        palette=":root{{{}}}\n:root[data-theme=dark]{{{}}}".format(*map(declarations, PALETTE.values())),
         tree=json.dumps(tree_data(backend.read.platform), separators=(",", ":")),
     )
 

@@ -9,7 +9,7 @@ const say = (text, kind) => receive({ line: { text, kind } });
 
 const back = async () => {
   try {
-    const answer = await fetch("/favicon.ico", { cache: "no-store" });
+    const answer = await fetch("/page/icon.svg", { cache: "no-store" });
     // The address holds the state.
     if (answer.ok) { window.location.reload(); return; }
   } catch { /* Still away. */ }
