@@ -51,6 +51,9 @@ SUFFIXES: dict[str, Unit] = {
 _SPELLINGS = {"sec": "s", "msec": "ms", "usec": "us", "nsec": "ns"}
 _IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]")
 
+# As autopilots write it: TimeUS.
+_IN_CAPITALS = re.compile(r"(.*[a-z])([UMN]S)")
+
 
 def column_unit(column: str) -> tuple[str, Unit | None]:
     """Return the name of a column without its unit, and the unit that it states, or None."""
@@ -59,6 +62,8 @@ def column_unit(column: str) -> tuple[str, Unit | None]:
         end = re.sub(r"[\s^·*]", "", end).replace("µ", "u")
         found = SUFFIXES.get(_SPELLINGS.get(end, end))
         return (bracketed[1].rstrip("_"), found) if found else (column, None)
+    if stated := _IN_CAPITALS.fullmatch(column):
+        return stated[1], SUFFIXES[stated[2].lower()]
     small = column.lower().replace("µ", "u")
     for end in sorted((*SUFFIXES, *_SPELLINGS), key=len, reverse=True):
         if small.endswith(f"_{end}") and len(column) > len(end) + 1:

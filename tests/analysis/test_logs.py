@@ -149,7 +149,7 @@ def recorded_log(path: Path, time: str, seconds: float, columns: str = "rate", r
 
 
 @pytest.mark.parametrize(
-    ("name", "unit"), [("time_s", 1.0), ("Time [ms]", 1e-3), ("time (us)", 1e-6), ("time_nsec", 1e-9)]
+    ("name", "unit"), [("time_s", 1.0), ("Time [ms]", 1e-3), ("time (us)", 1e-6), ("time_nsec", 1e-9), ("TimeUS", 1e-6)]
 )
 def test_a_column_of_time_is_read_in_the_unit_of_its_name(name: str, unit: float, tmp_path: Path) -> None:
     path = recorded_log(tmp_path / "log.csv", name, unit)
