@@ -450,7 +450,7 @@ def test_a_run_is_simulated_with_its_inputs() -> None:
 
 
 @POINTS
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(ends=st.tuples(st.integers(0, 64), st.integers(0, 64)))
 def test_a_run_is_the_same_whatever_the_range(sampling: Any, ends: tuple[int, int]) -> None:
     first, last = sorted(ends)

@@ -10,7 +10,7 @@ from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import derivatives, matrices
-from platform_ctrl.plant.platform import Gimbal, Platform
+from small_trees import tree
 from tree_cases import platforms, state
 
 seeds = st.integers(0, 2**32 - 1)
@@ -103,18 +103,7 @@ def test_exact_linear_form_is_the_tangent_of_the_non_linear_equations(platform, 
 
 def test_gimbal_lock_is_named_not_solved():
     """Three gimbals whose first and last axes fall together, without inertia of the middle one about that axis."""
-    thin = np.diag([1e-30, 1e-30, 1e-30])
-    axes = np.eye(3)
-    platform = Platform(
-        name="locked",
-        root_name="base",
-        root_inertia=np.eye(3),
-        gimbals=(
-            Gimbal(name="outer", parent="base", axis=axes[0], inertia=thin, angle="a"),
-            Gimbal(name="middle", parent="outer", axis=axes[1], inertia=thin, angle="b"),
-            Gimbal(name="inner", parent="middle", axis=axes[2], inertia=np.eye(3), angle="c"),
-        ),
-    )
+    platform = tree(1.0, [("outer", "base", 1, 1e-30), ("middle", "outer", 2, 1e-30), ("inner", "middle", 3, 1.0)])
     q = np.array([0.0, np.pi / 2, 0.0])
     with pytest.raises(MechanicsError, match="can move without moving any inertia"):
         forward_dynamics(platform, q, np.zeros(6), np.zeros(6))
@@ -124,13 +113,7 @@ def test_gimbal_lock_is_named_not_solved():
 @pytest.mark.parametrize(("lightest", "regular"), [(1e-11, True), (1e-15, False)])
 def test_a_mass_matrix_is_singular_where_no_digit_is_left(lightest, regular):
     """Two gimbals on one axis: the outer one's own inertia is all that tells them apart."""
-    axis = np.eye(3)[0]
-    names = ("base", "outer", "inner")
-    gimbals = tuple(
-        Gimbal(name=names[k + 1], parent=names[k], axis=axis, inertia=size * np.eye(3), angle=names[k + 1])
-        for k, size in enumerate((lightest, 1.0))
-    )
-    platform = Platform(name="coaxial", root_name="base", root_inertia=np.diag([1e3] * 3), gimbals=gimbals)
+    platform = tree(1e3, [("outer", "base", 1, lightest), ("inner", "outer", 1, 1.0)])
     if regular:
         moved = forward_dynamics(platform, np.zeros(2), np.zeros(5), [0, 0, 0, 1e-11, 0.0])
         np.testing.assert_allclose(moved[3], 1.0, rtol=1e-2)
@@ -140,10 +123,5 @@ def test_a_mass_matrix_is_singular_where_no_digit_is_left(lightest, regular):
 
 
 def test_gimbals_in_a_ring_are_refused_not_followed_for_ever():
-    ring = tuple(
-        Gimbal(name=name, parent=parent, axis=np.eye(3)[0], inertia=np.eye(3), angle=name)
-        for name, parent in (("a", "b"), ("b", "a"))
-    )
-    platform = Platform(name="ring", root_name="base", root_inertia=np.eye(3), gimbals=ring)
     with pytest.raises(ArgumentError, match="must form a tree, they form a ring"):
-        matrices(platform)
+        matrices(tree(1.0, [("a", "b", 1, 1.0), ("b", "a", 1, 1.0)]))

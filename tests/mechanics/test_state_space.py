@@ -14,8 +14,8 @@ from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import coupled_while_changing, state_space, subsystems
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.plant.reading import read_platform
+from small_trees import tree
 from tree_cases import platforms, with_torquers
 
 L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4
@@ -45,33 +45,10 @@ def test_the_gimbals_fall_apart_into_4_5_7_and_9_10(platform, Omega, terms):
 def right_angled(seed, n=4):
     """A tree of balanced gimbals and rotors with all axes along 1, 2 or 3: many of its equations are not coupled."""
     rng = np.random.default_rng(seed)
-    axes, names = np.eye(3), ["base"] + [f"g{k}" for k in range(n)]
-    plate = rng.uniform(1.0, 1.5, (n, 3))
-    return Platform(
-        name="right angles",
-        root_name="base",
-        root_inertia=np.eye(3),
-        gimbals=tuple(
-            Gimbal(
-                name=names[1 + k],
-                parent=names[rng.integers(0, 1 + k)],
-                axis=axes[rng.integers(3)],
-                inertia=np.diag(plate[k]),
-                angle=f"q{k}",
-            )
-            for k in range(n)
-        ),
-        rotors=(
-            Rotor(
-                name="wheel",
-                carrier=names[n],
-                axis=axes[rng.integers(3)],
-                axial_inertia=0.3,
-                transverse_inertia=0.2,
-                angular_momentum=float(rng.choice([0.0, 2.0])),
-            ),
-        ),
-    )
+    names, plate = ["base"] + [f"g{k}" for k in range(n)], rng.uniform(1.0, 1.5, (n, 3))
+    gimbals = [(names[1 + k], names[rng.integers(0, 1 + k)], int(rng.integers(1, 4)), plate[k]) for k in range(n)]
+    wheel = ("wheel", names[n], int(rng.integers(1, 4)), 0.3, 0.2, float(rng.choice([0.0, 2.0])))
+    return tree(1.0, gimbals, [wheel])
 
 
 def coupled_by_differences(platform, Omega):
@@ -97,15 +74,7 @@ def test_subsystems_are_those_of_the_equations_of_motion_at_a_constant_rate(seed
 
 
 def test_yaw_and_pitch_of_a_balanced_two_axis_gimbal_are_coupled_by_a_rate_across_both_alone():
-    two = Platform(
-        name="two axes",
-        root_name="base",
-        root_inertia=np.eye(3),
-        gimbals=(
-            Gimbal(name="yaw", parent="base", axis=np.eye(3)[2], inertia=np.diag([0.05, 0.06, 0.07]), angle="psi"),
-            Gimbal(name="pitch", parent="yaw", axis=np.eye(3)[1], inertia=np.diag([0.02, 0.03, 0.04]), angle="theta"),
-        ),
-    )
+    two = tree(1.0, [("yaw", "base", 3, [0.05, 0.06, 0.07]), ("pitch", "yaw", 2, [0.02, 0.03, 0.04])])
     apart, together = (("yaw",), ("pitch",)), (("yaw", "pitch"),)
     for Omega, expected in (((0, 0, 0), apart), ((0, 0.5, 0), apart), ((0, 0, 0.5), apart), ((0.5, 0, 0), together)):
         model = linearise(two, Omega=Omega)
@@ -121,29 +90,9 @@ def test_yaw_and_pitch_of_a_balanced_two_axis_gimbal_are_coupled_by_a_rate_acros
 def test_a_rotor_along_the_inner_axis_does_not_couple_it_to_the_outer_however_fast():
     """A free rotor's L pushes about no axis that is its own; what rounding leaves of it is no coupling."""
     axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
-    across = np.array([3.0, 0.0, -1.0]) / np.sqrt(10.0)
-    plate = np.outer(axis, axis) + np.eye(3)
-    bodies = [("outer", "base", across), ("inner", "outer", axis)]
-    platform = Platform(
-        name="ring in ring",
-        root_name="base",
-        root_inertia=np.eye(3),
-        gimbals=tuple(
-            Gimbal(name=name, parent=parent, axis=along, inertia=1e-4 * plate, angle=f"q_{name}")
-            for name, parent, along in bodies
-        ),
-        rotors=(
-            Rotor(
-                name="wheel",
-                carrier="inner",
-                axis=axis,
-                axial_inertia=1e-3,
-                transverse_inertia=6e-4,
-                angular_momentum=1e3,
-                control="free",
-            ),
-        ),
-    )
+    plate = 1e-4 * (np.outer(axis, axis) + np.eye(3))
+    wheel = ("wheel", "inner", axis, 1e-3, 6e-4, 1e3, {"control": "free"})
+    platform = tree(1.0, [("outer", "base", [3.0, 0.0, -1.0], plate), ("inner", "outer", axis, plate)], [wheel])
     assert subsystems(linearise(platform, terms="paper")) == (("outer",), ("inner",))
 
 

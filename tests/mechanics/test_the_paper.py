@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import platform_ctrl as pc
 import three_gyro_paper
 from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.kinematics import kinematics, topology
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.rotors import rotor_momenta, with_rotors_as_gimbals
+from small_trees import tree
 from three_gyro_energy import (
     ACCELERATIONS,
     ANGLES,
@@ -170,36 +170,16 @@ def test_13_and_14_G_A_and_G_R_are_the_derivatives_that_the_paper_writes(platfor
     np.testing.assert_allclose(m.G_R, gyroscopic - gyroscopic.T, atol=1e-7 * size)
 
 
-GYROS = pc.read_platform(
-    {
-        "schema": 1,
-        "name": "two gyros with two gimbals each, rotor axes 3 and 1",
-        "root": {"name": "craft", "inertia": [5, 6, 7]},
-        "gimbal": [
-            {"name": "a1", "parent": "craft", "axis": [1, 0, 0], "inertia": [0.3, 0.3, 0.3], "angle": "alpha1"},
-            {"name": "b1", "parent": "a1", "axis": [0, 1, 0], "inertia": [0.3, 0.3, 0.3], "angle": "beta1"},
-            {"name": "a2", "parent": "craft", "axis": [0, 1, 0], "inertia": [0.3, 0.3, 0.3], "angle": "alpha2"},
-            {"name": "b2", "parent": "a2", "axis": [0, 0, 1], "inertia": [0.3, 0.3, 0.3], "angle": "beta2"},
-        ],
-        "rotor": [
-            {
-                "name": "1",
-                "carrier": "b1",
-                "axis": [0, 0, 1],
-                "axial_inertia": 0.2,
-                "transverse_inertia": 0.1,
-                "spin": 90,
-            },
-            {
-                "name": "2",
-                "carrier": "b2",
-                "axis": [1, 0, 0],
-                "axial_inertia": 0.2,
-                "transverse_inertia": 0.1,
-                "spin": 70,
-            },
-        ],
-    }
+# Two gyros with two gimbals each, rotor axes 3 and 1.
+GYROS = tree(
+    [5.0, 6.0, 7.0],
+    [
+        ("a1", "base", 1, 0.3, "alpha1"),
+        ("b1", "a1", 2, 0.3, "beta1"),
+        ("a2", "base", 2, 0.3, "alpha2"),
+        ("b2", "a2", 3, 0.3, "beta2"),
+    ],
+    [("1", "b1", 3, 0.2, 0.1, 18.0), ("2", "b2", 1, 0.2, 0.1, 14.0)],
 )
 
 

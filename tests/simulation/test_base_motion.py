@@ -15,14 +15,13 @@ from platform_ctrl import design, read_job, read_platform
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.single_run import metric_of, simulate_runs
 from platform_ctrl.campaign.table_statistics import statistics
-from platform_ctrl.cli.terminal import show_run
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.scenario import Scenario, Sine, Vibration
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation import simulate, simulate_batch
-from platform_ctrl.verification.simulated import largest, simulate_manoeuvre
+from platform_ctrl.verification.simulated import simulate_manoeuvre
 from sighted_gimbal import FRICTION, GAIN, HZ, JOB, PLANT, damped, sighted
 
 PERIOD = 1e-3
@@ -197,9 +196,7 @@ def test_a_commanded_rate_is_judged_without_the_bias_of_its_gyro() -> None:
         (0.0125, None, r"^q_pitch beyond half a turn from t = [\d.]+ s on$"),
     ],
 )
-def test_a_run_that_is_lost_says_when(
-    gain: float, limit: float | None, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_is_lost_says_when(gain: float, limit: float | None, words: str) -> None:
     torquers = [{"gimbal": "yaw"}, {"gimbal": "pitch"} | ({} if limit is None else {"limit": limit})]
     run = {**JOB["manoeuvre"][0], "limits": {"los_angle_rms": 1e-6}, "initial": {"q_pitch_rate": 0.5}}
     job = read_job(JOB | {"plant": {**JOB["plant"], "torquer": torquers}, "manoeuvre": [run | {"duration": 4.0}]})
@@ -208,28 +205,17 @@ def test_a_run_that_is_lost_says_when(
     assert re.match(words, found.lost)
     [result] = found.results
     assert found.lost in result.evidence
-    show_run(found, largest(job, found.manoeuvre, found.trajectory))
-    told = capsys.readouterr().out
-    assert found.lost in " ".join(told.split())
-    assert "·10" not in told.split("limit")[-1]
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"settle": 2.0}, "settle must be less than duration"),
-        ({"fade": 2.0}, "fade must be less than duration"),
-        ({"fade": 0.1, "sine": [], "axis": 1, "rate": 0.1, "rise": 0.1, "hold": 0.0}, "has neither: leave it out"),
+        ({"sine": [], "fade": 0.1, "axis": 1, "rate": 0.1, "rise": 0.1, "hold": 0.0}, "has neither: leave it out"),
         (
-            {"sine": [FORCE | {"amplitude": 2000.0}]},
-            "amplitude: 2000 m/s2 cannot be meant, at most 1000; write it in m/s2",
+            {"mode": "stabilised", "sine": [FORCE]},
+            "attenuation_db is for a caged manoeuvre",
         ),
-        (
-            {"Omega_table": {"t": [0, 1], "Omega2": [0, -300]}},
-            "Omega2: 300 rad/s cannot be meant, at most 200; write it in rad/s",
-        ),
-        ({"start": "anyhow"}, 'start must be "rest" or "equilibrium"'),
-        ({"mode": "stabilised", "sine": [FORCE]}, "attenuation_db is for a caged manoeuvre"),
     ],
 )
 def test_manoeuvres_that_say_nothing_are_refused(change, words) -> None:

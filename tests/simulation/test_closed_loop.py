@@ -12,9 +12,10 @@ from platform_ctrl.analysis import interconnection
 from platform_ctrl.analysis.anti_windup import BackCalculation, back_calculation
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, Rotor, Torquer
+from platform_ctrl.plant.platform import PickOff, Platform, Torquer
 from platform_ctrl.simulation import HalfCosine
 from single_runs import simulated
+from small_trees import tree
 
 J, L, C = 2e-3, 0.15, 1.2e-4
 PERIOD = 1e-3
@@ -22,45 +23,22 @@ PERIOD = 1e-3
 
 def one_gimbal(inertia=J, root_inertia=1.0, stops=None, noise=0.0, quantisation=0.0, **torquer) -> Platform:
     """A gimbal without a rotor: with the root held, a double integrator."""
-    return Platform(
-        name="one gimbal",
-        root_name="case",
-        root_inertia=root_inertia * np.eye(3),
-        gimbals=(
-            Gimbal(
-                name="g",
-                parent="case",
-                axis=np.array([0.0, 0.0, 1.0]),
-                inertia=inertia * np.eye(3),
-                angle="alpha",
-                stops=stops,
-            ),
-        ),
+    return tree(
+        root_inertia,
+        [("g", "case", 3, inertia, "alpha", {"stops": stops})],
+        base="case",
         torquers=(Torquer(name="Qg", gimbal="g", **torquer), Torquer(name="M1", root_axis=1)),
         pickoffs=(PickOff(name="alpha", gimbal="g", noise_rms=noise, quantisation=quantisation),),
     )
 
 
-def two_axis_gyro(J9=5e-4, J10=2e-4) -> Platform:
+def two_axis_gyro(J9=5e-4, J10=2e-4, **outer) -> Platform:
     """Gimbal 9 about +3, housing 10 about +1, rotor 11 along +2."""
-    return Platform(
-        name="gyro",
-        root_name="case",
-        root_inertia=0.1 * np.eye(3),
-        gimbals=(
-            Gimbal(name="9", parent="case", axis=np.array([0.0, 0, 1]), inertia=(J9 - J10) * np.eye(3), angle="alpha9"),
-            Gimbal(name="10", parent="9", axis=np.array([1.0, 0, 0]), inertia=(J10 - 7e-5) * np.eye(3), angle="beta10"),
-        ),
-        rotors=(
-            Rotor(
-                name="11",
-                carrier="10",
-                axis=np.array([0.0, 1, 0]),
-                axial_inertia=C,
-                transverse_inertia=7e-5,
-                angular_momentum=L,
-            ),
-        ),
+    return tree(
+        0.1,
+        [("9", "case", 3, J9 - J10, "alpha9", outer), ("10", "9", 1, J10 - 7e-5, "beta10")],
+        [("11", "10", 2, C, 7e-5, L)],
+        base="case",
         torquers=(Torquer(name="Q9", gimbal="9"), Torquer(name="Q10", gimbal="10")),
         pickoffs=(PickOff(name="alpha9", gimbal="9"), PickOff(name="beta10", gimbal="10")),
     )
@@ -225,20 +203,8 @@ def test_a_bare_root_without_sensors_and_torquers_can_be_simulated():
 
 def test_a_gyro_pushed_against_its_stop_loses_its_gyroscopic_stiffness():
     # Held about alpha9, a torque about beta10 accelerates the housing instead of precessing it.
-    gyro = two_axis_gyro()
-    stopped = Platform(
-        **{name: getattr(gyro, name) for name in ("name", "root_name", "rotors", "torquers", "pickoffs")},
-        root_inertia=gyro.root_inertia,
-        gimbals=(
-            Gimbal(
-                name="9", parent="case", axis=gyro.gimbals[0].axis, inertia=gyro.gimbals[0].inertia,
-                angle="alpha9", stops=(0.0, 0.0),
-            ),
-            gyro.gimbals[1],
-        ),
-    )  # fmt: skip
     push = controller([[1e-3, 0.0]], inputs=["beta10", "alpha9"], outputs=["Q10"])
-    out = run(stopped, [push], q=[0.0, 0.1], delay=0.0, duration=0.05)
+    out = run(two_axis_gyro(stops=(0.0, 0.0)), [push], q=[0.0, 0.1], delay=0.0, duration=0.05)
     assert np.abs(out.q[:, 0]).max() == 0.0
     assert out.q[:, 1] == pytest.approx(0.1 * np.cosh(np.sqrt(1e-3 / 2e-4) * out.t), rel=1e-3)
 

@@ -16,9 +16,10 @@ from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, Rotor, Torquer
+from platform_ctrl.plant.platform import PickOff, Platform, Torquer
 from platform_ctrl.simulation import HalfCosine, rollout
 from single_runs import simulated
+from small_trees import tree
 from tree_cases import platforms
 
 J, L, GRAVITY = 2e-3, 0.15, 9.81
@@ -106,20 +107,10 @@ def test_with_a_free_root_the_elements_accelerate_as_their_forces_do(platform, s
 
 @pytest.mark.parametrize("tilt", [1e-12, 1e-9, 1e-8, 1e-5])
 def test_an_axis_that_is_nearly_one_of_the_bodys_is_not_taken_for_it(tilt):
-    axis = np.array([1.0, tilt, -1.3 * tilt])
     inertia = np.array([[0.05, 0.01, 0.02], [0.01, 0.06, -0.01], [0.02, -0.01, 0.07]])
     tilted, straight = (
-        Platform(
-            name="nearly aligned",
-            root_name="root",
-            root_inertia=0.3 * np.eye(3),
-            gimbals=(
-                Gimbal(name="outer", parent="root", axis=[0.0, 1.0, 0.0], inertia=inertia, angle="a"),
-                Gimbal(name="inner", parent="outer", axis=one, inertia=inertia, angle="b"),
-            ),
-            rotors=(),
-        )
-        for one in (axis / np.linalg.norm(axis), [1.0, 0.0, 0.0])
+        tree(0.3, [("outer", "base", 2, inertia), ("inner", "outer", axis, inertia)])
+        for axis in ([1.0, tilt, -1.3 * tilt], 1)
     )
     q, u, force = np.array([0.3, -0.4]), np.array([0.3, -0.5, 0.2, 4.0, -7.0]), np.zeros(5)
     change = np.subtract(*(state_derivative(one, q, u, force, free=True)[1] for one in (tilted, straight)))
@@ -180,27 +171,9 @@ def test_servo_rotors_react_on_their_carriers_with_a_free_root_and_not_on_moment
 
 
 def three_gimbals(**elements) -> Platform:
-    axes = ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8])
-    parents = ("base", "a", "b")
-    return Platform(
-        name="chain",
-        root_name="base",
-        root_inertia=np.diag([2.0, 3.0, 4.0]),
-        gimbals=tuple(
-            Gimbal(name=name, parent=parent, axis=np.array(axis), inertia=np.diag([0.5, 0.6, 0.4]), angle=name)
-            for name, parent, axis in zip("abc", parents, axes, strict=True)
-        ),
-        rotors=(
-            Rotor(
-                name="r",
-                carrier="c",
-                axis=np.array([1.0, 0.0, 0.0]),
-                axial_inertia=0.2,
-                transverse_inertia=0.15,
-                angular_momentum=1.5,
-            ),
-        ),
-        **elements,
+    chain = [("a", "base", 3), ("b", "a", 1), ("c", "b", [0.0, 0.6, 0.8])]
+    return tree(
+        [2.0, 3.0, 4.0], [(*one, [0.5, 0.6, 0.4]) for one in chain], [("r", "c", 1, 0.2, 0.15, 1.5)], **elements
     )
 
 
@@ -267,20 +240,9 @@ def test_the_elements_act_alike_whether_the_root_is_held_or_too_heavy_to_react()
 
 
 def one_gimbal(**more) -> Platform:
-    return Platform(
-        name="one gimbal",
-        root_name="case",
-        root_inertia=np.eye(3),
-        gimbals=(
-            Gimbal(
-                name="g",
-                parent="case",
-                axis=np.array([0.0, 0.0, 1.0]),
-                inertia=J * np.eye(3),
-                angle="alpha",
-                stops=more.pop("stops", None),
-            ),
-        ),
+    return tree(
+        1.0,
+        [("g", "base", 3, J, "alpha")],
         torquers=(Torquer(name="Qg", gimbal="g"),),
         pickoffs=(PickOff(name="alpha", gimbal="g"),),
         **more,
@@ -343,24 +305,10 @@ def test_a_spring_adds_to_what_the_torquer_does():
 
 def vertical_gyro(gain, limit=None, specific_force=GRAVITY) -> Platform:
     """Spin axis 3 in an inner gimbal about 2 in an outer gimbal about 1."""
-    return Platform(
-        name="vertical gyro",
-        root_name="case",
-        root_inertia=np.eye(3),
-        gimbals=(
-            Gimbal(name="outer", parent="case", axis=np.array([1.0, 0, 0]), inertia=3e-4 * np.eye(3), angle="roll"),
-            Gimbal(name="inner", parent="outer", axis=np.array([0, 1.0, 0]), inertia=1e-4 * np.eye(3), angle="pitch"),
-        ),
-        rotors=(
-            Rotor(
-                name="r",
-                carrier="inner",
-                axis=np.array([0, 0, 1.0]),
-                axial_inertia=1.2e-4,
-                transverse_inertia=7e-5,
-                angular_momentum=L,
-            ),
-        ),
+    return tree(
+        1.0,
+        [("outer", "base", 1, 3e-4, "roll"), ("inner", "outer", 2, 1e-4, "pitch")],
+        [("r", "inner", 3, 1.2e-4, 7e-5, L)],
         erections=(Erection(gimbal="outer", senses="inner", axis=np.array([1.0, 0, 0]), gain=gain, limit=limit),),
         specific_force=np.array([0.0, 0.0, specific_force]),
     )

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from kernel_entries import derivatives, entries, momenta, whole_state
 from platform_ctrl.common.simd import LANES, choose, load, store
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation import rollout
 from platform_ctrl.simulation.kernel import functions
 from platform_ctrl.simulation.packing import pack
 from simulation.test_forces import a_state, along_coordinates, furnished
+from small_trees import tree
 from tree_cases import platforms
 
 
@@ -127,36 +128,13 @@ def test_derivatives_are_the_same_to_rounding_in_a_lane_and_alone(platform, free
     same(momenta(platform, states, lane=LANES), momenta(platform, states))
 
 
-def chain(n: int, **more) -> Platform:
+def chain(n: int, rotors: tuple[str, ...] = ()) -> Platform:
     names = ["base", *(f"g{k}" for k in range(n))]
-    return Platform(
-        name="chain",
-        root_name="base",
-        root_inertia=np.diag([3.0, 4.0, 5.0]),
-        gimbals=tuple(
-            Gimbal(
-                name=names[k + 1],
-                parent=names[k],
-                axis=np.eye(3)[k % 3],
-                inertia=np.diag([0.5, 0.6, 0.7]),
-                angle=f"q{k}",
-            )
-            for k in range(n)
-        ),
-        **more,
-    )
-
-
-def wheel(name: str) -> Rotor:
-    return Rotor(
-        name=name,
-        carrier="g0",
-        axis=np.array([0.6, 0.0, 0.8]),
-        axial_inertia=0.2,
-        transverse_inertia=0.15,
-        angular_momentum=3.0,
-        control="servo",
-        speed_gain=1.0,
+    servo = {"control": "servo", "speed_gain": 1.0}
+    return tree(
+        [3.0, 4.0, 5.0],
+        [(names[k + 1], names[k], k % 3 + 1, [0.5, 0.6, 0.7]) for k in range(n)],
+        [(name, "g0", [0.6, 0.0, 0.8], 0.2, 0.15, 3.0, servo) for name in rotors],
     )
 
 
@@ -210,8 +188,7 @@ def test_one_compilation_does_for_every_plant():
 
     plants = [chain(n) for n in (0, 1, 5)]
     plants += [along_coordinates(chain(2), 0), furnished(chain(3), 3), furnished(chain(4), 4)]
-    wheels = tuple(wheel(f"w{k}") for k in range(3))
-    plants += [chain(2, rotors=wheels), furnished(chain(1, rotors=wheels[:1]), 5)]
+    plants += [chain(2, ("w0", "w1", "w2")), furnished(chain(1, ("w0",)), 5)]
     for plant in plants:
         assert np.isfinite(ends(plant, *a_start(plant, 3), steps=2)).all()
     assert len(advance.signatures) == 1

@@ -16,9 +16,10 @@ from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.rotors import with_rotors_as_gimbals
 from platform_ctrl.plant.force_elements import Spring, Unbalance
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation import HalfCosine, rollout
 from single_runs import simulated
+from small_trees import tree
 from tree_cases import platforms
 
 C = 0.3
@@ -26,33 +27,14 @@ SPRINGS = (Spring(gimbal="outer", stiffness=3.0, rest=0.2),)
 UNBALANCES = (Unbalance(body="inner", moment=np.array([0.1, 0.05, 0.0])),)
 
 
-def gyro_on_a_block(**loop) -> Platform:
+def gyro_on_a_block(control="servo", **loop) -> Platform:
     """A gyro in two gimbals and a reaction wheel on the root; both rotors run the given speed loop."""
-
-    def unit(*axis):
-        return np.array(axis) / np.linalg.norm(axis)
-
-    def rotor(name, carrier, axis, momentum):
-        return Rotor(
-            name=name,
-            carrier=carrier,
-            axis=axis,
-            axial_inertia=C,
-            transverse_inertia=0.2,
-            angular_momentum=momentum,
-            control=loop.get("control", "servo"),
-            **{key: number for key, number in loop.items() if key != "control"},
-        )
-
-    return Platform(
-        name="gyro and wheel",
-        root_name="block",
-        root_inertia=np.diag([4.0, 5.0, 6.0]),
-        gimbals=(
-            Gimbal(name="outer", parent="block", axis=unit(0, 0, 1), inertia=np.diag([0.9, 0.8, 1.0]), angle="alpha"),
-            Gimbal(name="inner", parent="outer", axis=unit(1, 0.3, 0), inertia=np.diag([0.6, 0.5, 0.7]), angle="beta"),
-        ),
-        rotors=(rotor("gyro", "inner", unit(0, 1, 0.2), 6.0), rotor("wheel", "block", unit(1, 1, 1), -2.0)),
+    loop = {"control": control, **loop}
+    return tree(
+        [4.0, 5.0, 6.0],
+        [("outer", "block", 3, [0.9, 0.8, 1.0], "alpha"), ("inner", "outer", [1, 0.3, 0], [0.6, 0.5, 0.7], "beta")],
+        [("gyro", "inner", [0, 1, 0.2], C, 0.2, 6.0, loop), ("wheel", "block", [1, 1, 1], C, 0.2, -2.0, loop)],
+        base="block",
     )
 
 

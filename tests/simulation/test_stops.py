@@ -13,6 +13,7 @@ from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Gimbal, Platform
 from platform_ctrl.simulation.closed_loop import Trajectory
 from signal_and_gimbal import PERIOD, J, fault, flown, gain, plant, scenario, within
+from small_trees import tree
 
 # Stops.
 
@@ -57,35 +58,16 @@ def test_a_pushed_gimbal_bounces_ever_lower_and_comes_to_rest_on_its_stop() -> N
 
 def free_gyro(restitution: float, control: str = "regulated") -> Platform:
     """A rotor in two gimbals with stops, on a light platform."""
-    return pc.read_platform(
-        {
-            "schema": 1,
-            "name": "gyro between stops",
-            "root": {"name": "case", "inertia": [[0.010, 0.001, 0.0], [0.001, 0.012, 0.0], [0.0, 0.0, 0.011]]},
-            "gimbal": [
-                {
-                    "name": name,
-                    "parent": parent,
-                    "axis": axis,
-                    "inertia": [6e-4, 5e-4, 7e-4],
-                    "stops_deg": [-10.0, 8.0],
-                    "restitution": restitution,
-                }
-                for name, parent, axis in (("outer", "case", [0, 0, 1]), ("inner", "outer", [1, 0, 0]))
-            ],
-            "rotor": [
-                {
-                    "name": "R",
-                    "carrier": "inner",
-                    "axis": [0, 0.6, 0.8],
-                    "axial_inertia": 1.2e-4,
-                    "transverse_inertia": 0.7e-4,
-                    "spin": 200.0,
-                    "control": control,
-                }
-                | ({"speed_gain": 1e-3} if control == "servo" else {})
-            ],
-        }
+    stops = {"stops": (np.radians(-10.0), np.radians(8.0)), "restitution": restitution}
+    loop = {"control": control} | ({"speed_gain": 1e-3} if control == "servo" else {})
+    return tree(
+        [[0.010, 0.001, 0.0], [0.001, 0.012, 0.0], [0.0, 0.0, 0.011]],
+        [
+            ("outer", "case", 3, [6e-4, 5e-4, 7e-4], "q_outer", stops),
+            ("inner", "outer", 1, [6e-4, 5e-4, 7e-4], "q_inner", stops),
+        ],
+        [("R", "inner", [0, 0.6, 0.8], 1.2e-4, 0.7e-4, 1.2e-4 * 200.0, loop)],
+        base="case",
     )
 
 

@@ -8,8 +8,9 @@ import numpy as np
 from platform_ctrl import simulation
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, RateSensor, Torquer
+from platform_ctrl.plant.platform import PickOff, Platform, RateSensor, Torquer
 from platform_ctrl.simulation.closed_loop import Trajectory
+from small_trees import tree
 
 PERIOD = 1e-3
 J = 2e-3
@@ -25,22 +26,10 @@ def plant(
 ) -> Platform:
     """Two gimbals that do not feel each other on a held root: what `signal` reads is a straight line, `g` is turned."""
     sensor = {"noise_rms": noise, "noise_bandwidth_hz": 0.5 / PERIOD, "quantisation": quantisation}
-    return Platform(
-        name="signal and gimbal",
-        root_name="case",
-        root_inertia=0.01 * np.eye(3),
-        gimbals=(
-            Gimbal(name="s", parent="case", axis=np.array([1.0, 0, 0]), inertia=np.eye(3), angle="signal"),
-            Gimbal(
-                name="g",
-                parent="case",
-                axis=np.array([0, 0, 1.0]),
-                inertia=J * np.eye(3),
-                angle="alpha",
-                stops=stops,
-                restitution=restitution,
-            ),
-        ),
+    return tree(
+        0.01,
+        [("s", "case", 1, 1.0, "signal"), ("g", "case", 3, J, "alpha", {"stops": stops, "restitution": restitution})],
+        base="case",
         torquers=(Torquer(name="Qg", gimbal="g", **torquer),),
         pickoffs=(PickOff(name="signal", gimbal="s", **sensor), PickOff(name="alpha", gimbal="g", **sensor)),
         rate_sensors=(
