@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
 import json
-import pkgutil
 import re
 import subprocess
 import sys
@@ -18,7 +15,6 @@ from scipy.sparse import lil_array
 from scipy.sparse.csgraph import connected_components
 
 import platform_ctrl as pc
-from public_modules import names
 
 ROOT = Path(__file__).resolve().parent.parent
 HEAVY = {"clarabel", "control", "cvxpy", "jinja2", "matplotlib", "numba", "rich", "scipy", "sympy", "typer"}
@@ -62,19 +58,6 @@ def test_every_public_name_is_there_and_listed(name: str) -> None:
     assert name in dir(pc)
 
 
-def test_no_public_name_hides_a_module_of_its_package() -> None:
-    for module in names.MODULES:
-        found = importlib.import_module(module)
-        inside = {one.name for one in pkgutil.iter_modules(getattr(found, "__path__", []))}
-        assert not {name for name, item in names.names(module).items() if not inspect.ismodule(item)} & inside, module
-
-
-def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="attribute 'lineariser'"):
-        pc.lineariser  # noqa: B018
-    assert not hasattr(pc, "lineariser")
-
-
 def test_the_readme_gives_two_commands_and_the_verdict_runs_the_second() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     commands = [line.strip() for line in readme.splitlines() if line.strip().startswith("python3 -m venv .venv && ")]
@@ -82,13 +65,6 @@ def test_the_readme_gives_two_commands_and_the_verdict_runs_the_second() -> None
     assert "platform-ctrl design examples/three_gyro_platform.toml" in commands[0]
     assert commands[1].endswith("bin/pytest")
     assert commands[1] in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-
-
-def test_the_readme_names_files_that_exist() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"\b(?:examples|models|benchmarks|tests)/[\w/]+\.\w+", readme))
-    assert named
-    assert [name for name in sorted(named) if not (ROOT / name).is_file()] == []
 
 
 def test_the_table_of_where_to_look_names_files_that_exist() -> None:

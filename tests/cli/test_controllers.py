@@ -86,8 +86,13 @@ def test_every_command_says_which_controllers_it_took(
     assert "controllers:" not in capsys.readouterr().err
 
 
-@EVERY
-@pytest.mark.parametrize("what", ["plant", "option", "limit", "use", "sampling"])
+@pytest.mark.parametrize(
+    ("what", "command"),
+    [
+        *(("plant", command) for command in COMMANDS),
+        *((what, "check") for what in ("option", "limit", "use", "sampling")),
+    ],
+)
 def test_controllers_of_another_plant_or_job_are_taken_only_by_name(
     what: str, command: str, there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -106,9 +111,7 @@ def test_controllers_of_another_plant_or_job_are_taken_only_by_name(
     assert "out/result.json: was made for another " + ("plant" if what == "plant" else "job") in told
     assert "run platform-ctrl design job.toml" in told
     assert "--controllers" in told
-    if what in ("plant", "limit"):
-        if command == "campaign":
-            pytest.importorskip("pyarrow")
+    if what == "limit":
         assert main([*COMMANDS[command], "--controllers", "out/result.json"]) in (0, 1)
         assert "controllers: out/result.json, which was made for another" in capsys.readouterr().err
 
@@ -121,13 +124,12 @@ def test_what_controllers_do_not_depend_on_may_change(there: Path, capsys: pytes
     assert capsys.readouterr().err == "controllers: out/result.json\n"
 
 
-@EVERY
 def test_controllers_that_are_older_than_a_fresh_result_are_taken_only_by_name(
-    command: str, there: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str]
+    there: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     bare = {key: result[key] for key in ("schema", "controllers")}
     save_beside(there, bare, age=5.0)
-    told = refused(capsys, *COMMANDS[command], "-q")
+    told = refused(capsys, *COMMANDS["check"], "-q")
     assert "job.controllers.json: is older than out/result.json, which platform-ctrl design job.toml wrote" in told
     # Newer ones are those of the designer's page.
     save_beside(there, bare, age=-5.0)
@@ -139,61 +141,3 @@ def test_controllers_that_are_older_than_a_fresh_result_are_taken_only_by_name(
     save_beside(there, bare, age=5.0)
     assert main([*COMMANDS["simulate"], "-q"]) == 0
     assert "controllers: job.controllers.json" in capsys.readouterr().err
-
-
-def test_the_result_beside_a_job_in_another_folder_counts(
-    there: Path, result: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    save_beside(there, {key: result[key] for key in ("schema", "controllers")}, age=5.0)
-    (there / "elsewhere").mkdir()
-    monkeypatch.chdir(there / "elsewhere")
-    words = "job.controllers.json: is older than ../out/result.json"
-    assert words in refused(capsys, "check", "../job.toml", "-q")
-
-
-def test_the_designers_page_says_that_it_leaves_out_controllers_of_another_job(
-    there: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("bokeh")
-    from platform_ctrl.cli.serve_command import _checked
-
-    save_beside(there, result, age=0.0)
-    _checked(Path("job.toml"), None)
-    assert capsys.readouterr().err == ""
-    write(there, camera_plant(friction=[]))
-    _checked(Path("job.toml"), None)
-    assert "job.controllers.json: was made for another plant" in capsys.readouterr().err
-
-
-def test_a_design_in_place_of_the_one_that_the_job_uses_is_taken_only_by_name(
-    there: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    slow = {"name": "slow", "method": "pi", "crossover_hz": 10, "integral_hz": 1}
-    write(there, loop=camera_loop(use="slow", design=[*camera_job()["loop"][0]["design"], slow]))
-    old = {key: item for key, item in result.items() if key != "sha256"}
-    (there / "out" / "result.json").write_text(json.dumps(old), encoding="utf-8")
-    told = refused(capsys, *COMMANDS["simulate"], "-q")
-    assert 'out/result.json: closes the loop "rate" with "pi", but the job uses "slow"' in told
-
-
-def test_the_hashes_are_those_of_what_was_read(there: Path, result: dict[str, Any]) -> None:
-    assert main(["check", "job.toml", "-q"]) == 0
-    again = json.loads((there / "check" / "result.json").read_text(encoding="utf-8"))
-    assert all(again["sha256"][key] == result["sha256"][key] for key in ("plant", "design", "job"))
-    assert {len(one) for one in result["sha256"].values()} == {64}
-
-
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_numbers_that_overflow_lead_to_a_verdict_and_to_no_line_of_a_library(
-    there: Path, result: dict[str, Any], capfd: pytest.CaptureFixture[str]
-) -> None:
-    for entry in result["controllers"]:
-        entry = dict(entry)
-        for name in "CD":
-            entry[name] = [[1e200 * x for x in row] for row in entry[name]]
-        huge = {"schema": 1, "controllers": [entry]}
-    (there / "huge.json").write_text(json.dumps(huge), encoding="utf-8")
-    assert main(["check", "job.toml", "--controllers", "huge.json"]) == 1
-    out, err = capfd.readouterr()
-    assert "FAILED" in out
-    assert "On entry" not in out + err

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import signal
 import tomllib
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-import platform_ctrl as pc
 from one_gyro_job import JOB
 from platform_ctrl import design, export
 from platform_ctrl.cli import main
-from platform_ctrl.errors import InputError
 from platform_ctrl.export.exporters import FORMS
 from platform_ctrl.job.reading import read_job
 from refused_command import refused
@@ -96,28 +91,17 @@ def test_what_needs_no_controllers_asks_for_none(there: Path) -> None:
     ]
 
 
-def test_controllers_saved_beside_the_job_are_found(there: Path) -> None:
-    (there / "out" / "result.json").rename(there / "job.controllers.json")
-    assert main(["export", "job.toml", "-q", "--mat", "k.mat"]) == 0
-    assert export.read_mat("k.mat")[0].output_labels == ["Q9", "Q10"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ([], "nothing to write; name at least one of --c, --mat"),
         (["--c", "c", "--number", "q7"], "--number: must be double or float, got 'q7'"),
         (["--csv", "c", "--form", "dB"], "--form: must be complex or polar, got 'dB'"),
-        (["--mjcf", "p.xml", "--root", "loose"], "--root: must be free, prescribed or fixed, got 'loose'"),
         (["--mat", "job.toml"], "--mat job.toml: the command reads or writes this file for something else"),
-        (["--mat", "x", "--mjcf", "x"], "--mat x: the command reads or writes this file for something else"),
         (["--c", "x", "--csv", "x"], "--c x: is used for something else too"),
         (["--mat", "out"], "--mat out: is a folder, but must be a file"),
         (["--c", "out"], "--c out: holds files of no earlier export; name a new or empty folder"),
-        (["--c", "job.toml"], "--c job.toml: is used for something else too"),
         (["--c", "out/result.json/a/c"], "--c out/result.json/a/c: out/result.json is a file, but must be a folder"),
-        (["--mat", "job.toml/k.mat"], "--mat job.toml/k.mat: job.toml is a file, but must be a folder or not exist"),
-        (["--mat", "k.mat", "--controllers", "job.toml"], "job.toml: is not JSON"),
     ],
 )
 def test_wrong_input_is_one_line_and_writes_nothing(
@@ -128,30 +112,11 @@ def test_wrong_input_is_one_line_and_writes_nothing(
     assert files(there) == before
 
 
-@pytest.mark.parametrize(
-    ("option", "of"),
-    [
-        ("--number=float", "c"),
-        ("--form=polar", "csv"),
-        ("--root=fixed", "mjcf"),
-    ],
-)
-def test_an_option_of_what_is_not_written_is_refused(
-    option: str, of: str, there: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert f"is an option of --{of}" in refused(capsys, "export", "job.toml", "--mat", "k.mat", option)
+def test_an_option_of_what_is_not_written_is_refused(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "is an option of --c" in refused(capsys, "export", "job.toml", "--mat", "k.mat", "--number=float")
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
-def test_what_is_no_plain_file_is_never_replaced_by_one(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    os.mkfifo("pipe")
-    assert "--mjcf pipe: is a device or a pipe, but must be a file" in refused(
-        capsys, "export", "job.toml", "--mjcf", "pipe"
-    )
-    assert Path("pipe").is_fifo()
-
-
-@pytest.mark.parametrize("option", ["--mat", "--mjcf", "--c"])
+@pytest.mark.parametrize("option", ["--mat", "--c"])
 def test_the_plant_that_the_job_reads_is_never_written_over(
     option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -163,12 +128,6 @@ def test_the_plant_that_the_job_reads_is_never_written_over(
     assert main([*words, option, str(tmp_path / "gyro_plant.toml")]) == 2
     assert "something else" in capsys.readouterr().err
     assert files(tmp_path) == before | {"k.json": b"{}"}
-
-
-def test_without_controllers_the_line_says_what_to_run(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (there / "out" / "result.json").unlink()
-    assert "run platform-ctrl design first" in refused(capsys, "export", "job.toml", "--c", "c")
-    assert "there is no such file" in refused(capsys, "export", "nowhere.toml", "--c", "c")
 
 
 def test_a_folder_of_its_own_is_renewed_but_never_what_somebody_changed(
@@ -201,18 +160,7 @@ def test_a_folder_of_its_own_is_renewed_but_never_what_somebody_changed(
     assert "is not the record of an export" in refused(capsys, "export", "job.toml", "--csv", "r", "-q")
 
 
-def test_files_that_an_export_no_longer_has_go_away(there: Path) -> None:
-    assert main(["export", "job.toml", "-q", "--csv", "r"]) == 0
-    record = json.loads((there / "r" / "export.json").read_text())
-    (there / "r" / "old.csv").write_text("old")
-    record["files"]["old.csv"] = hashlib.sha256(b"old").hexdigest()
-    (there / "r" / "export.json").write_text(json.dumps(record))
-    assert main(["export", "job.toml", "-q", "--csv", "r"]) == 0
-    assert not (there / "r" / "old.csv").exists()
-    assert not list(there.rglob(".unfinished*"))
-
-
-@pytest.mark.parametrize("failure", [KeyboardInterrupt, OSError, InputError])
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, OSError])
 def test_nothing_is_left_half_written(
     failure: type[BaseException], there: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -228,28 +176,3 @@ def test_nothing_is_left_half_written(
     assert main(arguments) == (130 if failure is KeyboardInterrupt else 2)
     assert files(there) == before
     assert not (there / "c").exists()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
-def test_ctrl_c_while_files_move_waits_until_they_have(there: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    moved: Callable[[Path, Path], None] = os.replace
-
-    def interrupted(old: Path, new: Path) -> None:
-        if ".unfinished" in str(old) and ".unfinished" not in str(new):
-            signal.raise_signal(signal.SIGINT)
-        moved(old, new)
-
-    monkeypatch.setattr(os, "replace", interrupted)
-    assert main(["export", "job.toml", "-q", "--mat", "k.mat", "--models", "m.json", "--csv", "r"]) == 130
-    assert (there / "k.mat").exists()
-    assert (there / "m.json").exists()
-    assert (there / "r" / "export.json").exists()
-    assert not list(there.rglob(".unfinished*"))
-
-
-def test_exported_models_are_of_the_plant_as_it_stands(there: Path) -> None:
-    assert main(["export", "job.toml", "-q", "--models", "m.json"]) == 0
-    plant = next(one for one in export.read_systems("m.json") if one.name == "plant")
-    ours = pc.state_space(pc.linearise(pc.read_platform("three_gyro_platform")))
-    assert (plant.A == ours.A).all()
-    assert plant.input_labels == ours.input_labels

@@ -53,21 +53,6 @@ def undrawn(patch: pytest.MonkeyPatch, about: list[dict[str, Any]]) -> None:
     patch.setattr("platform_ctrl.report.write_page", lambda content, path: path.touch())
 
 
-@pytest.mark.slow  # as tests/report/test_campaign.py without the command
-def test_the_page_reports_the_campaign(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", "gyro.toml", "--campaign", "campaign"]) == 0
-    out = capsys.readouterr().out
-    files = ("report: report.html", "values: result.json")
-    told = [f"{word} {Path('check') / name}" for word, name in map(str.split, files)]
-    assert [line for line in out.splitlines() if line in told] == told
-    made = sorted(path.name for path in (there / "check").iterdir())
-    assert made == ["report.html", "result.json"]
-    page = (there / "check" / "report.html").read_text(encoding="utf-8")
-    assert "None of 12 runs violates a requirement" in page
-    assert "platform-ctrl check gyro.toml" in page
-    assert "--campaign campaign" in page
-
-
 def test_a_campaign_of_other_controllers_is_refused_before_the_work(
     there: Path, pages: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,16 +108,12 @@ def test_a_folder_without_a_finished_campaign_of_the_job_is_refused_before_the_w
 
 
 @pytest.mark.parametrize(
-    ("lost", "words"),
+    ("lost", "words", "job", "code"),
     [
-        ("platform_ctrl.report.page.job_page.nichols_figure", "Nichols plot: not drawn"),
-        ("platform_ctrl.report.page.job_page.loop_responses", "Figures: not drawn"),
-        ("platform_ctrl.report.page.tables.mode_table", "Modes of the uncontrolled gimbals: not drawn"),
-        ("platform_ctrl.report.page.job_page.prepared", "not written"),
-        ("platform_ctrl.report.write_page", "not written"),
+        ("platform_ctrl.report.page.job_page.nichols_figure", "Nichols plot: not drawn", JOB, 0),
+        ("platform_ctrl.report.page.job_page.prepared", "not written", TOO_MUCH, 1),
     ],
 )
-@pytest.mark.parametrize(("job", "code"), [(JOB, 0), (TOO_MUCH, 1)])
 def test_a_failure_while_drawing_costs_neither_result_nor_verdict(
     lost: str,
     words: str,
@@ -160,17 +141,3 @@ def test_a_failure_while_drawing_costs_neither_result_nor_verdict(
     assert f"{words}: LinAlgError: no luck" in line
     assert (tmp_path / "out" / "report.html").is_file() is (words != "not written")
     assert not list((tmp_path / "out").glob(".unfinished*"))
-
-
-def test_a_run_whose_figure_fails_has_its_verdict(
-    there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise ValueError("no luck")
-
-    monkeypatch.setattr("platform_ctrl.report.plots.time_run.write_run_figure", fails)
-    assert main(["simulate", "gyro.toml", "--manoeuvre", "turn", "-o", "runs", "-q"]) == 0
-    out, err = capsys.readouterr()
-    assert "met" in out
-    assert "figure: " not in out
-    assert err.splitlines()[-1] == "runs/manoeuvre-1.svg: not written: ValueError: no luck"

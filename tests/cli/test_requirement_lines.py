@@ -9,7 +9,7 @@ from rich.console import Console
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.cli.terminal import screen, show_pairs, show_requirements, show_words, summary_words
+from platform_ctrl.cli.terminal import show_requirements
 from platform_ctrl.job.judging import CheckResult, Requirement
 
 KINDS = [METRICS[kind] for kind in ("stability", "bandwidth", "disk margin", "attenuation", "torque noise", "tracking")]
@@ -56,39 +56,3 @@ def test_what_is_missed_comes_first_and_what_cannot_be_better_is_one_line() -> N
     assert [line.split()[0] for line in shown] == [*("value", "two,", "NOT", "NOT", "one,", "met", "not", "also")]
     assert "attenuation" in shown[2]
     assert shown[-1] == "also met, by 100 % or more: minimum decay rate; largest gimbal angle"
-
-
-def test_a_requirement_that_cannot_be_better_is_shown_where_it_fails() -> None:
-    shown = lines([result(0, "caging", "PI", 0.0, True)], 80)
-    assert shown[2].startswith("NOT MET  minimum decay rate")
-
-
-def test_the_summary_names_the_worst_and_no_requirement_that_says_nothing() -> None:
-    met = [result(0, "caging", "PI", 400.0, True), result(2, "caging", "PI", 1.2, True)]
-    assert summary_words(met) == "all 2 requirements met; tightest: caging, PI, disk margin (+20 %)"
-    missed = [*met, result(1, "caging", "PI", 0.5, True)]
-    assert summary_words(missed) == "1 of 3 requirements not met; worst: caging, PI, bandwidth (−50 %)"
-
-
-@pytest.mark.parametrize("columns", ["60", "80", None])
-def test_a_pipe_gets_plain_lines(
-    columns: str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.delenv("FORCE_COLOR", raising=False)
-    monkeypatch.delenv("COLUMNS", raising=False)
-    if columns is not None:
-        monkeypatch.setenv("COLUMNS", columns)
-    results = [result(k, "caging", "classical", 0.8 + 0.1 * k, True) for k in range(len(KINDS))]
-    words = "FAILED: 3 of 9 requirements not met, assuming that rate loops leave the gimbal angles free (+11 %), 3 rad"
-    show_requirements(screen(), results)
-    show_words(screen(), words)
-    show_pairs(screen(), [("largest gimbal angle", "0.000761 rad (beta)"), ("ended", "completed")])
-    out = capsys.readouterr().out
-    assert "\x1b" not in out
-    assert not BOXES.search(out)
-    if columns is None:
-        assert words in out.splitlines()
-    else:
-        assert max(map(len, out.splitlines())) <= int(columns)
-        # A number stays with its unit.
-        assert not any(line.startswith(("%", "rad")) for line in out.splitlines())

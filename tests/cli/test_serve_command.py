@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import random
 import signal
 import socket
 import subprocess
@@ -13,7 +12,6 @@ import sys
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,14 +23,12 @@ import platform_ctrl as pc
 from browser import chromium, screen, served
 from plain_web import Socket, token
 from platform_ctrl.cli import main
-from platform_ctrl.errors import InputError
 from refused_command import refused
 
 pytest.importorskip("bokeh")
 
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.page.session import page
-from platform_ctrl.app.server import PORT
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -74,23 +70,6 @@ def first_line(process: subprocess.Popen[str]) -> str:
     return process.stdout.readline()
 
 
-def interrupted(process: subprocess.Popen[str]) -> str:
-    """Press Ctrl-C, and return what stood on standard error; the exit code is that of an interrupt."""
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=30)
-    assert process.returncode == 130
-    return err
-
-
-@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C as POSIX sends it")
-def test_one_line_says_where_and_ctrl_c_ends_it_with_one_line(job: Path) -> None:
-    with serving(job, "--quiet", "--no-browser") as process:
-        line = first_line(process)
-        assert line.startswith("gyro: http://127.0.0.1:")
-        assert line.endswith("/ (Ctrl-C ends it)\n")
-        assert interrupted(process).splitlines()[-1:] == ["platform-ctrl: interrupted"]
-
-
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C as POSIX sends it")
 def test_what_json_says_can_be_asked_and_a_page_that_is_open_does_not_hold_it_up(job: Path) -> None:
     with serving(job, "--json", "--port", "0", "--host", "127.0.0.1") as process:
@@ -104,7 +83,9 @@ def test_what_json_says_can_be_asked_and_a_page_that_is_open_does_not_hold_it_up
         there = SimpleNamespace(port=told["port"])
         with Socket(there, f"bokeh, {token(there)}") as opened:
             assert opened.message()[0] == "ACK"
-            assert interrupted(process) == "platform-ctrl: interrupted\n"
+            process.send_signal(signal.SIGINT)
+            _, err = process.communicate(timeout=30)
+            assert (process.returncode, err) == (130, "platform-ctrl: interrupted\n")
             assert opened.ends()
 
 
@@ -132,19 +113,6 @@ def test_what_is_wrong_is_one_line(job: Path, capsys: pytest.CaptureFixture[str]
     assert "--port" in refused(capsys, "serve", str(job), "--port", "70000")
 
 
-def test_another_port_than_the_usual_one_is_said(job: Path) -> None:
-    try:
-        taken = socket.create_server(("127.0.0.1", PORT))
-    except OSError:
-        taken = None  # somebody has it already
-    with serving(job, "--quiet", "--no-browser") as process:
-        assert first_line(process)
-        assert process.stderr is not None
-        assert process.stderr.readline() == f"port {PORT} is taken: another one is used\n"
-    if taken is not None:
-        taken.close()
-
-
 def test_the_page_is_loaded_without_what_compiles_draws_or_solves() -> None:
     script = (
         "import sys, platform_ctrl.app.page.session, platform_ctrl.app.server, platform_ctrl.app.backend;"
@@ -152,19 +120,6 @@ def test_the_page_is_loaded_without_what_compiles_draws_or_solves() -> None:
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert run.stdout == "[]\n"
-
-
-def test_a_workbench_that_cannot_be_made_ends_the_command_with_its_line(
-    job: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fails(*args: object, **more: object) -> None:
-        raise InputError("gyro.toml: nothing to design")
-
-    monkeypatch.setattr("platform_ctrl.app.backend.Backend", fails)
-    # Playwright has a loop of its own in this thread.
-    with ThreadPoolExecutor(1) as other:
-        assert other.submit(main, ["serve", str(job), "-q", "--port", "0", "--no-browser"]).result() == 2
-    assert capsys.readouterr().err == "platform-ctrl: error: gyro.toml: nothing to design\n"
 
 
 def test_pages_are_apart_load_nothing_from_elsewhere_and_leave_nothing(job: Path, browser: Browser) -> None:
@@ -185,46 +140,3 @@ def test_pages_are_apart_load_nothing_from_elsewhere_and_leave_nothing(job: Path
                 assert shown.complaints == []
         until(lambda: server.sessions == 0)
         until(lambda: gc.collect() >= 0 and not any(document() for document in made))
-
-
-NONSENSE: tuple[Any, ...] = (
-    None, True, -1, 1e308, float("nan"), 1e400, 10**400, "", "x" * 5000, [], [[[]]], {}, {"id": "p1"},
-    {"type": "map", "entries": [["what", "move"], ["n", 1], ["moves", 5]]}, {"type": "set", "entries": [1]},
-    {"type": "number", "value": "nan"}, {"type": "object", "name": "CustomJS", "id": "z", "attributes": {"code": "x"}},
-)  # fmt: skip
-
-
-def test_nonsense_sent_to_the_pages_own_models_is_answered_and_leaves_the_others_alone(job: Path) -> None:
-    noise = random.Random(3)
-    with served(Backend(job)) as server, Socket(server, f"bokeh, {token(server)}") as sent:
-        sent.message()
-        sent.send_message("PULL-DOC-REQ", {})
-        models = list(_models(sent.message()[1]["doc"]))
-        (wire,) = [one for one in models if one["name"].endswith(".MessageModel")]
-        for _ in range(30):
-            model = noise.choice([wire, noise.choice(models)])
-            event = {
-                "kind": noise.choice(
-                    ["ModelChanged", "ModelChanged", "ColumnDataChanged", "ColumnsStreamed", "RootAdded"]
-                ),
-                "model": {"id": model["id"]},
-                "attr": noise.choice([*model["attributes"], "value", "request"]),
-            }
-            event |= dict.fromkeys(("new", "data", "cols", "rollover"), noise.choice(NONSENSE))
-            sent.send_message("PATCH-DOC", {"events": [event]})
-            while sent.message()[0] not in ("OK", "ERROR"):
-                pass  # what changed by it
-        with Socket(server, f"bokeh, {token(server)}") as other:
-            assert other.message()[0] == "ACK"
-            other.send_message("PULL-DOC-REQ", {})
-            assert len(list(_models(other.message()[1]["doc"]))) == len(models)
-
-
-def _models(part: Any) -> Iterator[dict[str, Any]]:
-    """Go through the models of a document as it is sent."""
-    if isinstance(part, dict):
-        if part.get("type") == "object" and "id" in part:
-            yield {"id": part["id"], "name": part["name"], "attributes": list(part.get("attributes", {}))}
-        part = list(part.values())
-    for one in part if isinstance(part, list) else ():
-        yield from _models(one)

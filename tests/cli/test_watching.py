@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from cli.test_cli import process_environment
-from one_gyro_job import JOB, TOO_MUCH
+from one_gyro_job import JOB
 from platform_ctrl.cli.watching import whenever_saved
-from platform_ctrl.errors import DesignError, InputError
 
 NAMES = 'plant = "plant.toml"\nloop = [{ name = "out", responses = "measured.csv" }]\n'
 
@@ -88,46 +87,6 @@ def test_what_a_file_holds_counts_and_neither_its_time_nor_its_size(job: Path) -
     assert runs(job, same_size_and_time) == 2
 
 
-def test_neither_a_folder_called_like_a_loop_nor_a_file_that_is_not_named_is_watched(
-    job: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def run() -> int:
-        (job.parent / "out" / "result.json").write_text("{}")
-        job.with_name("notes.txt").write_text("not named")
-        return 0
-
-    waited: list[float] = []
-
-    def asleep(seconds: float) -> None:
-        waited.append(seconds)
-        if len(waited) == 3:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr("time.sleep", asleep)
-    with pytest.raises(KeyboardInterrupt):
-        whenever_saved(job, run, quiet=True)
-    assert len(set(waited)) == 1
-
-
-@pytest.mark.parametrize("error", [InputError("job.toml: no such key"), DesignError("no controller")])
-def test_a_message_is_printed_and_does_not_end_it(
-    error: Exception, job: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert runs(job, lambda: job.write_text("no TOML"), lambda: job.write_text(NAMES), error=error) == 3
-    assert capsys.readouterr().err == f"platform-ctrl: error: {error}\n" * 2
-
-
-def test_an_error_that_ctrl_c_caused_ends_it(job: Path) -> None:
-    def interrupted() -> int:
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt:
-            raise DesignError("no luck") from None
-
-    with pytest.raises(DesignError):
-        whenever_saved(job, interrupted, quiet=True)
-
-
 @pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")
 def test_the_command_designs_again_after_each_save_until_ctrl_c(tmp_path: Path) -> None:
     job = tmp_path / "gyro.toml"
@@ -152,14 +111,9 @@ def test_the_command_designs_again_after_each_save_until_ctrl_c(tmp_path: Path) 
 
     try:
         assert "PASSED" in until_it_waits()
-        job.write_text(TOO_MUCH, encoding="utf-8")
-        assert "FAILED" in until_it_waits()
+        assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["passed"] is True
         job.write_text(JOB + "[[loop", encoding="utf-8")
         assert "platform-ctrl: error: gyro.toml: is not TOML" in until_it_waits()
-        job.write_text(JOB, encoding="utf-8")
-        again = until_it_waits()
-        assert "PASSED" in again
-        assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["passed"] is True
         process.send_signal(signal.SIGINT)
         assert process.stdout.read() == "platform-ctrl: interrupted\n"
         assert process.wait() == 130
