@@ -6,8 +6,8 @@ import copy
 import copyreg
 import dataclasses
 import functools
-import html
 import math
+import reprlib
 import types
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
@@ -103,61 +103,35 @@ def _new_system(kind: Any) -> Any:
     return portable(kind(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), 0.0, remove_useless_states=False))
 
 
-def _rows(self: Any) -> list[tuple[str, str]]:
-    """Return what a value is, by its fields and in at most twenty lines: numbers, names, and sizes of arrays."""
-    names = [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
-    shown = len(names) if len(names) <= _LINES - 2 else _LINES - 3
-    rows = [(name, _described(getattr(self, name))) for name in names[:shown]]
-    return rows if shown == len(names) else [*rows, ("...", ", ".join(names[shown:]))]
+class _Short(reprlib.Repr):
+    """Parts of a value in a line: arrays and systems by their sizes, other values by their names."""
+
+    def repr_ndarray(self, item: NDArray[Any], level: int) -> str:
+        short = item.ndim == 1 and item.size <= _NUMBERS
+        return np.array2string(item, precision=6, separator=", ") if short else f"<{item.dtype} array {item.shape}>"
+
+    def repr_StateSpace(self, item: Any, level: int) -> str:
+        sizes = f"{item.nstates} states, {item.ninputs} inputs, {item.noutputs} outputs"
+        return f"<StateSpace {item.name!r}: {sizes}, dt = {item.dt}>"
+
+    def repr_instance(self, item: Any, level: int) -> str:
+        if not dataclasses.is_dataclass(item) or isinstance(item, type):
+            return super().repr_instance(item, level)
+        name = getattr(item, "name", "")
+        return f"<{type(item).__qualname__}{f' {name!r}' if isinstance(name, str) and name else ''}>"
 
 
 def _summary(self: Any) -> str:
-    """Return the rows of a value as text, on one line where they fit."""
-    kind = type(self).__qualname__
-    items = [f"{name}={text}" if name != "..." else f"... {text}" for name, text in _rows(self)]
+    """Return what a value is, in at most twenty lines, or one where it fits: numbers, names, and sizes of arrays."""
+    short, kind = _Short(), type(self).__qualname__
+    short.maxlist = short.maxtuple = short.maxdict = 3
+    short.maxlevel, short.maxstring, short.maxother = 2, _COLUMNS // 2, _COLUMNS // 2
+    names = [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
+    shown = names if len(names) <= _LINES - 2 else names[: _LINES - 3]
+    items = [f"{name}={short.repr(getattr(self, name))}"[:_COLUMNS] for name in shown]
+    items += ["..."] if len(shown) < len(names) else []
     line = f"{kind}({', '.join(items)})"
-    return line if len(line) <= _COLUMNS else "\n".join([f"{kind}(", *(f"    {_cut(item)}," for item in items), ")"])
-
-
-def _html(self: Any) -> str:
-    """Return the rows of a value as a table: what notebooks show."""
-    rows = (f"<tr><th>{name}</th><td><code>{html.escape(_cut(text))}</code></td></tr>" for name, text in _rows(self))
-    return f"<table><caption>{type(self).__qualname__}</caption>{''.join(rows)}</table>"
-
-
-def _described(item: Any) -> str:
-    """Return an entry of a value in one line."""
-    if isinstance(item, np.ndarray):
-        if item.ndim == 1 and item.size <= _NUMBERS:
-            return "[" + ", ".join(f"{number:.6g}" if item.dtype.kind in "fc" else str(number) for number in item) + "]"
-        return f"<array {item.shape}>" if item.dtype == np.float64 else f"<{item.dtype} array {item.shape}>"
-    if dataclasses.is_dataclass(item) and not isinstance(item, type):
-        names = [name for key in ("name", "label") if isinstance(name := getattr(item, key, None), str) and name]
-        return f"<{type(item).__qualname__}{f' {names[0]!r}' if names else ''}>"
-    if hasattr(item, "input_labels") and hasattr(item, "output_labels"):
-        sizes = [f"{n} {what}" for what in ("states", "inputs", "outputs") if (n := getattr(item, f"n{what}", None))]
-        return f"<{type(item).__name__} {item.name!r}: {', '.join(sizes)}, dt = {item.dt}>"
-    if isinstance(item, Mapping):
-        return _joined("{", [f"{key!r}: {_described(one)}" for key, one in item.items()], "}")
-    if isinstance(item, tuple | list):
-        parts = [_described(one) for one in item]
-        if isinstance(item, list):
-            return _joined("[", parts, "]")
-        name = type(item).__name__ if hasattr(item, "_fields") else ""
-        return _joined(f"{name}(", parts, ",)" if len(parts) == 1 and not name else ")")
-    return _cut(" ".join((repr(float(item)) if isinstance(item, np.floating) else repr(item)).split()))
-
-
-def _joined(left: str, items: list[str], right: str) -> str:
-    line = left + ", ".join(items) + right
-    if len(line) <= _COLUMNS - 30:
-        return line
-    count = max(1, sum(1 for k in range(len(items)) if sum(map(len, items[: k + 1])) + 2 * k < _COLUMNS - 60))
-    return f"{left}{_cut(', '.join(items[:count]))}{f', ... {len(items)} in all' if count < len(items) else ''}{right}"
-
-
-def _cut(line: str) -> str:
-    return line if len(line) <= _COLUMNS - 8 else line[: _COLUMNS - 11] + "..."
+    return line if len(line) <= _COLUMNS else "\n".join([f"{kind}(", *(f"    {item}," for item in items), ")"])
 
 
 def replaced(item: T, changes: Mapping[str, Any]) -> T:
@@ -186,8 +160,6 @@ def value(cls: type[T]) -> type[T]:
     cls.__post_init__ = settled  # type: ignore[attr-defined]
     if "__repr__" not in cls.__dict__:
         cls.__repr__ = _summary  # type: ignore[method-assign]
-    if "_repr_html_" not in cls.__dict__:
-        cls._repr_html_ = _html  # type: ignore[attr-defined]
     made = dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)(cls)
     # Not `__dataclass_fields__`, which lists class variables as well.
     made._fields = tuple(field.name for field in dataclasses.fields(made))  # type: ignore[attr-defined,arg-type]
