@@ -129,6 +129,11 @@ def _hz(
     return Option(label=label, unit="Hz", group=group, tip=tip, high=high, part=part, below_nyquist=below_nyquist)
 
 
+def _number(label: str, tip: str, low: float, high: float, group: OptionGroup = "design", **more: Any) -> Option:
+    """Return an option that is no frequency, with the ends of its slider."""
+    return Option(label=label, tip=tip, low=low, high=high, group=group, **more)
+
+
 # Highest frequencies are shares of the sample rate.
 _CLASSICAL: dict[str, Option] = {
     "crossover_hz": _hz(
@@ -145,12 +150,8 @@ _CLASSICAL: dict[str, Option] = {
     "notch_hz": _hz(
         "notch", "notch", "centre of the notch in the cross-axis path", high=0.4, part="notch", below_nyquist=True
     ),
-    "notch_depth": Option(
-        label="notch depth", group="notch", tip="gain at its centre", low=0.01, high=0.999, part="notch"
-    ),
-    "notch_width": Option(
-        label="notch width", group="notch", tip="its damping ratio", low=0.01, high=1.0, part="notch"
-    ),
+    "notch_depth": _number("notch depth", "gain at its centre", 0.01, 0.999, group="notch", part="notch"),
+    "notch_width": _number("notch width", "its damping ratio", 0.01, 1.0, group="notch", part="notch"),
     "spin_notch_hz": _hz(
         "spin notch",
         "notch",
@@ -159,26 +160,12 @@ _CLASSICAL: dict[str, Option] = {
         part="spin_notch",
         below_nyquist=True,
     ),
-    "spin_notch_depth": Option(
-        label="spin notch depth",
-        group="notch",
-        tip="gain at its centre",
-        low=0.01,
-        high=0.999,
-        part="spin_notch",
+    "spin_notch_depth": _number(
+        "spin notch depth", "gain at its centre", 0.01, 0.999, group="notch", part="spin_notch"
     ),
-    "spin_notch_width": Option(
-        label="spin notch width",
-        group="notch",
-        tip="its damping ratio",
-        low=0.01,
-        high=1.0,
-        part="spin_notch",
-    ),
+    "spin_notch_width": _number("spin notch width", "its damping ratio", 0.01, 1.0, group="notch", part="spin_notch"),
     "lag_hz": _hz("lag", "lag", "below this frequency the lag raises the gain", part="lag"),
-    "lag_ratio": Option(
-        label="lag ratio", group="lag", tip="by how much it raises it", low=1.01, high=100.0, part="lag"
-    ),
+    "lag_ratio": _number("lag ratio", "by how much it raises it", 1.01, 100.0, group="lag", part="lag"),
 }
 _RATE: dict[str, Option] = {
     "crossover_hz": _hz("crossover ωc", "gains", "gain over inertia: where each channel crosses over", high=0.2),
@@ -210,57 +197,25 @@ _SERVO: dict[str, Option] = {
     ),
     "position_hz": _hz("position", "gains", "angle over rate feedback: below this frequency the angle is held"),
     "filter_hz": _hz("rate filter", "lead", "low-pass on the rates that the gyros show", high=0.45, below_nyquist=True),
-    "filter_damping": Option(label="filter damping", group="lead", tip="its damping ratio", low=0.1, high=2.0),
+    "filter_damping": _number("filter damping", "its damping ratio", 0.1, 2.0, group="lead"),
 }
 _WEIGHTS: dict[str, Option] = {
     "bandwidth_hz": _hz("bandwidth", "design", "where the bound on S rises"),
-    "sensitivity_peak": Option(
-        label="sensitivity peak", group="design", tip="height to which the bound on S rises", low=1.05, high=20
-    ),
-    "complementary": Option(label="weight on T", group="design", tip="bounds T", low=0.01, high=10.0),
-    "disturbance": Option(
-        label="disturbance", group="design", tip="torque disturbance: damps nutation", low=1e-3, high=10.0
-    ),
-    "torque": Option(label="weight on torque", group="design", tip="larger: less torque", low=1e-3, high=10.0),
+    "sensitivity_peak": _number("sensitivity peak", "height to which the bound on S rises", 1.05, 20),
+    "complementary": _number("weight on T", "bounds T", 0.01, 10.0),
+    "disturbance": _number("disturbance", "torque disturbance: damps nutation", 1e-3, 10.0),
+    "torque": _number("weight on torque", "larger: less torque", 1e-3, 10.0),
     "inertial_bandwidth_hz": _hz("inertial bandwidth", "design", "the same where no gyro acts"),
-    "inertial_disturbance": Option(
-        label="inertial disturbance", group="design", tip="the same where no gyro acts", low=1e-3, high=10.0
-    ),
-    "inertial_torque": Option(
-        label="inertial weight on torque",
-        group="design",
-        tip="the same where no gyro acts",
-        low=1e-3,
-        high=10.0,
-    ),
+    "inertial_disturbance": _number("inertial disturbance", "the same where no gyro acts", 1e-3, 10.0),
+    "inertial_torque": _number("inertial weight on torque", "the same where no gyro acts", 1e-3, 10.0),
 }
-_HINF = _WEIGHTS | {
-    "backoff": Option(label="backoff", group="design", tip="relative distance from the least norm", low=1e-3, high=1.0)
-}
+_HINF = _WEIGHTS | {"backoff": _number("backoff", "relative distance from the least norm", 1e-3, 1.0)}
 _LMI = _HINF | {
-    "share": Option(
-        label="share", group="design", tip="part of a limit that its inequality must prove", low=0.1, high=1.0
-    ),
-    "pole_decay": Option(
-        label="pole decay", unit="1/s", group="design", tip="decay rate that all poles must have", low=1e-2, high=1e4
-    ),
-    "pole_damping": Option(
-        label="pole damping",
-        group="design",
-        tip="damping ratio that all poles must have: four times the effort",
-        low=0.01,
-        high=0.7,
-    ),
-    "rejection_share": Option(
-        label="rejection share",
-        group="design",
-        tip="the same for the rejection of Omega",
-        low=0.05,
-        high=1.0,
-    ),
-    "time_limit": Option(
-        label="time limit", unit="s", group="design", tip="longest time for one convex problem", low=0.1, high=600.0
-    ),
+    "share": _number("share", "part of a limit that its inequality must prove", 0.1, 1.0),
+    "pole_decay": _number("pole decay", "decay rate that all poles must have", 1e-2, 1e4, unit="1/s"),
+    "pole_damping": _number("pole damping", "damping ratio that all poles must have: four times the effort", 0.01, 0.7),
+    "rejection_share": _number("rejection share", "the same for the rejection of Omega", 0.05, 1.0),
+    "time_limit": _number("time limit", "longest time for one convex problem", 0.1, 600.0, unit="s"),
 }
 
 
@@ -291,44 +246,20 @@ _LQG: dict[str, Option] = {
     "inertial_recovery": _torque("inertial recovery", f"{_RECOVERY}: where no gyro acts"),
 }
 _STRUCTURED: dict[str, Option] = {
-    "order": Option(
-        label="order",
-        whole=True,
-        group="design",
-        tip="states beside the integrators",
-        low=1,
-        high=30,
-        logarithmic=False,
-    ),
-    "starts": Option(
-        label="starts",
-        whole=True,
-        group="design",
-        tip="starting points of the search",
-        low=1,
-        high=8,
-        logarithmic=False,
-    ),
+    "order": _number("order", "states beside the integrators", 1, 30, whole=True, logarithmic=False),
+    "starts": _number("starts", "starting points of the search", 1, 8, whole=True, logarithmic=False),
     "integral_hz": _hz("integral", "design", "corner of the integral at the start", high=0.4, below_nyquist=True),
     "rolloff_hz": _hz("roll-off", "design", "where the filter starts", high=0.45, below_nyquist=True),
-    "reserve": Option(label="reserve", group="design", tip="share by which limits are met", low=1e-3, high=0.5),
-    "evaluations": Option(
-        label="evaluations", whole=True, group="design", tip="most evaluations of the search", low=10, high=5000
-    ),
+    "reserve": _number("reserve", "share by which limits are met", 1e-3, 0.5),
+    "evaluations": _number("evaluations", "most evaluations of the search", 10, 5000, whole=True),
 }
 _MEASURED: dict[str, Option] = {
     "rolloff_hz": _hz("roll-off", "design", "where the rate action ends", high=0.45, below_nyquist=True),
-    "sensitivity_peak": Option(
-        label="sensitivity peak", group="design", tip="largest gain of S where no limit is lower", low=1.05, high=20
+    "sensitivity_peak": _number("sensitivity peak", "largest gain of S where no limit is lower", 1.05, 20),
+    "resonance_damping": _number(
+        "resonance damping", "damping ratio that unresolved resonances get at least", 1e-3, 0.7
     ),
-    "resonance_damping": Option(
-        label="resonance damping",
-        group="design",
-        tip="damping ratio that unresolved resonances get at least",
-        low=1e-3,
-        high=0.7,
-    ),
-    "steps": Option(label="steps", whole=True, group="design", tip="most convex problems", low=5, high=200),
+    "steps": _number("steps", "most convex problems", 5, 200, whole=True),
 }
 
 # By key, in the order in which messages and the documentation name them.
