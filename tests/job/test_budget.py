@@ -175,48 +175,6 @@ def test_a_budget_is_written_back_to_the_last_bit() -> None:
     assert {len(set(source) & set(SPECTRA)) for source in data["budget"]["source"]} == {1}
 
 
-@pytest.mark.parametrize(
-    ("source", "change", "without", "says"),
-    [
-        (
-            ROLL,
-            {"frequencies_hz": [5.0, 0.5, 50.0]},
-            (),
-            "frequencies_hz must be two or more frequencies > 0 that incr",
-        ),
-        (ROLL, {"densities": [1.0, 0.0, 1.0]}, (), "densities must be a density > 0 for each frequency"),
-        (ROLL, {"densities": [1.0, 2.0]}, (), "densities must have as many elements as frequencies_hz, 3, got 2"),
-        (ROLL, {"densities": [9e9, 9e9, 9e9]}, (), 'cannot be meant, at most 200 rad/s, with unit = "deg/s"'),
-        (ENGINE, {"sines": [[30.0, 2000.0, 0.0]]}, (), "an rms of 1414 m/s2 cannot be meant"),
-        (ROLL, {}, ("frequencies_hz", "densities", "interpolation"), "give exactly one of frequencies_hz, profile, "),
-        (ROLL, {"profile": "ship-roll"}, (), "got frequencies_hz and profile; leave one out"),
-        (ROLL, {"scale": 2.0}, (), "scale = 2.0 has no effect with frequencies_hz, which takes frequencies_hz, densit"),
-        (ROLL, {}, ("densities",), 'the key "densities" is missing; it must be a density > 0'),
-        (PITCH, {"profile": "ship"}, (), 'profile must be "olympus-satellite" or "highway-truck-vertical" or'),
-        (PITCH, {"profile": "jet-fuselage"}, (), 'is of kind "specific-force", got kind = "base-rate"; profiles of'),
-        (PITCH, {"unit": "deg/s"}, (), "has no effect with a profile, which is in SI units; use scale"),
-        (ROLL, {"unit": "g"}, (), 'unit must be "rad/s" or "deg/s" with kind = "base-rate", got "g"'),
-        (ROLL, {"axis": 4}, (), "axis must be 1, 2 or 3, got 4"),
-        (ROLL, {}, ("axis",), 'the key "axis" is missing; kind = "base-rate" needs the root axis'),
-        (ROLL, {"gimbal": "outer"}, (), 'gimbal = "outer" has no effect with kind = "base-rate", which takes axis'),
-        (MOTOR, {"gimbal": "Outer"}, (), 'gimbal: "Outer" is no gimbal of the plant; did you mean "outer"?'),
-        (MOTOR, {"kind": "cable spring"}, (), "stiffness times the gimbal's angle: write [[spring]] in the plant"),
-        (MOTOR, {"kind": "cogging"}, (), 'it is a "torque" with harmonics and turning_rate'),
-        (MOTOR, {"turning_rate": [3.0, 2.0]}, (), "turning_rate must be a number > 0, or two: lowest and highest"),
-        (MOTOR, {"harmonics": [[6, 0.1, 0.0]]}, (), "harmonics must be rows of two numbers"),
-        (ENGINE, {"sines": [[30.0, -1.0, 0.0]]}, (), "row 1 is [30.0, -1.0, 0.0]"),
-        (ENGINE, {"sines": [[600.0, 1.0, 0.0]]}, (), "nothing of it lies in the band of the budget, 1 to 500 Hz"),
-        (ENGINE, {"name": "vehicle roll"}, (), 'name = "vehicle roll" is the name of [[budget.source]] 1 already; cho'),
-        (None, {"to_hz": 0.1}, (), "to_hz must be above from_hz = 1.0, got 0.1"),
-        (None, {"exposure": [0.0]}, (), "exposure must be one or more numbers > 0"),
-        (None, {}, ("exposure",), "windowed_jitter has no effect without exposure"),
-        (None, {"source": []}, (), "source must have at least one [[budget.source]]"),
-    ],
-)
-def test_what_is_refused(source: int | None, change: dict[str, Any], without: tuple[str, ...], says: str) -> None:
-    assert says in refusal(change, source, *without)
-
-
 def logged(tmp_path: Path, mean: float, amplitude: float, column: str = "x", **source: Any) -> str:
     """Return the message about a budget of one log: 5 s of a sine of 3 Hz about a mean."""
     t = np.arange(500) * 0.01

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from typing import Any
 
 import numpy as np
 import pytest
@@ -78,40 +77,6 @@ def test_the_computer_does_not_know_a_misalignment() -> None:
     job = driven_job(FRICTION)
     job["plant"]["rate_sensor"][2]["misalignment"] = [0.01, 0.02, 0.0]
     assert read_job(job).drive_laws[0].weights == pytest.approx({"base_yaw": -1.0}, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("drive", "words"),
-    [
-        (FRICTION | {"torquer": "Qoutre"}, 'torquer: "Qoutre" is no torquer on a gimbal of the plant; did you mean'),
-        (FRICTION | {"sensors": ["base_jaw"]}, 'sensors: "base_jaw" is no rate sensor of the plant; did you mean'),
-        (FRICTION | {"sensors": ["yaw"]}, 'sensors: "yaw" is no rate sensor of the plant'),
-        (FRICTION | {"sensors": ["gyro"]}, "sensors: 'gyro' turns with the gimbal 'inner'; use rate sensors on 'base'"),
-        (
-            FRICTION | {"sensors": ["base_pitch"]},
-            "do not give the rate of 'outer', which is that of the base, 1 Omega3",
-        ),
-        (FRICTION | {"friction": 0.07}, "0.07 N m is 3.5 times the dry friction of gimbal 'outer', 0.02 N m"),
-        (FRICTION | {"torquer": "Qinner", "sensors": ["base_pitch"]}, "gimbal 'inner' has no dry friction"),
-        ({"torquer": "Qouter", "friction": 0.01}, 'the key "sensors" is missing'),
-        ({"torquer": "Qouter"}, 'the key "friction" is missing; a drive needs friction with sensors, secant_of'),
-        (SECANT | {"secant_of": "gyro"}, "\"gyro\" is no sensor of the angle of a gimbal that 'outer' carries"),
-        (SECANT | {"secant_of": "yaw"}, "\"yaw\" is no sensor of the angle of a gimbal that 'outer' carries"),
-        (SECANT | {"secant_limit": 0.9}, "secant_limit must be a number >= 1"),
-        (SECANT | {"sensors": ["base_yaw"]}, 'sensors = ["base_yaw"] has no effect without friction'),
-        (FRICTION | {"secant_limit": 4.0}, "secant_limit = 4 has no effect without secant_of"),
-    ],
-)
-def test_a_drive_that_makes_no_sense_is_refused_by_one_line(drive: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError) as found:
-        read_job(driven_job(drive))
-    assert words in str(found.value)
-    assert str(found.value).startswith("job given as a dict: [[drive]] 1: ")
-
-
-def test_a_torquer_has_one_drive() -> None:
-    with pytest.raises(InputError, match=r'torquer = "Qouter" is the torquer of \[\[drive\]\] 1 already'):
-        read_job(driven_job(FRICTION, SECANT))
 
 
 def test_a_base_that_a_loop_moves_gives_no_feedforward() -> None:

@@ -6,11 +6,15 @@ import copy
 import json
 import os
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from commanded_gimbal import commanded_job
+from driven_gimbal import FRICTION, driven_job
+from every_key import HERE, every_job_key
 from job.test_reading_campaign import flown_job
 from job.test_reading_job import job, small_job
 from plant.test_reading_elements import PLANT
@@ -24,6 +28,9 @@ BASES: dict[tuple[str, str], Callable[[], dict[str, Any]]] = {
     ("jobs", "job"): job,
     ("jobs", "small_job"): small_job,
     ("jobs", "flown_job"): flown_job,
+    ("jobs", "commanded"): lambda: commanded_job([{"reading": "gyro", "step": 0.1}]),
+    ("jobs", "driven"): lambda: driven_job(FRICTION),
+    ("jobs", "budget"): every_job_key,
 }
 
 
@@ -51,7 +58,8 @@ def changed(data: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize(("kind", "section"), BASES)
 def test_what_is_wrong_is_one_line_that_names_its_place(kind: str, section: str, tmp_path: Path) -> None:
-    read: Callable[[Any], object] = read_job if kind == "jobs" else read_platform
+    folder = HERE if section == "budget" else None
+    read: Callable[[Any], object] = partial(read_job, folder=folder) if kind == "jobs" else read_platform
     label, file, tried = f"{kind[:-1]} given as a dict", tmp_path / "wrong.toml", 0
     for changes, words in cases(kind, section):
         data = changed(BASES[kind, section](), changes)
