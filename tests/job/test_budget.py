@@ -241,9 +241,6 @@ def test_units_of_a_log_that_cannot_be_meant_are_refused(tmp_path: Path) -> None
 
 
 def test_what_is_wrong_with_a_log_is_said_at_its_key(tmp_path: Path) -> None:
-    assert '"vehicle yaw": column: ' in refusal({"column": "gyro"}, YAW)
-    assert 'there is no column "gyro"; did you mean "gyro_z"?' in refusal({"column": "gyro"}, YAW)
-    assert "there is no such file" in refusal({"log": "other.csv"}, YAW)
     assert "needs 10 s without a gap, and the longest piece is" in refusal({"from_hz": 0.1})
     assert "the signal does not vary" in logged(tmp_path, 0.5, 0.0, kind="base-rate")
 
@@ -275,12 +272,6 @@ def test_correlations_that_no_signals_have_are_refused() -> None:
         {"between": list(pair), "coherence": 1.0, "phase": phase} for pair, phase in zip(pairs, phases, strict=True)
     ]
     assert "no signals have these coherences together" in refusal({"correlation": table})
-    assert "are in [[budget.correlation]] 1 already" in refusal({"correlation": [table[0], table[0]]})
-    assert "must be the names of two sources" in refusal(
-        {"correlation": [{"between": ["engine", "engine"], "coherence": 1.0}]}
-    )
-    wrong = [{"between": ["engine", "engin"], "coherence": 1.0}]
-    assert 'is no [[budget.source]] of the job; did you mean "engine"?' in refusal({"correlation": wrong})
 
 
 def test_sources_made_in_python_are_judged_too() -> None:

@@ -9,7 +9,6 @@ import math
 import os
 import pickle
 import random
-import sys
 import tomllib
 from collections.abc import Callable
 from decimal import Decimal
@@ -110,46 +109,19 @@ ENDLESS_TABLE["axis"] = ENDLESS_TABLE
 PYTHON_MISTAKES: list[tuple[tuple[Any, ...], object, str]] = [
     (("gimbal", 1, "angle"), None, '[[gimbal]] 2 "5" … angle must not be None; leave the key out instead'),
     (("gimbal", 1, "axis"), [0, None, 1], '[[gimbal]] 2 "5" … element 2, None, is not a number'),
-    (("root",), None, "root must not be None; leave the key out instead"),
     (("rotor",), [None], "[[rotor]] 1 … rotor must be a table, got None"),
     (("rotor", 0, "spin"), 1j, '[[rotor]] 1 "6" … spin must be a number, got 1j'),
-    (("rotor", 0, "axis"), np.array([1j, 0, 0]), '[[rotor]] 1 "6" … element 1, 1j, is not a number'),
-    (("rotor", 0, "axis"), np.eye(3, dtype=bool)[0], '[[rotor]] 1 "6" … true, is not a number'),
-    (("rotor", 0, "axis"), np.array(["a", "b", "c"]), '[[rotor]] 1 "6" … element 1, "a", is not'),
     (("rotor", 0, "axis"), np.array([0, np.nan, 1]), '[[rotor]] 1 "6" … element 2, nan, is not finite'),
-    (("rotor", 0, "axis"), np.ones(4), '[[rotor]] 1 "6" … has 4 elements'),
     (("root", "inertia"), np.ones((3, 3, 3)), "[root] … row 1 element 1"),
-    (
-        ("rotor", 0, "axis"),
-        np.array(2.0),
-        '[[rotor]] 1 "6" … vector of three numbers that is not zero, got 2.0',
-    ),
     (("rotor", 0, "spin"), np.True_, '[[rotor]] 1 "6" … spin must be a number, got an object of type bool'),
     (("rotor", 0, "spin"), Decimal("0.1"), '[[rotor]] 1 "6" … must be a number, got an object of type Decimal'),
-    (
-        ("gimbal", 1, "name"),
-        10**10000,
-        "[[gimbal]] 2 an integer of 33220 bits: name must be a line",
-    ),
+    (("gimbal", 1, "name"), 10**10000, "[[gimbal]] 2 an integer of 33220 bits: name must be a line"),
     (("rotor", 0, "axis"), [0, 10**10000, 0], '[[rotor]] 1 "6" … is too large'),
-    (("gimbal", 1, "stops"), {1.0, 2.0}, '[[gimbal]] 2 "5" … an object of type set … [lower, upper]'),
-    (
-        ("gimbal", 1, "name"),
-        b"5",
-        "[[gimbal]] 2 … not empty, got an object of type bytes",
-    ),
-    (("rotor", 0, "spin"), int, '[[rotor]] 1 "6" … spin must be a number, got an object of type type'),
     (("gimbal", 1, 3), 1, '[[gimbal]] 2 "5" … the key 3 … printable text'),
-    (("a\nb",), 1, 'the key "a\\nb" … printable text'),
     (("gimbal", 1, "name"), "\ud800", "[[gimbal]] 2 … \\ud800 … printed"),
-    (("gimbal", 1, "\ud800"), 1, '[[gimbal]] 2 "5" … \\ud800'),
     (("rotor", 0, "axis"), ENDLESS, '[[rotor]] 1 "6" … nested deeper than'),
     (("gimbal",), [ENDLESS_TABLE], '[[gimbal]] 1 "4"'),
-    (
-        ("gimbal", 1, "parent"),
-        "x" * 10**6,
-        '[[gimbal]] 2 "5" …  ... … the root or a gimbal, got "xxxxxxxxxxxx',
-    ),
+    (("gimbal", 1, "parent"), "x" * 10**6, '[[gimbal]] 2 "5" …  ... … the root or a gimbal, got "xxxxxxxxxxxx'),
 ]
 
 
@@ -164,8 +136,6 @@ def test_a_python_object_of_the_wrong_kind_is_one_short_line() -> None:
 
 TOML_MISTAKES = {
     "syntax": (b"schema = 1\nname = \n", ["is not TOML", "line 2, column 8"]),
-    "key twice": (b"schema = 1\nschema = 1\n", ["is not TOML", "line 2"]),
-    "unfinished": (b'name = "abc', ["is not TOML"]),
     "long integer": (b"schema = " + b"1" * 5000, ["is not TOML", "too many digits"]),
     "deep nesting": (b"schema = " + b"[" * 100_000, ["is not TOML", "nested too deeply"]),
     "not UTF-8": (b'name = "\xff"', ["is not UTF-8 text", "byte 8"]),
@@ -175,30 +145,6 @@ TOML_MISTAKES = {
     ),
     "empty": (b"", ['the key "schema" is missing', "(and 2 more: name, root)"]),
 }
-
-
-@pytest.mark.parametrize(
-    ("word", "meant"),
-    [
-        ("motor", "torquer"),
-        ("Motor", "torquer"),
-        ("actuator", "torquer"),
-        ("gyro", "rate_sensor"),
-        ("tracker", "attitude_sensor"),
-        ("flywheel", "rotor"),
-        ("frame", "gimbal"),
-        ("bearing", "friction"),
-        ("cable", "spring"),
-        ("camera", "line_of_sight"),
-        ("rotro", "rotor"),
-        ("frictoin", "friction"),
-        ("servo", None),
-    ],
-)
-def test_another_word_for_a_table_is_no_misspelling(word: str, meant: str | None) -> None:
-    message = refusal(read_platform, plant() | {word: [{"gimbal": "4"}]})
-    assert (f'did you mean "{meant}"?' in message) == (meant is not None)
-    assert ("known: " in message) == (meant is None)
 
 
 def test_stops_beyond_a_turn_are_read_in_degrees_and_written_so() -> None:
@@ -235,13 +181,7 @@ def test_a_file_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:
     assert refusal(read_platform, file / "plant.toml").startswith(str(file))
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
-def test_a_file_that_links_to_itself_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "loop.toml").symlink_to("loop.toml")
-    assert "cannot be read" in refusal(read_platform, tmp_path / "loop.toml")
-
-
-@pytest.mark.parametrize("source", [None, 3, b"three_gyro_platform", [], "", object(), 1j])
+@pytest.mark.parametrize("source", [None, b"three_gyro_platform", ""])
 def test_a_source_that_is_no_source_is_one_line(source: object) -> None:
     assert "the argument must be the name of a shipped model, a path or a dict, got " in refusal(read_platform, source)
 
@@ -296,23 +236,6 @@ def test_of_several_mistakes_the_first_in_the_files_order_is_told_and_the_others
     read_platform(data)
 
 
-def test_the_files_order_counts_and_not_ours() -> None:
-    data = plant()
-    data["rotor"][0]["axis"] = [0, 0, 0]
-    data["gimbal"][0]["axis"] = [0, 0, 0]
-    assert "[[gimbal]] 1" in refusal(read_platform, data)
-    assert "[[rotor]] 1" in refusal(read_platform, dict(reversed(data.items())))
-
-
-def test_a_name_that_cannot_be_read_does_not_make_its_references_wrong() -> None:
-    data = plant()
-    data["gimbal"].reverse()
-    data["gimbal"][1]["name"] = 4
-    message = refusal(read_platform, data)
-    assert "[[gimbal]] 2 4: name must be a line of text that is not empty, got 4" in message
-    assert "more)" not in message
-
-
 def test_a_gimbal_that_hangs_on_a_cycle_is_not_blamed_for_it() -> None:
     data = plant()
     data["gimbal"].insert(0, dict(data["gimbal"][1], name="0", parent="4"))
@@ -358,11 +281,6 @@ def test_rounding_of_printed_numbers_is_forgiven() -> None:
     np.testing.assert_array_equal(inertia, inertia.T)
 
 
-def test_only_a_root_is_a_platform_too() -> None:
-    platform = read_platform({"schema": 1, "name": "rigid", "root": {"name": "case", "inertia": (1, 1, 1)}})
-    assert platform.gimbals == platform.rotors == platform.torquers == platform.pickoffs == ()
-
-
 def test_tuples_arrays_and_numpy_numbers_read_like_lists_and_numbers() -> None:
     data = plant()
     data["root"]["inertia"] = np.array(data["root"]["inertia"])
@@ -375,12 +293,6 @@ def test_tuples_arrays_and_numpy_numbers_read_like_lists_and_numbers() -> None:
     np.testing.assert_array_equal(platform.gimbals[0].axis, [0, 1, 0])
     assert platform.gimbals[1].stops == (-0.5, 1.0)
     assert platform.torquers[2].name == "M1"
-
-
-def test_reading_leaves_the_dict_alone() -> None:
-    data = plant()
-    read_platform(data)
-    assert data == plant()
 
 
 def test_a_byte_order_mark_and_windows_line_ends_are_read_over(tmp_path: Path) -> None:
@@ -495,18 +407,6 @@ def test_whatever_is_changed_a_plant_is_read_or_refused_in_one_line(junk: list[A
     else:
         assert all(np.isfinite(array).all() for array in arrays_of(platform))
         assert platform.parents.max(initial=-1) < len(platform.gimbals)
-
-
-@settings(max_examples=100, deadline=None)
-@given(text=st.text(max_size=40), at=st.integers(0, 900))
-def test_whatever_is_typed_into_a_file_it_is_read_or_refused_in_one_line(
-    text: str, at: int, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    file = tmp_path_factory.getbasetemp() / "typed.toml"
-    whole = toml_file(plant())
-    file.write_text(whole[:at] + text + whole[at + 3 :], encoding="utf-8", newline="")
-    platform = outcome(read_platform, file)
-    assert not isinstance(platform, str) or platform.isprintable()
 
 
 def test_a_sensor_about_all_axes_is_one_about_each_axis_of_its_body() -> None:
