@@ -53,8 +53,9 @@ for one in closed.closed.results:
 hz = np.geomspace(1.0, 990.0, 600)
 figure, axes = plt.subplots()
 for design in closed.designs:
-    S = pc.analysis.gang(plant, design.controller, 2.0 * np.pi * hz).S_output
-    axes.loglog(hz, np.linalg.norm(np.moveaxis(S, -1, 0), 2, axis=(1, 2)), label=design.name)
+    L = pc.analysis.loop_transfer(plant, design.controller, at="output")
+    S = np.linalg.inv(np.eye(2) + np.moveaxis(pc.analysis.frequency_response(L, 2.0 * np.pi * hz), -1, 0))
+    axes.loglog(hz, np.linalg.norm(S, 2, axis=(1, 2)), label=design.name)
 axes.set(xlabel="frequency, Hz", ylabel="largest singular value of S")
 axes.legend()
 figure.savefig(sys.argv[1]) if sys.argv[1:] else plt.show()

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from platform_ctrl.cli.testing import assert_requirements
-from platform_ctrl.verification import JobResult
+from platform_ctrl.verification.verdict import JobResult
 
 CONTROLLERS = None  # or "../out/result.json", as `platform-ctrl design` writes it
 CONTROLLER = {

@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import platform_ctrl as pc
+from platform_ctrl.plant.force_elements import Cage
 from platform_ctrl.simulation.free_motion import Rollout
 
 STEP = 5e-5  # s, a fortieth of a nutation or less
@@ -71,7 +72,7 @@ def angles_of_directions_kept(turned: np.ndarray) -> dict[str, float]:
 
 def poles_with_9_caged(platform: pc.Platform, rate: float) -> np.ndarray:
     """Poles of gimbals 9 and 10 on a platform that turns about axis 2, gimbal 9 in a cage as good as rigid."""
-    rigid = dataclasses.replace(platform, cages=(pc.Cage(gimbal="9", stiffness=1e7),))
+    rigid = dataclasses.replace(platform, cages=(Cage(gimbal="9", stiffness=1e7),))
     return pc.state_space(pc.linearise(rigid, (0.0, rate, 0.0)), gimbals=("9", "10")).poles()
 
 

@@ -2,6 +2,22 @@
 
 from __future__ import annotations
 
+__all__ = [
+    "ArgumentError",
+    "DesignError",
+    "IllPosedError",
+    "InfeasibleError",
+    "InputError",
+    "MechanicsError",
+    "NotCertifiedError",
+    "NotFoundError",
+    "NotStabilisableError",
+    "PlatformCtrlError",
+    "SimulationError",
+    "TimeLimitError",
+    "UnscalableError",
+]
+
 
 class PlatformCtrlError(Exception):
     """Base of every error that this package raises on purpose.

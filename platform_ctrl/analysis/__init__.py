@@ -8,18 +8,15 @@ which may have leading batch axes in the functions that a tuner calls. Systems a
 from __future__ import annotations
 
 from platform_ctrl.analysis.bandwidths import bandwidth
-from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import (
     closed_loop,
-    gang,
     loop_transfer,
 )
 from platform_ctrl.analysis.margins import (
-    DiskMargin,
     disk_margin,
     loop_margins,
 )
-from platform_ctrl.analysis.norms import h2_norm, hinf_norm, noise_rms
+from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import (
     damping,
 )
@@ -28,19 +25,15 @@ from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.analysis.time_responses import time_response
 
 __all__ = [
-    "Channel",
-    "DiskMargin",
     "bandwidth",
     "closed_loop",
     "damping",
     "disk_margin",
     "frequency_response",
-    "gang",
     "h2_norm",
     "hinf_norm",
     "loop_margins",
     "loop_transfer",
-    "noise_rms",
     "sampled",
     "time_response",
 ]

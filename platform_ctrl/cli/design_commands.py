@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.job.job import Job
-    from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.comparison import Comparison
+    from platform_ctrl.verification.verdict import JobResult
 
 
 CHECKED = Path("check")

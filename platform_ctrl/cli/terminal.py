@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from platform_ctrl.campaign.summary import Summary
-    from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.simulated import Run
+    from platform_ctrl.verification.verdict import JobResult
 
 # Columns of a pipe, which has no width: a statement is one line there.
 _PIPE_WIDTH = 10_000

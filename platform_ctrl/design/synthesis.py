@@ -255,11 +255,16 @@ def or_regularised(solve: Callable[[Partition], Found], plant: Partition, size: 
         made = made._replace(A=made.A / (1.0 + moved), B=made.B / (1.0 + moved))
     else:
         made = made._replace(A=made.A - moved * np.eye(len(made.A)))
-    return made, least, residual | {
-        "regularisation of controls and measurements": size,
-        "regularisation by a shift of the boundary" + ", rad/s" * (not plant.dt): moved,
-        f"least {what} at a tenth of it": solve(regularised(plant, 0.1 * size)[0])[1],
-    }
+    return (
+        made,
+        least,
+        residual
+        | {
+            "regularisation of controls and measurements": size,
+            "regularisation by a shift of the boundary" + ", rad/s" * (not plant.dt): moved,
+            f"least {what} at a tenth of it": solve(regularised(plant, 0.1 * size)[0])[1],
+        },
+    )
 
 
 def require_time_limit(where: str, given: float) -> None:

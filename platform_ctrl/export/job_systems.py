@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis import frequency_response, gang
+from platform_ctrl.analysis import frequency_response
+from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.common.arguments import one_of, short

@@ -113,7 +113,7 @@ def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.
     Returns
     -------
     Path
-        Of the file: ``read_controllers`` of `platform_ctrl.verification` reads it.
+        Of the file, for ``--controllers``.
 
     Raises
     ------

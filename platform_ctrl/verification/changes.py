@@ -49,7 +49,6 @@ from platform_ctrl.verification.budget import PreparedBudget
 from platform_ctrl.verification.coupled import coupled_check
 
 if TYPE_CHECKING:
-
     from platform_ctrl.verification.verdict import JobResult
 
 # Rows that are returned; missed requirements that are looked at for them.

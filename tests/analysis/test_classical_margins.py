@@ -8,9 +8,10 @@ import pytest
 
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
-from platform_ctrl import analysis, design
+from platform_ctrl import design
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.direct_metrics import margins_of_channel
+from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.job.requirements import requirement
 
 
@@ -54,7 +55,7 @@ def test_a_grid_finds_nothing_worse(name):
     )
     w = np.geomspace(1.0, 0.99999 * np.pi / found.plants.period, 100_000)
     plant = found.plants.system()[list(found.plants.angles), list(found.plants.torques)]
-    S = analysis.gang(plant, found.controller, w).S_input
+    S = gang(plant, found.controller, w).S_input
     gains, phases = [], []
     for i in range(S.shape[0]):
         L = 1.0 / S[i, i] - 1.0

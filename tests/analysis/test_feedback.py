@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.feedback import sensitivity_functions
+from platform_ctrl.analysis.feedback import gang, sensitivity_functions
 from platform_ctrl.analysis.poles import (
     continuous_poles,
     damping_ratio,
@@ -45,7 +45,7 @@ def stacked(response: np.ndarray) -> np.ndarray:
 @settings(max_examples=20, deadline=None)
 def test_the_gang_obeys_its_identities(seed: int, dt: float) -> None:
     plant, controller = pair(seed, dt)
-    g = analysis.gang(plant, controller, W)
+    g = gang(plant, controller, W)
     P = stacked(analysis.frequency_response(plant, W))
     K = stacked(analysis.frequency_response(controller, W))
     for S, T, L, m in ((g.S_input, g.T_input, -K @ P, 3), (g.S_output, g.T_output, -P @ K, 2)):
@@ -62,7 +62,7 @@ def test_the_gang_obeys_its_identities(seed: int, dt: float) -> None:
 @settings(max_examples=15, deadline=None)
 def test_closed_loop_agrees_with_gang_and_with_the_loop_transfer(seed: int, dt: float) -> None:
     plant, controller = pair(seed, dt)
-    g = analysis.gang(plant, controller, W)
+    g = gang(plant, controller, W)
     H = analysis.frequency_response(analysis.closed_loop(plant, controller), W)
     size = 1e-9 * max(1.0, np.abs(H).max())
     np.testing.assert_allclose(H[:3, :3], -g.T_input, atol=size)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
@@ -110,15 +111,15 @@ def test_h2_norm_agrees_with_the_impulse_response_and_with_noise_rms(seed: int) 
         total += float(np.sum((system.C @ state) ** 2))
         state = system.A @ state
     assert analysis.h2_norm(badly_scaled(system)) == pytest.approx(math.sqrt(total), rel=1e-9)
-    assert np.linalg.norm(analysis.noise_rms(system, 1.0)) == pytest.approx(math.sqrt(total), rel=1e-9)
-    np.testing.assert_allclose(analysis.noise_rms(system, [3.0, 3.0]), 3.0 * analysis.noise_rms(system, 1.0))
+    assert np.linalg.norm(noise_rms(system, 1.0)) == pytest.approx(math.sqrt(total), rel=1e-9)
+    np.testing.assert_allclose(noise_rms(system, [3.0, 3.0]), 3.0 * noise_rms(system, 1.0))
 
 
 def test_noise_rms_of_a_stack_marks_the_unstable_one() -> None:
     A = np.array([[[0.5]], [[1.5]]])
     B, C, D = np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))
     np.testing.assert_allclose(
-        analysis.noise_rms(StateArrays(A, B, C, D, 0.1), np.ones(1), allow_unstable=True)[:, 0],
+        noise_rms(StateArrays(A, B, C, D, 0.1), np.ones(1), allow_unstable=True)[:, 0],
         [math.sqrt(1.0 / 0.75), math.inf],
     )
 
@@ -129,7 +130,7 @@ def test_h2_and_noise_refuse_what_has_no_value() -> None:
     with pytest.raises(PlatformCtrlError, match="must be stable"):
         analysis.h2_norm(control.ss([[0.0]], [[1.0]], [[1.0]], 0.0))
     with pytest.raises(PlatformCtrlError, match="must be discrete"):
-        analysis.noise_rms(control.ss([[-1.0]], [[1.0]], [[1.0]], 0.0), 1.0)
+        noise_rms(control.ss([[-1.0]], [[1.0]], [[1.0]], 0.0), 1.0)
 
 
 def test_bandwidth_of_an_integrating_loop_is_its_closed_form() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
+from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.poles import is_stable, poles
 from platform_ctrl.analysis.response import linear_arrays
 from platform_ctrl.errors import ArgumentError
@@ -60,7 +61,7 @@ def test_norms_and_poles_of_a_transfer_function() -> None:
     assert norm == pytest.approx(1 / (2 * ratio * np.sqrt(1 - ratio**2)), rel=1e-9)
     assert frequency == pytest.approx(2 * np.sqrt(1 - 2 * ratio**2), rel=1e-6)
     assert analysis.h2_norm(1 / (s + 1)) == pytest.approx(np.sqrt(0.5))
-    assert analysis.noise_rms(control.tf([1.0], [1.0, -0.5], 1), 1.0) == pytest.approx(np.sqrt(1 / 0.75))
+    assert noise_rms(control.tf([1.0], [1.0, -0.5], 1), 1.0) == pytest.approx(np.sqrt(1 / 0.75))
     assert analysis.damping(RESONANCE).ratio == pytest.approx([ratio, ratio])
     assert is_stable(RESONANCE)
     assert not is_stable(1 / s)

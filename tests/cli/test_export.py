@@ -14,6 +14,7 @@ from one_gyro_job import JOB
 from platform_ctrl import design, export
 from platform_ctrl.cli import main
 from platform_ctrl.export.exporters import FORMS
+from platform_ctrl.export.systems import write_controllers
 from platform_ctrl.job.reading import read_job
 from refused_command import refused
 
@@ -25,7 +26,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("export")
     job = read_job(tomllib.loads(JOB))
     controllers = [outcome.closed.controller for outcome in design.loops(job)]
-    export.write_controllers(controllers, folder / "k.json", delay=job.sampling.delay)
+    write_controllers(controllers, folder / "k.json", delay=job.sampling.delay)
     return folder / "k.json"
 
 

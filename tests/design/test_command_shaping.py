@@ -21,8 +21,9 @@ from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.simulation import simulate, simulate_batch
-from platform_ctrl.verification import JobResult, check_job
+from platform_ctrl.verification import check_job
 from platform_ctrl.verification.controllers import outcomes_from
+from platform_ctrl.verification.verdict import JobResult
 
 PERIOD, HZ = 1.0 / RATE_HZ, 4.0
 OMEGA = 2.0 * np.pi * HZ

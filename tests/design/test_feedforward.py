@@ -23,7 +23,7 @@ from platform_ctrl.design.fixed_structure.maps import torque_per_Omega
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.job import Feedforward
+from platform_ctrl.job.job import Feedforward, Job
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.job.scenario import Scenario, TimeTable
 from platform_ctrl.job.writing import job_data
@@ -47,7 +47,7 @@ GYRO: dict[str, Any] = {"noise_density": 2e-5, "delay": T, "bandwidth_hz": 300.0
 BASE_ERROR, OWN_ERROR = 5e-4, 1e-3
 
 
-def job(designs: list[dict[str, Any]], kind: str = "rate", errors: bool = False, **changes: Any) -> pc.Job:
+def job(designs: list[dict[str, Any]], kind: str = "rate", errors: bool = False, **changes: Any) -> Job:
     """Return the camera's job with friction and springs, base gyros, tachometers and encoders."""
     base, own = (BASE_ERROR, OWN_ERROR) if errors else (0.0, 0.0)
     plant = camera_plant()

@@ -10,6 +10,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import named_system
+from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.poles import is_stable
 from platform_ctrl.design.measured.contour import contour, plant_integrators, unstable_poles
 from platform_ctrl.design.measured.data import measured_plants, read_measurement
@@ -288,7 +289,7 @@ def test_the_design_is_stable_on_the_true_plant_and_keeps_its_limits_within_the_
     margins = [analysis.loop_transfer(plant, design.controller, at) for at in ("input", "output")]
     assert min(analysis.disk_margin(margin).unstructured for margin in margins) > 0.5 * 0.95
     w = design.responses[0].frequency
-    noise = np.moveaxis(analysis.gang(plant, design.controller, w).torque_per_noise, -1, 0)
+    noise = np.moveaxis(gang(plant, design.controller, w).torque_per_noise, -1, 0)
     assert np.linalg.norm(noise, 2, axis=(1, 2)).max() < 400.0 * 1.05
 
 
@@ -327,7 +328,7 @@ def test_the_pattern_keeps_gains_at_zero(design):
 def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant, design):
     """‖P S‖ → ω ‖Ki⁻¹‖: what is maximised is the rejection of slow disturbances."""
     w = np.array([1e-3])
-    slow = analysis.gang(plant, design.controller, w).angle_per_torque[:, :, 0]
+    slow = gang(plant, design.controller, w).angle_per_torque[:, :, 0]
     assert np.linalg.norm(slow, 2) / w[0] == pytest.approx(1.0 / design.objective, rel=1e-3)
 
 

@@ -6,6 +6,7 @@ import pytest
 import platform_ctrl as pc
 from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop, camera_plant
 from platform_ctrl import analysis, design
+from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.errors import DesignError, InputError, NotCertifiedError, PlatformCtrlError
 from platform_ctrl.job.quantities import assumed_words
@@ -289,7 +290,7 @@ def test_a_tracking_loop_is_an_integrator_behind_the_rate_loop_and_the_tracker(t
     _, (tracking, rate), _ = tracked
     w = 2.0 * np.pi * np.array([0.5, 2.0])
     L = analysis.frequency_response(analysis.loop_transfer(tracking.closed.plant, tracking.closed.controller), w)
-    T = analysis.gang(rate.closed.plant, rate.closed.own_controller, w).T_output
+    T = gang(rate.closed.plant, rate.closed.own_controller, w).T_output
     s = 1j * w
     for k in range(2):
         expected = 4.0 * np.pi / s * (1.0 + 0.6 * np.pi / s) * np.exp(-0.01 * s) * T[k, k]

@@ -16,6 +16,7 @@ from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.requirements import loop_requirements
 
 GIMBALS = ("outer", "inner")
@@ -79,7 +80,7 @@ def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:
     assert tuning.tune(start, list(start), build, plants, required, evaluations=5) == start
 
 
-def _camera_with_cables(start: dict[str, float], kind: str, **limits: float) -> pc.Job:
+def _camera_with_cables(start: dict[str, float], kind: str, **limits: float) -> Job:
     """A camera whose viscous friction takes it along with its base: a slow loop attenuates nothing."""
     plant = camera_plant(friction=[{"gimbal": "az", "viscous": 0.5}, {"gimbal": "el", "viscous": 0.5}])
     limits = {"disk_margin": 0.5, "attenuation_db": 37.0, "attenuation_hz": 2.0, "torque_noise": 0.05} | limits

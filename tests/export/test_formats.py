@@ -20,10 +20,10 @@ from one_gyro_job import JOB
 from platform_ctrl import design, export
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export.job_systems import controller_systems, job_responses, model_systems, response_data
-from platform_ctrl.export.systems import write_entries
+from platform_ctrl.export.systems import write_controllers, write_entries
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.verification import read_controllers
+from platform_ctrl.verification.controllers import read_controllers
 
 K = "caging_9_10_classical"
 
@@ -73,7 +73,7 @@ def test_json_keeps_every_bit_name_and_unit(
 def test_controllers_leave_in_the_form_that_check_reads(
     job: Job, controllers: list[control.StateSpace], tmp_path: Path
 ) -> None:
-    path = export.write_controllers(controllers, tmp_path / "k.json", delay=job.sampling.delay)
+    path = write_controllers(controllers, tmp_path / "k.json", delay=job.sampling.delay)
     [back] = read_controllers(path, job)
     assert back.name == controllers[0].name
     assert all(np.array_equal(getattr(back, name), getattr(controllers[0], name)) for name in "ABCD")

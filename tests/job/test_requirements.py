@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 import platform_ctrl as pc
 from continuous_loop import ContinuousLoop
 from platform_ctrl import design, verification
-from platform_ctrl.analysis import Channel, closed_loop, frequency_response
+from platform_ctrl.analysis import closed_loop, frequency_response
+from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import Peak

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import platform_ctrl as pc
+from platform_ctrl.mechanics.rotors import with_rotors_as_gimbals
 from platform_ctrl.plant.source import platform_source, shipped_models
 
 DEVICES = ("ae353_cmg", "double_gimbal_cmg", "ecp_750", "quanser_3dof_gyroscope", "vscmg_pyramid")
@@ -84,7 +85,7 @@ def test_the_letters_of_the_quanser_gyroscope_stand_where_the_published_mass_mat
     )
     gyro = pc.read_platform("quanser_3dof_gyroscope")
     order = [3 + 3, 3 + 2, 3 + 1, 3 + 0]
-    A = pc.matrices(pc.with_rotors_as_gimbals(gyro), [0.3, q3, q2, 0.0]).A
+    A = pc.matrices(with_rotors_as_gimbals(gyro), [0.3, q3, q2, 0.0]).A
     assert A[np.ix_(order, order)] == pytest.approx(published, abs=1e-15)
     # The published Coriolis matrix at rest, but for the disk: what this package calls G.
     blue_red, blue_silver, red_silver = Jd * p2 * w1, -Jd * p1 * p3 * w1, Jd * p2 * p4 * w1
@@ -177,7 +178,7 @@ def test_the_equations_of_the_course_are_those_of_a_free_rotor() -> None:
 
 def test_the_saturating_loop_agrees_with_the_rotor_as_a_body_of_its_own() -> None:
     cmg = pc.read_platform("ae353_cmg")
-    bodies = pc.with_rotors_as_gimbals(cmg)
+    bodies = with_rotors_as_gimbals(cmg)
     seen: list[float] = []
 
     def slope(_: float, x: np.ndarray) -> np.ndarray:

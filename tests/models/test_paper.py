@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 import platform_ctrl as pc
 from platform_ctrl.errors import MechanicsError
+from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.rotors import with_free_rotors
 from platform_ctrl.plant.source import platform_source, shipped_models
 
@@ -139,7 +140,7 @@ def held(platform: pc.Platform) -> pc.Platform:
     return dataclasses.replace(platform, root_inertia=1e5 * np.eye(3))
 
 
-def poles(model: pc.LinearModel) -> np.ndarray:
+def poles(model: LinearModel) -> np.ndarray:
     return pc.state_space(model).poles()
 
 

@@ -8,7 +8,8 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.errors import InputError, MechanicsError, PlatformCtrlError
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.mechanics.rotors import rotor_momenta, with_rotors_as_gimbals
+from platform_ctrl.plant.platform import Gimbal, Platform, Rotor, Torquer
 from platform_ctrl.plant.source import platform_source
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation import rollout
@@ -85,7 +86,7 @@ def test_a_rotor_that_stands_still_is_a_body_and_no_gyro():
     model = pc.linearise(platform)
     assert not model.G.any()
     np.testing.assert_allclose(pc.state_space(model).poles(), 0.0, atol=1e-12)
-    assert pc.rotor_momenta(platform, velocity=[0, 0, 1, 0, 0]).p == pytest.approx(0.2)
+    assert rotor_momenta(platform, velocity=[0, 0, 1, 0, 0]).p == pytest.approx(0.2)
     slow = pc.precession(model)
     assert not slow.admissible
     assert "no rotor gives it any momentum" in slow.reasons[0]
@@ -162,7 +163,7 @@ def test_numbers_that_are_none_are_refused_everywhere(bad):
     for call in (
         lambda: pc.matrices(platform, [bad]),
         lambda: pc.element_forces(platform, [bad]),
-        lambda: pc.rotor_momenta(platform, [bad]),
+        lambda: rotor_momenta(platform, [bad]),
         lambda: pc.linearise(platform, q=[bad]),
         lambda: pc.linearise(platform, specific_force=[0, 0, bad]),
     ):
@@ -175,9 +176,9 @@ def test_what_is_no_platform_is_refused_with_the_way_to_one(given):
     for call in (
         pc.matrices,
         pc.element_forces,
-        pc.rotor_momenta,
+        rotor_momenta,
         pc.with_free_rotors,
-        pc.with_rotors_as_gimbals,
+        with_rotors_as_gimbals,
         pc.linearise,
         pc.equations,
         pc.parameter_varying,
@@ -205,10 +206,10 @@ def test_names_that_derived_signals_need_are_not_dropped_without_a_word():
     gimbals = (dataclasses.replace(first, angle="x"), dataclasses.replace(second, angle="p_x"))
     with pytest.raises(PlatformCtrlError, match="states: 'p_x' would name two of them"):
         pc.state_space(pc.linearise(dataclasses.replace(twins, gimbals=gimbals)))
-    forced = dataclasses.replace(twins, torquers=(pc.Torquer(name="f1", gimbal="g0"),))
+    forced = dataclasses.replace(twins, torquers=(Torquer(name="f1", gimbal="g0"),))
     assert pc.state_space(pc.linearise(forced)).input_labels[0] == "f1"
     with pytest.raises(PlatformCtrlError, match="inputs: 'f1' would name two of them"):
         pc.state_space(pc.linearise(forced), specific_force=True)
-    driven = dataclasses.replace(twins, torquers=(pc.Torquer(name="d_q0", gimbal="g0"),))
+    driven = dataclasses.replace(twins, torquers=(Torquer(name="d_q0", gimbal="g0"),))
     with pytest.raises(PlatformCtrlError, match="inputs: 'd_q0' would name two of them"):
         pc.parameter_varying(driven, form="momenta").state_space((0, 0, 0), (0, 0, 0))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from camera_job import camera_job
-from platform_ctrl import report
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.job.quantities import compared
@@ -19,9 +18,9 @@ from platform_ctrl.report.loop_responses import loop_responses
 from platform_ctrl.report.page import first_screen, tables
 from platform_ctrl.report.page.blocks import Cell, Columns, Document, Part, Plate, Table
 from platform_ctrl.report.page.first_screen import worst_plant, worst_plant_figure
-from platform_ctrl.report.page.job_page import page_html
-from platform_ctrl.verification import JobResult
+from platform_ctrl.report.page.job_page import page_html, prepared
 from platform_ctrl.verification.changes import changes
+from platform_ctrl.verification.verdict import JobResult
 from report_jobs import caging, checked, classical, job, turn
 
 
@@ -34,7 +33,7 @@ def result() -> JobResult:
 
 @pytest.fixture(scope="module")
 def document(result: JobResult) -> Document:
-    return report.prepared(result)
+    return prepared(result)
 
 
 def test_every_requirement_has_one_mark_at_its_distance_and_the_missed_ones_are_left_of_the_limit(
@@ -154,7 +153,7 @@ def test_a_tracking_loop_around_a_rate_loop_is_reported_in_its_own_words() -> No
             "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0}],
         }
     )
-    sections = {one.title: one for one in report.prepared(checked(data)).sections}
+    sections = {one.title: one for one in prepared(checked(data)).sections}
     track, rate = (
         {one.title: one.caption for one in sections[title].blocks if isinstance(one, Plate)}
         for title in ("Track", "Rate")

@@ -19,6 +19,7 @@ from platform_ctrl import simulation
 from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Manoeuvre
+from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import figures
 from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
@@ -49,7 +50,7 @@ def gyro():
 
 def on_springs(platform, stiffness=200.0):
     return dataclasses.replace(
-        platform, springs=tuple(pc.Spring(gimbal=name, stiffness=stiffness) for name in platform.gimbal_names)
+        platform, springs=tuple(Spring(gimbal=name, stiffness=stiffness) for name in platform.gimbal_names)
     )
 
 

@@ -36,7 +36,7 @@ from platform_ctrl.job.judging import Sense
 from platform_ctrl.job.quantities import compared, plain
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
 from platform_ctrl.job.writing import job_data
-from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import modes, style
@@ -54,8 +54,9 @@ from platform_ctrl.report.page import blocks, captions, comparison, tables
 from platform_ctrl.report.page import job_page as document
 from platform_ctrl.report.page.campaign_tables import chances
 from platform_ctrl.report.page.job_page import page_html
-from platform_ctrl.verification import JobResult, check_job
+from platform_ctrl.verification import check_job
 from platform_ctrl.verification.proofs import Claim, Proofs, with_proofs
+from platform_ctrl.verification.verdict import JobResult
 from report_jobs import caging, checked, classical, job, turn
 
 CAGING = caging(
@@ -586,7 +587,7 @@ def test_at_rest_three_gyros_have_one_inertial_direction(result: JobResult) -> N
     assert kinds == ["nutation", "precession", "rigid body"]
 
 
-def camera(sign: float, rotors: list[dict[str, Any]] | None = None) -> pc.LinearModel:
+def camera(sign: float, rotors: list[dict[str, Any]] | None = None) -> LinearModel:
     """A two-axis camera gimbal, the pitch body's centre of mass off its axis by 3 g m, upwards or downwards."""
     return pc.linearise(
         pc.read_platform(

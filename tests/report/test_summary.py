@@ -17,7 +17,7 @@ from platform_ctrl.report.page.blocks import html as as_html
 from platform_ctrl.report.page.campaign_page import as_section, campaign_document, differences
 from platform_ctrl.report.page.captions import opening, tightest
 from platform_ctrl.report.page.job_page import page_html
-from platform_ctrl.verification import JobResult
+from platform_ctrl.verification.verdict import JobResult
 from report_jobs import caging, checked, classical, job, turn
 
 LIMITS = {"bandwidth_hz": 15, "disk_margin": 0.3, "torque_noise": 0.009}

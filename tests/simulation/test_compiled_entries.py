@@ -15,6 +15,7 @@ import pytest
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.feedback import sensitivity_functions, series
+from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation.batch import compile_kernel
 from platform_ctrl.simulation.compilation import is_compiled
@@ -23,7 +24,7 @@ W = np.array([1.0, 2.0])
 ENTRIES: dict[str, Callable[[StateArrays], Any]] = {
     "frequency_response": lambda system: analysis.frequency_response(system, W),
     "hinf_norm": analysis.hinf_norm,
-    "noise_rms": lambda system: analysis.noise_rms(system, np.ones(1)),
+    "noise_rms": lambda system: noise_rms(system, np.ones(1)),
     "sampled": lambda system: analysis.sampled(system._replace(dt=0.0), 0.1, 0.25),
     "closed_loop": lambda system: analysis.closed_loop(system, OTHER),
     "series": lambda system: series(system, OTHER),

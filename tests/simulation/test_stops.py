@@ -10,6 +10,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import simulation
 from platform_ctrl.job.scenario import Scenario
+from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.platform import Gimbal, Platform
 from platform_ctrl.simulation.closed_loop import Trajectory
 from signal_and_gimbal import PERIOD, J, fault, flown, gain, plant, scenario, within
@@ -186,7 +187,7 @@ def test_a_blow_on_a_gimbal_that_is_pressed_against_its_stop_makes_it_meet_the_s
 
 def test_a_gimbal_sticks_up_to_the_breakaway_torque_and_slips_on_less() -> None:
     coulomb, breakaway, slow, stribeck = 1e-3, 2e-3, 1e-3, 0.01
-    friction = pc.Friction(
+    friction = Friction(
         gimbal="g", coulomb=(coulomb,) * 2, breakaway=(breakaway,) * 2, coulomb_rate=slow, stribeck_rate=stribeck
     )
     platform = dataclasses.replace(plant(), frictions=(friction,))

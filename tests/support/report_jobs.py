@@ -6,7 +6,8 @@ from typing import Any
 
 import platform_ctrl as pc
 from platform_ctrl.design import loops
-from platform_ctrl.verification import JobResult, check_job
+from platform_ctrl.verification import check_job
+from platform_ctrl.verification.verdict import JobResult
 
 
 def classical(name: str = "classical", crossover_hz: float = 40.0, **options: Any) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.cli import main
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Scenario, TimeTable
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.force_elements import Friction
@@ -93,7 +94,7 @@ PLACES = {
 ALL = "".join(SOURCE.format(name=name, place=PLACES[name], densities=DENSITIES[name]) for name in PLACES)
 
 
-def job(tmp_path: Path, more: str = "", friction: str = "") -> pc.Job:
+def job(tmp_path: Path, more: str = "", friction: str = "") -> Job:
     file = tmp_path / "camera.toml"
     file.write_text(FILE.format(more=more + ALL, friction=friction), encoding="utf-8")
     return pc.read_job(file)
@@ -208,7 +209,7 @@ def multisine(rms: float) -> np.ndarray:
     return np.column_stack([f, rms * math.sqrt(2.0) * a / np.linalg.norm(a), phase])
 
 
-def simulated(of: pc.Job, rows: np.ndarray, closed: list[control.StateSpace] | None = None) -> float:
+def simulated(of: Job, rows: np.ndarray, closed: list[control.StateSpace] | None = None) -> float:
     """The rms of the simulated elevation over a period of the base's rate, from the third second on."""
     t = np.arange(0.0, 5.0005, 1e-3)
     rate = np.sum(rows[:, 1] * np.cos(2.0 * math.pi * np.outer(t, rows[:, 0]) + rows[:, 2]), axis=1)
@@ -226,7 +227,7 @@ def simulated(of: pc.Job, rows: np.ndarray, closed: list[control.StateSpace] | N
     return float(found.line_of_sight[found.t > 3.0 - 1e-9][: round(2.0 / period), 3].std())
 
 
-def shaken(tmp_path: Path, rows: np.ndarray, friction: str = "", more: str = "") -> pc.Job:
+def shaken(tmp_path: Path, rows: np.ndarray, friction: str = "", more: str = "") -> Job:
     """The camera on a base that turns by `rows`, with a gyro that neither steps nor is noisy."""
     source = f'[[budget.source]]\nname = "base"\nkind = "base-rate"\naxis = 2\nsines = {rows.tolist()}\n'
     text = FILE.format(more=source + more, friction=friction).replace("noise_rms = 1e-4\nquantisation = 2e-5\n", "")

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from camera_job import camera_job
-from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.changes import Change, changes, keyed
+from platform_ctrl.verification.verdict import JobResult
 from report_jobs import caging, checked, classical, job, turn
 
 # Reached are 27.7 Hz and 0.337.

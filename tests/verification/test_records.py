@@ -20,9 +20,10 @@ from platform_ctrl.common.json_text import json_text
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
-from platform_ctrl.verification import JobResult, check_job, controllers
+from platform_ctrl.verification import check_job, controllers
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.result_file import read_record, result_record, write_record
+from platform_ctrl.verification.verdict import JobResult
 
 JOB: dict[str, Any] = {
     "schema": 2,

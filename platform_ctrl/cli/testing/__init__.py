@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from platform_ctrl.verification import JobResult
+    from platform_ctrl.verification.verdict import JobResult
 
 __all__ = ["assert_requirements"]
 

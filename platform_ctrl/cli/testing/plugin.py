@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from platform_ctrl.verification import JobResult
+    from platform_ctrl.verification.verdict import JobResult
 
 
 @pytest.fixture(scope="session")
@@ -32,8 +32,8 @@ def closed_loop() -> Callable[..., JobResult]:
         from platform_ctrl.job.job import Job
         from platform_ctrl.job.reading import read_job
         from platform_ctrl.job.writing import job_hashes
-        from platform_ctrl.verification import check_job, read_controllers
-        from platform_ctrl.verification.controllers import outcomes_from
+        from platform_ctrl.verification import check_job
+        from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
         folder = _folder_of_caller()
         if not isinstance(job, Job):

@@ -80,15 +80,19 @@ if TYPE_CHECKING:
 _MOST_BRANCHES = 80
 
 
-def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Path:
+def write_page(result: JobResult | Document, path: str | os.PathLike[str], **options: Any) -> Path:
     """Write the page to `path`: the whole file, or nothing if that fails.
 
     Parameters
     ----------
     result
-        From `prepared`, or from `platform_ctrl.verification.check_job` if no option of `prepared` is needed.
+        From `platform_ctrl.verification.check_job`.
     path
         The file; an existing one is replaced.
+    **options
+        ``command``: the command line that repeats the job; ``campaign``: summary of a campaign of the job, from
+        `platform_ctrl.campaign.summarise`, which becomes a section; ``again``: the command line that repeats one run of
+        the campaign, without the run's number at its end.
 
     Returns
     -------
@@ -100,7 +104,7 @@ def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Pa
     InputError
         The file cannot be written.
     """
-    return write_whole(path, page_html(result))
+    return write_whole(path, html(prepared(result, **options)))
 
 
 def page_html(result: JobResult | Document) -> str:
