@@ -196,8 +196,9 @@ def test_python_control_designs_on_the_generalised_plant_and_the_loop_judges(nam
     assert P.input_labels == [f"{kind}{j + 1}" for kind in ("n", "d", "u") for j in range(k)]
     assert P.output_labels[-k:] == [f"measured{j + 1}" for j in range(k)]
     bound = design.hinf(P, k, k, method="riccati")
-    if name == "caging 9-10":  # of the other one slycot says that its gamma is too small
-        assert control.hinfsyn(P, k, k)[2] == pytest.approx(bound.gamma_optimal, rel=0.01)
+    # With 15 states, 6 w and 9 z slycot says "too small value of gamma" whatever it is.
+    B, D = (np.insert(matrix, 2 * k, 0.0, axis=1) for matrix in (P.B, P.D))
+    assert control.hinfsyn(control.ss(P.A, B, P.C, D), k, k)[2] == pytest.approx(bound.gamma_optimal, rel=0.01)
     closed = design.with_controller(loop, bound.controller, name="mine", torque=0.06)
     assert closed.use == "mine"
     assert closed.closed.measures.decay[0] > 0.0
