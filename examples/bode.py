@@ -35,4 +35,7 @@ if file:
     plot.figure.set_size_inches(9.0, 8.0)
     plot.figure.savefig(file, dpi=120)
 else:
-    figures.show(plot)
+    try:
+        figures.show(plot)
+    except pc.PlatformCtrlError:
+        parser.error("there is no screen to show the plot on; save it with -o bode.png")
