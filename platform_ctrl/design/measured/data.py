@@ -6,9 +6,8 @@
     0.5, -0.0012, ...
 
 The first column is ``frequency_hz`` or ``frequency_rad_s``. The others are named output/input and what they hold:
-``re`` and ``im``, or ``magnitude`` (or ``magnitude_db``) and ``phase_deg`` (or ``phase_rad``). Beside them
-``coherence`` of a pair, of an output with all inputs, or of all, may be given. Lines that begin with # are comments.
-Columns are separated by commas, semicolons or tabs.
+``re`` and ``im``, or ``magnitude`` (or ``magnitude_db``) and ``phase_deg`` (or ``phase_rad``). A ``coherence`` beside
+them is not read. Lines that begin with # are comments. Columns are separated by commas, semicolons or tabs.
 """
 
 from __future__ import annotations
@@ -33,14 +32,12 @@ from platform_ctrl.plant.source import path_of, read_text
 if TYPE_CHECKING:
     import control
 
-_PARTS = ("re", "im", "magnitude", "magnitude_db", "phase_deg", "phase_rad", "coherence")
+_PARTS = ("re", "im", "magnitude", "magnitude_db", "phase_deg", "phase_rad")
 _FORMS = (
     {"re", "im"},
     *({size, phase} for size in ("magnitude", "magnitude_db") for phase in ("phase_deg", "phase_rad")),
 )
 _FEWEST = 3
-# By how much a coherence may exceed 1 by rounding.
-_ROUNDING = 1e-6
 # Largest frequency and response in any sensible units.
 _LARGEST = 1e100
 
@@ -55,8 +52,7 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
     source
         Path of a CSV file, or an open text file. Its header names ``frequency_hz`` or ``frequency_rad_s`` first, then
         two columns for every pair: ``alpha9/Q9 re`` and ``alpha9/Q9 im``, or ``alpha9/Q9 magnitude`` (or
-        ``magnitude_db``) and ``alpha9/Q9 phase_deg``. There may be columns of the coherence: ``alpha9/Q9 coherence`` of
-        a pair, ``alpha9 coherence`` of an output with all inputs, ``coherence`` of all.
+        ``magnitude_db``) and ``alpha9/Q9 phase_deg``. Columns of the ``coherence`` are not read.
     period
         Sample period, s, where commands and pick-off were sampled: the response is then that of the sampled plant, its
         hold included.
@@ -64,8 +60,7 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
     Returns
     -------
     control.FRD
-        Inputs and outputs in the order in which the header names them first; ``dt`` the period, or 0. Where the file
-        has the coherence, it is the attribute ``coherence``: (outputs, inputs, frequencies), NaN of other pairs.
+        Inputs and outputs in the order in which the header names them first; ``dt`` the period, or 0.
 
     Raises
     ------
@@ -81,7 +76,7 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
         label, text = one_line(str(path)), read_text(path, "a CSV file")
     (number, header), *lines = _lines(label, text)
     where = f"{label}, line {number}"
-    unit, coherences = _frequency_unit(where, header[0]), _coherences(header)
+    unit = _frequency_unit(where, header[0])
     outputs, inputs, columns = _columns(where, header)
     numbers = np.array([_numbers(f"{label}, line {k}", header, row) for k, row in lines])
     if len(lines) < _FEWEST:
@@ -101,12 +96,7 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
         values = _value(numbers, parts)
         _require_finite(label, [k for k, _ in lines], f"{output}/{given_input}", numbers, parts, values)
         response[outputs.index(output), inputs.index(given_input)] = values
-    control = import_module("control")
-    found = control.FRD(response, frequency, dt, inputs=inputs, outputs=outputs)
-    if coherences:
-        of = [(i, k, f"{output}/{one}") for i, output in enumerate(outputs) for k, one in enumerate(inputs)]
-        found.coherence = _coherence(label, [k for k, _ in lines], numbers, coherences, of)
-    return found
+    return import_module("control").FRD(response, frequency, dt, inputs=inputs, outputs=outputs)
 
 
 def _frequency_unit(where: str, name: str) -> float:
@@ -115,32 +105,6 @@ def _frequency_unit(where: str, name: str) -> float:
     if base.lower() != "frequency" or unit is None or unit.quantity != "rate":
         raise InputError(f"{where}: the first column must be frequency_hz or frequency_rad_s, got {given(name)}")
     return unit.factor
-
-
-def _coherences(header: list[str]) -> dict[str, int]:
-    """Return the columns of the coherence by what they are of: a pair, an output, or everything (an empty text)."""
-    named = ((k, *name.rpartition(" ")) for k, name in enumerate(header))
-    return {"/".join(word.strip() for word in pair.split("/")): k for k, pair, _, part in named if part == "coherence"}
-
-
-def _coherence(
-    label: str, lines: list[int], numbers: FloatArray, columns: dict[str, int], pairs: list[tuple[int, int, str]]
-) -> FloatArray:
-    """Return the coherence of all pairs; an InputError says which line cannot be one, or which column is of none."""
-    of = {name: [pair for pair in pairs if name in ("", pair[2], pair[2].partition("/")[0])] for name in columns}
-    for name, column in columns.items():
-        wrong = np.flatnonzero((numbers[:, column] < 0.0) | (numbers[:, column] > 1.0 + _ROUNDING))
-        if wrong.size:
-            words = f"coherence must be from 0 to 1, got {numbers[wrong[0], column]:g}"
-            raise InputError(f"{label}, line {lines[wrong[0]]}: {f'{name} {words}'.strip()}")
-        if not of[name]:
-            words = f"there is no response beside {given(f'{name} coherence')}"
-            raise InputError(f"{label}: {words}; {suggestion(name, [pair for _, _, pair in pairs])}")
-    out = np.full((1 + pairs[-1][0], 1 + pairs[-1][1], len(numbers)), np.nan)
-    for name in sorted(columns, key=lambda one: len(of[one]), reverse=True):  # what is of a pair goes before
-        for i, k, _ in of[name]:
-            out[i, k] = numbers[:, columns[name]]
-    return out
 
 
 def _lines(label: str, text: str) -> list[Line]:
@@ -169,8 +133,6 @@ def _columns(where: str, header: list[str]) -> tuple[list[str], list[str], dict[
     for k, name in enumerate(header[1:], 1):
         pair, _, part = name.rpartition(" ")
         if part == "coherence":
-            if name in header[:k]:
-                raise InputError(f"{where}: the column {given(name)} occurs twice")
             continue
         output, slash, an_input = (word.strip() for word in pair.partition("/"))
         if not (output and slash and an_input):

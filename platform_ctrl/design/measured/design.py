@@ -44,12 +44,10 @@ class ClosedLoopResponse:
         The measured frequencies, rad/s.
     S, T : complex (N, n, n)
         Sensitivity and complementary sensitivity at the angles, dimensionless.
-    S_input, T_input : complex (N, n, n)
+    S_input : complex (N, n, n)
         At the torques, dimensionless.
     torque_per_noise : complex (N, n, n)
         K S, N m/rad.
-    angle_per_torque : complex (N, n, n)
-        P S_input, rad/(N m).
     limits
         The limits by name, (N,), in their units; of a disk margin 1/α for ‖(S − T)/2‖.
     ratios
@@ -60,9 +58,7 @@ class ClosedLoopResponse:
     S: ComplexArray
     T: ComplexArray
     S_input: ComplexArray
-    T_input: ComplexArray
     torque_per_noise: ComplexArray
-    angle_per_torque: ComplexArray
     limits: dict[str, FloatArray]
     ratios: dict[str, FloatArray]
 
@@ -264,16 +260,13 @@ def _result(search: Search, gains: FloatArray, begun: FloatArray, history: Float
 def _closed_loop(path: Contour, sample: Sample, gains: FloatArray) -> ClosedLoopResponse:
     sample = sample.only(np.flatnonzero(path.residue == 0.0))
     P, K = sample.P, controller_response(gains, sample.actions)
-    eye = np.eye(P.shape[-1])
     S, S_input = sensitivities_of_plants(P, K)
     return ClosedLoopResponse(
         frequency=path.frequency[path.residue == 0.0],
         S=S,
-        T=eye - S,
+        T=np.eye(P.shape[-1]) - S,
         S_input=S_input,
-        T_input=eye - S_input,
         torque_per_noise=K @ S,
-        angle_per_torque=P @ S_input,
         limits={limit.name: limit.bound for limit in sample.limits},
         ratios={limit.name: ratios(limit, P, K) for limit in sample.limits},
     )
