@@ -36,14 +36,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_scaling, system_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.interconnection import MultiRate
-from platform_ctrl.analysis.lifting import SampledPlant, lifted_plant
 from platform_ctrl.analysis.periodic import pruned
 from platform_ctrl.analysis.poles import poles
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sampling import late_outputs, sampled, split_delay, with_lag
+from platform_ctrl.analysis.sampling import energy_rows, late_outputs, sampled, split_delay, with_lag
 from platform_ctrl.common.arguments import not_negative, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -163,34 +162,11 @@ class OpenLoop:
         self.size = self._continuous.D.size
         A, B, C, D, _ = self._continuous
         self.sampled = sampled(StateArrays(A, B[:, :m], C[:p], D[:p, :m]), plant.period, plant.delay)
-        period, parts, part = split_delay("hybrid plant", plant.period, plant.delay, m)
-        n = len(A)
-        # One scaling of the states for all outputs: what controls do to the states is then the same for all.
-        rows = [
-            lifted_plant(
-                SampledPlant(
-                    A,
-                    np.zeros((n, 0)),
-                    B[:, :m],
-                    C[row : row + 1],
-                    np.zeros((0, n)),
-                    D[row : row + 1, :m],
-                    np.zeros((0, m)),
-                    period,
-                    parts,
-                    part,
-                ),
-                state_scaling(A, B[:, :m], C[p:]),
-            )
-            for row in range(p, len(C))
-        ]
-        self._ends = np.cumsum([0, *(len(one.C) for one in rows)])
-        self._images = (
-            rows[0]._replace(C=np.vstack([one.C for one in rows]), D=np.vstack([one.D for one in rows]))
-            if rows
-            else None
-        )
-
+        rows = energy_rows(StateArrays(A, B[:, :m], C[p:], D[p:, :m]), plant.period, plant.delay)
+        self._ends = np.cumsum([0, *(len(one) for one in rows)])
+        every = np.vstack([np.zeros((0, len(self.sampled.A) + m)), *rows])
+        own = len(self.sampled.A)
+        self._images = self.sampled._replace(C=every[:, :own], D=every[:, own:])
         # Of responses in a long cycle, by their names: polynomials in the frequency, one for each of many images.
         self._polynomials: dict[str, tuple[int, ComplexArray]] = {}
         self._poles = poles(A)
@@ -271,8 +247,6 @@ class OpenLoop:
     def _all_images(self, w: FloatArray) -> ComplexArray:
         m = self.plant.controls
         out = np.zeros((*w.shape, self.plant.outputs, m, m), dtype=np.complex128)
-        if self._images is None:
-            return out
         every = _signed_response(self._images, w)
         for i, (first, last) in enumerate(pairwise(self._ends)):
             E = every[:, :, first:last]

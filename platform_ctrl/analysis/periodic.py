@@ -6,7 +6,7 @@ Control 30, 1985). A channel's disk margin is that against perturbations that ma
 not, it is the usual one: its norm is the same with and without lifting.
 
 The stacked matrices grow with N². Here they are not formed: for a level γ each sample is a step of state and costate,
-the steps are joined two by two, and those of samples that are alike by powers of two (`lifting.Step`). The step of the
+the steps are joined two by two, and those of samples that are alike by powers of two (`Step`). The step of the
 cycle is that of a system with as many states as the loop has, whose norm is below one exactly where that of the loop
 over the cycle is below γ. Few states count at each sample: of a reading that is late only what is going to be used.
 """
@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import groupby, permutations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,12 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_scaling
 from platform_ctrl.analysis.drift import unseen_equilibria, without_drift_over_a_cycle
 from platform_ctrl.analysis.feedback import closed_loop
-from platform_ctrl.analysis.lifting import PeriodExceedsLevel, Step, factor, joined
 from platform_ctrl.analysis.margins import DiskMargin, no_margin
 from platform_ctrl.analysis.mu import search_grid
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.sampling import factor
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
 
@@ -43,6 +44,44 @@ _TOLERANCE = 2e-9
 _DOUBLINGS, _FORGOTTEN = 60, 1e-9
 # Inputs of a stacked system up to which its gain is computed frequency by frequency, for a figure.
 _MOST_STACKED = 64
+
+
+class PeriodExceedsLevel(Exception):
+    """Within a single period z is larger than the level allows: the level lies below the norm."""
+
+
+class Step(NamedTuple):
+    """What a stretch of time does to the state v and the costate λ of ∫ z'z − w'w: v₁ = A v₀ + G λ₁, λ₀ = Q v₀ + A' λ₁.
+
+    G and Q are positive semidefinite: w reaches G^(1/2), and Q^(1/2) v₀ is what the worst w makes of v₀.
+    """
+
+    A: FloatArray
+    G: FloatArray
+    Q: FloatArray
+
+
+def joined(first: Step, second: Step) -> Step:
+    """Return one step after the other; `PeriodExceedsLevel` where the two together reach more than the level."""
+    # The eigenvalues of G Q are those of the symmetric B' Q B with G = B B'.
+    B = factor(first.G)
+    gain = _symmetric(B.T @ second.Q @ B)
+    if gain.size and not np.linalg.eigvalsh(gain)[-1] < 1.0:
+        raise PeriodExceedsLevel
+    # (I − G Q)⁻¹ = I + B (I − B' Q B)⁻¹ B' Q: the symmetric core keeps G and Q of the whole positive.
+    core = np.linalg.inv(np.eye(len(gain)) - gain)
+    seen = second.Q @ B
+    middle, G, Q = np.eye(len(first.A)) + B @ core @ seen.T, B @ core @ B.T, second.Q + seen @ core @ seen.T
+    return Step(
+        second.A @ middle @ first.A,
+        _symmetric(second.G + second.A @ G @ second.A.T),
+        _symmetric(first.Q + first.A.T @ Q @ first.A),
+    )
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    out: FloatArray = 0.5 * (matrix + matrix.T)
+    return out
 
 
 def lifted(systems: Sequence[StateArrays]) -> StateArrays:
@@ -108,7 +147,7 @@ def _is_below(parts: Sequence[tuple[StateArrays, int]], log_level: float) -> boo
             size = np.abs(step.A).max(initial=0.0)
             if not size > _FORGOTTEN:
                 return not np.isnan(size)
-            step = joined(step, step, finite=True)
+            step = joined(step, step)
     except (PeriodExceedsLevel, np.linalg.LinAlgError):
         return False
     return False
@@ -126,9 +165,9 @@ def _over_a_cycle(parts: Sequence[tuple[StateArrays, int]], level: float) -> Ste
         power = _one_sample(one, level)
         while count:
             if count % 2:
-                whole = power if whole is None else joined(whole, power, finite=True)
+                whole = power if whole is None else joined(whole, power)
             count //= 2
-            power = joined(power, power, finite=True) if count else power
+            power = joined(power, power) if count else power
     assert whole is not None
     return whole
 

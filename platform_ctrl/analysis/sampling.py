@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 # States for held inputs: dense matrices of more take minutes each.
 MOST_HELD = 1_000
+# Short enough that an exponential over it is near the identity.
+_SHORT = 0.4
 
 
 @overload
@@ -258,6 +260,67 @@ def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArra
             f"sampled: within {duration:.3g} s the plant grows beyond floating-point numbers; take a shorter period"
         )
     return phi, held
+
+
+def energy_rows(plant: StateArrays, period: float, delay: float) -> list[FloatArray]:
+    """Return of each output of a continuous plant rows E (r, n' + m): |E [x; u]|² is its energy over a period.
+
+    x (n',) and u (m,) are the states and inputs of the plant as `sampled` makes it, at the period's sample.
+    """
+    A, B, C, D, _ = plant
+    n, m = B.shape
+    s = state_scaling(A, B, C)
+    period, whole, part = split_delay("energy_rows", period, delay, m)
+    # The unit of an input is what it does to the states in a period, or to an output at once.
+    unit = np.maximum(np.abs(B / s[:, None]).max(axis=0, initial=0.0) * period, np.abs(D).max(axis=0, initial=0.0))
+    unit = np.where(unit > 0.0, 1.0 / np.where(unit > 0.0, unit, 1.0), 1.0)
+    F = np.zeros((n + m, n + m))
+    F[:n, :n], F[:n, n:] = A * s / s[:, None], B / s[:, None] * unit
+    seen = np.hstack([C * s, D * unit])
+    early, of_early = _energy(F, seen, part * period)
+    _, of_late = _energy(F, seen, (1.0 - part) * period)
+    # Over [x, u₁, u₂]: u₁ acts before the delay's fractional part is over, u₂ after it.
+    first, second = np.eye(n + m, n + 2 * m), np.eye(n + m, n + 2 * m, k=m)
+    second[:n] = (early @ first)[:n]
+    size = n + m * (whole + (1 if part > 0.0 else 0))
+    into = np.zeros((n + 2 * m, size + m))
+    into[:n, :n] = np.diag(1.0 / s)
+    for place, age in ((n + m, whole), *([(n, whole + 1)] if part > 0.0 else [])):
+        column = n + (age - 1) * m if age else size
+        into[place : place + m, column : column + m] = np.diag(1.0 / unit)
+    return [factor(one).T @ into for one in first.T @ of_early @ first + second.T @ of_late @ second]
+
+
+def _energy(F: FloatArray, rows: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
+    """Return exp(F h), and of each row c the integral of exp(F't) c c' exp(Ft) over `duration` h: (q, n, n)."""
+    from scipy.linalg import expm
+
+    n = len(F)
+    size = float(np.linalg.norm(F, 1))
+    doublings = max(0, math.ceil(math.log2(size * duration / _SHORT))) if size * duration > 0.0 else 0
+    short = duration / 2.0**doublings
+    weights = rows[:, :, None] * rows[:, None, :]
+    units = np.abs(weights).max(axis=(1, 2), keepdims=True, initial=0.0)
+    units[units == 0.0] = 1.0
+    whole = np.zeros((len(rows), 2 * n, 2 * n))
+    whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, n:] = -F.T, weights / units * (size or 1.0), F
+    power = expm(whole * short)
+    phi, energy = expm(F * short), power[:, n:, n:].swapaxes(-1, -2) @ power[:, :n, n:]
+    # Sums of positive terms: small energies keep their digits beside large ones.
+    for _ in range(doublings):
+        energy, phi = energy + phi.T @ energy @ phi, phi @ phi
+    energy = energy * (units / (size or 1.0))
+    return phi, 0.5 * (energy + energy.swapaxes(-1, -2))
+
+
+def factor(square: FloatArray) -> FloatArray:
+    """Return B with B B' = a positive semidefinite matrix, one column for each direction above rounding."""
+    if square.size == 0:
+        return np.zeros((len(square), 0))
+    values, vectors = np.linalg.eigh(square)
+    kept = values > len(square) * np.finfo(float).eps * max(float(values[-1]), 0.0)
+    out: FloatArray = vectors[:, kept] * np.sqrt(values[kept])
+    return out
 
 
 def to_w_plane(system: StateArrays) -> StateArrays:
