@@ -80,8 +80,8 @@ def without_drift(system: StateArrays) -> StateArrays:
     return StateArrays(out.reshape(A.shape), B, C, D, dt)
 
 
-def without_drift_over_a_cycle(systems: Sequence[StateArrays]) -> list[StateArrays]:
-    """Return systems that take turns as `without_drift` does: what has no part in responses ends with each cycle."""
+def over_a_cycle(systems: Sequence[StateArrays]) -> StateArrays:
+    """Return systems that take turns as one, from the inputs of all samples to the outputs of all, without D."""
     state, seen = np.eye(systems[0].A.shape[1]), []
     for one in systems:
         seen.append(one.C @ state)
@@ -91,7 +91,12 @@ def without_drift_over_a_cycle(systems: Sequence[StateArrays]) -> list[StateArra
         reached.append(after @ one.B)
         after = after @ one.A
     B, C = np.hstack(reached), np.vstack(seen)
-    (V, L), (W, M) = _no_part(StateArrays(state, B, C, np.zeros((len(C), B.shape[1])), systems[0].dt))
+    return StateArrays(state, B, C, np.zeros((len(C), B.shape[1])), systems[0].dt)
+
+
+def without_drift_over_a_cycle(systems: Sequence[StateArrays]) -> list[StateArrays]:
+    """Return systems that take turns as `without_drift` does: what has no part in responses ends with each cycle."""
+    (V, L), (W, M) = _no_part(over_a_cycle(systems))
     out = list(systems)
     out[0] = out[0]._replace(A=out[0].A - (out[0].A @ V) @ L)
     out[-1] = out[-1]._replace(A=out[-1].A - M.T @ (W.T @ out[-1].A))

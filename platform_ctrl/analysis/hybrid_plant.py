@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
+from platform_ctrl.analysis.drift import over_a_cycle
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.periodic import pruned
@@ -286,7 +287,7 @@ class OpenLoop:
         return Modulator(M[:, None].astype(np.complex128), *none, np.zeros((1, 0), dtype=np.intp))
 
     def _closed(self, controller: MultiRate) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the transition of the loop over a cycle, how it is driven, and torques and readings at its samples."""
+        """Return the transition of the loop over a cycle, how it is driven, and what is measured at its samples."""
         plant = self.plant
         fast = system_arrays("controller", *controller.fast)
         outputs, inputs = len(fast.C) - controller.read, fast.B.shape[1] - controller.held
@@ -304,7 +305,7 @@ class OpenLoop:
         sampled_plant = late_outputs(self.sampled, plant.reading_delay)
         if plant.cycle == 1:
             A, B, C, *_ = closed_loop(sampled_plant, fast)
-            return A, B, C
+            return A, B, C[plant.controls :]
         loops: dict[tuple[bool, ...], StateArrays] = {}
         cycle, m = [], plant.controls
         for k in range(plant.cycle):
@@ -318,21 +319,8 @@ class OpenLoop:
                 C = np.vstack([torques, measured])
                 loops[due] = StateArrays(one.A, one.B, C, np.zeros((len(C), one.B.shape[1])), one.dt)
             cycle.append(loops[due])
-        cycle = pruned(cycle)
-        state = np.eye(cycle[0].A.shape[1])
-        driven, seen, after = [], [], state
-        for one in cycle:
-            seen.append(one.C @ state)
-            state = one.A @ state
-        for one in reversed(cycle):
-            driven.append(after @ one.B)
-            after = after @ one.A
-        rows = np.array(seen)
-        return (
-            state,
-            np.hstack(driven),
-            np.vstack([rows[:, :m].reshape(-1, len(state)), rows[:, m:].reshape(-1, len(state))]),
-        )
+        A, B, C, *_ = over_a_cycle(pruned(cycle))
+        return A, B, C.reshape(plant.cycle, -1, A.shape[1])[:, m:].reshape(-1, A.shape[1])
 
     def closed_poles(self, controller: StateArrays | MultiRate) -> ComplexArray:
         """Return the poles z of the loop; refuse a controller that does not fit or does not stabilise.
@@ -341,8 +329,7 @@ class OpenLoop:
         rate is held, and that nothing else depends on, does not.
         """
         A, B, C = self._closed(MultiRate(controller) if isinstance(controller, StateArrays) else controller)
-        # Equilibria that neither sensors nor outputs see; the torques that hold them against springs do.
-        C = C[self.plant.cycle * self.plant.controls :]
+        # Equilibria that neither sensors nor outputs see do not count; the torques that hold them would show them.
         z = poles(A)
         for one in z[np.abs(z) >= 1.0 - _BOUNDARY]:
             if self._counts(A, B, C, complex(one)):

@@ -10,6 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.anti_windup import back_calculation
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -51,30 +52,13 @@ class MultiRate(NamedTuple):
 
     def at(self, sample: int) -> StateArrays:
         """Return the controller of one sample. States: those of `fast`, then of each slower one with its outputs."""
-        A, B, C, D, dt = self.fast
-        n, (m, p) = len(A), (len(C) - self.read, B.shape[1] - self.held)
-        states = n + sum(len(K.A) for K in self.slow) + self.held
-        size = states + p
-        # Every signal is a matrix over [states, readings].
-        x, y = np.eye(n, size), np.eye(size)[states:]
-        kept, through, own = np.zeros((self.held, size)), np.zeros((self.held, self.read)), []
-        first, row, column = n, 0, 0
-        for K, every in zip(self.slow, self.every, strict=True):
-            order, (q, r) = len(K.A), K.D.shape
-            own.append((np.eye(size)[first : first + order], slice(row, row + q), slice(column, column + r)))
-            due = sample % every == 0
-            kept[row : row + q] = K.C @ own[-1][0] if due else np.eye(size)[first + order : first + order + q]
-            through[row : row + q, column : column + r] = K.D if due else 0.0
-            first, row, column = first + order + q, row + q, column + r
-        e = C[m:] @ x + D[m:, :p] @ y
-        # No controller takes what it gives itself in the same sample.
-        v = np.linalg.solve(np.eye(self.held) - through @ D[m:, p:], kept + through @ e)
-        e = e + D[m:, p:] @ v
-        after: list[FloatArray] = [A @ x + B[:, :p] @ y + B[:, p:] @ v]
-        for (state, rows, columns), K, every in zip(own, self.slow, self.every, strict=True):
-            after += [np.asarray(K.A @ state + K.B @ e[columns]) if sample % every == 0 else state, np.asarray(v[rows])]
-        moved, u = np.vstack(after), C[:m] @ x + D[:m, :p] @ y + D[:m, p:] @ v
-        return StateArrays(moved[:, :states], moved[:, states:], u[:, :states], u[:, states:], dt)
+        from scipy.linalg import block_diag
+
+        own = [_held(K, sample % n == 0) for K, n in zip(self.slow, self.every, strict=True)]
+        A, B, C, D = (block_diag(*(K[k] for K in own)) for k in range(4))
+        p, m = self.fast.B.shape[1] - self.held, len(self.fast.C) - self.read
+        joined = closed_loop(self.fast, StateArrays(A, B, C, D), range(p, p + self.held), range(m, m + self.read))
+        return joined.part(slice(self.held, self.held + m), slice(p))
 
 
 def interconnect_controllers(
