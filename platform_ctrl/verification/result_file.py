@@ -286,7 +286,7 @@ def _coupled(result: JobResult, check: CoupledCheck) -> Record:
     }
 
 
-# Values and plants of the same job, on another machine, agree to this.
+# Values of the same job, on another machine, agree to this.
 _AGREE = 1e-6
 
 
@@ -296,48 +296,28 @@ def unconfirmed(source: str | os.PathLike[str] | Mapping[str, Any], result: JobR
     Compared are the values under ``claims`` that belong to the closed loop: ``disk_margin`` and ``damping``.
     """
     data: Any = source if isinstance(source, Mapping) else read_json(source, "a JSON file with controllers")[1]
-    designs = [design for outcome in result.loops for design in outcome.designs]
+    designs = [design for outcome in result.loops for design in outcome.designs if design.measures is not None]
     out: list[str] = []
-    for key in ("controllers", "alternatives"):
-        for entry in data.get(key) or []:
-            design = next((one for one in designs if _is_of(entry, one)), None)
-            if design is not None:
-                out += _of_design(entry, design)
+    for entry in [*(data.get("controllers") or ()), *(data.get("alternatives") or ())]:
+        claims = entry.get("claims")
+        design = next((one for one in designs if _is_of(entry, one)), None)
+        if design is None or design.measures is None or not isinstance(claims, Mapping):
+            continue
+        for name in ("disk_margin", "damping"):
+            found = float(getattr(design.measures, name)[0])
+            written = claims.get(name, found)
+            number = math.inf if written is None and not math.isfinite(found) else finite_number(written)
+            if number is None or not (number == math.inf or math.isclose(number, found, rel_tol=_AGREE, abs_tol=1e-12)):
+                out.append(f"{design.loop}, {design.name}: {name} is written as {given(written)}; it is {found:.6g}")
     return tuple(out)
 
 
 def _is_of(entry: Mapping[str, Any], design: LoopDesign) -> bool:
+    """Return whether an entry of a file, which was read as a controller, has a design's matrices and outputs."""
     K = design.controller
-    pairs = [(_matrix(entry.get(name)), np.asarray(getattr(K, name))) for name in "ABCD"]
-    same = all(item is not None and (np.array_equal(item, M) or item.size == M.size == 0) for item, M in pairs)
+    pairs = [(np.asarray(entry.get(name, ())), getattr(K, name)) for name in "ABCD"]
+    same = all(np.array_equal(rows, M) or rows.size == M.size == 0 for rows, M in pairs)
     return same and entry.get("outputs") == list(K.output_labels)
-
-
-def _of_design(entry: Mapping[str, Any], design: LoopDesign) -> Iterator[str]:
-    where = f"{design.loop}, {design.name}"
-    claims = entry.get("claims")
-    if design.measures is not None and isinstance(claims, Mapping):
-        found = {"disk_margin": design.measures.disk_margin[0], "damping": design.measures.damping[0]}
-        for name, figure in found.items():
-            written = claims.get(name, figure)
-            if not _agree(written, float(figure)):
-                yield f"{where}: {name} is written as {given(written)}; it is {figure:.6g}"
-
-
-def _matrix(rows: object) -> FloatArray | None:
-    try:
-        out = np.array(rows, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-    return np.atleast_2d(out) if isinstance(rows, Sequence) else None
-
-
-def _agree(written: object, figure: float) -> bool:
-    if written is None:
-        return not math.isfinite(figure)
-    if isinstance(written, bool) or not isinstance(written, int | float):
-        return False
-    return math.isclose(written, figure, rel_tol=_AGREE, abs_tol=1e-12)
 
 
 class JSONTable:
