@@ -373,11 +373,6 @@ def test_a_limit_is_judged_at_the_gimbal_angles_where_it_is_worst(tmp_path: Path
     assert "q_pitch = 0.5 rad" in worst.evidence
 
 
-def test_one_run_has_no_spread(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="runs must be a whole number from 2"):
-        job(tmp_path, "runs = 1\n")
-
-
 def test_what_has_no_budget_or_no_line_of_sight_is_refused(tmp_path: Path) -> None:
     text = FILE.format(more=ALL, friction="")
     (tmp_path / "blind.toml").write_text(text.replace("line_of_sight", "# line_of_sight"), encoding="utf-8")
