@@ -172,14 +172,6 @@ def test_commands_that_a_page_only_shows_have_the_options_that_they_are_shown_wi
 
 
 @PAGE
-def test_every_fence_of_a_page_is_one_that_the_tests_see(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    seen = [piece for piece in site_blocks.pieces(text) if isinstance(piece, site_blocks.Block)]
-    assert 2 * len(seen) == len(re.findall(r"^ *```", text, re.MULTILINE))
-    assert len(re.findall(r"^ *<!-- picture:", text, re.MULTILINE)) == len(site_blocks.pictures(text))
-
-
-@PAGE
 def test_toml_on_a_page_is_read(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # where a job finds the plant that the page writes before it
     for block in site_blocks.pieces(page.read_text(encoding="utf-8")):
@@ -192,11 +184,6 @@ def test_toml_on_a_page_is_read(page: Path, tmp_path: Path, monkeypatch: pytest.
             read_job(data) if "plant" in data else read_platform(data)
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
-def test_a_page_of_a_file_format_has_a_full_example(name: str) -> None:
-    assert any("schema" in tomllib.loads(block) for block in blocks(ROOT / "docs" / name, "toml"))
-
-
 @pytest.mark.parametrize(
     ("page", "heading", "keys"), [(page, *table) for page, file in FORMATS.items() for table in tables(file)]
 )
@@ -207,11 +194,6 @@ def test_the_section_of_a_table_names_its_keys_and_no_others(page: str, heading:
     named = {name.strip("[]").split(".")[-1] for name in first_cells(sections[0])}
     # Keys of limits are those of the table of metrics.
     assert named == (set(limit_keys()) if heading == "`[loop.limits]`" else keys)
-
-
-def test_both_formats_are_looked_at_in_full() -> None:
-    found = {heading for file in FORMATS.values() for heading, _ in tables(file)}
-    assert {"The whole file", "`[[rotor]]`", "`[loop.limits]`", "`limits` of a manoeuvre"} <= found
 
 
 def limit_rows() -> list[str]:

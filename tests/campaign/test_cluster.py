@@ -103,14 +103,6 @@ def test_a_run_that_kills_workers_is_found_and_those_beside_it_are_simulated(tmp
     assert found.counts["completed"] == 7
 
 
-def test_no_scheduler_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("platform_ctrl.campaign.workers._TIMEOUT", 0.3)
-    for wrong in ("tcp://127.0.0.1:9", "no address at all"):
-        with pytest.raises(InputError, match=f"--scheduler {wrong}: .*; give the address of a Dask") as raised:
-            carried_out(tmp_path, wrong)
-        assert "\n" not in str(raised.value)
-
-
 def test_a_worker_with_other_versions_is_refused(tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from platform_ctrl.campaign.identity import versions
 

@@ -235,13 +235,6 @@ def test_another_campaign_is_refused_in_one_line_that_says_what_differs(tmp_path
 
 
 @pytest.mark.usefixtures("here")
-def test_comments_and_what_only_the_design_uses_are_no_difference(tmp_path: Path) -> None:
-    carried_out(planned(runs=8), tmp_path)
-    job = JOB | {"name": "renamed", "coupled": {"disk_margin": 0.3}}
-    assert carried_out(plan(read_job(job), (), runs=8), tmp_path).counts["completed"] == 8
-
-
-@pytest.mark.usefixtures("here")
 def test_files_of_nobody_are_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "campaign.parquet").write_bytes(b"somebody's")
     with pytest.raises(InputError, match=r"has campaign.parquet but no campaign.json"):

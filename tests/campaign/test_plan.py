@@ -153,17 +153,6 @@ def test_what_is_drawn_has_the_distribution_that_was_asked(name: str, sampling: 
     assert drawn.max() <= high
 
 
-@POINTS
-@pytest.mark.parametrize("name", DISTRIBUTIONS)
-def test_quantiles_stay_finite_at_the_ends_of_the_cube(name: str, sampling: Any) -> None:
-    vary, asked = DISTRIBUTIONS[name]
-    ends = np.array([0.5**54, 0.5**31, 1.0 - 0.5**31, 1.0 - 0.5**53])
-    drawn = quantiles(vary, ends)
-    assert np.all(np.isfinite(drawn))
-    assert np.all(np.diff(drawn) >= 0.0)
-    np.testing.assert_allclose(asked.cdf(drawn), ends, rtol=1e-6, atol=1e-12)
-
-
 def test_a_choice_comes_as_often_as_its_weights_say() -> None:
     vary = Vary(parameter="x", distribution="choice", values=(5.0, 7.0, 9.0), weights=(1.0, 0.0, 3.0))
     drawn = quantiles(vary, unit_points("sobol", 1, 1024, 1, 0, 1024)[:, 0])
@@ -197,16 +186,6 @@ def test_random_points_are_independent_of_one_another(dimensions: int) -> None:
     assert stats.kstest(points.ravel(), "uniform").pvalue > 0.01
     neighbours = np.corrcoef(points[1:].T, points[:-1].T)
     assert np.abs(neighbours - np.eye(2 * dimensions)).max() < 0.06
-
-
-@POINTS
-@settings(max_examples=30, deadline=None)
-@given(ends=st.tuples(st.integers(0, 300), st.integers(0, 300)))
-def test_a_runs_points_are_the_same_whatever_the_range(sampling: Any, ends: tuple[int, int]) -> None:
-    first, last = sorted(ends)
-    np.testing.assert_array_equal(
-        unit_points(sampling, 11, 300, 6, first, last), unit_points(sampling, 11, 300, 6, 0, 300)[first:last]
-    )
 
 
 def flat(item: Any, path: str = "") -> dict[str, Any]:
@@ -407,27 +386,6 @@ def mixed(**keys: Any) -> Plan:
     )
 
 
-def test_the_inputs_are_columns_by_their_names() -> None:
-    campaign = mixed()
-    inputs = campaign.inputs(0, 256)
-    assert tuple(inputs) == campaign.input_names
-    assert campaign.input_names == (
-        "manoeuvre",
-        "rotor.11.spin",
-        "gimbal.9.inertia",
-        "initial.alpha9",
-        "fault.deaf.at",
-        "fault.deaf",
-        "fault.power",
-    )
-    assert [column.dtype.kind for column in inputs.values()] == ["U", "f", "f", "f", "f", "b", "b"]
-    assert all(column.shape == (256,) for column in inputs.values())
-    # Sobol points meet probabilities of a quarter exactly.
-    assert int((inputs["manoeuvre"] == "push").sum()) == 64
-    assert int(inputs["fault.deaf"].sum()) == 64
-    assert int(inputs["fault.power"].sum()) == 128
-
-
 def test_a_run_is_simulated_with_its_inputs() -> None:
     campaign = mixed()
     inputs = campaign.inputs(0, 64)
@@ -480,16 +438,6 @@ def test_noise_is_keyed_by_the_campaigns_seed_and_the_runs_number() -> None:
     assert runs[0].seed != 3
 
 
-def test_a_job_without_a_campaign_flies_its_manoeuvres_with_noise_alone() -> None:
-    campaign = plan(job(), [], runs=10)
-    assert (campaign.runs, campaign.seed, campaign.sampling, campaign.step) == (10, 7, "sobol", 1e-4)
-    assert campaign.input_names == ("manoeuvre",)
-    for scenario in campaign.scenarios(0, 10):
-        nominal = campaign.nominal[0 if scenario.mode == "caged" else 1]
-        assert set(changed(nominal, scenario)) <= {".seed", ".run"}
-    assert {scenario.mode for scenario in campaign.scenarios(0, 10)} == {"caged", "stabilised"}
-
-
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
@@ -516,16 +464,3 @@ def test_what_makes_no_plan_is_refused_in_one_line(ask: Any, words: str) -> None
         ask()
     assert words in str(caught.value)
     assert str(caught.value).isprintable()
-
-
-def test_what_a_plant_file_accepts_is_accepted() -> None:
-    made = planned(
-        uniform("rotor.6.axial_inertia", 0.9, 1.1),
-        uniform("rotor.6.transverse_inertia", 0.95, 1.1),
-        uniform("friction.5.coulomb", 0.5, 1.2),
-        uniform("friction.9.coulomb", 0.0, 5.0),
-        uniform("torquer.Q4.limit", 0.0, 2.0),
-        Vary(parameter="torquer.Q5.limit", distribution="log-normal", numbers={"median": 0.2, "deviation": 0.3}),
-        uniform("manoeuvre.rate", -1.0, 1.0),
-    )
-    assert len(made.varied) == 7

@@ -10,9 +10,7 @@ from scipy import stats
 
 from platform_ctrl.campaign.influences import influences
 from platform_ctrl.campaign.probability import clopper_pearson
-from platform_ctrl.campaign.table import input_names, read_columns
 from platform_ctrl.campaign.table_statistics import statistics
-from platform_ctrl.errors import ArgumentError, InputError
 
 LIMITS = {"turn": {"angle": 0.003, "torque_share": 1.0}, "push": {"angle": 0.002, "attitude": 0.01}}
 
@@ -106,37 +104,6 @@ def test_the_worst_runs_are_those_with_the_largest_ratios():
     worst = found.of("angle", "turn").worst[1]
     assert worst.value == table["angle"][worst.run]
     assert (worst.manoeuvre, worst.limit) == ("turn", 0.003)
-
-
-def test_parquet_files_say_the_same_as_columns(tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
-
-    table = table_of_runs(2500)
-    whole = pyarrow.table(table)
-    parquet.write_table(whole.slice(0, 1000), tmp_path / "a.parquet")
-    parquet.write_table(whole.slice(1000), tmp_path / "b.parquet")
-    paths = [tmp_path / "a.parquet", tmp_path / "b.parquet"]
-    one, other = statistics(table, LIMITS), statistics(paths, LIMITS)
-    assert [(a.requirement, a.manoeuvre, a.violation.events, a.quantiles) for a in one.requirements] == [
-        (a.requirement, a.manoeuvre, a.violation.events, a.quantiles) for a in other.requirements
-    ]
-    assert [w.run for w in one.worst] == [w.run for w in other.worst]
-    assert input_names(paths) == ("manoeuvre", "rotor.11.spin", "root.inertia", "dead torquer")
-    first, second = influences(table, LIMITS), influences(paths, LIMITS)
-    assert [(one.parameter, one.p_value) for one in first] == [(one.parameter, one.p_value) for one in second]
-
-
-def test_a_table_that_cannot_be_read_is_told_in_one_line(tmp_path):
-    pytest.importorskip("pyarrow")
-    broken = tmp_path / "broken.parquet"
-    broken.write_bytes(b"no parquet at all")
-    with pytest.raises(InputError, match="cannot be read"):
-        read_columns(broken, ("run",))
-    with pytest.raises(ArgumentError, match="no column 'angel'"):
-        read_columns({"run": [1]}, ("angel",))
-    with pytest.raises(ArgumentError, match="one length"):
-        read_columns({"run": [1], "angle": [1.0, 2.0]}, ("run", "angle"))
 
 
 def test_what_drives_the_campaign_s_requirements_is_found():

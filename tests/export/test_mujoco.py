@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import tempfile
 import tomllib
 from pathlib import Path
@@ -19,7 +18,7 @@ from every_key import meaning
 from oracle_trees import for_all, sprung, unbalanced
 from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, simulation
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
 from platform_ctrl.export.mujoco.mjcf_writer import REGULATED
 from platform_ctrl.job.job import Faults, Job, Uncertainty, manoeuvre_scenario
@@ -353,60 +352,6 @@ def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
             assert np.allclose(found.moment, given.moment, rtol=1e-9, atol=0.0)
 
 
-def test_the_file_lists_what_it_leaves_out(tmp_path: Path) -> None:
-    notes = write_mjcf(pc.read_platform("gyro_horizon"), tmp_path / "p.xml", root="fixed")
-    assert notes == (
-        "dry friction of outer, inner: MuJoCo's frictionloss, the mean of both directions, in place of a smooth curve",
-        "erection of outer, inner: left out; add it to the control of a torquer",
-        "stops of inner: contacts that give a little, in place of impacts",
-    )
-    text = (tmp_path / "p.xml").read_text()
-    assert all(f"<!-- {note} -->" in text for note in notes)
-    write_mjcf(pc.read_platform("gyro_horizon"), tmp_path / "q.xml", root="fixed")
-    assert (tmp_path / "q.xml").read_text() == text
-
-
-BARE = {"schema": 1, "root": {"name": '<r&d> --- "x"', "inertia": [1, 1, 1]}, "source": "a---b, <c> & d-"}
-WHEELED = {"rotor": [{"name": "ω", "carrier": BARE["root"]["name"], "axis": [0, 0, -1], "spin": -3.0}]}  # type: ignore[index]
-WHEELED["rotor"][0] |= {"axial_inertia": 1e-3, "transverse_inertia": 1e-3}
-
-
-@pytest.mark.parametrize("root", ["free", "prescribed", "fixed"])
-@pytest.mark.parametrize("more", [{}, WHEELED], ids=["bare", "wheel"])
-def test_a_platform_without_gimbals_and_names_with_marks_are_models_too(more: Any, root: Any, tmp_path: Path) -> None:
-    platform = pc.read_platform(BARE | {"name": 'one "& only" <plant>'} | more)
-    run = Run(platform, tmp_path, root=root)
-    mujoco.mj_step(run.model, run.data, 10)
-    assert (tmp_path / "plant.xml").read_text().count("a- - -b, <c> & d-") == 1
-    if more:
-        assert run.data.joint("spin ω").qpos[0] == pytest.approx(-3.0 * 1e-3)
-        [rotor] = read_mjcf(tmp_path / "plant.xml").rotors
-        assert (rotor.carrier, rotor.spin) == (platform.root_name, pytest.approx(-3.0))
-    else:
-        with pytest.raises(InputError, match=r"has no (gimbal|body)"):
-            read_mjcf(tmp_path / "plant.xml")
-
-
-def test_arguments_that_make_no_sense_are_refused(tmp_path: Path) -> None:
-    platform = pc.read_platform("rate_gyro")
-    for wrong in ({"root": "loose"}, {"step": 0.0}, {"step": np.nan}):
-        with pytest.raises(ArgumentError):
-            write_mjcf(platform, tmp_path / "p.xml", **wrong)
-    with pytest.raises(ArgumentError, match="'world' is used twice or reserved in MuJoCo"):
-        write_mjcf(
-            dataclasses.replace(
-                platform,
-                root_name="world",
-                gimbals=tuple(dataclasses.replace(g, parent="world") for g in platform.gimbals),
-                unbalances=(),
-            ),
-            tmp_path / "p.xml",
-        )
-    with pytest.raises(InputError, match="cannot be written"):
-        write_mjcf(platform, tmp_path / "nowhere" / "p.xml")
-    assert list(tmp_path.iterdir()) == []
-
-
 WHEEL = """
 <mujoco model="pendulum with a wheel">
   <worldbody>
@@ -487,9 +432,9 @@ GYRO = """
 """
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.02])
-@pytest.mark.parametrize("axis", ["0 0 1", "0 1 0", "0 0.6 0.8"])
-@pytest.mark.parametrize("place", ["first", "carried", "both"])
+@pytest.mark.parametrize(
+    ("offset", "axis", "place"), [(0.0, "0 0 1", "first"), (0.02, "0 1 0", "carried"), (0.02, "0 0.6 0.8", "both")]
+)
 def test_the_joint_of_a_balanced_gimbal_may_lie_anywhere(offset: float, axis: str, place: str, tmp_path: Path) -> None:
     gyros = {
         "first": GYRO.format(k=1, at="0 0.1 -0.3", axis=axis) if place != "carried" else "",
@@ -523,17 +468,12 @@ def test_the_joint_of_a_balanced_gimbal_may_lie_anywhere(offset: float, axis: st
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('name="swing"', 'name="swing" type="slide"', "must hang on exactly one hinge"),
-        ('name="turn"', 'name="turn" armature="1e-6"', "has an armature on its hinge"),
         ("<motor ", '<position kp="3" ', "is no motor"),
         ('ctrlrange="-1 1"', 'ctrlrange="-1 2"', "must be equal to both sides"),
-        ('joint="swing" gear', 'joint="slip" gear', "is no model that MuJoCo takes"),
         ("<sensor>", '<equality><joint joint1="swing"/></equality><sensor>', "has equality constraints"),
         ('<joint name="turn" axis="0 0 1"/>', '<joint name="turn" axis="0 1 0" pos="0 0.1 0.3"/>', "meets neither"),
         ("</mujoco>", "", "is no model that MuJoCo takes"),
-        ('damping="0.01"', 'damping="nan"', "holds a number that is NaN"),
         ('pos="0 0 0.2"', 'pos="0 0 1e60"', "is huge or not finite"),
-        ("<joint", "<freejoint/><joint", "is no model that MuJoCo takes"),
     ],
 )
 def test_a_model_that_is_no_platform_is_one_line(
@@ -547,12 +487,3 @@ def test_a_model_that_is_no_platform_is_one_line(
     assert [file.name for file in tmp_path.iterdir()] == ["wheel.xml"]  # MuJoCo keeps no log of it
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(f"{path}: ")
-
-
-def test_reading_without_mujoco_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_mjcf(pc.read_platform("rate_gyro"), tmp_path / "p.xml")
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(InputError, match="pip install mujoco"):
-        read_mjcf(tmp_path / "p.xml")
-    with pytest.raises(InputError, match="there is no such file"):
-        read_mjcf(tmp_path / "q.xml")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from platform_ctrl import read_job
-from platform_ctrl.cli import main
 from platform_ctrl.export.mujoco.mjcf_reader import read_mjcf
 from platform_ctrl.export.mujoco.mjcf_writer import write_mjcf
 from platform_ctrl.job.scenario import Scenario
@@ -29,16 +28,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     record = {"schema": 1, "controllers": [{**one, **matrices, "delay": 0.0}]}
     (tmp_path / "job.controllers.json").write_text(json.dumps(record), encoding="utf-8")
     return tmp_path
-
-
-def test_every_format_has_the_sensors_that_it_can_have(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = {"c": "c", "mat": "m.mat", "models": "m.json", "csv": "csv", "mjcf": "m.xml"}
-    options = [word for flag, name in files.items() for word in (f"--{flag}", name)]
-    assert main(["export", "job.toml", *options, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert {one["format"] for one in answer["written"]} == set(files)
-    code = "".join(path.read_text(encoding="utf-8") for path in (folder / "c").glob("*.h"))
-    assert "gyro2" in code
 
 
 def test_the_mujoco_model_says_where_its_readings_are_and_reads_back(folder: Path) -> None:

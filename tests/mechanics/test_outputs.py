@@ -7,7 +7,6 @@ from scipy.linalg import logm
 from scipy.spatial.transform import Rotation
 
 import platform_ctrl as pc
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 
@@ -118,12 +117,3 @@ def test_a_slow_gyro_is_a_butterworth_low_pass_with_its_scale_factor():
         rows = np.asarray(out(s))
         expected = 1.01 * low_pass(s) * (np.array(list(weights.values())) @ rows[1:])
         np.testing.assert_allclose(rows[0], expected, rtol=1e-9)
-
-
-def test_what_is_not_there_or_not_linear_is_refused():
-    platform = pc.read_platform(GIMBAL)
-    turning = pc.state_space(pc.linearise(platform, Omega=[0, 0, 0.1]))
-    with pytest.raises(ArgumentError, match="no output 'los_rate9'"):
-        observed(turning, platform, ["los_rate9"])
-    with pytest.raises(ArgumentError, match="about rest alone; give Omega = 0"):
-        observed(turning, platform, ["tracker"], Omega=[0, 0, 0.1])

@@ -351,25 +351,11 @@ def test_without_spin_no_rotor_gives_any_momentum(platform):
         np.testing.assert_allclose(np.asarray(sys(2j)), np.asarray(full(2j)), rtol=1e-9, atol=1e-6)
 
 
-def test_a_platform_without_gimbals_has_nothing_to_refuse():
-    platform = read_platform({"schema": 1, "name": "bare", "root": {"name": "base", "inertia": [1, 1, 1]}})
-    whole = precession(linearise(platform))
-    assert whole.admissible
-    assert whole.parts == ()
-    assert whole.summary() == "no gimbals: nothing precesses"
-    assert whole.state_space().nstates == 0
-    np.testing.assert_array_equal(whole.error([1.0, 2.0]), 0)
-
-
 def test_wrong_questions_get_one_line(platform):
     model = linearise(platform)
     with pytest.raises(ArgumentError, match="coupled"):
         precession(model, gimbals=("9",))
     with pytest.raises(ArgumentError, match="loop_frequency"):
         precession(model, loop_frequency=0.0)
-    with pytest.raises(ArgumentError, match="separation"):
-        precession(model, separation=-1.0)
     with pytest.raises(ArgumentError, match="must be above 0"):
         precession(model, ("9", "10")).error([1.0, 0.0])
-    with pytest.raises(ArgumentError, match="did you mean '10'"):
-        precession(model).part("100")

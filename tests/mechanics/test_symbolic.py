@@ -288,16 +288,6 @@ def test_force_elements_enter_27_as_they_enter_the_linear_model(terms):
         assert numbers.get("1", 0.0) == pytest.approx(torque, abs=1e-13)
 
 
-def test_what_is_left_out_of_the_equations_is_said():
-    notes = equations(read_platform(ELEMENTS), "sympy").notes
-    assert notes[:3] == (
-        "dry friction of gimbal 2 is left out: it has no slope at rest",
-        "dry friction of gimbal 12 is left out: it has no slope at rest",
-        "cage of gimbal 2 is left out: within its clearance it does not act",
-    )
-    assert notes[3].startswith("G_R of ")
-
-
 # Names
 
 
@@ -410,15 +400,3 @@ def test_wrong_options_are_refused_in_one_line(options, message):
     with pytest.raises(ArgumentError, match=re.escape(message)) as caught:
         equations(GYROS, **options)
     assert "\n" not in str(caught.value)
-
-
-def test_exact_form_of_a_deep_tree_is_refused():
-    gimbals = [
-        {"name": str(k), "parent": str(k - 1) if k else "base", "axis": [1, 0, 0], "inertia": [1, 1, 1]}
-        for k in range(4)
-    ]
-    platform = read_platform(
-        {"schema": 1, "name": "deep", "root": {"name": "base", "inertia": [1, 1, 1]}, "gimbal": gimbals}
-    )
-    with pytest.raises(ArgumentError, match="order: None is possible up to 5 gimbals, 3 deep, not for 4, 4 deep"):
-        equations(platform, order=None)

@@ -150,19 +150,6 @@ def test_amplitudes_follow_from_the_frequency_unless_given(platform):
     assert one(table, "10", "L11·Ω2·β10").size == pytest.approx(0.15 * 2 * 0.5 / 4)
 
 
-def test_the_specific_force_given_stands_in_for_the_platforms_own(platform):
-    platform = with_elements(platform, np.random.default_rng(0))
-    f = np.array([4.0, -8.0, 2.0])
-    loaded = dataclasses.replace(platform, specific_force=f)
-
-    def rows(platform, **given):
-        table = terms(platform, (1, 0, 0), np.full(5, 0.1), **given)
-        return [(term.label, term.factor) for term in table.terms]
-
-    assert rows(platform, specific_force=f) == rows(loaded)
-    assert rows(platform) != rows(loaded)
-
-
 def test_a_free_rotor_is_named_by_its_p_and_has_no_axial_inertia(platform):
     rotors = tuple(dataclasses.replace(rotor, control="free") for rotor in platform.rotors)
     table = terms(dataclasses.replace(platform, rotors=rotors), (1, 1, 1), np.full(5, 0.1))

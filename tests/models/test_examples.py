@@ -30,12 +30,6 @@ def table(text: str) -> Iterator[tuple[str, float, float, float]]:
         yield quantity, float(theory), float(computed), float(percent or 0.1) / 100.0
 
 
-def test_a_table_is_read_from_its_head_to_its_end() -> None:
-    text = "a run 1 2\nquantity  theory  computed\nsize at 2 deg, m  -1e-05  2\n"
-    text += "angle  0.5  0.51  (theory to 3 %)\n\n1 2 3\n"
-    assert list(table(text)) == [("size at 2 deg, m", -1e-5, 2.0, 0.001), ("angle", 0.5, 0.51, 0.03)]
-
-
 @pytest.mark.parametrize("name", MODELS)
 def test_the_example_of_a_model_agrees_with_theory_and_draws_it(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import tomllib
 from math import atan, cos, degrees, pi, radians, sin, sqrt, tan
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import platform_ctrl as pc
 from platform_ctrl.errors import MechanicsError
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.rotors import with_free_rotors
-from platform_ctrl.plant.source import platform_source, shipped_models
+from platform_ctrl.plant.source import platform_source
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = sorted(file.stem for file in (ROOT / "models").glob("*.toml"))
@@ -64,55 +63,6 @@ def unmarked(text: str) -> list[str]:
 @MODEL
 def test_every_number_of_a_model_says_whether_it_is_published_or_assumed(name: str) -> None:
     assert unmarked(platform_source(name)) == []
-
-
-def test_a_number_without_a_mark_is_found() -> None:
-    text = 'schema = 1\nname = "4"\na = 1 # P: book\nb = 2\nc = [\n 1,\n] # A\nd = [\n 1, # A: so\n 2,\n]\ne = 3 # Pa\n'
-    assert unmarked(text) == ["b = 2", "d = [", "e = 3"]
-
-
-def declared_sources(text: str) -> dict[str, str]:
-    """Short names and texts of the sources in the head, in their order."""
-    block = re.search(r"^# Sources of what is marked P.*\n((?:#   .*\n)+)", text, re.MULTILINE)
-    lines = re.findall(r"#(   +)(.*)\n", block[1]) if block else []
-    sources: dict[str, str] = {}
-    for indent, line in lines:
-        if len(indent) == 3:
-            name, _, said = line.partition(": ")
-            sources[name] = said
-        else:
-            sources[name] += " " + line
-    return sources
-
-
-def marked_sources(text: str) -> list[str]:
-    """The short name in every mark P, empty where it names none."""
-    comments = [comment for lines in statements(text) for _, comment in lines]
-    return [found[1].strip() for comment in comments if (found := re.match(r"#\s*P\b([A-Z\d ]*)(?=:|\s*$)", comment))]
-
-
-@MODEL
-def test_everything_published_names_its_source(name: str) -> None:
-    text = platform_source(name)
-    declared, marked = declared_sources(text), marked_sources(text)
-    if not marked:
-        assert not declared
-        return
-    used = {source or next(iter(declared)) for source in marked}
-    assert used == set(declared)
-    for source, said in declared.items():
-        assert re.fullmatch(r"[A-Z\d]+", source)
-        assert len(said.split()) >= 5, f"{source} is not told apart: {said}"
-    assert tomllib.loads(text)["source"]
-    assert name in shipped_models()
-
-
-def test_sources_are_read_from_the_head_and_from_the_marks() -> None:
-    text = "# A gyro.\n# Sources of what is marked P:\n#   BOOK: a book,\n#     1976\n#   LAB: a lab\n"
-    text += "# Sums:\n#   J: 3\n\nschema = 1\n"
-    text += "a = 1 # P: page 3\nb = 2 # P LAB: so\nc = 3 # A: Pa\nd = 4 # P\n"
-    assert declared_sources(text) == {"BOOK": "a book, 1976", "LAB": "a lab"}
-    assert marked_sources(text) == ["", "LAB", ""]
 
 
 @MODEL

@@ -14,7 +14,7 @@ import pytest
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.feedback import sensitivity_functions, series
+from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation.batch import compile_kernel
@@ -49,16 +49,6 @@ def test_arrays_that_do_not_fit_one_another_or_are_not_finite_are_refused(name: 
             given[place] = wrong
             with pytest.raises(ArgumentError):
                 function(StateArrays(*given, dt=0.1))
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [np.ones((3, 2)), np.ones(3), np.float64(1.0), np.ones((0, 0)), [["a"]], None],
-    ids=lambda w: str(np.shape(w)),
-)
-def test_sensitivities_need_square_matrices(wrong: Any) -> None:
-    with pytest.raises(ArgumentError):
-        sensitivity_functions(wrong)
 
 
 KEPT = {

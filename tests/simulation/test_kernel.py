@@ -177,12 +177,6 @@ def test_a_run_that_diverges_leaves_those_beside_it_and_after_it_alone():
     np.testing.assert_array_equal(beside[others], together[others])
 
 
-def test_no_runs_and_no_steps_are_none():
-    assert rollout(THREE, np.zeros((0, 3)), np.zeros((0, 6)), every=1).q_history.shape == (0, 1001, 3)
-    q, velocity, _ = a_start(THREE, 3)
-    np.testing.assert_array_equal(rollout(THREE, q, velocity, steps=0, every=5).q_history, q[:, None])
-
-
 def test_one_compilation_does_for_every_plant():
     from platform_ctrl.simulation.kernel.advance import advance, carrier_rates
 

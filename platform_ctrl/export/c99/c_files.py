@@ -12,6 +12,7 @@ import numpy as np
 from platform_ctrl.analysis.anti_windup import back_calculation
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
@@ -84,6 +85,7 @@ def write_c(
     DesignError
         A controller cannot be written in this number type.
     """
+    one_of("number", number, ("double", "float"))
     controllers = controllers_of(job, entries)
     named = [name for one in controllers for name in (*one.inputs, *one.outputs)]
     signals = field_names([*named, *drive_inputs(job, named)])
