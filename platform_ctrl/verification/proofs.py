@@ -20,7 +20,6 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
@@ -28,6 +27,7 @@ from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.design.loop import LoopDesign, requirements_of
+from platform_ctrl.design.partition import side_by_side
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import STABLE, CheckResult, Requirement, Stage
@@ -124,10 +124,8 @@ def with_proofs(
     words = next((f"not proved: {one}" for one in proofs.claims if not one.proved), words)
     stage: Stage = "decoupled" if design else "coupled"
     share = proofs.proved / count
-    return [
-        *results,
-        PROVED.judge(share, subject=subject, design=design, stage=stage, evidence=words, method="proved"),
-    ]
+    judged = PROVED.judge(share, subject=subject, design=design, stage=stage, evidence=words, method="proved")
+    return [*results, judged]
 
 
 def proofs_of(spec: LoopSpec, design: LoopDesign) -> Proofs:
@@ -145,8 +143,7 @@ def proofs_of(spec: LoopSpec, design: LoopDesign) -> Proofs:
     required = np.zeros(len(plants.labels))
     for one in requirements_of(spec):
         if one.kind == "disk margin" and one.hard:
-            chosen = measures.of(one.over)
-            required[chosen] = np.maximum(required[chosen], one.limit)
+            np.maximum.at(required, measures.of(one.over), one.limit)
     claims: list[Claim] = []
     for k in np.flatnonzero(measures.decay > 0.0):
         P, label, measured = plants.arrays.at(k), plants.labels[k], _OF_MARGIN * measures.disk_margin[k]
@@ -163,12 +160,17 @@ def coupled_proofs(check: CoupledCheck, controllers: Sequence[control.StateSpace
         return Proofs()
     samples = round(check.period / check.plant.dt)
     states = check.plant.nstates + sum(K.nstates for K in controllers)
-    left_out = _too_many(states) or ("" if samples <= _MOST_SAMPLES else f"a cycle of {samples} samples")
-    if left_out:
+    if left_out := _too_many(states) or ("" if samples <= _MOST_SAMPLES else f"a cycle of {samples} samples"):
         return Proofs(left_out=left_out)
-    together = _side_by_side if check.controller is not None else _over_a_period
+    if check.controller is not None:
+        loop = _side_by_side(check.plant, controllers)
+    else:
+        # All samples after which the order of the controllers repeats are one step.
+        P = state_arrays(check.plant, "coupled plant")
+        by_sample = interconnected_by_sample(controllers, check.plant.output_labels, check.plant.input_labels, P.dt)
+        loop = lifted([P] * len(by_sample)), lifted(by_sample)
     decay = -float(np.log(np.abs(check.poles).max(initial=1e-300))) / check.period
-    return Proofs(claims=(_stability(*together(check.plant, controllers), "all controllers", decay),))
+    return Proofs(claims=(_stability(*loop, "all controllers", decay),))
 
 
 def _too_many(states: int) -> str:
@@ -182,7 +184,7 @@ def _stability(P: StateArrays, K: StateArrays, label: str, decay: float) -> Clai
 
 
 def _disk_margin(P: StateArrays, K: StateArrays, label: str, margin: float) -> Claim:
-    bits = _decided(lambda: all(_norm_below(loop, 1 / _ball(margin)) for loop in (_loop(P, K), _loop(K, P))))
+    bits = _decided(lambda: all(_norm_below(loop, 1 / flint().arb(margin)) for loop in (_loop(P, K), _loop(K, P))))
     return Claim(plant=label, kind="disk margin", bound=margin, bits=bits)
 
 
@@ -198,21 +200,14 @@ def _decided(claim: Callable[[], bool]) -> int:
     return 0
 
 
-def _ball(number: float) -> Balls:
-    return flint().arb(float(number))
-
-
 def _balls(array: FloatArray) -> Balls:
     """Return a matrix of doubles as balls of radius zero."""
-    rows, columns = array.shape
-    matrix = flint().arb_mat
-    return matrix(array.tolist()) if rows and columns else matrix(rows, columns)
+    return flint().arb_mat(*array.shape, array.ravel().tolist())
 
 
 def _blocks(rows: Sequence[Sequence[Balls]]) -> Balls:
-    out = [[x for part in row for x in part.tolist()[i]] for row in rows for i in range(row[0].nrows())]
-    columns = sum(part.ncols() for part in rows[0])
-    return flint().arb_mat(out) if out and columns else flint().arb_mat(len(out), columns)
+    out = [x for row in rows for i in range(row[0].nrows()) for part in row for x in part.tolist()[i]]
+    return flint().arb_mat(sum(row[0].nrows() for row in rows), sum(part.ncols() for part in rows[0]), out)
 
 
 def _loop(P: StateArrays, K: StateArrays) -> tuple[Balls, Balls, Balls, Balls]:
@@ -228,12 +223,12 @@ def _loop(P: StateArrays, K: StateArrays) -> tuple[Balls, Balls, Balls, Balls]:
     into = _blocks([[B], [B_K * D]])
     zeros = flint().arb_mat
     alone = _blocks([[A, zeros(A.nrows(), A_K.nrows())], [B_K * C, A_K]])
-    return alone + into * F, into * E, F, E - _ball(0.5) * eye
+    return alone + into * F, into * E, F, E - flint().arb(0.5) * eye
 
 
 def _decays(A: Balls, rate: float) -> bool:
     """Return whether all eigenvalues of A lie within exp(−rate)."""
-    n, step = A.nrows(), _ball(rate).exp()
+    n, step = A.nrows(), flint().arb(rate).exp()
     p = [c * step ** (n - k) for k, c in enumerate(A.charpoly().coeffs())]
     while len(p) > 1:
         # z^k p(1/z) in p's place removes the constant term; the ratio is the product of the zeros.
@@ -258,9 +253,8 @@ def _norm_below(loop: tuple[Balls, Balls, Balls, Balls], level: Balls) -> bool:
         return False
     gain = R.inv()
     F = A + B * gain * D.transpose() * C
-    G = B * gain * B.transpose()
     Q = C.transpose() * C + C.transpose() * D * gain * D.transpose() * C
-    coefficients = _blocks([[F, G], [-1 * Q, -1 * F.transpose()]]).charpoly().coeffs()
+    coefficients = _blocks([[F, B * gain * B.transpose()], [-1 * Q, -1 * F.transpose()]]).charpoly().coeffs()
     # An even polynomial: in x of s = j sqrt(x).
     return _no_positive_root([-c if k % 2 else c for k, c in enumerate(coefficients[::2])])
 
@@ -277,7 +271,7 @@ def _no_positive_root(p: list[Balls]) -> bool:
         if not (abs(p[0]) > 0 and abs(p[-1]) > 0):
             return False
         # Divided at the geometric mean of the roots, moved to 1: p(x + 1) is the upper part, that of 1/x the lower one.
-        scale = _ball(2.0) ** round(float((abs(p[0]) / abs(p[-1])).log()) / len(p[1:]) / float(np.log(2.0)))
+        scale = flint().arb(2) ** round(float((abs(p[0]) / abs(p[-1])).log()) / len(p[1:]) / float(np.log(2.0)))
         poly = flint().arb_poly
         p = [c * scale**k for k, c in enumerate(p)]
         parts += [poly(half)(poly([1, 1])).coeffs() for half in (p, p[::-1])]
@@ -293,30 +287,14 @@ def _side_by_side(
     then contains that control itself.
     """
     P = state_arrays(plant, "coupled plant")
-    parts = [state_arrays(K, "controller") for K in controllers]
     made = [name for K in controllers for name in K.output_labels]
     taken = [name for K in controllers for name in K.input_labels]
-    inputs, outputs = list(plant.input_labels), list(plant.output_labels)
-    B = np.zeros((len(P.A), len(made)))
-    C = np.zeros((len(taken), len(P.A)))
-    D = np.zeros((len(taken), len(made)))
-    acting = [j for j, name in enumerate(made) if name in inputs]
-    columns = [inputs.index(made[j]) for j in acting]
-    B[:, acting] = P.B[:, columns]
-    for i, name in enumerate(taken):
-        if name in outputs:
-            row = outputs.index(name)
-            C[i], D[i, acting] = P.C[row], P.D[row, columns]
-        elif name in made:  # else nobody commands it: zero
-            D[i, made.index(name)] = 1.0
-    A_K, B_K, C_K, D_K = (np.asarray(block_diag(*(part[i] for part in parts)), dtype=np.float64) for i in range(4))
-    return StateArrays(P.A, B, C, D, P.dt), StateArrays(A_K, B_K, C_K, D_K, P.dt)
+    # Entries 0 and 1 alone: products with them round nothing.
+    into, out = _same(plant.input_labels, made), _same(taken, plant.output_labels)
+    earlier = _same(["" if name in plant.output_labels else name for name in taken], made)
+    together = side_by_side(*(state_arrays(K, "controller") for K in controllers))
+    return StateArrays(P.A, P.B @ into, out @ P.C, out @ P.D @ into + earlier, P.dt), together
 
 
-def _over_a_period(
-    plant: control.StateSpace, controllers: Sequence[control.StateSpace]
-) -> tuple[StateArrays, StateArrays]:
-    """Return plant and all controllers over the samples after which their order repeats, as one step each."""
-    P = state_arrays(plant, "coupled plant")
-    by_sample = interconnected_by_sample(controllers, plant.output_labels, plant.input_labels, P.dt)
-    return lifted([P] * len(by_sample)), lifted(by_sample)
+def _same(rows: Sequence[str], columns: Sequence[str]) -> FloatArray:
+    return np.array([float(row == column) for row in rows for column in columns]).reshape(len(rows), len(columns))
