@@ -238,20 +238,12 @@ def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
     return weakest
 
 
-def require_stabilisable(
-    plant: Partition, P: StateSpace, where: str = "hinf", scaled: ScaledPlant | None = None
-) -> None:
-    """Raise a NotStabilisableError that names a mode which u cannot stabilise from y.
-
-    The plant may be in the w-plane of a sampled P; `scaled` is the same plant, if it is available.
-    """
-    sigma, word, pole = weakest_mode(scaled or autoscaled_with_gain(plant))
+def require_stabilisable(plant: Partition, P: StateSpace, where: str = "hinf") -> None:
+    """Raise a NotStabilisableError that names a mode which u cannot stabilise from y."""
+    sigma, word, pole = weakest_mode(autoscaled_with_gain(plant))
     if word and sigma < RANK_LOSS:
         verb = "no control u moves" if word == "stabilisable" else "no measurement y sees"
-        at = f"{pole.real:.4g}{pole.imag:+.4g}j rad/s"
-        if P.dt:
-            z = pole if plant.dt else (1 + 0.5 * P.dt * pole) / (1 - 0.5 * P.dt * pole)
-            at = f"z = {z.real:.6g}{z.imag:+.4g}j"
+        at = f"z = {pole.real:.6g}{pole.imag:+.4g}j" if plant.dt else f"{pole.real:.4g}{pole.imag:+.4g}j rad/s"
         raise NotStabilisableError(
             f"{where}: the plant is not {word}: {verb} the mode at {at}; put weights with such modes inside the loop, "
             "or shift their poles to the left",
@@ -268,23 +260,22 @@ def named(direction: FloatArray, labels: Sequence[str]) -> str:
 def require_assumptions(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
     """Raise an IllPosedError where D12 or D21 loses rank or an invariant zero lies on the stability boundary."""
     cure = f'{REGULARISE}, or method="lmi", which needs none of this' if where.startswith("hinf") else REGULARISE
-    nu, ny = scaled.plant.B2.shape[1], scaled.plant.C2.shape[0]
-    if scaled.control_rank < nu:
-        lost = np.abs(scaled.control[:, scaled.control_rank :]).sum(axis=1)
+    (ny, nu), r, s = scaled.D22.shape, scaled.control_rank, scaled.measurement_rank
+    controls = named(np.abs(scaled.control[:, r:]).sum(axis=1), P.input_labels[-nu:])
+    measured = named(np.abs(scaled.measurement[s:]).sum(axis=0), P.output_labels[-ny:])
+    if r < nu:
         raise IllPosedError(
-            f"{where}: D12 must have full column rank {nu}, but has {scaled.control_rank}: z does not contain "
-            f"{named(lost, P.input_labels[-nu:])} directly; add a small weight on every control to z, or {cure}",
+            f"{where}: D12 must have full column rank {nu}, but has {r}: z does not contain {controls} directly; add a "
+            f"small weight on every control to z, or {cure}",
             P,
         )
-    if scaled.measurement_rank < ny:
-        lost = np.abs(scaled.measurement[scaled.measurement_rank :]).sum(axis=0)
+    if s < ny:
         raise IllPosedError(
-            f"{where}: D21 must have full row rank {ny}, but has {scaled.measurement_rank}: no w disturbs "
-            f"{named(lost, P.output_labels[-ny:])} directly; add a small noise on every measurement to w, or {cure}",
+            f"{where}: D21 must have full row rank {ny}, but has {s}: no w disturbs {measured} directly; add a small "
+            f"noise on every measurement to w, or {cure}",
             P,
         )
-    found = zero_on_boundary(scaled.plant)
-    if found is None:
+    if (found := zero_on_boundary(scaled.plant)) is None:
         return
     what, zero, states = found
     if scaled.plant.dt:

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.common.arguments import one_of, positive, short
+from platform_ctrl.common.arguments import one_of, positive, short, within
 from platform_ctrl.common.values import value
 from platform_ctrl.design.partition import (
     Partition,
@@ -193,10 +193,10 @@ def hinf(
         one_of("hinf: method", method, ("lmi", "riccati"))
     backoff = positive("hinf: backoff", backoff)
     require_time_limit("hinf", time_limit)
-    require_regularisation("hinf", method or "riccati", regularise)
+    if method == "lmi" and regularise is not None:
+        raise ArgumentError('hinf: regularise needs method="riccati", got method="lmi"')
     plant = partition(P, nmeas, ncon, sampled=True)
-    if plant.dt:
-        require_stabilisable(plant, P, "hinf")
+    require_stabilisable(plant, P, "hinf")
     try:
         flat = in_w_plane(plant)
     except ArgumentError:
@@ -205,8 +205,6 @@ def hinf(
             "sample with another period, or close a small gain from y to u first",
             P,
         ) from None
-    if not plant.dt:
-        require_stabilisable(flat, P, "hinf")
 
     def by(route: HinfMethod, reason: str = "") -> Synthesis:
         try:
@@ -244,6 +242,8 @@ def or_regularised(solve: Callable[[Partition], Found], plant: Partition, size: 
 
     With the residuals it then says what was added, and which least level, called `what`, a tenth of it would give.
     """
+    if size is not None:
+        within("regularise", size, 1e-9, 0.5)
     try:
         return solve(plant)
     except (IllPosedError, UnscalableError):
@@ -273,16 +273,6 @@ def require_time_limit(where: str, given: float) -> None:
         raise ArgumentError(f"{where}: time_limit must be a positive number of seconds, got {short(given)}")
 
 
-def require_regularisation(where: str, method: str, size: float | None) -> None:
-    """Raise an ArgumentError where the size of a regularisation makes no sense."""
-    if size is None:
-        return
-    if isinstance(size, bool) or not (isinstance(size, int | float | np.floating) and 0.0 < size < 1.0):
-        raise ArgumentError(f"{where}: regularise must be None or a number between 0 and 1, got {short(size)}")
-    if method != "riccati":
-        raise ArgumentError(f'{where}: regularise needs method="riccati", got {method!r}')
-
-
 def certify(  # noqa: PLR0913 - what certifies one result
     P: StateSpace,
     plant: Partition,
@@ -307,12 +297,22 @@ def certify(  # noqa: PLR0913 - what certifies one result
         loop = closed_loop(plant, controller)
     except np.linalg.LinAlgError:
         raise NotCertifiedError(f"{method}: I − D_K D22 is singular: the loop is not well posed; {CURE}", P) from None
-    poles = _stable_poles(loop.A, plant.dt, method, P)
-    if norm == "h2" and plant.dt == 0.0:
-        loop = loop._replace(D=_without_rounding(loop.D, plant, controller))
+    poles = np.asarray(np.linalg.eigvals(loop.A), dtype=np.complex128)
+    decay = -continuous_poles(poles, plant.dt).real
+    if poles.size and not np.min(decay) > 0.0:
+        worst = poles[np.argmin(decay)]
+        place = ", not within the unit circle" if plant.dt else " rad/s, not within the left half-plane"
+        raise NotCertifiedError(
+            f"{method}: the closed loop has a pole at {worst.real:.4g}{worst.imag:+.4g}j{place}; {CURE}",
+            P,
+        )
+    loop = loop._replace(dt=plant.dt)
     limit = (1 + backoff + tolerance) * least
     try:
-        gamma, frequency = _norm(loop._replace(dt=plant.dt), norm)
+        if norm == "h2":
+            gamma, frequency = _h2_norm(loop, plant, controller), float("nan")
+        else:
+            gamma, frequency = hinf_norm(loop, allow_unstable=True)
     except ArgumentError as error:
         raise NotCertifiedError(f"{method}: no finite H2 norm: {error}; {CURE}", P) from None
     if not gamma <= limit:
@@ -339,33 +339,9 @@ def certify(  # noqa: PLR0913 - what certifies one result
     )
 
 
-def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace) -> ComplexArray:
-    """Return the eigenvalues of A, all of them stable."""
-    poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
-    if dt == 0.0:
-        distance, boundary, unit = poles.real, "the left half-plane", " rad/s"
-    else:
-        distance, boundary, unit = np.abs(poles) - 1.0, "the unit circle", ""
-    if poles.size and not np.max(distance) < 0:
-        worst = poles[np.argmax(distance)]
-        raise NotCertifiedError(
-            f"{method}: the closed loop has a pole at {worst.real:.4g}{worst.imag:+.4g}j{unit}, not within {boundary}; "
-            f"{CURE}",
-            P,
-        )
-    return poles
-
-
-def _without_rounding(D: np.ndarray[Any, Any], plant: Partition, controller: StateArrays) -> np.ndarray[Any, Any]:
-    """Return the direct term of a continuous closed loop, zero where a controller has cancelled it but for rounding."""
+def _h2_norm(loop: StateArrays, plant: Partition, controller: StateArrays) -> float:
+    """Return the norm of a closed loop, whose direct term a controller may have cancelled but for rounding."""
     through = np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(plant.D21)
-    size = np.linalg.norm(plant.D11) + through
-    return np.zeros_like(D) if np.linalg.norm(D) <= DIRECT_ROUNDING * size else D
-
-
-def _norm(loop: StateArrays, norm: Norm) -> tuple[float, float]:
-    """Return the norm and its frequency, rad/s (nan for the H2 norm)."""
-    if norm == "h2":
-        return h2_norm(loop), float("nan")
-    gamma, frequency = hinf_norm(loop, allow_unstable=True)
-    return float(gamma), float(frequency)
+    if not plant.dt and np.linalg.norm(loop.D) <= DIRECT_ROUNDING * (np.linalg.norm(plant.D11) + through):
+        loop = loop._replace(D=np.zeros_like(loop.D))
+    return h2_norm(loop)

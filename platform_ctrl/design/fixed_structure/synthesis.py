@@ -139,8 +139,8 @@ def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step
     parts = _partitions(given, nmeas, ncon)
     flat = tuple(in_w_plane(part) for part in parts)
     scaled = [autoscale(one) for one in flat]
-    for P, part, scale in zip(given, flat, scaled, strict=True):
-        require_stabilisable(part, P, "structured", scale)
+    for P, part in zip(given, parts, strict=True):
+        require_stabilisable(part, P, "structured")
     task = _task(given, parts, flat, requirements)
     report_line = progress or (lambda line: None)
 

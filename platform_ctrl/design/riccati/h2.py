@@ -18,7 +18,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition, partition
 from platform_ctrl.design.riccati.equations import Equation, Solution, riccati_solution
 from platform_ctrl.design.scaling import autoscaled_with_gain, require_assumptions, require_stabilisable, unscale
-from platform_ctrl.design.synthesis import Synthesis, certify, or_regularised, require_regularisation
+from platform_ctrl.design.synthesis import Synthesis, certify, or_regularised
 from platform_ctrl.errors import IllPosedError, UnscalableError
 
 if TYPE_CHECKING:
@@ -74,7 +74,6 @@ def h2(
     K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, section 14.5.
 
     """
-    require_regularisation("h2", "riccati", regularise)
     plant = partition(P, nmeas, ncon, sampled=True)
     require_stabilisable(plant, P, "h2")
     made, least, residual = or_regularised(partial(_optimal, direct=direct, P=P), plant, regularise, "norm")
