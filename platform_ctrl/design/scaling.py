@@ -143,7 +143,7 @@ def autoscaled_with_gain(plant: Partition) -> ScaledPlant:
     if not (0.0 < disturbance < np.inf and 0.0 < loop < np.inf):
         return scaled
     power = np.round(0.5 * (np.log2(disturbance) - np.log2(loop)))
-    return scaled if abs(power) < NEAR_UNITS else autoscale(plant, 2.0**power)
+    return scaled if abs(power) < NEAR_UNITS else autoscale(plant, float(2.0**power))
 
 
 def balance(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
@@ -316,21 +316,28 @@ def zero_on_boundary(p: Partition) -> tuple[str, complex, FloatArray] | None:
 def regularised(plant: Partition, size: float) -> tuple[Partition, float]:
     """Return a plant that fulfils the assumptions of Riccati equations, and by how much its boundary is moved.
 
-    It has rows ε u in z, columns ε in w for y (ε = `size`, relative to scaled signals), and s − σ in place of s, σ
+    It has rows ε u in z for the controls, and columns ε in w for the measurements, that D12 and D21 left out (ε =
+    `size`, relative to scaled signals). Where a zero lies on the stability boundary then it has s − σ in place of s, σ
     being ε times the unit of time, rad/s; sampled: z / (1 + ε) in place of z. With s + σ, or z (1 + ε), in its
     controller every norm from the old w to the old z is at most that of this plant (maximum modulus).
     """
     scaled = autoscaled_with_gain(plant)
-    n, (ny, nu), unit = len(plant.A), plant.D22.shape, size * np.sqrt(scaled.gain)
-    grow, shift = (1.0 + size, 0.0) if plant.dt else (1.0, size * scaled.rate)
+    unit = size * np.sqrt(scaled.gain)
+    rows = unit * np.linalg.inv(scaled.control)[scaled.control_rank :]
+    columns = unit * np.linalg.inv(scaled.measurement)[:, scaled.measurement_rank :]
+    n, more_z, more_w = len(plant.A), len(rows), columns.shape[1]
     changed = dataclasses.replace(
         plant,
-        A=grow * plant.A + shift * np.eye(n),
-        B1=np.hstack([grow * plant.B1, np.zeros((n, ny))]),
-        B2=grow * plant.B2,
-        C1=np.vstack([plant.C1, np.zeros((nu, n))]),
-        D11=np.pad(plant.D11, ((0, nu), (0, ny))),
-        D12=np.vstack([plant.D12, unit * np.linalg.inv(scaled.control)]),
-        D21=np.hstack([plant.D21, unit * np.linalg.inv(scaled.measurement)]),
+        B1=np.hstack([plant.B1, np.zeros((n, more_w))]),
+        C1=np.vstack([plant.C1, np.zeros((more_z, n))]),
+        D11=np.pad(plant.D11, ((0, more_z), (0, more_w))),
+        D12=np.vstack([plant.D12, rows]),
+        D21=np.hstack([plant.D21, columns]),
     )
-    return changed, size if plant.dt else shift
+    if zero_on_boundary(autoscaled_with_gain(changed).plant) is None:
+        return changed, 0.0
+    if plant.dt:
+        grow = 1.0 + size
+        return dataclasses.replace(changed, A=grow * changed.A, B1=grow * changed.B1, B2=grow * changed.B2), size
+    shift = size * scaled.rate
+    return dataclasses.replace(changed, A=changed.A + shift * np.eye(n)), shift

@@ -1,9 +1,10 @@
 """Stabilising solutions of algebraic Riccati equations, continuous and discrete, in units in which they are near one.
 
-SciPy solves the equations. Only the many of the H-infinity bisection are solved by the ordered real Schur form of the
-Hamiltonian matrix (Laub, IEEE Transactions on Automatic Control 24, 1979), which is six times as fast. One step of
-Newton's method (Kleinman, ibid. 13, 1968; Hewer, ibid. 16, 1971) corrects a solution, and the residual, relative to the
-terms of the equation, must be small.
+Continuous equations are solved by the ordered real Schur form of the Hamiltonian matrix (Laub, IEEE Transactions on
+Automatic Control 24, 1979): it is six times as fast as SciPy's pencil, which counts in the H-infinity bisection, and
+better next to the imaginary axis. SciPy solves discrete equations, and continuous ones for which the Schur form fails.
+One step of Newton's method (Kleinman, ibid. 13, 1968; Hewer, ibid. 16, 1971) corrects a solution; the residual,
+relative to the terms of the equation, must be small.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ def riccati_solution(equation: Equation, where: str) -> Solution:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return refined(equation, solve(A, B, Q, R, s=N), where)
+            X = None if discrete else stabilising(equation)
+            return refined(equation, solve(A, B, Q, R, s=N) if X is None else X, where)
     except (np.linalg.LinAlgError, ValueError):
         boundary = "unit circle" if discrete else "imaginary axis"
         raise UnscalableError(
