@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import control
 import numpy as np
@@ -12,10 +11,9 @@ from scipy.linalg import block_diag
 
 from exact_norm import gain_exceeds
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.norms import exceeds
 from platform_ctrl.analysis.poles import continuous_poles, poles
-from platform_ctrl.analysis.singular_values import pencil_crossings
 from platform_ctrl.common.values import FloatArray
 
 TOLERANCE = 1e-8
@@ -212,24 +210,6 @@ def test_systems_without_states_inputs_or_outputs_have_a_norm() -> None:
     assert analysis.hinf_norm(control.ss(-np.eye(2), np.zeros((2, 1)), np.eye(2), np.zeros((2, 1)))) == (0.0, 0.0)
     delay = control.ss(np.diag(np.ones(5), -1), np.eye(6)[:, :1], np.eye(6)[-1:], 0, 0.1)
     assert analysis.hinf_norm(delay)[0] == pytest.approx(1.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("dt", [0.0, 0.1])
-def test_the_pencil_finds_the_frequencies_where_the_gain_is_the_level(dt: float) -> None:
-    system = sampled_modes(3, -2.0) if dt else modal(3, 3, (0, 2), (-2, -1))
-    norm, _ = analysis.hinf_norm(system)
-    level = 0.7 * norm
-    root = math.sqrt(level)
-    period = float(system.dt)
-    w = pencil_crossings(system.A, system.B / root, system.C / root, system.D / level, period)
-    arrays = StateArrays(system.A, system.B, system.C, system.D, period)
-    sizes = np.linalg.svd(analysis.frequency_response(arrays, w, -3), compute_uv=False)
-    assert np.abs(sizes / level - 1.0).min(axis=-1).min() < 1e-6
-    # Between neighbours that enclose no crossing the gain stays on one side: the peak's two flanks are among them.
-    edges = np.concatenate([[0.0], w, [w[-1] * 2.0 if not period else math.pi / period]])
-    fine = np.concatenate([np.linspace(a, b, 12)[1:-1] for a, b in pairwise(edges)])
-    above = np.linalg.norm(analysis.frequency_response(arrays, fine, -3), 2, axis=(-2, -1)) > level
-    assert all(len(set(part)) == 1 for part in above.reshape(-1, 10).tolist())
 
 
 @pytest.mark.parametrize(("seed", "modes"), [(0, 100), (0, 35)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import tracemalloc
 
 import control
 import numpy as np
@@ -422,19 +421,3 @@ def test_a_slow_controller_alone_is_one_of_a_longer_period() -> None:
     for k in range(2):
         curves = [np.interp(at, one.edges, one.total_cumulative[k]) for one in (again, whole)]
         assert curves[0] == pytest.approx(curves[1], rel=1e-3)
-
-
-def test_a_cycle_of_five_hundred_samples_is_one_of_a_longer_period_in_little_memory() -> None:
-    """A loop on the rate at every sample inside would be another one: here a single sample of the cycle is used."""
-    sources = [noise(), noise("base", 1), SampleNoise(name="gyro", measured=0, rms=0.1)]
-    whole = JitterBudget(oscillator(), sources, (0.4,)).of(K, 1e-7)
-    slow = interconnected_at_rates([control.ss(*K, inputs=["y"], outputs=["u"])], ["y"], ["u"], PERIOD / 500)
-    tracemalloc.start()
-    try:
-        again = JitterBudget(oscillator(period=PERIOD / 500, cycle=500), sources, (0.4,)).of(slow, 1e-7)
-        assert tracemalloc.get_traced_memory()[1] < 1e8
-    finally:
-        tracemalloc.stop()
-    assert again.rms == pytest.approx(whole.rms, rel=1e-6)
-    assert again.windows[0].total_jitter == pytest.approx(whole.windows[0].total_jitter, rel=1e-5)
-    assert len(again.edges) < 20_000

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis import singular_values
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.singular_values import FrequencyAxis
@@ -50,14 +49,6 @@ def test_norms_and_crossings_behind_long_delays_are_those_of_the_hamiltonian(mon
     exact = exact[np.abs(axis.gains(exact) / (0.9 * norm) - 1.0) < 1e-9]
     assert exact.size
     assert np.abs(found[:, None] / exact - 1.0).min(axis=0).max() < 1e-8
-
-
-def test_no_hamiltonian_is_made_of_long_delays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        singular_values, "hamiltonian_crossings", lambda *args: pytest.fail("its eigenvalues are asked")
-    )
-    norm, frequency = hinf_norm(delayed(8, (250, 250)))
-    assert norm * (1.0 - 1e-9) <= FrequencyAxis(delayed(8, (250, 250))).gains(np.array([frequency]))[0] <= norm
 
 
 def test_states_that_follow_each_other_in_a_ring_stay() -> None:

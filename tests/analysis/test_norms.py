@@ -15,7 +15,6 @@ from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
-from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)
@@ -157,21 +156,6 @@ def test_bandwidth_sees_a_narrow_notch_of_the_loop_below_the_main_crossing() -> 
 def test_bandwidth_of_a_loop_that_does_not_hold_is_zero() -> None:
     plant = control.ss([[0.0]], [[1.0]], [[1.0]], 0)
     assert analysis.bandwidth(plant, control.ss([], [], [], [[1.0]])) == 0.0
-
-
-@pytest.mark.parametrize(("p", "m"), [(1, 4), (2, 2), (3, 3), (8, 20)])
-def test_largest_singular_values_are_those_of_lapack(p: int, m: int) -> None:
-    rng = np.random.default_rng(10 * p + m)
-    H = rng.normal(size=(21, p, m)) + 1j * rng.normal(size=(21, p, m))
-    H *= 10.0 ** rng.uniform(-280.0, 280.0, (21, 1, 1))
-    # Zero, all of them alike, one alone, columns next to parallel, and of widely different lengths.
-    H[0], H[1], H[2], H[3] = 0.0, np.eye(p, m), 1.0, 1.0 + 1e-9 * rng.normal(size=(p, m))
-    H[4] = 10.0 ** -np.arange(0.0, 12.0 * m, 12.0)
-    sizes = largest_singular_values(H)
-    assert sizes == pytest.approx(np.linalg.norm(H, 2, axis=(-2, -1)), rel=1e-14)
-    H[7, 0, -1], H[9, -1, 0] = math.nan, complex(0.0, -math.inf)
-    assert np.flatnonzero(np.isinf(largest_singular_values(H))).tolist() == [7, 9]
-    assert largest_singular_values(H)[8] == sizes[8]
 
 
 @pytest.mark.parametrize("measure", ["hinf_norm", "h2_norm", "disk_margin"])

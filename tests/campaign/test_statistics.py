@@ -140,7 +140,7 @@ def test_correlations_and_p_values_are_those_of_scipy():
     counts = [[(violated & side).sum(), (~violated & side).sum()] for side in (low, ~low)]
     assert [one.present.events, one.absent.events] == [counts[0][0], counts[1][0]]
     # Four tests: three thirds and a correlation, whose p-value is smaller.
-    assert one.p_value == pytest.approx(3 * stats.fisher_exact(counts)[1], rel=1e-9)
+    assert one.p_value == pytest.approx(3 * stats.fisher_exact(counts)[1], rel=1e-9, abs=0.0)
 
 
 def test_violations_at_both_ends_have_their_third_where_no_rank_shows_it():

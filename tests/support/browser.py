@@ -31,13 +31,6 @@ FLAGS = (
 )
 # Milliseconds that a page has for whatever is waited for: the machine may be busy.
 PATIENCE = 30_000
-# Pixels of a point of a figure, by the name of the figure.
-PLACE = """([name, x, y]) => {
-  const every = (view) => [view, ...view.children().flatMap ? [...view.children()].flatMap(every) : []];
-  const view = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every).find((one) => one.model.name == name);
-  const box = view.canvas_view.el.getBoundingClientRect();
-  return [box.left + view.frame.x_scale.compute(x), box.top + view.frame.y_scale.compute(y)];
-}"""
 
 
 def executable() -> str:

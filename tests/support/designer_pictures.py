@@ -193,25 +193,3 @@ def broken(number: float) -> Picture:
         stable=False,
         all_stable=False,
     )
-
-
-def empty() -> Picture:
-    """Return a picture in which every curve has no points."""
-    made = picture()
-
-    def cut(part: Any) -> Any:
-        changes = {}
-        for one in dataclasses.fields(part):
-            item = getattr(part, one.name)
-            if isinstance(item, np.ndarray):
-                changes[one.name] = item[..., :0] if item.ndim == 1 or one.name != "branches" else item[:0, :0]
-        return dataclasses.replace(part, **changes)
-
-    names = ("bode", "locus", "step", "Omega_time", "Omega_frequency")
-    return dataclasses.replace(
-        made,
-        **{name: cut(getattr(made, name)) for name in names},
-        nichols=dataclasses.replace(made.nichols, labels=(), phase=np.zeros((0, 0)), magnitude=np.zeros((0, 0))),
-        margins=dataclasses.replace(made.margins, crossover=None),
-        stable=False,
-    )
