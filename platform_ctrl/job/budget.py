@@ -10,16 +10,15 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.common.arguments import one_of, real_numbers
+from platform_ctrl.common.arguments import real_numbers
 from platform_ctrl.common.units import G, Quantity, Unit, column_unit
 from platform_ctrl.common.values import FloatArray, input_value, value
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.spectra import SPECTRA, Lines, LogSpectrum, Spectrum
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Unfit
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, useless, wrong
-from platform_ctrl.plant.tables import TABLE, Array, OneOf
+from platform_ctrl.plant.tables import TABLE, Array, OneOf, record_value
 
 MOST_SOURCES = 100
 
@@ -114,7 +113,7 @@ class BudgetLimits:
     smear: fields.Positive | None = None
 
 
-@input_value
+@record_value
 class Source:
     """One disturbance.
 
@@ -142,14 +141,6 @@ class Source:
     unit: Annotated[str, fields.one_of(UNITS)] | None = None
     limit: fields.Positive | None = None
     spectrum: Annotated[Spectrum, OneOf(SPECTRA)]
-
-    def __post_init__(self) -> None:
-        """Judge what the kind needs."""
-        one_of("Source: kind", self.kind, tuple(SOURCE_KINDS))
-        stated = {key: item for key in ("kind", "axis", "gimbal", "unit") if (item := getattr(self, key)) is not None}
-        stated |= {"column": self.spectrum.column} if isinstance(self.spectrum, LogSpectrum) else {}
-        for _, words in self._misfits(stated):
-            raise ArgumentError(f"source {self.name!r}: {words}")
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.common.arguments import number, positive
-from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import configuration, topology
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, missing, useless
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import RateSensor, gimbal_rate
+from platform_ctrl.plant.tables import record_value
 
 # The keys that belong together: the first, and what has no effect without it.
 _WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",)}
@@ -24,7 +24,7 @@ _WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",
 _ROUNDING = 1e-9
 
 
-@input_value
+@record_value
 class Drive:
     """What a torquer does besides what the loops command: torque = gain * command + friction * sat(v / friction_rate).
 
@@ -65,7 +65,7 @@ class Drive:
             yield missing("sensors", "friction is fed forward by the rate that rate sensors of the base or gimbal show")
 
 
-@input_value
+@record_value
 class DriveLaw(Drive):
     """A drive with the weights of its sensors: what a computer needs to know, whatever the plant is like.
 
@@ -81,15 +81,6 @@ class DriveLaw(Drive):
 
     weights: dict[str, float] = dataclasses.field(default_factory=dict)
     feedback: bool = False
-
-    def __post_init__(self) -> None:
-        """Judge the numbers."""
-        positive("DriveLaw: friction", self.friction, zero=True)
-        positive("DriveLaw: friction_rate", self.friction_rate)
-        for weight in self.weights.values():
-            number("DriveLaw: weights", weight)
-        if positive("DriveLaw: secant_limit", self.secant_limit) < 1.0:
-            raise ArgumentError(f"DriveLaw: secant_limit must be at least 1, got {self.secant_limit:g}")
 
     def gain(self, angle: float) -> float:
         """Return the factor on the controllers' command.

@@ -20,11 +20,21 @@ from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.methods import LoopKind as LoopKind
 from platform_ctrl.job.methods import Structure as Structure
-from platform_ctrl.job.scenario import Command, HalfCosine, Scenario, Sine, Start, TimeTable, Vibration, too_large
+from platform_ctrl.job.scenario import (
+    COMMANDS,
+    Command,
+    HalfCosine,
+    Scenario,
+    Sine,
+    Start,
+    TimeTable,
+    Vibration,
+    too_large,
+)
 from platform_ctrl.job.scenario import Mode as Mode
 from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, suggestion, useless, wrong
+from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, suggestion, useless, within, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key, Shape, unknown_key
 
@@ -425,6 +435,9 @@ class Manoeuvre:
                     words = 'kind must be "force" with mode = "stabilised", got "rate"'
                     yield (key, k, "kind"), f"{words}: only a caged platform has a prescribed rate"
         for k, command in enumerate(table.get("command", ())):
+            if not COMMANDS.keys() & command.keys():
+                needed = "a command needs step, ramp, amplitude with frequency_hz, or value with t"
+                yield from within(("command", k), [missing("step", needed)])
             if command.get("at", 0.0) >= table["duration"]:
                 words = f"at must be before the end of the run, {table['duration']:.6g} s, got {given(command['at'])}"
                 yield ("command", k, "at"), words

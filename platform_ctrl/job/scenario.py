@@ -24,6 +24,7 @@ from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, useless
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.source import path_of
+from platform_ctrl.plant.tables import record_value
 
 Mode = Literal["caged", "stabilised"]
 VibrationKind = Literal["rate", "force", "torque"]
@@ -204,17 +205,6 @@ class TimeTable:
         return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
 
 
-def _expect_place(what: str, kind: str, axis: int | None, gimbal: str | None) -> None:
-    """Refuse a motion of the base without its axis, or a torque without its gimbal."""
-    if kind == "torque":
-        if gimbal is None or axis is not None:
-            raise ArgumentError(f'{what}: kind = "torque" needs gimbal, its name, and no axis')
-    elif gimbal is not None:
-        raise ArgumentError(f'{what}: gimbal belongs to kind = "torque"; kind = "{kind}" needs axis')
-    else:
-        whole(f"{what}: axis", axis, 1, 3)
-
-
 # What shakes in a run, by the kinds of a budget's sources.
 _KINDS = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
 
@@ -239,7 +229,7 @@ def _shaking(table: Mapping[str, Any]) -> Iterator[Misfit]:
     yield from of_length(table, "densities", "frequencies_hz")
 
 
-@input_value
+@record_value
 class Vibration:
     """Random vibration of the base, or torque on a gimbal, with a one-sided power spectral density.
 
@@ -274,24 +264,6 @@ class Vibration:
     lines: fields.Lines = 64
     _misfits = staticmethod(_shaking)
 
-    def __post_init__(self) -> None:
-        """Judge the density, and keep it where nobody writes."""
-        _expect_place("Vibration", self.kind, self.axis, self.gimbal)
-        whole("Vibration: lines", self.lines, 1, MOST_LINES)
-        points = np.size(self.frequencies_hz)
-        for name in ("frequencies_hz", "densities"):
-            given = real_array(f"Vibration: {name}", getattr(self, name), (points,))
-            object.__setattr__(self, name, read_only(given))
-        f, densities = self.frequencies_hz, self.densities
-        if points < 2 or f[0] <= 0.0 or np.any(np.diff(f) <= 0.0):
-            raise ArgumentError(
-                f"Vibration: frequencies_hz must be two or more that increase, > 0, got {short(f.tolist())}"
-            )
-        if densities.any() and densities.min() <= 0.0:
-            raise ArgumentError(
-                f"Vibration: densities must be numbers > 0, or all of them 0, got {short(densities.tolist())}"
-            )
-
     @property
     def amplitudes(self) -> tuple[FloatArray, FloatArray]:
         """Frequencies of the lines, rad/s, and their amplitudes sqrt(2 S(f) Δf), rad/s or m/s²; each (lines,)."""
@@ -304,7 +276,7 @@ class Vibration:
         return 2.0 * math.pi * middle, np.sqrt(2.0 * density * np.diff(edges))
 
 
-@input_value
+@record_value
 class Sine:
     """A sinusoidal motion of the base, or torque on a gimbal: amplitude sin(2π frequency_hz t + phase).
 
@@ -328,16 +300,9 @@ class Sine:
     phase: fields.Number = 0.0
     _misfits = staticmethod(_shaking)
 
-    def __post_init__(self) -> None:
-        """Judge the numbers."""
-        _expect_place("Sine", self.kind, self.axis, self.gimbal)
-        positive("Sine: frequency_hz", self.frequency_hz)
-        for name in ("amplitude", "phase"):
-            number(f"Sine: {name}", getattr(self, name))
-
 
 # The keys that make a command: each with what it needs beside it, and what may stand there too.
-_COMMANDS = {"step": (), "ramp": (), "amplitude": ("frequency_hz",), "value": ("t",)}
+COMMANDS: dict[str, tuple[str, ...]] = {"step": (), "ramp": (), "amplitude": ("frequency_hz",), "value": ("t",)}
 _BESIDE = {
     "at": ("step", "ramp"),
     "frequency_hz": ("amplitude",),
@@ -347,7 +312,7 @@ _BESIDE = {
 }
 
 
-@input_value
+@record_value
 class Command:
     """What a loop holds one of its readings at in a run: the sum of what is given, and of all commands of the reading.
 
@@ -380,27 +345,13 @@ class Command:
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        made = [key for key in _COMMANDS if key in table]
-        if not made:
-            yield missing("step", "a command needs step, ramp, amplitude with frequency_hz, or value with t")
-            return
+        made = [key for key in COMMANDS if key in table]
         for key in made:
-            yield from (missing(one, f"{key} has no effect without it") for one in _COMMANDS[key] if one not in table)
+            yield from (missing(one, f"{key} has no effect without it") for one in COMMANDS[key] if one not in table)
         for key, of in _BESIDE.items():
-            if key in table and not any(one in table for one in of):
+            if made and key in table and not any(one in table for one in of):
                 yield useless(table, key, f"without {' or '.join(of)}; add it, or leave the key out")
         yield from of_length(table, "value", "t")
-
-    def __post_init__(self) -> None:
-        """Judge the numbers."""
-        for name in ("step", "ramp", "amplitude", "phase"):
-            number(f"Command: {name}", getattr(self, name))
-        for name in ("at", "frequency_hz"):
-            positive(f"Command: {name}", getattr(self, name), zero=True)
-        t = real_array("Command: t", self.t, (len(self.t),))
-        real_array("Command: value", self.value, (len(self.t),))
-        if len(t) == 1 or np.any(np.diff(t) <= 0.0):
-            raise ArgumentError(f"Command: t must be two times or more that increase, s, got {short(t.tolist())}")
 
 
 @input_value

@@ -7,18 +7,21 @@ a subclass of `Spectrum` and a line of `SPECTRA`; the reader of jobs, the writer
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.logs import Log, LogDensity, log_density, read_log
-from platform_ctrl.common.arguments import positive, real_array, real_numbers, short
+from platform_ctrl.common.arguments import real_numbers
 from platform_ctrl.common.values import FloatArray, input_value, replaced, value
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.mistakes import Misfit, of_length
+from platform_ctrl.plant.tables import record_value
 
 Interpolation = Literal["logarithmic", "linear"]
 # Nodes between two neighbouring frequencies: power laws of any usual slope are integrated to rounding errors.
@@ -102,7 +105,7 @@ class Spectrum:
         return total + float(np.sum(self.density(f) * f * half * _WEIGHTS))
 
 
-@input_value
+@record_value
 class TableSpectrum(Spectrum):
     """A density that is given at points; zero outside of them.
 
@@ -121,14 +124,9 @@ class TableSpectrum(Spectrum):
     densities: fields.Densities
     interpolation: Annotated[Interpolation, fields.one_of(get_args(Interpolation))] = "logarithmic"
 
-    def __post_init__(self) -> None:
-        """Judge the points."""
-        f = real_array("TableSpectrum: frequencies_hz", self.frequencies_hz, (np.size(self.frequencies_hz),))
-        if f.size < 2 or f[0] <= 0.0 or np.any(np.diff(f) <= 0.0):
-            expected = "two or more frequencies > 0 that increase"
-            raise ArgumentError(f"TableSpectrum: frequencies_hz must be {expected}, got {short(f.tolist())}")
-        if real_array("TableSpectrum: densities", self.densities, f.shape).min() <= 0.0:
-            raise ArgumentError(f"TableSpectrum: densities must be > 0, got {short(self.densities.tolist())}")
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        yield from of_length(table, "densities", "frequencies_hz")
 
     @property
     def knots_hz(self) -> FloatArray:
@@ -152,7 +150,7 @@ def interpolated(
     return np.asarray(np.where(inside, np.exp(logarithm), 0.0))
 
 
-@input_value
+@record_value
 class ProfileSpectrum(Spectrum):
     """A standard profile that comes with the package.
 
@@ -167,12 +165,6 @@ class ProfileSpectrum(Spectrum):
     profile: Annotated[str, fields.one_of(PROFILES)]
     scale: fields.Positive = 1.0
 
-    def __post_init__(self) -> None:
-        """Judge the name and the factor."""
-        if self.profile not in PROFILES:
-            raise ArgumentError(f"ProfileSpectrum: profile must be one of {', '.join(PROFILES)}, got {self.profile!r}")
-        positive("ProfileSpectrum: scale", self.scale)
-
     @property
     def knots_hz(self) -> FloatArray:
         """The frequencies of the profile's table, Hz."""
@@ -183,7 +175,7 @@ class ProfileSpectrum(Spectrum):
         return self.scale**2 * interpolated(f_hz, *PROFILES[self.profile].points.T)
 
 
-@input_value
+@record_value
 class SineSpectrum(Spectrum):
     """Sines a sin(2π f t + φ) of known phase: those of one frequency add up, whichever source they are of.
 
@@ -201,12 +193,6 @@ class SineSpectrum(Spectrum):
         ),
     ]
 
-    def __post_init__(self) -> None:
-        """Judge the rows."""
-        rows = real_array("SineSpectrum: sines", self.sines, (len(np.atleast_1d(self.sines)), 3))
-        if not rows.size or rows[:, :2].min() <= 0.0:
-            raise ArgumentError("SineSpectrum: sines must be rows of frequency > 0, amplitude > 0 and phase")
-
     @property
     def lines(self) -> Lines:
         """The sines."""
@@ -214,7 +200,7 @@ class SineSpectrum(Spectrum):
         return Lines(frequencies_hz=f, amplitudes=amplitudes, phases=phases)
 
 
-@input_value
+@record_value
 class HarmonicSpectrum(Spectrum):
     """Cogging and ripple of a turning motor: sines whose frequencies are multiples of its rate.
 
@@ -238,15 +224,6 @@ class HarmonicSpectrum(Spectrum):
         ),
     ]
     turning_rate: fields.OneOrRange
-
-    def __post_init__(self) -> None:
-        """Judge the rows and the rates."""
-        rows = real_array("HarmonicSpectrum: harmonics", self.harmonics, (len(np.atleast_1d(self.harmonics)), 2))
-        if not rows.size or rows.min() <= 0.0:
-            raise ArgumentError("HarmonicSpectrum: harmonics must be rows of order > 0 and amplitude > 0")
-        if not 0.0 < self.turning_rate[0] <= self.turning_rate[1]:
-            expected = "the lowest and the highest rate > 0, rad/s"
-            raise ArgumentError(f"HarmonicSpectrum: turning_rate must be {expected}, got {short(self.turning_rate)}")
 
     @property
     def _bands(self) -> FloatArray:

@@ -9,16 +9,20 @@ from __future__ import annotations
 import dataclasses
 import math
 import types
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from platform_ctrl.common.arguments import nearest
+from platform_ctrl.common.values import input_value
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.fields import Expected, Refers, Unfit
 from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, given, suggestion
+
+T = TypeVar("T")
 
 # Keys of a table at most: no format has half as many.
 MOST_KEYS = 500
@@ -103,6 +107,47 @@ class Shape:
     back: Callable[[Any], dict[str, Any]] | None = None
     # What is wrong with a table whose keys are all right, the record's `_misfits`.
     misfits: Callable[[dict[str, Any]], Iterable[Misfit]] = lambda table: ()
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
+def record_value(cls: type[T]) -> type[T]:
+    """Make `cls` an `input_value` whose constructor refuses what no table of a file could say (`ArgumentError`)."""
+    made = input_value(cls)
+    settled = made.__post_init__  # type: ignore[attr-defined]
+
+    def judged(self: Any) -> None:
+        settled(self)
+        stated = _stated(self)
+        for name, mark in _expectations(type(self)):  # type: ignore[arg-type]
+            if name in stated:
+                try:
+                    mark.judge(stated[name])
+                except Unfit as error:
+                    words = f"{name} must be {mark.words}, got {given(stated[name])}"
+                    raise ArgumentError(f"{cls.__name__}: {words}{f' ({error})' if str(error) else ''}") from None
+        for _, words in shape(type(self)).misfits(stated):
+            raise ArgumentError(f"{cls.__name__}: {words}")
+
+    made.__post_init__ = judged  # type: ignore[attr-defined]
+    return made
+
+
+def _stated(item: Any) -> dict[str, Any]:
+    """Return the table that would say what a record holds beside its defaults."""
+    table: dict[str, Any] = {}
+    for one in dataclasses.fields(item):
+        part = getattr(item, one.name)
+        if dataclasses.is_dataclass(part):
+            table |= _stated(part)
+        elif not (isinstance(part, Hashable) and part == one.default):
+            table[one.name] = _plain(part)
+    return table
+
+
+@cache
+def _expectations(record: type) -> list[tuple[str, Expected]]:
+    hints = get_type_hints(record, include_extras=True)
+    return [(name, mark) for name, hint in hints.items() for mark in _marks(hint)[1] if isinstance(mark, Expected)]
 
 
 # Mark of a field that is a record, in a table of the field's name.

@@ -281,13 +281,13 @@ def test_sources_made_in_python_are_judged_too() -> None:
             lambda: Source(name="x", kind="torque", axis=1, spectrum=TABLE),
             'has no effect with kind = "torque", which takes gimbal',
         ),
-        (lambda: Source(name="x", kind="wind", axis=1, spectrum=TABLE), "kind must be 'base-rate'"),
+        (lambda: Source(name="x", kind="wind", axis=1, spectrum=TABLE), 'kind must be "base-rate"'),
         (lambda: TableSpectrum(frequencies_hz=[2.0, 1.0], densities=[1.0, 1.0]), "two or more frequencies > 0 that"),
-        (lambda: TableSpectrum(frequencies_hz=[1.0, 2.0], densities=[1.0, -1.0]), "densities must be > 0"),
-        (lambda: ProfileSpectrum(profile="x"), "profile must be one of"),
-        (lambda: SineSpectrum(sines=[[1.0, 1.0]]), "must have shape"),
-        (lambda: HarmonicSpectrum(harmonics=[[1.0, -1.0]], turning_rate=(1.0, 1.0)), "order > 0 and amplitude > 0"),
-        (lambda: HarmonicSpectrum(harmonics=[[1.0, 1.0]], turning_rate=(2.0, 1.0)), "the lowest and the highest"),
+        (lambda: TableSpectrum(frequencies_hz=[1.0, 2.0], densities=[1.0, -1.0]), "densities must be a density > 0"),
+        (lambda: ProfileSpectrum(profile="x"), 'profile must be .* or "ship-roll", got'),
+        (lambda: SineSpectrum(sines=[[1.0, 1.0]]), "row 1 has 2 elements"),
+        (lambda: HarmonicSpectrum(harmonics=[[1.0, -1.0]], turning_rate=(1.0, 1.0)), "order per revolution > 0, amplitude > 0"),
+        (lambda: HarmonicSpectrum(harmonics=[[1.0, 1.0]], turning_rate=(2.0, 1.0)), "lowest and highest"),
     ):
         with pytest.raises(ArgumentError, match=says):
             make()
