@@ -7,12 +7,11 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import instance, real_array
+from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import configuration, topology
 from platform_ctrl.mechanics.matrices import directions
-from platform_ctrl.plant.platform import Gimbal, Platform, RotorControl
+from platform_ctrl.plant.platform import Platform, RotorControl
 
 
 @value
@@ -112,40 +111,3 @@ def _with_rotors(platform: Platform, control: RotorControl, momenta: FloatArray)
         for r, h in zip(platform.rotors, momenta, strict=True)
     )
     return dataclasses.replace(platform, rotors=rotors)
-
-
-def with_rotors_as_gimbals(platform: Platform) -> Platform:
-    """Return the platform with every rotor a body of its own: one more gimbal that turns about the spin axis.
-
-    The new gimbals are named ``rotor`` + name, stand behind the others in the order of the rotors, and their angles
-    are φ; a rotor is symmetric, so φ itself does not matter. Nothing drives them: a drive is a torque on the gimbal.
-    This is the form that general multi-body programs know; it shares nothing with (8)-(15) and serves to check them.
-
-    Parameters
-    ----------
-    platform
-        The platform.
-
-    Returns
-    -------
-    Platform
-        With n + m gimbals and no rotors.
-
-    Raises
-    ------
-    ArgumentError
-        A gimbal or an angle bears such a name already.
-    """
-    added = []
-    for rotor in instance("platform", platform, Platform).rotors:
-        name, angle = f"rotor {rotor.name}", f"phi {rotor.name}"
-        for what, needed, taken in (
-            ("gimbal", name, (platform.root_name, *platform.gimbal_names)),
-            ("angle", angle, platform.angle_names),
-        ):
-            if needed in taken:
-                raise ArgumentError(f"{what} {needed!r}: the name is needed for that rotor's body; choose another one")
-        along = np.outer(rotor.axis, rotor.axis)
-        inertia = rotor.transverse_inertia * (np.eye(3) - along) + rotor.axial_inertia * along
-        added.append(Gimbal(name=name, parent=rotor.carrier, axis=rotor.axis, inertia=inertia, angle=angle))
-    return dataclasses.replace(platform, gimbals=(*platform.gimbals, *added), rotors=())

@@ -93,16 +93,6 @@ class TermTable:
         known_name("gimbal", gimbal, self.platform.gimbal_names)
         return tuple(term for term in self.terms if term.gimbal == gimbal)
 
-    def dropped_by_the_paper(self) -> tuple[Term, ...]:
-        """Return the terms that (27) leaves out, the largest of all equations first.
-
-        Returns
-        -------
-        tuple of Term
-            By falling size.
-        """
-        return tuple(sorted((term for term in self.terms if not term.kept), key=lambda term: -term.size))
-
     def text(self, gimbals: Sequence[str] | None = None, smallest: float = 0.0) -> str:
         """Return the table as aligned text.
 

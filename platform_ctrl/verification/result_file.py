@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 import platform as interpreter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from importlib import metadata
 from typing import Any
 
@@ -25,7 +25,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.writing import data_hash, job_hashes
 from platform_ctrl.plant.fields import finite_number
-from platform_ctrl.plant.mistakes import given, one_line, suggestion
+from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.budget_result import LineOfSightBudget
 from platform_ctrl.verification.coupled import CoupledCheck
@@ -321,15 +321,12 @@ def _is_of(entry: Mapping[str, Any], design: LoopDesign) -> bool:
 
 
 class JSONTable:
-    """A table of a file, with its place for messages; with `known` no other keys are allowed."""
+    """A table of a file, with its place for messages."""
 
-    def __init__(self, where: str, data: object, known: Sequence[str] | None = None) -> None:
+    def __init__(self, where: str, data: object) -> None:
         if not isinstance(data, Mapping):
             raise InputError(f"{where} must be a table, got {given(data)}")
         self.where, self.data = where, data
-        for key in data if known is not None else ():
-            if key not in known:  # type: ignore[operator]
-                raise self.mistake(f"unknown key {given(key)}; {suggestion(str(key), known)}")  # type: ignore[arg-type]
 
     def mistake(self, text: str) -> InputError:
         """Return the error with `text` about this table."""
@@ -356,14 +353,6 @@ class JSONTable:
         """Return a printable text."""
         item = self.item(key, expected)
         if not isinstance(item, str) or not item.isprintable() or not (item.strip() or empty):
-            raise self.must_be(key, expected, item)
-        return item
-
-    def one_of(self, key: str, options: Sequence[str]) -> str:
-        """Return one of a few words."""
-        expected = " or ".join(f'"{option}"' for option in options)
-        item = self.text(key, expected)
-        if item not in options:
             raise self.must_be(key, expected, item)
         return item
 
@@ -426,7 +415,7 @@ class JSONTable:
                 out[i, j] = number
         return out
 
-    def tables(self, key: str, expected: str, known: Sequence[str] | None = None) -> Iterator[JSONTable]:
+    def tables(self, key: str, expected: str) -> Iterator[JSONTable]:
         """Walk a list of tables."""
         item = self.item(key, expected)
         if not isinstance(item, list):
@@ -434,4 +423,4 @@ class JSONTable:
         for number, entry in enumerate(item, 1):
             name = entry.get("name", entry.get("loop")) if isinstance(entry, Mapping) else None
             title = f" {given(name)}" if isinstance(name, str) else ""
-            yield JSONTable(f"{self.where}: {key} {number}{title}", entry, known)
+            yield JSONTable(f"{self.where}: {key} {number}{title}", entry)

@@ -30,8 +30,9 @@ from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
-from platform_ctrl.mechanics.rotors import rotor_momenta, with_rotors_as_gimbals
+from platform_ctrl.mechanics.rotors import rotor_momenta
 from platform_ctrl.plant.platform import Platform
+from rotors_as_gimbals import with_rotors_as_gimbals
 
 pin = pytest.importorskip("pinocchio", reason="Pinocchio (package pin) is not installed")
 

@@ -11,9 +11,9 @@ from platform_ctrl.mechanics.rotors import (
     rotor_momenta,
     with_free_rotors,
     with_regulated_rotors,
-    with_rotors_as_gimbals,
 )
 from platform_ctrl.plant.reading import read_platform
+from rotors_as_gimbals import with_rotors_as_gimbals
 from tree_cases import platforms, state
 
 quick = settings(max_examples=40, deadline=None)

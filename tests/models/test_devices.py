@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import platform_ctrl as pc
-from platform_ctrl.mechanics.rotors import with_rotors_as_gimbals
 from platform_ctrl.plant.source import platform_source, shipped_models
+from rotors_as_gimbals import with_rotors_as_gimbals
 
 DEVICES = ("ae353_cmg", "double_gimbal_cmg", "ecp_750", "quanser_3dof_gyroscope", "vscmg_pyramid")
 

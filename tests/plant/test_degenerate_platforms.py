@@ -8,7 +8,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.errors import InputError, MechanicsError, PlatformCtrlError
-from platform_ctrl.mechanics.rotors import rotor_momenta, with_rotors_as_gimbals
+from platform_ctrl.mechanics.rotors import rotor_momenta
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor, Torquer
 from platform_ctrl.plant.source import platform_source
 from platform_ctrl.report.page.job_page import page_html
@@ -178,7 +178,6 @@ def test_what_is_no_platform_is_refused_with_the_way_to_one(given):
         pc.element_forces,
         rotor_momenta,
         pc.with_free_rotors,
-        with_rotors_as_gimbals,
         pc.linearise,
         pc.equations,
         pc.parameter_varying,

@@ -14,10 +14,10 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.matrices import matrices
-from platform_ctrl.mechanics.rotors import with_rotors_as_gimbals
 from platform_ctrl.plant.force_elements import Spring, Unbalance
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation import HalfCosine, rollout
+from rotors_as_gimbals import with_rotors_as_gimbals
 from single_runs import simulated
 from small_trees import tree
 from tree_cases import platforms
