@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from platform_ctrl.cli.interrupts import interrupts_deferred
@@ -19,19 +19,20 @@ RECORD = "export.json"
 
 
 @contextmanager
-def written_together(folder: Path) -> Iterator[Path]:
-    """Yield a folder to write into; at the end its files move to `folder`, which is made, over those there.
+def written_together(*folders: Path) -> Iterator[list[Path]]:
+    """Yield a folder to write into for each; at the end their files move to `folders`, made if needed, over those there.
 
     If the work ends by an error or by Ctrl-C, none does.
     """
-    with beside(folder) as unfinished:
+    with ExitStack() as stack:
+        unfinished = [stack.enter_context(_beside(folder)) for folder in folders]
         yield unfinished
         with interrupts_deferred():
-            move_together({unfinished: folder})
+            _move_together(dict(zip(unfinished, folders, strict=True)))
 
 
 @contextmanager
-def beside(folder: Path) -> Iterator[Path]:
+def _beside(folder: Path) -> Iterator[Path]:
     """Yield a folder to write into inside `folder`, which is made; without an error that stays."""
     made, inside = not folder.exists(), ""
     try:
@@ -52,7 +53,7 @@ def beside(folder: Path) -> Iterator[Path]:
                 folder.rmdir()
 
 
-def move_together(folders: Mapping[Path, Path]) -> None:
+def _move_together(folders: Mapping[Path, Path]) -> None:
     """Move the files of unfinished folders into others, over those there: all of them, or by an error none."""
     moves = [(path, folder / path.name) for source, folder in folders.items() for path in sorted(source.iterdir())]
     kept = {path: path.parent / "before" / path.name for path, _ in moves}

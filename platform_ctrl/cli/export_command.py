@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -157,25 +156,19 @@ def _write(
     say: Callable[[str], None],
 ) -> dict[Form, list[Path]]:
     """Write all forms or none, and return the files of each; what a folder has of an earlier export goes."""
-    from platform_ctrl.cli.atomic_output import beside, expect_own, move_together, write_folder_record
-    from platform_ctrl.cli.interrupts import interrupts_deferred
+    from platform_ctrl.cli.atomic_output import expect_own, write_folder_record, written_together
 
     made: dict[Form, list[Path]] = {}
-    moves: dict[Path, Path] = {}
-    with ExitStack() as all_or_none:
-        for form, target in chosen.items():
+    folders = [target if form.folder else target.parent for form, target in chosen.items()]
+    with written_together(*folders) as places:
+        for (form, target), folder, unfinished in zip(chosen.items(), folders, places, strict=True):
             say(f"writing {target}")
-            folder = target if form.folder else target.parent
-            unfinished = all_or_none.enter_context(beside(folder))
-            moves[unfinished] = folder
             path = unfinished if form.folder else unfinished / target.name
             form.write(work, path, target)
             if form.folder:
                 write_folder_record(path, about)
             expect_own(unfinished, folder, owned.get(form))
             made[form] = [folder / one.name for one in sorted(unfinished.iterdir())]
-        with interrupts_deferred():
-            move_together(moves)
     for form, before in owned.items():
         for name in before.keys() - {path.name for path in made[form]}:
             (chosen[form] / name).unlink(missing_ok=True)

@@ -66,7 +66,7 @@ def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "one").write_text("old")
 
     def write(fail: type[BaseException] | None) -> None:
-        with written_together(tmp_path) as folder:
+        with written_together(tmp_path) as [folder]:
             (folder / "one").write_text("new")
             (folder / "two").write_text("new")
             if fail is not None:
@@ -90,7 +90,7 @@ def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, mon
 
     monkeypatch.setattr(os, "replace", interrupted)
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), written_together(tmp_path) as folder:  # noqa: PT012
+    with pytest.raises(KeyboardInterrupt), written_together(tmp_path) as [folder]:  # noqa: PT012
         (folder / "one").write_text("new")
         (folder / "two").write_text("new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
@@ -105,7 +105,7 @@ def test_what_killed_runs_left_goes_and_what_a_process_writes_stays(tmp_path: Pa
         (folder / "report.html").write_text("half")
     (tmp_path / ".unfinished-link").symlink_to(tmp_path.parent)
     (tmp_path / "else.tmp").write_text("not ours")
-    with written_together(tmp_path) as at_work, replaced_file(tmp_path / "result.json") as file:
+    with written_together(tmp_path) as [at_work], replaced_file(tmp_path / "result.json") as file:
         file.write_bytes(b"whole")
         (at_work / "two").write_text("new")
         write_whole(tmp_path / "result.json", "of another process")
