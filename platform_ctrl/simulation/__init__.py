@@ -8,13 +8,11 @@ from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibratio
 from platform_ctrl.simulation.batch import simulate_batch
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.simulation.free_motion import rollout
-from platform_ctrl.simulation.stepping import Simulator
 
 __all__ = [
     "Fault",
     "HalfCosine",
     "Scenario",
-    "Simulator",
     "TimeTable",
     "Vibration",
     "rollout",

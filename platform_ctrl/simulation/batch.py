@@ -312,19 +312,13 @@ def batch_metrics(batched: Batch, threads: int = 1, record: FloatArray = _NO_REC
     return metrics.transpose(0, 2, 1).reshape(groups * LANES, slots)[:runs]
 
 
-def columns_of_record(batched: Batch) -> int:
-    """Return how many numbers are recorded of a sample.
-
-    q, rates, Omega, p, attitude, readings, commands, torques, spins and motors' torques of servo rotors, line of sight.
-    """
-    at, shared = batched.packed.at, batched.shared
-    return 3 * at.n + 7 + len(shared.sensors) + 2 * len(shared.targets) + 2 * at.servos
-
-
 def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
     """Simulate one scenario alone; return its record, a row a sample, and its metrics (slots,)."""
     batched = batch([member], controller, period, noise)
-    samples, columns = batched.layout.samples, columns_of_record(batched)
+    at, shared = batched.packed.at, batched.shared
+    # q, rates, Omega, p, attitude, readings, commands, torques, servo rotors' spins and torques, line of sight.
+    columns = 3 * at.n + 7 + len(shared.sensors) + 2 * len(shared.targets) + 2 * at.servos
+    samples = batched.layout.samples
     try:
         record = np.zeros((samples, columns))
     except MemoryError:

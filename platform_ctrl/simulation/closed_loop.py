@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.scenario import Mode, Scenario
-from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.batch import merged_controller, recorded
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.run_plan import prepared
@@ -171,38 +170,20 @@ def simulate(
     commanded = commanded_readings(scenario)
     controller = merged_controller(scenario.platform, controllers, period, scenario.mode, commanded, scenario.drives)
     record, metrics = recorded(member, controller, period, noise)
-    done = int(counts(metrics, scenario.platform)[2][0])
-    ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
-    longest = min(step, scenario.longest_step)
-    return trajectory_of(record[:done], metrics, scenario, first=0, period=period, step=longest, ended=ended)
-
-
-def counts(metrics: FloatArray, platform: Platform) -> list[NDArray[np.int64]]:
-    """Return of a run's metrics the saturated samples, the contacts and the samples."""
-    widths = widths_of_metrics(len(platform.gimbals), len(platform.torquers), 0)
-    return [np.rint(part).astype(np.int64) for part in np.split(metrics, np.cumsum(widths))[3:6]]
-
-
-def trajectory_of(
-    record: FloatArray,
-    metrics: FloatArray,
-    scenario: Scenario,
-    *,
-    first: int,
-    period: float,
-    step: float,
-    ended: str,
-) -> Trajectory:
-    """Return what the kernel recorded of the samples from `first` on as a trajectory."""
     platform = scenario.platform
-    n, servos = len(platform.gimbals), servo_rotors(platform)
-    nu = len(platform.torquers)
-    saturated, contacts, _ = counts(metrics, platform)
+    widths = widths_of_metrics(len(platform.gimbals), len(platform.torquers), 0)
+    saturated, contacts, samples = (
+        np.rint(part).astype(np.int64) for part in np.split(metrics, np.cumsum(widths))[3:6]
+    )
+    done = int(samples[0])
+    ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
+    record = record[:done]
+    n, nu, servos = len(platform.gimbals), len(platform.torquers), servo_rotors(platform)
     widths = (n, n, 3, n, 4, len(platform.sensors), nu, nu, len(servos), len(servos))
     angle, rate, Omega, momentum, attitude, reading, command, torque, spin, motor, sight = np.split(
         record, np.cumsum(widths), axis=1
     )
-    t = period * np.arange(first, first + len(record), dtype=np.float64)
+    t = period * np.arange(len(record), dtype=np.float64)
     return Trajectory(
         t=t,
         q=angle,
@@ -221,7 +202,7 @@ def trajectory_of(
         pickoff_names=tuple(s.name for s in platform.sensors),
         torquer_names=tuple(t.name for t in platform.torquers),
         rotor_names=tuple(r.name for r in servos),
-        commanded_names=(commanded := commanded_readings(scenario)),
+        commanded_names=commanded,
         commanded_units=tuple(s.unit for s in platform.sensors if s.name in commanded),
         saturated=saturated,
         stop_contacts=contacts,
@@ -229,6 +210,6 @@ def trajectory_of(
         mode=scenario.mode,
         period=period,
         delay=scenario.delay,
-        step=step,
+        step=min(step, scenario.longest_step),
         seed=scenario.seed,
     )

@@ -286,7 +286,10 @@ def test_sources_made_in_python_are_judged_too() -> None:
         (lambda: TableSpectrum(frequencies_hz=[1.0, 2.0], densities=[1.0, -1.0]), "densities must be a density > 0"),
         (lambda: ProfileSpectrum(profile="x"), 'profile must be .* or "ship-roll", got'),
         (lambda: SineSpectrum(sines=[[1.0, 1.0]]), "row 1 has 2 elements"),
-        (lambda: HarmonicSpectrum(harmonics=[[1.0, -1.0]], turning_rate=(1.0, 1.0)), "order per revolution > 0, amplitude > 0"),
+        (
+            lambda: HarmonicSpectrum(harmonics=[[1.0, -1.0]], turning_rate=(1.0, 1.0)),
+            "order per revolution > 0, amplitude > 0",
+        ),
         (lambda: HarmonicSpectrum(harmonics=[[1.0, 1.0]], turning_rate=(2.0, 1.0)), "lowest and highest"),
     ):
         with pytest.raises(ArgumentError, match=says):

@@ -14,7 +14,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.scenario import HalfCosine, Mode, Scenario
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import sensing_axis
-from platform_ctrl.simulation import Simulator, simulate, simulate_batch
+from platform_ctrl.simulation import simulate, simulate_batch
 from platform_ctrl.simulation.closed_loop import Trajectory
 from sighted_gimbal import sighted, skewed
 
@@ -156,24 +156,6 @@ def test_a_held_sensor_has_the_noise_density_of_its_own_rate() -> None:
     reading = simulate(still, [], period=PERIOD).reading[:, -1]
     np.testing.assert_array_equal(reading[:-1:4], reading[3::4])
     assert np.std(reading[::4]) == pytest.approx(1e-3 * np.sqrt(0.5 / 4e-3 / 500.0), rel=0.05)
-
-
-def test_sample_by_sample_sensors_remember_what_they_saw() -> None:
-    platform = sighted(
-        attitude_sensor=[
-            {"name": "t", "body": "pitch", "axis": [0, 1, 0], "bandwidth_hz": 40.0, "delay": 0.003, "rate_hz": 500.0}
-        ]
-    )
-    whole = simulate(scenario(platform), [], period=PERIOD)
-    stepped = Simulator(scenario(platform), [], period=PERIOD)
-    part = stepped.advance(70)
-    saved = stepped.snapshot()
-    first = stepped.advance(30)
-    stepped.restore(saved)
-    again = stepped.advance(30)
-    for run, rows in ((part, slice(1, 71)), (first, slice(71, 101)), (again, slice(71, 101))):
-        np.testing.assert_array_equal(run.reading, whole.reading[rows])
-        np.testing.assert_array_equal(run.line_of_sight, whole.line_of_sight[rows])
 
 
 def test_a_batch_gives_mean_and_rms_of_the_settled_samples() -> None:

@@ -16,8 +16,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.job.scenario import Command
-from platform_ctrl.simulation import Simulator, simulate, simulate_batch
+from platform_ctrl.simulation import simulate, simulate_batch
 
 PERIOD = 1.0 / RATE_HZ
 COMMANDS: list[dict[str, Any]] = [
@@ -52,7 +51,7 @@ def test_a_rate_loop_follows_its_command_as_linear_theory_says() -> None:
     np.testing.assert_allclose(run.rate[:, 0], rate[:, 0], rtol=0.0, atol=1e-6 * np.abs(rate).max())
 
 
-def test_many_runs_and_runs_by_steps_are_those_of_one() -> None:
+def test_many_runs_are_those_of_one() -> None:
     job = read_job(commanded_job(COMMANDS))
     closed, scenario = controllers(job), manoeuvre_scenario(job, job.manoeuvres[0])
     scenario = dataclasses.replace(scenario, settle=0.5)
@@ -62,10 +61,6 @@ def test_many_runs_and_runs_by_steps_are_those_of_one() -> None:
     error = np.abs(alone.reading[:, 1] - alone.reading_command[:, 0])[alone.t >= 0.5 - 1e-9].max()
     assert both.rate_following_error[1].max() == error
     assert both.rate_following_error[0].max() == both.angle_following_error.max() == 0.0
-    stepped = Simulator(scenario, closed, period=PERIOD)
-    parts = [stepped.advance(7), stepped.advance(300), stepped.advance(len(alone.t) - 308)]
-    np.testing.assert_array_equal(np.concatenate([part.rate for part in parts]), alone.rate[1:])
-    np.testing.assert_array_equal(np.concatenate([part.reading_command for part in parts]), alone.reading_command[1:])
 
 
 def test_commands_need_a_controller_that_takes_them() -> None:
@@ -74,19 +69,3 @@ def test_commands_need_a_controller_that_takes_them() -> None:
     (K,) = controllers(read_job(commanded_job([]) | {"manoeuvre": []}))
     with pytest.raises(ArgumentError, match="no controller takes a command of 'gyro'"):
         simulate(scenario, [K], period=PERIOD)
-
-
-def test_a_command_may_be_given_on_the_way_and_is_part_of_a_snapshot() -> None:
-    job = read_job(commanded_job([{"reading": "gyro", "step": 0.2, "at": 0.0105}]))
-    closed, whole = controllers(job), manoeuvre_scenario(job, job.manoeuvres[0])
-    expected_run = simulate(whole, closed, period=PERIOD)
-    stepped = Simulator(dataclasses.replace(whole, commands=(Command(reading="gyro"),)), closed, period=PERIOD)
-    stepped.advance(10)
-    kept = stepped.snapshot()
-    for _ in range(2):
-        stepped.restore(kept)
-        after = stepped.advance(20, command=[0.2])
-        np.testing.assert_array_equal(after.rate, expected_run.rate[11:31])
-        np.testing.assert_array_equal(after.reading_command, expected_run.reading_command[11:31])
-        assert stepped.now.reading_command[0, 0] == 0.2
-    np.testing.assert_array_equal(stepped.advance(5).rate, expected_run.rate[31:36])
