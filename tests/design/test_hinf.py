@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import control
 import numpy as np
 import pytest
@@ -33,18 +31,12 @@ ACCURACY = {"lmi": 1e-4, "riccati": 1e-6}
 NOISY = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
 
 
-def gyro(lag=2e-4, J9=5e-4, J10=2e-4, L=0.15):
-    """A, B, C of a two-axis gyro behind torquer lags: torques to angles, states [q, p, torque], SI units."""
-    G, Mi = np.array([[0, L], [-L, 0]]), np.diag([1 / J9, 1 / J10])
-    Z, one = np.zeros((2, 2)), np.eye(2)
-    A = np.block([[Z, Mi, Z], [Z, -G @ Mi, one], [Z, Z, -one / lag]])
-    return A, np.vstack([Z, Z, one / lag]), np.hstack([one, Z, Z])
-
-
-def three_gimbals(lag=2e-4, L=0.15, J4=1e-3, J=2e-4):
-    """The same for gimbal 4 with housings 5 and 7: a defective pole at zero."""
-    G, Mi = np.array([[0, L, L], [-L, 0, 0], [-L, 0, 0]]), np.diag([1 / J4, 1 / J, 1 / J])
-    Z, one = np.zeros((3, 3)), np.eye(3)
+def gyro(inertias=(5e-4, 2e-4), lag=2e-4, L=0.15):
+    """A, B, C of housings in a gimbal behind torquer lags: torques to angles, states [q, p, torque], SI units."""
+    n = len(inertias)
+    G, Mi = np.zeros((n, n)), np.diag(1 / np.array(inertias))
+    G[0, 1:], G[1:, 0] = L, -L
+    Z, one = np.zeros((n, n)), np.eye(n)
     A = np.block([[Z, Mi, Z], [Z, -G @ Mi, one], [Z, Z, -one / lag]])
     return A, np.vstack([Z, Z, one / lag]), np.hstack([one, Z, Z])
 
@@ -101,12 +93,8 @@ def hidden_integrator():
     return control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], NOISY)
 
 
-SHAPED = {
-    "gyro": gyro(),
-    "gyro behind integrators": with_integrators(*gyro(), 30.0, 50.0),
-    "three gimbals": three_gimbals(),
-    "three gimbals behind integrators": with_integrators(*three_gimbals(), 30.0, 50.0),
-}
+# With three gimbals the pole at zero is defective.
+SHAPED = {"gyro": gyro(), "behind integrators": with_integrators(*gyro((1e-3, 2e-4, 2e-4)), 30.0, 50.0)}
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -159,9 +147,11 @@ def test_the_default_is_the_riccati_route_where_its_assumptions_hold_and_the_res
         hinf(without(P, [4, 5]), 2, 2, time_limit=1e-6)
 
 
-def test_missing_weights_are_named_by_their_signals():
+def test_names_of_signals_are_kept_and_say_which_weight_is_missing():
     P = random_plant(7, n=4)
     named = control.ss(P.A, P.B, P.C, P.D, inputs=["d1", "d2", "d3", "d4", "Q9", "Q10"])
+    found = hinf(named, 2, 2)
+    assert (found.controller.output_labels, found.closed_loop.input_labels) == (["Q9", "Q10"], ["d1", "d2", "d3", "d4"])
     with pytest.raises(IllPosedError, match=r"D12 must .* but has 1: z does not contain Q10 directly"):
         hinf(without(named, [5]), 2, 2, method="riccati")
     D = P.D.copy()
@@ -276,16 +266,14 @@ def test_a_mode_out_of_reach_is_named(B2, C2, word, pole, method):
         ((control.ss(0.5, [[1, 1]], [[1], [1]], 0, True), 1, 1), {}, "without a sample period"),
         ((control.ss([], [], [], np.eye(2)), 1, 1), {}, "has no states"),
         ((control.ss(-1, [[1, 1]], [[1], [1]], 0), 2, 1), {}, "nmeas must be a whole number from 1 to 1"),
-        ((control.ss(-1, [[1, 1]], [[1], [1]], 0), 1, 0), {}, "ncon must be .* got 0"),
         ((control.ss(-1, [[1, 1]], [[np.nan], [1]], 0), 1, 1), {}, "C of the system is not finite"),
+        ((random_plant(1), 2, True), {}, "ncon must be .* got True"),
         ((random_plant(1), 2, 2), {"method": "h2"}, "method must .*got 'h2'"),
+        ((random_plant(1), 2, 2), {"method": "lmi", "regularise": 1e-3}, 'regularise needs method="riccati"'),
         ((random_plant(1), 2, 2), {"backoff": 0.0}, "backoff must .*got 0.0"),
         ((random_plant(1), 2, 2), {"backoff": [0.02, 0.03]}, "must be a number"),
-        ((random_plant(1), 2, 2), {"method": np.array(["lmi", "lmi"])}, "must be 'lmi' or 'riccati'"),
-        ((random_plant(1), 2, True), {}, "ncon must be .* got True"),
         ((random_plant(1), 2, 2), {"time_limit": 0.0}, "time_limit must be .* got 0.0"),
         ((random_plant(1), 2, 2), {"time_limit": None}, "time_limit must be .* got None"),
-        ((random_plant(1), 2, 2), {"time_limit": "1"}, "time_limit must be .* got '1'"),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(arguments, options, match):
@@ -305,32 +293,15 @@ def test_a_sampled_pole_at_minus_one_is_named():
         assert caught.value.problem is P
 
 
-def test_a_stable_mode_far_slower_than_another_is_allowed():
-    # Poles at -0.01 and -1e9 rad/s: no control reaches the slow one, none has to.
-    P = control.StateSpace(
-        np.diag([-0.01, -1e9]), [[0.1, 0, 0], [3e4, 0, 3e4]], [[0.1, 3e4], [0, 0], [0.1, 3e4]],
-        NOISY, remove_useless_states=False,
-    )  # fmt: skip
-    require_stabilisable(partition(P, 1, 1), P)
-    unstable = control.StateSpace(np.diag([0.01, -1e9]), P.B, P.C, P.D, remove_useless_states=False)
-    with pytest.raises(NotStabilisableError, match=r"the mode at 0\.01\+0j rad/s"):
-        require_stabilisable(partition(unstable, 1, 1), unstable)
-
-
-def test_result_keeps_names_and_evidence_through_copies():
-    plain = random_plant(8)
-    inputs, outputs = ["d1", "d2", "d3", "d4", "Q9", "Q10"], ["e1", "e2", "e3", "e4", "alpha9", "beta10"]
-    P = control.ss(plain.A, plain.B, plain.C, plain.D, inputs=inputs, outputs=outputs)
-    before = copy.deepcopy((P.A, P.B, P.C, P.D))
-    result = hinf(P, 2, 2, method="riccati")
-    assert result.controller.input_labels == ["alpha9", "beta10"]
-    assert result.controller.output_labels == ["Q9", "Q10"]
-    assert result.closed_loop.input_labels == ["d1", "d2", "d3", "d4"]
-    for old, new in zip(before, (P.A, P.B, P.C, P.D), strict=True):
-        np.testing.assert_array_equal(old, new)
-    again = copy.deepcopy(result)
-    np.testing.assert_array_equal(again.poles, result.poles)
-    assert not again.poles.flags.writeable
+def test_a_stable_mode_far_slower_than_another_is_allowed_and_an_unstable_one_is_not():
+    for slow in (-0.01, 0.01):
+        B, C = [[0.1, 0, 0], [3e4, 0, 3e4]], [[0.1, 3e4], [0, 0], [0.1, 3e4]]
+        P = control.StateSpace(np.diag([slow, -1e9]), B, C, NOISY, remove_useless_states=False)
+        if slow < 0.0:
+            require_stabilisable(partition(P, 1, 1), P)
+            continue
+        with pytest.raises(NotStabilisableError, match=r"the mode at 0\.01\+0j rad/s"):
+            require_stabilisable(partition(P, 1, 1), P)
 
 
 @pytest.mark.parametrize("method", METHODS)
