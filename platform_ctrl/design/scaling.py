@@ -185,12 +185,15 @@ def blocks(A: FloatArray) -> list[tuple[ComplexArray, FloatArray, float]]:
     What is fast in one block does not blur the poles of another.
     """
     from scipy.linalg import eig
-    from scipy.sparse.csgraph import connected_components
 
-    count, own = connected_components(A != 0.0, connection="strong")
+    reached = (A != 0.0) | np.eye(len(A), dtype=np.bool_)
+    for _ in range(len(A).bit_length()):
+        reached = reached @ reached
     out = []
-    for k in range(count):
-        block = A[np.ix_(own == k, own == k)]
+    # States that reach one another have the same first one.
+    first = np.argmax(reached & reached.T, axis=1)
+    for k in np.unique(first):
+        block = A[np.ix_(first == k, first == k)]
         size = float(np.linalg.norm(block))
         poles, left, right = eig(block, left=True, right=True)
         aligned = np.abs(np.sum(np.conj(left) * right, axis=0))
@@ -295,8 +298,8 @@ def zero_on_boundary(p: Partition) -> tuple[str, complex, FloatArray] | None:
     `p` is scaled and its D12 and D21 have orthonormal columns and rows.
     """
     for one, what in (
-        (p, "[A − jωI, B2; C1, D12] loses column rank"),
-        (p.dual, "[A − jωI, B1; C2, D21] loses row rank"),
+        (p, f"[A − {'z' if p.dt else 'jω'}I, B2; C1, D12] loses column rank"),
+        (p.dual, f"[A − {'z' if p.dt else 'jω'}I, B1; C2, D21] loses row rank"),
     ):
         A, B, C, D = one.A, one.B2, one.C1, one.D12
         # D'D = I: zeros are eigenvalues of A − B D'C.

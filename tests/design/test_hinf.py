@@ -359,13 +359,14 @@ def test_just_above_the_least_gamma_there_are_solutions_and_just_below_none(seed
     (nu, ny), (z, w) = ports, more
     P = random_plant(seed, n, ny + w, nu + z, ny, nu, stable)
     normal = _normal_form(autoscale(partition(P, ny, nu)).plant)
-    least = _least_gamma(normal, P)
+    sides = normal, normal.dual
+    least = _least_gamma(sides, P)
     if least < 1e-3:
         return  # Nothing stands in the way of gamma = 0 but rounding.
 
     def reached(gamma):
-        found = _trial(normal, gamma)
-        return found is not None and found.radius < gamma**2
+        found = _trial(sides, gamma)
+        return found is not None and 0.0 <= found.radius < gamma**2
 
     assert reached(least * (1 + 1e-6))
     assert least <= max(_floor(normal), 1e-6) * (1 + 1e-6) or not reached(least * (1 - 1e-6))

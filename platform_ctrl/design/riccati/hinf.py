@@ -8,6 +8,7 @@ theorem 17.1.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -25,15 +26,18 @@ if TYPE_CHECKING:
 
 WHERE = "hinf, riccati"
 # The least gamma is found to this relative accuracy.
-ACCURACY = 1e-10
+ACCURACY = 1e-9
 # Least and largest gamma of the scaled plant in the search, and how far apart the logarithms of its first steps are.
 LEAST_GAMMA, LARGEST_GAMMA, FIRST_STEP = 1e-6, 1e8, 1.4
-# The spectral radius of X Y counts as this where it is smaller.
-LEAST_COUPLING = 1e-14
+# gamma² over the spectral radius of X Y counts as this where it is larger.
+LARGEST_RATIO = 10.0
 # Negative eigenvalues of X and Y below this share of the largest are rounding.
 NEGATIVE_ROUNDING = 1e-7
 # Free parameters that are tried, and the largest condition of the loop around D22.
 SHARES, LARGEST_LOOP_CONDITION = (0.0, 0.3, -0.3), 1e8
+
+# A plant, whose equation is that of X, and its dual, whose equation is that of Y.
+Sides = tuple[Partition, Partition]
 
 
 def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[StateArrays, float, dict[str, float]]:
@@ -41,10 +45,11 @@ def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[State
     scaled = autoscaled_with_gain(plant)
     require_assumptions(scaled, P, WHERE)
     normal = _normal_form(scaled.plant)
-    least = _least_gamma(normal, P)
+    sides = normal, normal.dual
+    least = _least_gamma(sides, P)
     gamma = (1 + backoff) * least
-    found = _trial(normal, gamma)
-    if found is None or found.radius >= gamma**2:
+    found = _trial(sides, gamma)
+    if found is None or not 0.0 <= found.radius < gamma**2:
         raise UnscalableError(
             f"{WHERE}: no solution at {1 + backoff:.6g} times the least gamma {least * scaled.gain:.6g}; "
             'give a larger backoff, or method="lmi"',
@@ -52,7 +57,7 @@ def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[State
         )
     X, Y = (
         refined(equation, V, f"{WHERE}: the Riccati equation of {name}")
-        for name, equation, V in zip("XY", _equations(normal, gamma), (found.X, found.Y), strict=True)
+        for name, equation, V in zip("XY", _equations(sides, gamma), (found.X, found.Y), strict=True)
     )
     residual = {
         "spectral radius of X Y over gamma squared": found.radius / gamma**2,
@@ -85,14 +90,14 @@ def _normal_form(plant: Partition) -> Partition:
     )
 
 
-def _equations(p: Partition, gamma: float) -> list[Equation]:
+def _equations(sides: Sides, gamma: float) -> list[Equation]:
     """Return the equations of X and Y at a gamma, which may be infinite: then those of the H2 problem.
 
     w is counted in units of gamma. D12 is eliminated exactly, v = u + D12'(C1 x + D11 w) in place of u: then a fast
     pole of a weight on u, which that moves to a zero of the weight, is in no other entry.
     """
     out = []
-    for one in (p, p.dual):
+    for one in sides:
         z, nw, nu = len(one.C1) - one.D12.shape[1], one.B1.shape[1], one.B2.shape[1]
         B1, D = (one.B1 - one.B2 @ one.D11[z:]) / gamma, one.D11[:z] / gamma
         C, R = one.C1[:z], np.eye(nw + nu)
@@ -103,30 +108,28 @@ def _equations(p: Partition, gamma: float) -> list[Equation]:
 
 
 class Trial(NamedTuple):
-    """The stabilising X and Y at a gamma, and the spectral radius of X Y: the gamma is reached where it is less."""
+    """The stabilising X and Y at a gamma, and the spectral radius of X Y: the gamma is reached where it is less.
+
+    Beyond the gamma at which X or Y becomes infinite it is indefinite, and `radius` a negative eigenvalue of X Y.
+    """
 
     X: FloatArray
     Y: FloatArray
     radius: float
 
 
-def _trial(p: Partition, gamma: float) -> Trial | None:
-    """Return X and Y at a gamma; None where they do not exist or are not positive semidefinite."""
-    solutions, roots = [], []
-    for equation in _equations(p, gamma):
-        try:
-            X = stabilising(equation)
-        except np.linalg.LinAlgError:
-            return None
-        if X is None:
-            return None
-        values, vectors = np.linalg.eigh(X)
-        if values[0] < -NEGATIVE_ROUNDING * abs(values[-1]) - SOLUTION_ROUNDING:
-            return None
-        solutions.append(X)
-        roots.append(vectors * np.sqrt(np.maximum(values, 0.0)))
-    radius = float(np.linalg.norm(roots[0].T @ roots[1], 2)) ** 2
-    return Trial(solutions[0], solutions[1], radius)
+def _trial(sides: Sides, gamma: float) -> Trial | None:
+    """Return X and Y at a gamma; None where they do not exist."""
+    try:
+        X, Y = (stabilising(equation) for equation in _equations(sides, gamma))
+    except np.linalg.LinAlgError:
+        return None
+    if X is None or Y is None:
+        return None
+    products = np.linalg.eigvals(X @ Y).real
+    if all(v[0] >= -NEGATIVE_ROUNDING * abs(v[-1]) - SOLUTION_ROUNDING for v in map(np.linalg.eigvalsh, (X, Y))):
+        return Trial(X, Y, max(float(products.max()), 0.0))
+    return Trial(X, Y, float(products.min())) if products.min() < 0.0 else None
 
 
 def _floor(p: Partition) -> float:
@@ -135,15 +138,15 @@ def _floor(p: Partition) -> float:
     return float(max(np.linalg.norm(p.D11[:z], 2) if z else 0.0, np.linalg.norm(p.D11[:, :w], 2) if w else 0.0))
 
 
-def _least_gamma(p: Partition, P: StateSpace) -> float:
+def _least_gamma(sides: Sides, P: StateSpace) -> float:
     """Search the least gamma: Brent's method for the logarithm at which gamma² is the spectral radius of X Y.
 
     Where X or Y ceases to exist before, that is where the function jumps, and the method bisects.
     """
     from scipy.optimize import brentq
 
-    start = _trial(p, math.inf)
-    if start is None:
+    start = _trial(sides, math.inf)
+    if start is None or start.radius < 0.0:
         raise UnscalableError(
             f"{WHERE}: no gamma is large enough for both Riccati equations, which need unstable modes that u moves and "
             'y sees well, and no zeros near the imaginary axis; give method="lmi"',
@@ -151,11 +154,15 @@ def _least_gamma(p: Partition, P: StateSpace) -> float:
         )
 
     # The radius grows as gamma falls, from that of the H2 problem: nothing is reached at the first gamma.
-    first = math.log(max(_floor(p), math.sqrt(start.radius), LEAST_GAMMA))
+    first = math.log(max(_floor(sides[0]), math.sqrt(start.radius), LEAST_GAMMA))
 
+    @functools.cache
     def slack(log_gamma: float) -> float:
-        found = _trial(p, math.exp(log_gamma)) if log_gamma > first else None
-        return -1.0 if found is None else 2.0 * log_gamma - math.log(max(found.radius, LEAST_COUPLING))
+        gamma = math.exp(log_gamma)
+        found = _trial(sides, gamma) if log_gamma > first else None
+        # Where X or Y becomes infinite the ratio falls through zero.
+        ratio = -1.0 if found is None else gamma**2 / found.radius if found.radius else math.inf
+        return min(max(ratio, -1.0), LARGEST_RATIO) - 1.0
 
     low, high = first, first + FIRST_STEP
     while slack(high) <= 0.0:
