@@ -20,7 +20,7 @@ RECORD = "export.json"
 
 @contextmanager
 def written_together(*folders: Path) -> Iterator[list[Path]]:
-    """Yield a folder to write into for each; at the end their files move to `folders`, made if needed, over those there.
+    """Yield a folder to write into for each; at the end their files move to `folders`, made if needed.
 
     If the work ends by an error or by Ctrl-C, none does.
     """
