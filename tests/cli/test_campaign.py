@@ -41,7 +41,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "out" / "result.json").write_text(json.dumps(CONTROLLERS), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
+        patch.setattr("platform_ctrl.campaign.engine.processes_here", processes_here)
         assert main(["campaign", "job.toml", "--runs", str(RUNS), "--workers", "1", "-q"]) in (0, 1)
     return folder
 
@@ -49,7 +49,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def there(flown: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(flown)
-    monkeypatch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
+    monkeypatch.setattr("platform_ctrl.campaign.engine.processes_here", processes_here)
     return flown
 
 

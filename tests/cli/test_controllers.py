@@ -56,7 +56,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def there(result: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the job, and out/ as design leaves it."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
+    monkeypatch.setattr("platform_ctrl.campaign.engine.processes_here", processes_here)
     write(tmp_path)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "result.json").write_text(json.dumps(result), encoding="utf-8")

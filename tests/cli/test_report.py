@@ -24,7 +24,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
+        patch.setattr("platform_ctrl.campaign.engine.processes_here", processes_here)
         undrawn(patch, [])
         assert main(["new", "gyro"]) == 0
         assert main(["design", "gyro.toml", "-q"]) == 0
@@ -71,7 +71,7 @@ def test_a_campaign_of_other_controllers_is_refused_before_the_work(
 def test_a_campaign_that_violates_a_limit_is_no_pass(
     there: Path, pages: list[dict[str, Any]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
+    monkeypatch.setattr("platform_ctrl.campaign.engine.processes_here", processes_here)
     # A limit of the run as it is on paper; some of the runs that vary exceed it.
     text = (there / "gyro.toml").read_text(encoding="utf-8")
     largest = json.loads((there / "out" / "result.json").read_text(encoding="utf-8"))["runs"][0]["largest"]
