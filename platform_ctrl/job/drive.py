@@ -16,7 +16,7 @@ from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, missing, useless
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import RateSensor, gimbal_rate
-from platform_ctrl.plant.tables import record_value
+from platform_ctrl.plant.tables import no_misfits, record_value
 
 # The keys that belong together: the first, and what has no effect without it.
 _WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",)}
@@ -81,6 +81,7 @@ class DriveLaw(Drive):
 
     weights: dict[str, float] = dataclasses.field(default_factory=dict)
     feedback: bool = False
+    _misfits = staticmethod(no_misfits)  # friction may vary to zero
 
     def gain(self, angle: float) -> float:
         """Return the factor on the controllers' command.

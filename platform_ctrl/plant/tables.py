@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import types
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Annotated, Any, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
@@ -89,6 +89,11 @@ class Key:
     instead: Instead | None = None
 
 
+def no_misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+    """Find nothing wrong with a table."""
+    return iter(())
+
+
 @dataclass(frozen=True, eq=False)
 class Shape:
     """Which keys a table has, and what it becomes: with no `make`, fields of the table around it.
@@ -106,7 +111,7 @@ class Shape:
     one_of: OneOf | None = None
     back: Callable[[Any], dict[str, Any]] | None = None
     # What is wrong with a table whose keys are all right, the record's `_misfits`.
-    misfits: Callable[[dict[str, Any]], Iterable[Misfit]] = lambda table: ()
+    misfits: Callable[[dict[str, Any]], Iterator[Misfit]] = no_misfits
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
@@ -196,7 +201,7 @@ def _shape(record: type) -> Shape:
             alternatives += [] if alone else [(one.name, instead.key, needed)]
     for table, inner in elsewhere.items():
         keys[table] = Key(Shape(None, inner), "", needed=any(key.needed for key in inner.values()))
-    return Shape(make, keys, tuple(alternatives), others, one_of, misfits=getattr(record, "_misfits", lambda table: ()))
+    return Shape(make, keys, tuple(alternatives), others, one_of, misfits=getattr(record, "_misfits", no_misfits))
 
 
 def _made_of(record: type, name: str, mark: OneOf) -> Callable[..., Any]:
