@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import pickle
+import tomllib
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,6 +13,7 @@ import control
 import numpy as np
 import pytest
 
+import one_gyro_job
 import platform_ctrl as pc
 from platform_ctrl import analysis, design, simulation
 from platform_ctrl.analysis.poles import is_stable
@@ -21,23 +23,7 @@ MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
 PERIOD = 0.0005
 RATES = ["Omega1", "Omega2", "Omega3"]
 STATES = ["alpha9", "beta10", "p_alpha9", "p_beta10"]
-JOB = {
-    "schema": 2,
-    "name": "one loop",
-    "plant": "three_gyro_platform",
-    "operation": {"Omega": [0.0, 0.0, 0.0], "seed": 7},
-    "sampling": {"rate_hz": 2000, "delay": 0.0005},
-    "loop": [
-        {
-            "name": "caging 9-10",
-            "kind": "caging",
-            "gimbals": ["9", "10"],
-            "use": "classical",
-            "limits": {"bandwidth_hz": 20, "disk_margin": 0.3},
-            "design": [{"name": "classical", "method": "classical", "crossover_hz": 40, "integral_hz": 2}],
-        }
-    ],
-}
+JOB = tomllib.loads(one_gyro_job.JOB)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import platform_ctrl as pc
+from one_gyro_job import JOB
 from platform_ctrl import analysis
 from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.common.values import FloatArray
@@ -24,34 +26,9 @@ ALONE = r"(?:×|x) ([\d.]+) to ([\d.]+) alone, (?:phase )?(?:±|\+-)([\d.]+)"
 @pytest.fixture(scope="module")
 def channels():
     """The two channels of docs/first-loop.md, each with the other closed: loop transfer and disk margin."""
-    loop = pc.design.loops(
-        {
-            "schema": 2,
-            "name": "one gyro",
-            "plant": "three_gyro_platform",
-            "operation": {"Omega": [0.0, 0.0, 0.0]},
-            "sampling": {"rate_hz": 2000, "delay": 0.0005},
-            "loop": [
-                {
-                    "name": "caging",
-                    "kind": "caging",
-                    "gimbals": ["9", "10"],
-                    "use": "by hand",
-                    "design": [
-                        {
-                            "name": "by hand",
-                            "method": "classical",
-                            "crossover_hz": 40,
-                            "integral_hz": 2,
-                            "damping_hz": 43.4,
-                            "damping2_hz": 53.0,
-                            "lead_hz": 7,
-                        }
-                    ],
-                }
-            ],
-        }
-    )[0].closed
+    job, by_hand = tomllib.loads(JOB), {"damping_hz": 43.4, "damping2_hz": 53.0, "lead_hz": 7}
+    job["loop"][0]["design"][0] |= by_hand
+    loop = pc.design.loops(job)[0].closed
     L = analysis.loop_transfer(loop.plant, loop.controller)
     margins = analysis.loop_margins(loop.plant, loop.controller)
     out = {}

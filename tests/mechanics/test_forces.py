@@ -16,7 +16,7 @@ from platform_ctrl.mechanics.state_space import state_space, subsystems
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.simulation import rollout
-from tree_cases import platforms
+from tree_cases import platforms, slope
 
 quick = settings(max_examples=30, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
@@ -41,11 +41,6 @@ def furnished(platform, seed):
         ),
         specific_force=rng.normal(size=3),
     )
-
-
-def slope(function, at, step=1e-6):
-    columns = [(function(at + step * e) - function(at - step * e)) / (2 * step) for e in np.eye(len(at))]
-    return np.stack(columns, axis=-1)
 
 
 @quick

@@ -19,10 +19,10 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.parameter_varying import parameter_varying
 from platform_ctrl.mechanics.polynomials import monomial_values
-from platform_ctrl.plant.force_elements import Friction, Spring, Unbalance
+from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.platform import Torquer
 from platform_ctrl.plant.reading import read_platform
-from tree_cases import platforms, with_torquers
+from tree_cases import platforms, with_elements, with_torquers
 
 FORMS = pytest.mark.parametrize("form", ["rates", "momenta"])
 SEEDS = st.integers(0, 2**32 - 1)
@@ -31,18 +31,6 @@ SEEDS = st.integers(0, 2**32 - 1)
 @pytest.fixture(scope="module")
 def platform():
     return read_platform("three_gyro_platform")
-
-
-def with_elements(platform, rng):
-    """The platform with a spring and friction on every gimbal and an unbalanced body."""
-    names = platform.gimbal_names
-    return dataclasses.replace(
-        platform,
-        springs=tuple(Spring(gimbal=name, stiffness=float(rng.normal()), rest=0.1) for name in names),
-        frictions=tuple(Friction(gimbal=name, viscous=float(rng.uniform(0, 1))) for name in names),
-        unbalances=(Unbalance(body=names[-1], moment=rng.normal(size=3)),),
-        specific_force=rng.normal(size=3),
-    )
 
 
 def by_monomial(matrix):

@@ -14,9 +14,8 @@ from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.parameter_varying import parameter_varying
 from platform_ctrl.mechanics.terms import terms
-from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.reading import read_platform
-from tree_cases import platforms
+from tree_cases import platforms, with_elements
 
 SEEDS = st.integers(0, 2**32 - 1)
 TREES = platforms(max_gimbals=4, controls=("regulated", "free", "servo"))
@@ -36,19 +35,6 @@ def table(platform):
 def one(table, gimbal, label):
     (found,) = [term for term in table.of(gimbal) if term.label == unicodedata.normalize("NFC", label)]
     return found
-
-
-def with_elements(platform, rng):
-    names = platform.gimbal_names
-    return dataclasses.replace(
-        platform,
-        springs=(Spring(gimbal=names[0], stiffness=float(rng.normal()), rest=0.3),),
-        frictions=(Friction(gimbal=names[-1], viscous=0.4),),
-        cages=(Cage(gimbal=names[0], stiffness=2.0, damping=0.1, angle=-0.2),),
-        unbalances=tuple(Unbalance(body=name, moment=rng.normal(size=3)) for name in (platform.root_name, names[-1])),
-        erections=(Erection(gimbal=names[0], senses=names[-1], axis=np.array([0.6, 0.0, 0.8]), gain=0.7),),
-        specific_force=rng.normal(size=3) * 3,
-    )
 
 
 def summed(found, names):

@@ -40,15 +40,11 @@ from three_gyro_energy import (
     root_rows,
     times,
 )
-from tree_cases import platforms, state
+from tree_cases import platforms, slope, state
 
 quick = settings(max_examples=25, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
 H = 1e-6
-
-
-def slope(function, at):
-    return np.stack([(function(at + H * e) - function(at - H * e)) / (2 * H) for e in np.eye(len(at))], axis=-1)
 
 
 def energy_of_bodies(platform, q, u):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kernel_entries import derivatives, momenta, whole_state
+from kernel_entries import derivatives, momenta, state_derivative, whole_state
 from platform_ctrl.mechanics.equations import forward_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.kinematics import kinematics
@@ -76,13 +76,6 @@ def along_coordinates(platform: Platform, seed: int) -> Platform:
         for g in platform.gimbals
     )
     return dataclasses.replace(platform, gimbals=gimbals)
-
-
-def state_derivative(platform, q, v, force, free):
-    """[q', v'] of the kernel."""
-    n = len(platform.gimbals)
-    dy = derivatives(platform, whole_state(platform, q, v), force, free=free)[0]
-    return dy[:n], dy[n : 2 * n + 3]
 
 
 def a_state(platform, seed):

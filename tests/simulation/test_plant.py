@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kernel_entries import derivatives, momenta, whole_state
+from kernel_entries import momenta, state_derivative, whole_state
+from oracle_trees import turn
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.matrices import matrices
@@ -31,12 +32,6 @@ def some_free(platform: Platform) -> Platform:
     return dataclasses.replace(platform, rotors=tuple(rotors))
 
 
-def derivative(platform, q, velocity, force, free=True, held=()):
-    n = len(platform.gimbals)
-    dy = derivatives(platform, whole_state(platform, q, velocity), force, free=free, held=held)[0]
-    return dy[:n], dy[n : 2 * n + 3]
-
-
 def momentum(platform, q, velocity):
     """[H, p] = A* u + BᵀL."""
     return momenta(platform, whole_state(platform, q, velocity))[0]
@@ -52,12 +47,6 @@ def mass_and_momentum(platform, q):
 
 def joint_momenta(platform, q, velocity):
     return momentum(platform, q, velocity)[3:]
-
-
-def turn(axis, angle):
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
 def kinetic_energy(platform, q, velocity):
@@ -87,7 +76,7 @@ def test_a_locked_gimbal_stays_where_it_is_and_the_others_move_as_if_it_were_no_
     moving = np.delete(np.arange(8), 3 + k)
     mass = matrices(THREE_GYROS, q).A_star[np.ix_(moving, moving)]
     # Free root: a rate that is left to the gimbal stays in v, and does not turn it.
-    rates, acceleration = derivative(THREE_GYROS, q, velocity, force, held=[k])
+    rates, acceleration = state_derivative(THREE_GYROS, q, velocity, force, held=[k])
     needed = force - inverse_dynamics(THREE_GYROS, q, velocity, np.zeros(8))
     assert acceleration[moving] == pytest.approx(np.linalg.solve(mass, needed[moving]), rel=1e-9, abs=1e-10)
     assert (rates[k], acceleration[3 + k]) == (0.0, 0.0)
@@ -96,7 +85,7 @@ def test_a_locked_gimbal_stays_where_it_is_and_the_others_move_as_if_it_were_no_
     velocity[3 + k] = 0.0
     p = joint_momenta(THREE_GYROS, q, velocity)
     p[k] = 1e3
-    rates, _ = derivative(THREE_GYROS, q, np.concatenate([velocity[:3], p]), force, free=False, held=[k])
+    rates, _ = state_derivative(THREE_GYROS, q, np.concatenate([velocity[:3], p]), force, free=False, held=[k])
     assert rates == pytest.approx(velocity[3:], rel=1e-9, abs=1e-10)
 
 
@@ -104,7 +93,7 @@ def test_a_locked_gimbal_stays_where_it_is_and_the_others_move_as_if_it_were_no_
 def test_forward_dynamics_gives_back_the_accelerations_of_the_reference_cases(group):
     platform = platform_of_case(group["tree"])
     for state in group["states"]:
-        rates, acceleration = derivative(platform, state["q"], state["u"], state["tau"])
+        rates, acceleration = state_derivative(platform, state["q"], state["u"], state["tau"])
         assert rates == pytest.approx(state["u"][3:])
         assert acceleration == pytest.approx(state["u_dot"], abs=1e-10, rel=1e-10)
 
@@ -137,7 +126,7 @@ def test_momenta_change_by_the_torques_and_the_angle_derivative_of_the_kinetic_e
     platform = change(PLATFORMS[name])
     q, velocity, force = random_state(platform, 2)
     state = np.concatenate([velocity[:3], joint_momenta(platform, q, velocity)])
-    rates, change_of_momenta = derivative(platform, q, state, force, free=False)
+    rates, change_of_momenta = state_derivative(platform, q, state, force, free=False)
     size = 1e-5
     slope = [
         (kinetic_energy(platform, q + e, velocity) - kinetic_energy(platform, q - e, velocity)) / (2 * size)

@@ -88,3 +88,10 @@ def momenta(platform: Platform, states: np.ndarray, lane: int | None = None) -> 
     root = at.work + MOMENT
     out = np.concatenate([mem[root : root + 3], mem[at.stages : at.stages + at.n]])
     return out.T[: len(np.atleast_2d(states))].copy()
+
+
+def state_derivative(platform: Platform, q: Any, v: Any, force: Any, free: bool = True, held: Any = ()) -> Any:
+    """Return q' and v' of one state."""
+    n = len(platform.gimbals)
+    dy = derivatives(platform, whole_state(platform, q, v), force, free=free, held=held)[0]
+    return dy[:n], dy[n : 2 * n + 3]

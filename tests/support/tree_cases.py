@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 from hypothesis import strategies as st
 
+from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor, Torquer
 
 
@@ -95,3 +96,23 @@ def state(platform, seed):
     rng = np.random.default_rng(seed)
     n = len(platform.gimbals)
     return rng.uniform(-3, 3, n), rng.normal(size=3 + n), rng.normal(size=3 + n)
+
+
+def with_elements(platform, rng):
+    """Return the platform with some of every force element, and specific force."""
+    names = platform.gimbal_names
+    return dataclasses.replace(
+        platform,
+        springs=(Spring(gimbal=names[0], stiffness=float(rng.normal()), rest=0.3),),
+        frictions=(Friction(gimbal=names[-1], viscous=0.4),),
+        cages=(Cage(gimbal=names[0], stiffness=2.0, damping=0.1, angle=-0.2),),
+        unbalances=tuple(Unbalance(body=name, moment=rng.normal(size=3)) for name in (platform.root_name, names[-1])),
+        erections=(Erection(gimbal=names[0], senses=names[-1], axis=np.array([0.6, 0.0, 0.8]), gain=0.7),),
+        specific_force=rng.normal(size=3) * 3,
+    )
+
+
+def slope(function, at, step=1e-6):
+    """Return the derivatives of a function of a vector by central differences, a column for each component."""
+    columns = [(function(at + step * e) - function(at - step * e)) / (2 * step) for e in np.eye(len(at))]
+    return np.stack(columns, axis=-1)
