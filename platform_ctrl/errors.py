@@ -88,10 +88,6 @@ class TimeLimitError(DesignError):
     """The time allowed was over; the solver was ended."""
 
 
-class TimeLimitWarning(UserWarning):
-    """A time limit ended a search before its work was done: what it returns depends on the load of the machine."""
-
-
 class NotCertifiedError(DesignError):
     """A controller was found, but its actual closed loop does not do what was promised."""
 

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
-import itertools
+import dataclasses
 import json
-import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +10,13 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis, design
-from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.design.fixed_structure.norm import ClosedLoop
-from platform_ctrl.design.fixed_structure.objective import WorstNorm, WorstPower
+from platform_ctrl.design.fixed_structure.norm import ClosedLoop, WorstNorm
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
-from platform_ctrl.design.fixed_structure.result import StructuredDesign
 from platform_ctrl.design.fixed_structure.structures import Structure, Units
 from platform_ctrl.design.partition import Partition, augmented, partition
 from platform_ctrl.design.synthesis import Synthesis
-from platform_ctrl.errors import ArgumentError, NotFoundError, NotStabilisableError, TimeLimitWarning
-from platform_ctrl.job.requirements import requirement
+from platform_ctrl.errors import ArgumentError, NotFoundError, NotStabilisableError
 
 PROBLEMS = json.loads((Path(__file__).parents[1] / "data" / "compleib.json").read_text())["problems"]
 
@@ -106,16 +100,6 @@ def test_the_slopes_of_a_structure_are_its_differences(name: str) -> None:
         e = step * np.eye(x.size)[k]
         slope = (whole.matrix(x + e) - whole.matrix(x - e)) / (2 * step)
         np.testing.assert_allclose(J[..., k], slope, rtol=1e-6, atol=1e-6 * (1.0 + np.abs(J).max()))
-    weight = rng.standard_normal(whole.matrix(x).shape)
-
-    def slope_of_sum(y: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        return np.einsum("ij,ijx->x", weight, whole.jacobian(y))
-
-    H = whole.bend(x, weight)
-    for k in range(x.size):
-        e = 1e-5 * np.eye(x.size)[k]
-        column = (slope_of_sum(x + e) - slope_of_sum(x - e)) / 2e-5
-        np.testing.assert_allclose(H[:, k], column, rtol=1e-4, atol=1e-4 * (1.0 + np.abs(H).max()))
 
 
 def test_a_pid_has_the_transfer_function_that_it_says() -> None:
@@ -154,47 +138,51 @@ def test_what_is_given_to_a_block_holds_in_a_series() -> None:
     assert 2.0 <= named["lead_pole2"] <= 4.0
 
 
-def test_peaks_and_their_derivatives_are_those_of_the_closed_loop() -> None:
+def test_peaks_and_their_slopes_are_those_of_the_closed_loop() -> None:
     rng = np.random.default_rng(1)
-    plant = random_plant(rng)
+    plant = augmented(random_plant(rng), 1)
     whole = Parametrised(design.StateSpaceOrder(states=1), 2, 2, Units(gain=np.ones((2, 2)), rate=1.0))
-    worst = WorstNorm([augmented(plant, 1)], whole)
     x = whole.start + 0.1 * rng.standard_normal(whole.start.size)
-    values, slopes = worst.pieces(x)
-    loop = ClosedLoop(augmented(plant, 1), whole.matrix(x))
+    found = WorstNorm([plant], whole)(x)
+    loop = ClosedLoop(plant, whole.matrix(x))
     norm = analysis.hinf_norm(control.ss(loop.A, loop.B, loop.C, loop.D))[0]
-    assert values.max() == pytest.approx(norm, rel=1e-8)
-    top = int(np.argmax(values))
-    H = worst.curvature(x, np.eye(len(values))[top])
+    assert found.stable
+    assert found.values.max() == pytest.approx(norm, rel=1e-8)
+    top = int(np.argmax(found.values))
     for k in range(x.size):
         e = 1e-4 * np.eye(x.size)[k]
-        up, down = (WorstNorm([augmented(plant, 1)], whole).pieces(x + d)[0].max() for d in (e, -e))
-        assert slopes[top, k] == pytest.approx((up - down) / 2e-4, rel=1e-4, abs=1e-6)
-        assert H[k, k] == pytest.approx((up - 2 * values[top] + down) / 1e-8, rel=1e-2, abs=2e-3 * np.abs(H).max())
+        up, down = (WorstNorm([plant], whole)(x + d).values.max() for d in (e, -e))
+        assert found.gradients[top, k] == pytest.approx((up - down) / 2e-4, rel=1e-4, abs=1e-6)
 
 
-def test_the_h2_norm_and_its_slope_are_those_of_the_closed_loop() -> None:
-    rng = np.random.default_rng(2)
-    plant = random_plant(rng)
-    plant = Partition(**{k: getattr(plant, k) for k in ("A", "B1", "B2", "C1", "C2", "D12", "D21", "D22")},
-                      D11=np.zeros((3, 2)))  # fmt: skip
-    structure = design.StateSpaceOrder(states=1, strictly_proper=True)
-    whole = Parametrised(structure, 2, 2, Units(gain=np.ones((2, 2)), rate=1.0))
-    power = WorstPower([augmented(plant, 1)], whole)
-    x = whole.start + 0.1 * rng.standard_normal(whole.start.size)
-    values, slopes = power.pieces(x)
-    loop = ClosedLoop(augmented(plant, 1), whole.matrix(x))
-    assert values[0] == pytest.approx(analysis.h2_norm(control.ss(loop.A, loop.B, loop.C, 0 * loop.D)), rel=1e-9)
+def test_poles_of_a_loop_that_grows_have_the_slopes_of_differences() -> None:
+    plant = augmented(dataclasses.replace(random_plant(np.random.default_rng(1)), A=np.diag([1.0, 0.5, -1, -2, -3])), 1)
+    whole = Parametrised(design.StateSpaceOrder(states=1), 2, 2, Units(gain=np.ones((2, 2)), rate=1.0))
+    x = whole.start + 0.1
+    found = WorstNorm([plant], whole)(x)
+    top = int(np.argmax(found.values))
+    assert not found.stable
     for k in range(x.size):
         e = 1e-6 * np.eye(x.size)[k]
-        slope = (power.pieces(x + e)[0][0] - power.pieces(x - e)[0][0]) / 2e-6
-        assert slopes[0, k] == pytest.approx(slope, rel=1e-5, abs=1e-7)
+        up, down = (WorstNorm([plant], whole)(x + d).values.max() for d in (e, -e))
+        assert found.gradients[top, k] == pytest.approx((up - down) / 2e-6, rel=1e-4, abs=1e-6)
+
+
+def test_a_peak_far_narrower_than_the_distance_of_poles_is_found() -> None:
+    """A resonance with a damping of 1e-7, beside a slow pole that leads at low frequency."""
+    A = np.array([[-1.0, 0, 0], [0, -2e-6, 10.0], [0, -10.0, -2e-6]])
+    B, C = np.array([[0.5], [0.0], [1e-5]]), np.array([[1.0, 1.0, 0.0]])
+    none = np.zeros((1, 1))
+    plant = Partition(A=A, B1=B, B2=0 * B, C1=C, C2=0 * C, D11=none, D12=none, D21=none, D22=none)
+    loop = ClosedLoop(plant, none)
+    frequency = loop.peaks(np.zeros(0))
+    assert loop.gains(frequency).max() == pytest.approx(analysis.hinf_norm(control.ss(A, B, C, none))[0], rel=1e-8)
 
 
 @pytest.mark.parametrize("name", QUICK)
 def test_static_gains_reach_the_published_norms(name: str) -> None:
     P, nmeas, ncon = problem(name)
-    found = design.structured(P, nmeas, ncon, structure=design.Static(), starts=4, processes=1)
+    found = design.structured(P, nmeas, ncon, structure=design.Static(), starts=4)
     assert found.gamma <= 1.001 * PROBLEMS[name]["best"]
     assert found.gamma == pytest.approx(analysis.hinf_norm(found.closed_loops[0])[0], rel=1e-9)
     assert found.gamma >= (1.0 - 1e-3) * found.gamma_optimal
@@ -202,9 +190,9 @@ def test_static_gains_reach_the_published_norms(name: str) -> None:
 
 @pytest.mark.slow
 def test_a_richer_structure_costs_less(best: Synthesis) -> None:
-    pd = design.structured(gyro(), 2, 2, structure=design.PID(I="none", filter_order=1), starts=4, processes=1)
-    two = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=2), starts=4, processes=1)
-    four = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=4), starts=3, processes=1)
+    pd = design.structured(gyro(), 2, 2, structure=design.PID(I="none", filter_order=1), starts=4)
+    two = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=2), starts=4)
+    four = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=4), starts=3)
     assert 1.0 - 1e-3 <= four.price <= two.price * (1.0 + 1e-4) <= pd.price
     assert four.price < 1.01
     assert four.gamma_optimal == pytest.approx(best.gamma_optimal, rel=1e-3)
@@ -213,8 +201,8 @@ def test_a_richer_structure_costs_less(best: Synthesis) -> None:
 @pytest.mark.slow
 def test_one_controller_serves_several_plants_and_is_worst_at_one_of_them() -> None:
     plants = [gyro(w) for w in (1.0, 1.2)]
-    together = design.structured(plants, 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
-    alone = design.structured(plants[0], 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
+    together = design.structured(plants, 2, 2, structure=design.StateSpaceOrder(states=2), starts=2)
+    alone = design.structured(plants[0], 2, 2, structure=design.StateSpaceOrder(states=2), starts=2)
     K = alone.controller
     for P, gamma, loop in zip(plants, together.gammas, together.closed_loops, strict=True):
         assert analysis.hinf_norm(P.lft(together.controller))[0] == pytest.approx(gamma, rel=1e-6)
@@ -225,10 +213,11 @@ def test_one_controller_serves_several_plants_and_is_worst_at_one_of_them() -> N
 
 def test_a_sampled_plant_gets_a_sampled_controller_of_the_same_norm() -> None:
     P = gyro().sample(0.2, method="bilinear")
-    sampled = design.structured(P, 2, 2, structure=design.StateSpaceOrder(states=1), starts=2, processes=1)
-    flat = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=1), starts=2, processes=1)
+    sampled = design.structured(P, 2, 2, structure=design.StateSpaceOrder(states=1), starts=4)
+    flat = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=1), starts=4)
     assert sampled.controller.dt == 0.2
-    assert sampled.gamma == pytest.approx(flat.gamma, rel=1e-4)
+    # Two searches, which end at a kink of both.
+    assert sampled.gamma == pytest.approx(flat.gamma, rel=1e-3)
 
 
 def test_bounds_ties_and_fixed_numbers_are_kept() -> None:
@@ -239,96 +228,15 @@ def test_bounds_ties_and_fixed_numbers_are_kept() -> None:
         fixed={"kp11": -0.5, "kp22": -0.5},
         bounds={"filter1": (1.0, 4.0)},
     )
-    found = design.structured(gyro(), 2, 2, structure=structure, starts=3, processes=1)
+    found = design.structured(gyro(), 2, 2, structure=structure, starts=3)
     p = found.parameters
     assert p["kp12"] == -p["kp21"]
     assert p["kd11"] == p["kd22"]
     assert p["filter1"] == p["filter2"]
     assert p["kp11"] == p["kp22"] == -0.5
     assert 1.0 <= p["filter1"] <= 4.0
-    free = design.structured(gyro(), 2, 2, structure=design.PID(I="none", filter_order=1), starts=3, processes=1)
+    free = design.structured(gyro(), 2, 2, structure=design.PID(I="none", filter_order=1), starts=3)
     assert free.gamma <= found.gamma * (1 + 1e-6)
-
-
-def test_starts_side_by_side_find_the_same_as_one_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    from platform_ctrl.design.fixed_structure import side_by_side
-
-    monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
-    P, nmeas, ncon = problem("REA2")
-    lines: list[str] = []
-    options: dict[str, Any] = {"structure": design.Static(), "starts": 4, "evaluations": 3000}
-    both = design.structured(P, nmeas, ncon, **options, processes=2, progress=lines.append)
-    one = design.structured(P, nmeas, ncon, **options, processes=1)
-    assert np.array_equal(both.controller.D, one.controller.D)
-    assert [s.value for s in both.searches] == [s.value for s in one.searches]
-    assert sum("start" in line for line in lines) >= 4
-
-
-def test_the_result_does_not_depend_on_how_fast_the_clock_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    P, nmeas, ncon = problem("REA2")
-    options: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300, "processes": 1}
-    found = design.structured(P, nmeas, ncon, **options)
-    hours = itertools.count(0.0, 3600.0)
-    monkeypatch.setattr(time, "monotonic", lambda: next(hours))
-    slow = design.structured(P, nmeas, ncon, **options)
-    assert np.array_equal(slow.controller.D, found.controller.D)
-    assert [s.evaluations for s in slow.searches] == [s.evaluations for s in found.searches]
-    assert sum(s.evaluations for s in slow.searches) <= 300
-    assert not slow.cut
-    # A limit of time is another matter: it is said that the result depends on it.
-    with pytest.warns(TimeLimitWarning, match="depends on the load"):
-        cut = design.structured(P, nmeas, ncon, time_limit=9 * 3600.0, **options)
-    assert cut.cut
-    assert not cut.finished
-
-
-def test_a_process_that_dies_loses_no_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    from platform_ctrl.design.fixed_structure import side_by_side
-
-    def dies(*_: object, **options: object) -> None:
-        raise OSError
-
-    P, nmeas, ncon = problem("REA2")
-    options: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300}
-    alone = design.structured(P, nmeas, ncon, processes=1, **options)
-    monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
-    monkeypatch.setattr(side_by_side, "TaskProcess", dies)
-    found = design.structured(P, nmeas, ncon, processes=2, **options)
-    assert [s.value for s in found.searches] == [s.value for s in alone.searches]
-
-
-@pytest.mark.slow
-def test_hard_limits_are_met_and_the_soft_norm_pays_for_them() -> None:
-    noise, disturbance = (
-        Channel(inputs=("n1", "n2"), outputs=("q1", "q2")),
-        Channel(inputs=("d1", "d2"), outputs=("a1",)),
-    )
-    structure = design.StateSpaceOrder(states=2)
-
-    def at(limit: float) -> StructuredDesign:
-        required = [
-            requirement("H-infinity norm", limit, channel=noise),
-            requirement("H-infinity norm", 1.0, channel=disturbance, hard=False),
-            requirement("stability", 0.05),
-        ]
-        return design.structured(gyro(), 2, 2, structure=structure, requirements=required, starts=2, processes=1)
-
-    loose, tight = at(3.0), at(1.0)
-    assert loose.passed
-    assert tight.passed
-    assert tight.outcomes[0].value <= 1.0
-    assert tight.gamma > loose.gamma
-    assert np.max(np.concatenate(tight.poles).real) <= -0.05
-
-
-def test_an_h2_goal_is_beside_the_full_order_h2_design() -> None:
-    P = gyro()
-    required = [requirement("H2 norm", 1.0, hard=False)]
-    structure = design.StateSpaceOrder(states=4, strictly_proper=True)
-    found = design.structured(P, 2, 2, structure=structure, requirements=required, starts=3, processes=1)
-    full = design.h2(P, 2, 2).gamma_optimal
-    assert full * (1 - 1e-6) <= found.gamma <= 1.05 * full
-    assert found.gamma_optimal == pytest.approx(full, rel=1e-3)
 
 
 def test_what_cannot_be_is_said_in_one_line() -> None:
@@ -341,22 +249,11 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
     with pytest.raises(
         NotFoundError, match=r"none found: no Static controller with a stable loop .* in 3 starts"
     ) as caught:
-        design.structured(double, 1, 1, structure=design.Static(), starts=3, processes=1)
+        design.structured(double, 1, 1, structure=design.Static(), starts=3)
     assert caught.value.problem is not None
-    required = [requirement("H-infinity norm", 1e-6)]
-    soft = [requirement("H-infinity norm", 1.0, hard=False)]
-    structure = design.StateSpaceOrder(states=2)
-    with pytest.raises(NotFoundError, match="meets every hard requirement"):
-        design.structured(
-            P, 2, 2, structure=structure, requirements=required + soft, starts=2, evaluations=3000, processes=1
-        )
     for wrong, said in (
         ({"structure": "PID"}, "must be a Structure"),
         ({"structure": design.Static(), "starts": 0}, "must be a whole number"),
-        (
-            {"structure": design.Static(), "time_limit": -1.0},
-            "structured: time_limit must be a positive number of seconds, got -1.0",
-        ),
         ({"structure": design.Static(), "evaluations": 0.5}, "must be a whole number"),
         ({"structure": design.Static(fixed={"k13": 1.0})}, "k13"),
         ({"structure": design.Static(bounds={"k11": (2.0, 1.0)})}, "the lower bound must be below the upper one"),
@@ -366,7 +263,6 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
             "Static: pattern: must be 'full', 'diagonal', 'cross', 'none' or booleans, got 'round'",
         ),
         ({"structure": design.PID(start={"filter1": -1.0})}, "must be a positive number"),
-        ({"structure": design.Static(), "requirements": [requirement("damping", 0.1), *soft]}, "'damping'"),
     ):
         with pytest.raises(ArgumentError, match=said):
             design.structured(P, 2, 2, **wrong)
@@ -380,115 +276,22 @@ def test_the_partition_of_a_gyro_is_stabilised_by_two_states_but_not_by_gains() 
     # Gains on the angles leave the sum of the roots where it is: at zero.
     assert np.trace(partition(gyro(), 2, 2).A) == 0.0
     with pytest.raises(NotFoundError, match="pole at"):
-        design.structured(gyro(), 2, 2, structure=design.Static(), starts=3, processes=1)
+        design.structured(gyro(), 2, 2, structure=design.Static(), starts=3)
 
 
-def two_masses(k: float) -> control.StateSpace:
-    """Two unit masses and a spring (Wie and Bernstein 1992): force on the first, position of the second measured."""
-    A = [[0, 0, 1, 0], [0, 0, 0, 1], [-k, k, 0, 0], [k, -k, 0, 0]]
-    B = [[0, 0, 0], [0, 0, 0], [0, 0, 1], [1, 0, 0]]
-    C = [[0, 1, 0, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
-    return control.ss(A, B, C, [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+def test_the_same_call_gives_the_same_controller_within_its_evaluations() -> None:
+    P, nmeas, ncon = problem("REA2")
+    lines: list[str] = []
+    options: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 60}
+    one, two = (design.structured(P, nmeas, ncon, **options, progress=lines.append) for _ in range(2))
+    assert np.array_equal(one.controller.D, two.controller.D)
+    assert not one.finished
+    assert len(one.reached) == 3
+    assert all(line.startswith("structured: start ") for line in lines)
 
 
-def poles_of_two_masses(k: float, K: control.StateSpace) -> np.ndarray[Any, Any]:
-    """Return the roots of s² (s² + 2 k) d(s) − k n(s), u = n/d y."""
-    K = control.ss(K)
-    d = np.poly(K.A)
-    n = np.poly(K.A + K.B @ K.C) - d  # det(sI − A − B C) = d − C adj B: minus the numerator
-    n = -n + K.D[0, 0] * d
-    return np.asarray(np.roots(np.polysub(np.polymul([1, 0, 2 * k, 0, 0], d), k * n)))
-
-
-STIFFNESS = (0.5, 0.75, 1.0, 1.5, 2.0)
-
-
-@pytest.mark.slow
-def test_two_masses_with_uncertain_spring_decay_by_a_strictly_proper_controller_of_order_four() -> None:
-    plants = [two_masses(k) for k in STIFFNESS]
-    required = [requirement("stability", 0.25), requirement("H-infinity norm", 1.0, hard=False)]
-    structure = design.StateSpaceOrder(states=4, strictly_proper=True)
-    found = design.structured(plants, 1, 1, structure=structure, requirements=required, starts=1, processes=1)
-    assert found.passed
-    assert not np.any(found.controller.D)
-    for k in STIFFNESS:
-        assert poles_of_two_masses(k, found.controller).real.max() <= -0.25 + 1e-6
-
-
-def test_none_found_is_not_infeasible_and_says_where_the_poles_of_the_loop_are(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    from platform_ctrl.design.fixed_structure import starts
-
-    monkeypatch.setattr(starts, "_STARTS", 3)
-    plants = [two_masses(k) for k in STIFFNESS]
-    required = [requirement("stability", 0.3), requirement("H-infinity norm", 1.0, hard=False)]
-    structure = design.StateSpaceOrder(states=2)
-    with pytest.raises(NotFoundError, match=r"none found: .* decay of 0\.3 1/s .* does not show that") as caught:
-        design.structured(
-            plants, 1, 1, structure=structure, requirements=required, starts=2, evaluations=500, processes=1
-        )
-    K = caught.value.nearest
-    worst = max(float(poles_of_two_masses(k, K).real.max()) for k in STIFFNESS)
-    # The loop is stable, and is not called anything else.
-    assert -0.3 < worst < -0.1
-    said = re.search(r"pole at (\S+) rad/s", str(caught.value))
-    assert said is not None
-    assert float(said[1]) == pytest.approx(worst, rel=1e-3)
-
-
-@pytest.mark.parametrize(("evaluations", "deadline", "most"), [(70, np.inf, 70), (10**6, -np.inf, 0)])
-def test_controllers_of_every_order_are_sought_within_the_limits(evaluations: int, deadline: float, most: int) -> None:
-    from platform_ctrl.design.fixed_structure.run import Limits
-    from platform_ctrl.design.fixed_structure.starts import Orders
-    from platform_ctrl.design.fixed_structure.structures import Units
-    from platform_ctrl.design.partition import partition
-
-    plants = [partition(two_masses(k), 1, 1) for k in STIFFNESS]
-    units = Units(gain=np.ones((1, 1)), rate=1.0)
-    # No decay of 10 1/s is found: the limits alone end the search.
-    known = Orders(plants, 10.0, units, np.random.default_rng(0), Limits(evaluations=evaluations, deadline=deadline))
-    nearest = known.best(4, True)
-    assert known.spent == most
-    assert np.isfinite(nearest.abscissa)
-
-
-def test_a_lower_order_is_a_start_of_the_next() -> None:
-    from platform_ctrl.design.fixed_structure.starts import low_passed, with_state
-
-    rng = np.random.default_rng(3)
-    n, ny, nu = 2, 2, 3
-    M = rng.standard_normal((n + nu, n + ny))
-
-    def response(M: np.ndarray[Any, Any], n: int, s: complex) -> np.ndarray[Any, Any]:
-        A, B, C, D = M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]
-        return np.asarray(C @ np.linalg.solve(s * np.eye(n) - A, B) + D)
-
-    for s in (0.3j, 2.0j):
-        plain = response(M, n, s)
-        np.testing.assert_allclose(response(with_state(M, n, 4.0, np.ones(ny)), n + 1, s), plain, rtol=1e-12)
-        behind = response(low_passed(M, n, 7.0, nu), n + nu, s)
-        np.testing.assert_allclose(behind, 7.0 / (s + 7.0) * plain, rtol=1e-12)
-    assert not np.any(low_passed(M, n, 7.0, nu)[n + nu :, n + nu :])
-
-
-@pytest.mark.parametrize(
-    ("B2", "C1", "D11", "D12", "noise", "said"),
-    [
-        # z = x + u is zero for u = -x, which also stabilises x' = x + w + 3 u.
-        (3.0, [1.0], [0.0], [1.0], 0.0, "infimum is 0"),
-        # |x/w| = 1/(k - 1) beside a direct path of one: less with every larger gain, never below one.
-        (1.0, [1.0, 0.0], [0.0, 1.0], [0.0, 0.0], 0.0, "infinite gain"),
-        # The control is weighed, and the measurement noisy: an optimum at a finite gain.
-        (1.0, [1.0, 0.0], [0.0, 0.0], [0.0, 1.0], 1.0, ""),
-    ],
-)
-def test_an_infimum_of_zero_or_at_infinite_gain_is_said(
-    B2: float, C1: list[float], D11: list[float], D12: list[float], noise: float, said: str
-) -> None:
-    D = np.zeros((len(C1) + 1, 3))
-    D[:-1, 0], D[:-1, 2], D[-1, 1] = D11, D12, noise
-    P = control.ss([[1.0]], [[1.0, 0.0, B2]], np.array([[*C1, 1.0]]).T, D)
-    found = design.structured(P, 1, 1, structure=design.Static(), starts=3, evaluations=2000, processes=1)
-    assert said in found.infimum
-    assert bool(found.infimum) == bool(said)
+def test_an_infimum_at_infinite_gain_is_approached() -> None:
+    """|x/w| = 1/(k - 1) beside a direct path of one: less with every larger gain, never below one."""
+    P = control.ss([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [1, 0, 0], [0, 0, 0]])
+    found = design.structured(P, 1, 1, structure=design.Static(), starts=2)
+    assert 1.0 <= found.gamma < 1.0 + 1e-6

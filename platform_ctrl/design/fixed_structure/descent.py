@@ -13,8 +13,8 @@ every piece f has a gradient of the form ∂f/∂M = Σ Re(a bᵀ):
 * a pole λ with eigenvectors y, x (yᴴx = 1): dλ = yᴴ dA x of the closed loop;
 * the variance of a torque: X = A X Aᵀ + B Bᵀ and its adjoint.
 
-A peak between grid points is followed to its top. `minimax.minimise` minimises the pieces by its trust-region steps:
-hard ones are its limits, and only pieces of one requirement and plant continue each other. The bandwidth has no smooth
+A peak between grid points is followed to its top. `minimax.minimise` minimises the pieces: hard ones are its limits,
+and only pieces of one requirement and plant continue each other. The bandwidth has no smooth
 pieces of its own where S lies along the level; so the question is turned round: S is at most 1/√2 up to ω_b, and
 log ω_b is one more variable.
 
@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +38,10 @@ from platform_ctrl.analysis.measuring import ControllerGain, Peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Numbers, Pieces, joined
+from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Pieces, joined
 from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, map_of, torque_per_Omega
-from platform_ctrl.design.fixed_structure.minimax import Effort, Objective, Region, minimise
+from platform_ctrl.design.fixed_structure.minimax import Effort, Evaluation, minimise
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
-from platform_ctrl.design.fixed_structure.quasi_newton import Stopped
 from platform_ctrl.job.requirements import LoopRequirement
 
 # What is not stable is worse than anything else.
@@ -87,18 +87,16 @@ class Found:
         return (max(self.hard, allowed), self.soft) < (max(other.hard, allowed), other.soft)
 
 
-@value
-class _Pieces:
-    """Pieces at a point: values (k,), gradients (k, d), which are hard, and what they belong to (k, 2).
+class _Part(NamedTuple):
+    """The pieces of a requirement."""
 
-    Where a loop is not stable, its growth is all that counts.
-    """
+    number: int  # of the requirement, or what else it is: below
+    pieces: Pieces
+    hard: bool
+    slope: FloatArray | float = 0.0  # along log(bandwidth)
 
-    values: FloatArray
-    gradients: FloatArray
-    hard: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-    owner: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
-    stable: bool
+
+_LEVEL, _BELOW, _WANTED, _GROWTH, _LIMIT, _UNSEEN = -1, -2, -3, -4, -5, -6
 
 
 @dataclasses.dataclass
@@ -238,7 +236,7 @@ class Search:
 
     def _all(self, family: Parametrised, x: FloatArray) -> tuple[float, float, list[int]]:
         """Return the largest hard piece and soft ratio over all plants, and the plants, the worst first."""
-        found = self._pieces(family, x, self._plants, _RANKED)
+        found = self._evaluated(family, x, self._plants, _RANKED)
         by_plant = np.zeros(len(self._plants.labels))
         counted = found.hard | (not self._soft) | (not found.stable)
         np.maximum.at(by_plant, found.owner[:, 1], np.where(counted, found.values, 0.0))
@@ -252,124 +250,93 @@ class Search:
             hard, soft = max(_ratio(float(found.values[~found.hard].max())), level), 0.0
         return hard, soft, _ranked(by_plant)
 
-    def _pieces(self, family: Parametrised, x: FloatArray, plants: PlantSet, floor: float) -> _Pieces:  # noqa: PLR0915 - one pass over all goals
-        """Return all pieces; hard ones with the reserve added, so that 1 is their limit."""
+    def _evaluated(self, family: Parametrised, x: FloatArray, plants: PlantSet, floor: float) -> Evaluation:
+        """Return all pieces; hard ones with the reserve added, so that 1 is their limit.
+
+        Where a loop is not stable, its growth is all that counts.
+        """
         self._left -= 1
         own = x[: len(family.start)]
         loops = ClosedLoops(plants, family.block(own))
-        derivative = family.jacobian(own)
-        values, gradients, hard, owner = [], [], [], []
-
-        def add(ratio: FloatArray, gradient: FloatArray, is_hard: bool, number: int, plant: Numbers) -> None:
-            values.append(ratio)
-            gradients.append(gradient)
-            hard.append(np.full(len(ratio), is_hard))
-            owner.append(np.column_stack([np.full(len(ratio), number), plant]).astype(np.intp))
-
-        def along(gradient: FloatArray, slope: FloatArray | float = 0.0) -> FloatArray:
-            out = np.tensordot(gradient, derivative, axes=([1, 2], [0, 1]))
-            if not self._moving:
-                return out
-            return np.column_stack([out, np.broadcast_to(slope, len(out))])
-
-        stable = bool(np.all(loops.poles().s.real < 0.0))
-        if not stable:
-            everywhere = np.arange(len(plants.labels))
-            growing = loops.decay(0.0, everywhere)
-            add(growing.ratio, along(growing.gradient), False, -4, growing.plant)
-        for number, requirement in enumerate(self._requirements if stable else ()):
-            found = pieces(loops, requirement, floor)
-            is_hard = requirement.hard and self._soft
-            add(found.ratio + (self._reserve if is_hard else 0.0), along(found.gradient), is_hard, number, found.plant)
-        if self._moving and stable:
-            frequency = 2.0 * np.pi * float(np.exp(x[-1]))
-            found, slope = loops.level(frequency, floor)
-            # Far above the bandwidth S is hardly larger than its level: what is beyond it counts several times.
-            weight = 1.0 if self._soft else _STEEP
-            steep = np.where(found.ratio > 1.0, weight, 1.0)
-            ratio = found.ratio + np.maximum(found.ratio - 1.0, 0.0) * (weight - 1.0)
-            add(ratio + _TIGHT, along(steep[:, None, None] * found.gradient, steep * slope), True, -1, found.plant)
-            if self._guarded:
-                found, slope = loops.level(0.1 * frequency, np.inf)
-                share = LEVEL / _TENTH
-                add(share * found.ratio, along(share * found.gradient, share * slope), True, -2, found.plant)
-            for number, least, is_hard in ((-3, self._wanted, False), (-5, self._limit, self._soft)):
-                if least is not None:
-                    share = least / float(np.exp(x[-1]))
-                    gradient = np.zeros((1, len(x)))
-                    gradient[0, -1] = -share
-                    share += self._reserve if is_hard else 0.0
-                    add(np.array([share]), gradient, is_hard, number, np.zeros(1, dtype=np.intp))
-        if all(np.all(part) for part in hard):
+        if not np.all(loops.poles().s.real < 0.0):
+            parts = [_Part(_GROWTH, loops.decay(0.0, np.arange(len(plants.labels))), False)]
+            stable = False
+        else:
+            parts, stable = [], True
+            for number, requirement in enumerate(self._requirements):
+                hard = requirement.hard and self._soft
+                found = pieces(loops, requirement, floor)
+                parts.append(_Part(number, found.raised(self._reserve * hard), hard))
+            parts += self._bandwidth_parts(loops, float(np.exp(x[-1])), floor) if self._moving else []
+        hards = np.concatenate([np.full(len(one.pieces.ratio), one.hard) for one in parts])
+        if np.all(hards):
             # Goals of which nothing is to be seen, such as torques without a limit.
-            add(np.zeros(1), np.zeros((1, len(x))), False, -6, np.zeros(1, dtype=np.intp))
-        ratios = np.concatenate(values)
+            parts.append(_Part(_UNSEEN, loops.constant(0.0), False))
+            hards = np.append(hards, False)
+        ratios = np.concatenate([one.pieces.ratio for one in parts])
+        derivative = family.jacobian(own)
+        gradients = np.concatenate(
+            [np.tensordot(one.pieces.gradient, derivative, axes=([1, 2], [0, 1])) for one in parts]
+        )
+        if self._moving:
+            slopes = [np.broadcast_to(one.slope, len(one.pieces.ratio)) for one in parts]
+            gradients = np.column_stack([gradients, np.concatenate(slopes)])
+        owner = [np.column_stack([np.full(len(one.pieces.ratio), one.number), one.pieces.plant]) for one in parts]
         # Far from met, ratios grow like 1/margin; their logarithm is nearer to a straight line.
         beyond = np.maximum(ratios, 1.0)
-        return _Pieces(
+        return Evaluation(
             values=np.where(ratios > 1.0, 1.0 + np.log(beyond), ratios),
-            gradients=np.nan_to_num(np.concatenate(gradients) / beyond[:, None], posinf=0.0, neginf=0.0),
-            hard=np.concatenate(hard),
-            owner=np.concatenate(owner),
+            gradients=np.nan_to_num(gradients / beyond[:, None], posinf=0.0, neginf=0.0),
+            hard=hards,
+            owner=np.concatenate(owner).astype(np.intp),
             stable=stable,
         )
+
+    def _bandwidth_parts(self, loops: ClosedLoops, bandwidth: float, floor: float) -> list[_Part]:
+        """Return what requires S to stay below its level up to `bandwidth`, Hz, and a bandwidth as wanted."""
+        frequency = 2.0 * np.pi * bandwidth
+        found, slope = loops.level(frequency, floor)
+        # Far above the bandwidth S is hardly larger than its level: what is beyond it counts several times.
+        steep = np.where(found.ratio > 1.0, 1.0 if self._soft else _STEEP, 1.0)
+        level = Pieces(
+            ratio=1.0 + steep * (found.ratio - 1.0) + _TIGHT,
+            gradient=steep[:, None, None] * found.gradient,
+            plant=found.plant,
+        )
+        parts = [_Part(_LEVEL, level, True, steep * slope)]
+        if self._guarded:
+            found, slope = loops.level(0.1 * frequency, np.inf)
+            share = LEVEL / _TENTH
+            parts.append(_Part(_BELOW, found.times(share), True, share * slope))
+        for number, least, hard in ((_WANTED, self._wanted, False), (_LIMIT, self._limit, self._soft)):
+            if least is not None:
+                share = least / bandwidth
+                parts.append(_Part(number, loops.constant(share + self._reserve * hard), hard, -share))
+        return parts
 
     def _descended(self, family: Parametrised, x: FloatArray, plants: PlantSet, state: _State) -> FloatArray:
         """Return where the search on the plants in view leads; `state.ended` where it has ended."""
         lower, upper = family.lower, family.upper
         if self._moving:
             lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
-        seen: dict[bytes, _Pieces] = {}
-
-        def at(y: FloatArray) -> _Pieces:
-            key = y.tobytes()
-            if key not in seen:
-                if self._left <= 0 and seen:
-                    raise Stopped
-                seen[key] = self._pieces(family, y, plants, _FLOOR)
-            return seen[key]
-
-        def growth(y: FloatArray) -> tuple[FloatArray, FloatArray]:
-            here = at(y)
-            return (np.zeros(1), np.zeros((1, len(y)))) if here.stable else (here.values, here.gradients)
-
-        def chosen(y: FloatArray, hard: bool) -> tuple[FloatArray, FloatArray]:
-            here = at(y)
-            return here.values[here.hard == hard], here.gradients[here.hard == hard]
-
-        def owners(y: FloatArray) -> Numbers:
-            here = at(y)
-            return np.concatenate([here.owner[~here.hard], here.owner[here.hard]])
-
-        def growing(y: FloatArray) -> Numbers:
-            here = at(y)
-            return np.full((1, 2), -1, dtype=np.intp) if here.stable else here.owner
-
-        target = 1.0 if self._soft else 1.0 - self._reserve
-        objective = Objective(
-            soft=lambda y: chosen(y, False),
-            hard=lambda y: chosen(y, True),
-            stability=lambda y: (np.where(at(y).stable, -1.0, 1.0)[None], np.zeros((1, len(y)))),
-            owners=owners,
-        )
         effort = Effort(
-            descent=0,
+            evaluations=max(self._left, 1),
             steps=_STEPS,
-            target=target,
+            target=1.0 if self._soft else 1.0 - self._reserve,
             excess=0.1 * self._reserve,
             tolerance=1e-5,
             unit=1.0,
             penalty=_PENALTY,
+            radius=state.radius,
+            least=1e-7,
             # Smaller factors than for norms: fewer of 27 jobs miss their limits.
-            region=Region(radius=state.radius, least=1e-7, larger=2.0, smaller=0.4, hessian=state.H),
+            larger=2.0,
+            smaller=0.4,
+            hessian=state.H,
         )
-        if not at(x).stable:
-            found = minimise(Objective(soft=growth, owners=growing), x, (lower, upper), effort)
-            region = dataclasses.replace(effort.region, radius=found.radius, hessian=found.hessian)
-            x, effort = found.x, dataclasses.replace(effort, region=region)
-        found = minimise(objective, x, (lower, upper), effort)
-        assert found.hessian is not None
-        met = found.value <= target and found.hard <= 1.0 + effort.excess
+        found = minimise(lambda y: self._evaluated(family, y, plants, _FLOOR), x, (lower, upper), effort)
+        at = found.at
+        met = at.stable and at.largest(hard=False) <= effort.target and at.largest(hard=True) <= 1.0 + effort.excess
         state.H, state.radius, state.ended = found.hessian, found.radius, found.finished and not met
         return found.x
 

@@ -25,8 +25,10 @@ from platform_ctrl.design.fixed_structure.maps import (
     S_OUTPUT,
     Map,
     Responses,
+    Singular,
     column_of,
     row_of,
+    singular,
 )
 
 Numbers = NDArray[np.intp]
@@ -35,14 +37,6 @@ Numbers = NDArray[np.intp]
 _CLOSER = 0.2
 # A point of the grid that is higher than what is found around it by this factor is the top of a narrow peak.
 _SPIKE = 1.1
-# A second singular value above this share of the first counts as near it.
-_CLOSE = 0.9
-# Directions in the plane of two singular vectors: an icosahedron on the sphere of their mixtures, less the first.
-_DIRECTIONS = [np.array([0.0, 1.0], dtype=np.complex128)] + [
-    np.array([np.sqrt(0.5 + 0.5 * height), np.sqrt(0.5 - 0.5 * height) * np.exp(1j * np.pi * (2 * k + shift) / 5.0)])
-    for height, shift in ((np.sqrt(0.2), 0), (-np.sqrt(0.2), 1))
-    for k in range(5)
-]
 # Decay rates are counted in this share of the nutation frequency, or in their limit over the second number if that is
 # less; poles as many units from their limit are in view.
 _DECAY_UNIT, _NO_DECAY = 0.02, 20.0
@@ -70,6 +64,10 @@ class Pieces:
         """Return the pieces in another unit."""
         return Pieces(ratio=factor * self.ratio, gradient=factor * self.gradient, plant=self.plant)
 
+    def raised(self, by: float) -> Pieces:
+        """Return the pieces with a larger ratio."""
+        return Pieces(ratio=self.ratio + by, gradient=self.gradient, plant=self.plant)
+
 
 def joined(parts: Sequence[Pieces]) -> Pieces:
     """Return all pieces of several lists."""
@@ -92,24 +90,10 @@ class Points:
         self.responses = Responses(P, K, *sensitivities_of_plants(P, K), loops.fed(frequency), *found)
 
     def singular(self, of: Map, only: int | None = None) -> Singular:
-        """Return the largest singular value of a map at every point as smooth pieces.
-
-        Where the second one comes near, no single one is smooth: their vectors turn within a plane. With X = U Σ Vᴴ all
-        of Re((U c)ᴴ X V c), |c| = 1, are smooth, lie below the largest singular value and reach it; twelve directions c
-        stand for them. With `only`, of one point alone.
-        """
+        """Return the largest singular value of a map at every point as smooth pieces; with `only`, of one point."""
         X = of.response(self.responses)
-        U, s, V = np.linalg.svd(X if only is None else X[only : only + 1])
-        close = np.flatnonzero(s[:, 1] > _CLOSE * s[:, 0]) if s.shape[1] > 1 else np.zeros(0, dtype=np.intp)
-        u, v, size = [U[:, :, 0]], [V[:, 0, :].conj()], [s[:, 0]]
-        at = [np.arange(len(s))]
-        for c in _DIRECTIONS if len(close) else ():
-            u.append(U[close, :, :2] @ c)
-            v.append(V[close, :2, :].conj().swapaxes(-1, -2) @ c)
-            size.append(s[close, :2] @ np.abs(c) ** 2)
-            at.append(close)
-        where = np.concatenate(at) + (only or 0)
-        return Singular(size=np.concatenate(size), at=where, u=np.concatenate(u).conj(), v=np.concatenate(v))
+        found = singular(X if only is None else X[only : only + 1])
+        return found._replace(at=found.at + (only or 0))
 
     def differential(self, of: Map, found: Singular) -> FloatArray:
         """Return the gradients of `found`."""
@@ -119,15 +103,6 @@ class Points:
         column = np.concatenate([column_of(self._right[found.at], b), b], axis=1)
         out: FloatArray = np.real(row[:, :, None] * column[:, None, :])
         return out
-
-
-class Singular(NamedTuple):
-    """Singular values, or mixtures of two: sizes (k,), at which points (k,), left vectors conjugated, right vectors."""
-
-    size: FloatArray
-    at: Numbers
-    u: ComplexArray
-    v: ComplexArray
 
 
 class ClosedLoops:
@@ -158,8 +133,13 @@ class ClosedLoops:
 
     def none(self) -> Pieces:
         """Return no pieces."""
-        shape = (0, self.order + self.m, self.order + self.p)
-        return Pieces(ratio=np.zeros(0), gradient=np.zeros(shape), plant=np.zeros(0, dtype=np.intp))
+        return self.constant()
+
+    def constant(self, *ratios: float) -> Pieces:
+        """Return pieces of the nominal plant that the controller does not change."""
+        k = len(ratios)
+        gradient = np.zeros((k, self.order + self.m, self.order + self.p))
+        return Pieces(ratio=np.array(ratios), gradient=gradient, plant=np.zeros(k, dtype=np.intp))
 
     def peaks(
         self,

@@ -6,11 +6,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis import loop_set
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.loop_set import Transfer
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.common.values import FloatArray
 
 
 class Responses(NamedTuple):
@@ -34,6 +36,15 @@ class Responses(NamedTuple):
         m = self.P.shape[-1]
         return slice(-3, None) if source == "Omega" else slice(m, 2 * m)
 
+
+# A second singular value above this share of the first counts as near it.
+_CLOSE = 0.9
+# Directions in the plane of two singular vectors: an icosahedron on the sphere of their mixtures, less the first.
+_DIRECTIONS = [np.array([0.0, 1.0], dtype=np.complex128)] + [
+    np.array([np.sqrt(0.5 + 0.5 * height), np.sqrt(0.5 - 0.5 * height) * np.exp(1j * np.pi * (2 * k + shift) / 5.0)])
+    for height, shift in ((np.sqrt(0.2), 0), (-np.sqrt(0.2), 1))
+    for k in range(5)
+]
 
 # Singular vectors u, v → a (k, m), b (k, p) with d(uᴴ X v) = a dK b.
 Differential = Callable[[Responses, ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]
@@ -136,3 +147,31 @@ def torque_per_Omega(k: int, plants: PlantSet) -> Map:
         return u * r.S_input[:, k, :], column_of(r.S_output, r.read[..., -3:], weight * v)
 
     return Map(lambda r: _torque_per_Omega(r)[..., k : k + 1, :] * weight, differential, True)
+
+
+class Singular(NamedTuple):
+    """Singular values, or mixtures of two: sizes (k,), at which points (k,), left vectors conjugated, right vectors."""
+
+    size: FloatArray
+    at: NDArray[np.intp]
+    u: ComplexArray
+    v: ComplexArray
+
+
+def singular(X: ComplexArray) -> Singular:
+    """Return the largest singular value of every matrix of a stack as smooth pieces.
+
+    Where the second one comes near, no single one is smooth: their vectors turn within a plane. With X = U Σ Vᴴ all of
+    Re((U c)ᴴ X V c), |c| = 1, are smooth, lie below the largest singular value and reach it; twelve directions c stand
+    for them.
+    """
+    U, s, V = np.linalg.svd(X)
+    close = np.flatnonzero(s[:, 1] > _CLOSE * s[:, 0]) if s.shape[1] > 1 else np.zeros(0, dtype=np.intp)
+    u, v, size = [U[:, :, 0]], [V[:, 0, :].conj()], [s[:, 0]]
+    at = [np.arange(len(s))]
+    for c in _DIRECTIONS if len(close) else ():
+        u.append(U[close, :, :2] @ c)
+        v.append(V[close, :2, :].conj().swapaxes(-1, -2) @ c)
+        size.append(s[close, :2] @ np.abs(c) ** 2)
+        at.append(close)
+    return Singular(size=np.concatenate(size), at=np.concatenate(at), u=np.concatenate(u).conj(), v=np.concatenate(v))

@@ -165,18 +165,9 @@ class Structure:
         return len(self.block(p, nmeas, ncon).A)
 
     @property
-    def free(self) -> bool:
-        """Whether all of [A_K, B_K; C_K, D_K] is free: then very large gains need no bounds."""
-        return False
-
-    @property
     def given(self) -> Given:
         """Everything that was given by name, for its parts too."""
         return Given(dict(self.start), dict(self.bounds), dict(self.fixed), tuple(self.tied))
-
-    @property
-    def _plain(self) -> bool:
-        return not any(self.given)
 
 
 def joined(system: StateArrays) -> FloatArray:
@@ -235,11 +226,6 @@ class Static(Structure):
 
     pattern: ArrayLike | str = "full"
 
-    @property
-    def free(self) -> bool:
-        """Whether no gain is bound in any way."""
-        return self._plain and isinstance(self.pattern, str) and self.pattern == "full"
-
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return the gains."""
         return tuple(gains_of("k", mask_of("Static: pattern", self.pattern, (ncon, nmeas)), units.gain))
@@ -274,11 +260,6 @@ class StateSpaceOrder(Structure):
 
     states: int
     strictly_proper: bool = False
-
-    @property
-    def free(self) -> bool:
-        """Whether every entry is free."""
-        return self._plain and not self.strictly_proper
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return the entries, states in units in which they are as large as y and u."""
