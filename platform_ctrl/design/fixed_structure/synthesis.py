@@ -104,10 +104,10 @@ def structured(
         whole_number(f"structured: {name}", number, 1)
     whole_number("structured: seed", seed, 0)
     parts = _partitions(given, nmeas, ncon)
+    for P, part in zip(given, parts, strict=True):
+        require_stabilisable(part, P, "structured")
     flat = [in_w_plane(part) for part in parts]
     scaled = [autoscale(one) for one in flat]
-    for P, part, scale in zip(given, flat, scaled, strict=True):
-        require_stabilisable(part, P, "structured", scale)
     # Units by the first plant: the others are its neighbours.
     gain = np.outer(np.linalg.norm(scaled[0].control, axis=1), np.linalg.norm(scaled[0].measurement, axis=0))
     family = Parametrised(structure, nmeas, ncon, Units(gain=gain, rate=scaled[0].rate))
