@@ -116,7 +116,7 @@ def stabilising(equation: Equation) -> FloatArray | None:
     n = len(A)
     into = np.linalg.solve(R, np.hstack([N.T, B.T]))
     left = A - B @ into[:, :n]
-    H = np.block([[left, -B @ into[:, n:]], [N @ into[:, :n] - Q, -left.T]])
+    H = np.vstack([np.hstack([left, -B @ into[:, n:]]), np.hstack([N @ into[:, :n] - Q, -left.T])])
     if not np.all(np.isfinite(H)):
         return None
     # Units of the states, x = d x', with which the costates are in 1/d: powers of two that balance H.

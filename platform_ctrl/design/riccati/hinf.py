@@ -28,7 +28,7 @@ WHERE = "hinf, riccati"
 # The least gamma is found to this relative accuracy.
 ACCURACY = 1e-9
 # Least and largest gamma of the scaled plant in the search, and how far apart the logarithms of its first steps are.
-LEAST_GAMMA, LARGEST_GAMMA, FIRST_STEP = 1e-6, 1e8, 1.4
+LEAST_GAMMA, LARGEST_GAMMA, FIRST_STEP = 1e-6, 1e8, 0.7
 # gamma² over the spectral radius of X Y counts as this where it is larger.
 LARGEST_RATIO = 10.0
 # Negative eigenvalues of X and Y below this share of the largest are rounding.
