@@ -30,12 +30,7 @@ from platform_ctrl.app.settings import (
     option_sliders,
     with_options,
 )
-from platform_ctrl.app.slider_effects import (
-    caged_influence,
-    moved_slider,
-    stabilised_influence,
-    with_budget,
-)
+from platform_ctrl.app.slider_effects import moved_slider, slider_effects
 from platform_ctrl.app.stabilised import stabilised_parts
 from platform_ctrl.common.arguments import known_name, short, whole
 from platform_ctrl.common.progress import Progress
@@ -263,7 +258,6 @@ class Backend:
 
         `before_each` is called before each slider; what it raises ends the computation.
         """
-        spec, _ = self._loops.design(settings)
         sliders = [slider for slider in self.sliders(settings) if not slider.background]
 
         def with_slider(slider: Slider) -> Settings:
@@ -271,12 +265,7 @@ class Backend:
             return self.moved(settings, slider.name, moved_slider(slider))
 
         with np.errstate(all="ignore"):
-            if spec.has_plants:
-                loop, _ = self._loops.caged(settings)
-                own = caged_influence(loop, sliders, lambda slider: self._loops.caged(with_slider(slider))[0])
-            else:
-                own = stabilised_influence(self._loops, settings, sliders, with_slider)
-            return with_budget(own, self._loops, settings, sliders, with_slider)
+            return slider_effects(self._loops, settings, sliders, with_slider)
 
     # Sliders moved by tuning.
 

@@ -11,7 +11,7 @@ import weakref
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -36,6 +36,56 @@ _POLL = 0.1
 
 class TaskCancelled(PlatformCtrlError):
     """The task was cancelled."""
+
+
+T = TypeVar("T")
+
+
+class LatestTasks(Generic[T]):
+    """Tasks that a thread works off; a newer task takes the place of one of the same key that still waits.
+
+    The thread ends when nothing waits.
+    """
+
+    def __init__(self, work: Callable[[list[T]], None]) -> None:
+        self._work = work
+        self._lock = threading.Lock()
+        self._waiting: dict[str, T] = {}
+        self._working = False
+        self._closed = False
+
+    def add(self, key: str, task: T) -> None:
+        """Have a task done; the one of the same key that waits is dropped."""
+        with self._lock:
+            if self._closed:
+                return
+            self._waiting.pop(key, None)
+            self._waiting[key] = task
+            if self._working:
+                return
+            self._working = True
+        threading.Thread(target=self._run, name="page", daemon=True).start()
+
+    @property
+    def working(self) -> bool:
+        """Whether a task is being done or waits."""
+        return self._working
+
+    def close(self) -> None:
+        """Drop what waits; nothing more is taken."""
+        with self._lock:
+            self._closed = True
+            self._waiting.clear()
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._working = False
+                    return
+                tasks = list(self._waiting.values())
+                self._waiting.clear()
+            self._work(tasks)
 
 
 class Background:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections.abc import Callable, Hashable
 from functools import partial
 
 import numpy as np
 
-from platform_ctrl.app.background import Background, Designing, IsCancelled, TaskCancelled
+from platform_ctrl.app.background import Background, Designing, IsCancelled, LatestTasks, TaskCancelled
 from platform_ctrl.app.caged import CagedCurves, CagedLoop
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Overlay
@@ -21,6 +22,7 @@ from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, LoopSpec
 
 Make = Callable[[Callable[[], bool]], None]
+Name = tuple[str, str]  # loop and design
 
 # A request followed by another within this time is not started, s: a slider is still moving.
 _PAUSE = 0.6
@@ -29,16 +31,15 @@ _FAILURES = 64
 
 
 class DesignQueue:
-    """The design that is being made, and those that are requested next."""
+    """Designs that are requested: of each the newest request is made, one after the other."""
 
     def __init__(self, pause: float = _PAUSE) -> None:
         self._pause = pause
-        self._lock = threading.Condition()
-        self._requested: dict[tuple[str, str], tuple[Hashable, Make]] = {}
+        self._lock = threading.Lock()
+        self._requested: dict[Name, Hashable] = {}
         self._failed: Bounded[str] = Bounded(_FAILURES)
         self._listeners: list[Callable[[], None]] = []
-        self._worker: threading.Thread | None = None
-        self._ended = False
+        self._tasks: LatestTasks[tuple[Name, Hashable, Make]] = LatestTasks(self._work)
 
     def request(self, loop: str, design: str, key: Hashable, make: Make) -> str:
         """Request a design and return a line about it; the same request again changes nothing.
@@ -47,60 +48,48 @@ class DesignQueue:
         this key is not made again: its error is raised.
         """
         name = (loop, design)
+        failed = self._failed.found((name, key))
+        if failed is not None:
+            raise DesignError(failed)
         with self._lock:
-            failed = self._failed.found((name, key))
-            if failed is not None:
-                raise DesignError(failed)
-            if not self._ended and self._requested.get(name, (None,))[0] != key:
-                self._requested[name] = (key, make)
-                self._lock.notify_all()
-                if self._worker is None:
-                    self._worker = threading.Thread(target=self._work, daemon=True)
-                    self._worker.start()
+            if self._requested.get(name) != key:
+                self._requested[name] = key
+                self._tasks.add(str(name), (name, key, make))
         return f"{design}: is being designed; it is shown as soon as it is available"
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` in a thread after each design; return the function that stops it."""
-        with self._lock:
-            self._listeners.append(listener)
+        self._listeners.append(listener)
 
         def end() -> None:
-            with self._lock, contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError):
                 self._listeners.remove(listener)
 
         return end
 
     def end(self) -> None:
         """Cancel all requests."""
-        with self._lock:
-            self._ended = True
-            self._requested.clear()
-            self._lock.notify_all()
+        self._tasks.close()
+        self._requested.clear()
 
-    def _work(self) -> None:
-        while True:
-            with self._lock:
-                if self._ended or not self._requested:
-                    # The next request starts another thread.
-                    self._worker = None
-                    return
-                name, request = next(iter(self._requested.items()))
-                if self._lock.wait(self._pause) and self._requested.get(name) is not request:
-                    continue
-                if self._requested.get(name) is not request:
-                    continue
-            self._make(name, *request)
+    def _work(self, tasks: list[tuple[Name, Hashable, Make]]) -> None:
+        for name, key, make in tasks:
+            if self._requested.get(name) == key:
+                time.sleep(self._pause)
+            if self._requested.get(name) == key:
+                self._make(name, key, make)
 
-    def _make(self, name: tuple[str, str], key: Hashable, make: Make) -> None:
+    def _make(self, name: Name, key: Hashable, make: Make) -> None:
         def cancelled() -> bool:
-            return self._ended or self._requested.get(name, (None,))[0] != key
+            return self._requested.get(name) != key
 
         line = ""
         try:
             make(cancelled)
         except TaskCancelled:
-            if not cancelled():
-                return  # it gave way, and is made again
+            if not cancelled():  # it gave way
+                self._tasks.add(str(name), (name, key, make))
+                return
             line = "cancelled"
         except PlatformCtrlError as error:
             line = str(error)
@@ -115,8 +104,7 @@ class DesignQueue:
                 # Listeners are called after the request that took its place: two pages would replace each other's
                 # requests in turns otherwise.
                 return
-            listeners = list(self._listeners)
-        for listener in listeners:
+        for listener in list(self._listeners):
             listener()
 
 

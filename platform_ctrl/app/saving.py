@@ -229,7 +229,8 @@ def _job_text(
     before: str, old: Path, folder: Path, settings: Settings, start: Settings, written: Options, wanted: Options
 ) -> str:
     """Return the text of the job with the changes of the page; all else stays, also comments."""
-    tomlkit = _tomlkit()
+    import tomlkit
+
     document = tomlkit.parse(before)
     for loop in document["loop"]:
         name = str(loop["name"])
@@ -245,9 +246,11 @@ def _job_text(
 
 def _moved_text(before: str, old: Path, folder: Path) -> str:
     """Return the text of the job as it is, seen from another folder."""
-    document = _tomlkit().parse(before)
+    import tomlkit
+
+    document = tomlkit.parse(before)
     _plant(document, old.parent, folder)
-    return str(_tomlkit().dumps(document))
+    return str(tomlkit.dumps(document))
 
 
 def _put(design: Any, wanted: Mapping[str, float], written: Mapping[str, float]) -> None:
@@ -308,16 +311,6 @@ def _entry(one: ClosedController, delay: float) -> dict[str, Any]:
         "delay": delay,
         "options": one.options,
     }
-
-
-def _tomlkit() -> Any:
-    try:
-        import tomlkit
-    except ImportError:
-        raise InputError(
-            "saving needs tomlkit, which is not there; install it with: pip install 'platform_ctrl[designer]'"
-        ) from None
-    return tomlkit
 
 
 # Most characters of a link, of what it unpacks to, and of a name in it; largest number.

@@ -265,7 +265,12 @@ def moved(
     """Return the settings with a slider at `number`; `start` are the options of the job, `rate_hz` its sample rate."""
     known_name("slider", name, tuple(sliders))
     at = _number(name, number)
-    _expect_option(sliders[name], at, rate_hz)
+    low, high, unit = sliders[name].low / _BEYOND, sliders[name].high * _BEYOND, sliders[name].unit
+    if unit == "Hz":
+        high = max(min(high, 0.5 * rate_hz), sliders[name].high)
+    low = float(f"{low:.1g}")
+    if not low <= at <= high:
+        raise ArgumentError(f"{name} must be from {low:.6g} to {high:.6g}{f' {unit}' if unit else ''}, got {at:g}")
     if sliders[name].along:
         factor = at / sliders[name].value
         free = {option: x for option, x in sliders[name].along.items() if option not in settings.fixed}
@@ -292,16 +297,3 @@ def _number(name: str, given: object) -> float:
     if not math.isfinite(out):
         raise ArgumentError(f"{name} must be a finite number, got {short(given)}")
     return out
-
-
-def _expect_option(slider: Slider, at: float, rate_hz: float) -> None:
-    """Judge an option: frequencies up to half the sample rate, whole numbers on their slider."""
-    low, high = (slider.low / _BEYOND, slider.high * _BEYOND)
-    if slider.unit == "Hz":
-        high = max(min(high, 0.5 * rate_hz), slider.high)
-    _expect(slider.name, at, float(f"{low:.1g}"), high, slider.unit)
-
-
-def _expect(name: str, at: float, low: float, high: float, unit: str = "") -> None:
-    if not low <= at <= high:
-        raise ArgumentError(f"{name} must be from {low:.6g} to {high:.6g}{f' {unit}' if unit else ''}, got {at:g}")

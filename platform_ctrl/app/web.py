@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -174,7 +174,11 @@ class Together(ServerConnection):
     def send_patch_document(self, event: Any) -> Awaitable[None]:
         """Queue a change; the returned awaitable sends all queued ones."""
         self._changes = (*self._changes, event)
-        return self._sent()
+        return self
+
+    def __await__(self) -> Generator[Any, None, None]:
+        """Send the queued changes; no coroutine is left over when the page goes before they are sent."""
+        return self._sent().__await__()
 
     async def _sent(self) -> None:
         changes, self._changes = self._changes, ()

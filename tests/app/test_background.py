@@ -77,10 +77,3 @@ def test_ending_the_runner_ends_its_process_and_refuses_tasks(resident: Backgrou
     assert gone(process)
     with pytest.raises(TaskCancelled):
         resident.run(Who(), silent, never)
-
-
-def test_a_process_ends_with_its_runner() -> None:
-    resident = Background()
-    process = resident.run(Who(), silent, never)
-    del resident
-    assert gone(process)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import control
@@ -19,13 +18,11 @@ from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Picture
-from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.loop import Designed, closed_loop_poles, measured, sampled_plant
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job, LoopSpec
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.coupled import coupled_check
 
@@ -269,21 +266,6 @@ def test_an_impossible_slider_value_is_an_error_of_one_line(
     assert slider in str(error.value)
 
 
-def test_settings_of_another_job_are_an_error_of_one_line(bench: Backend, settings: Settings) -> None:
-    for wrong in (
-        settings.but(loop="caging 1"),
-        settings.but(design="lqg"),
-        settings.but(axis=4),
-    ):
-        with pytest.raises(PlatformCtrlError) as error:
-            bench.picture(wrong)
-        assert "\n" not in str(error.value)
-    bench.close()
-    with pytest.raises(DesignError, match="is being designed"):
-        bench.picture(bench.chosen(settings, design="H-infinity"))
-    assert bench.picture(settings.but(overlays=("H-infinity",))).notes
-
-
 def test_parts_are_switched_and_keep_their_numbers(bench: Backend) -> None:
     settings = bench.start(LOOP)
     assert [part.name for part in bench.parts(settings) if part.on] == ["notch"]
@@ -293,92 +275,6 @@ def test_parts_are_switched_and_keep_their_numbers(bench: Backend) -> None:
     with_lag = bench.with_part(off, "lag", True)
     lagged, plain = bench.picture(with_lag).bode, bench.picture(off).bode
     assert lagged.magnitude[0] > 2.0 * np.interp(lagged.frequency[0], plain.frequency, plain.magnitude)
-
-
-def _bare_job(**plant: object) -> Backend:
-    gimbal = {"name": "a", "parent": "case", "axis": [0, 1, 0], "inertia": [1e-3, 1e-3, 1e-3]}
-    inner = {"name": "b", "parent": "a", "axis": [0, 0, 1], "inertia": [5e-4, 5e-4, 5e-4]}
-    whole = {
-        "schema": 1,
-        "name": "bare",
-        "root": {"name": "case", "inertia": [0.1, 0.1, 0.1]},
-        "gimbal": [gimbal, inner],
-        "torquer": [{"gimbal": "a"}, {"gimbal": "b"}],
-        "pickoff": [{"gimbal": "a"}, {"gimbal": "b"}],
-        **plant,
-    }
-    crossover = "crossover_hz" if "rotor" in plant else "inertial_crossover_hz"
-    design = {"name": "by hand", "method": "classical", crossover: 5.0}
-    loop = {"name": "both", "kind": "caging", "gimbals": ["a", "b"], "use": "by hand", "design": [design]}
-    return Backend(
-        read_job(
-            {
-                "schema": 2,
-                "name": "bare",
-                "plant": whole,
-                "operation": {"Omega": [0.0, 0.0, 0.0]},
-                "sampling": {"rate_hz": 500, "delay": 0.0},
-                "loop": [loop],
-            }
-        )
-    )
-
-
-ROTOR = {"name": "r", "carrier": "b", "axis": [1, 0, 0], "axial_inertia": 1e-4, "transverse_inertia": 6e-5}
-
-
-@pytest.mark.parametrize("rotors", [[], [{**ROTOR, "spin": 400.0}]])
-def test_plants_without_gyro_uncertainty_limits_or_delay_have_pictures(rotors: list[dict[str, object]]) -> None:
-    bench = _bare_job(**({"rotor": rotors} if rotors else {}))
-    settings = bench.start("both")
-    picture = bench.picture(settings)
-    assert picture.stable
-    assert picture.plants == ("nominal",)
-    assert not picture.bode.band_frequency.size
-    assert bench.influence(settings).change.shape[0] == len(picture.requirements)
-
-
-def test_pages_side_by_side_get_the_pictures_that_each_would_get_alone(bench: Backend, settings: Settings) -> None:
-    own = [bench.moved(settings.but(band=False), "crossover_hz", 50.0 + 2.0 * k) for k in range(6)]
-    alone = [[r.value for r in bench.picture(one).requirements] for one in own]
-    fresh = Backend(JOB)
-    with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda one: [r.value for r in fresh.picture(one).requirements], own))
-    assert together == alone
-
-
-def test_a_turn_that_is_shown_loads_the_gimbals_also_without_rotors() -> None:
-    gimbals = [
-        {"name": "yaw", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.06, 0.07]},
-        {"name": "pitch", "parent": "yaw", "axis": [0, 1, 0], "inertia": [0.02, 0.03, 0.04]},
-    ]
-    job = read_job(
-        {
-            "schema": 2,
-            "name": "two axes",
-            "plant": {
-                "schema": 1,
-                "name": "two axes",
-                "root": {"name": "base", "inertia": [1, 1, 1]},
-                "gimbal": gimbals,
-                "torquer": [{"gimbal": "yaw"}, {"gimbal": "pitch"}],
-                "pickoff": [{"gimbal": "yaw"}, {"gimbal": "pitch"}],
-            },
-            "operation": {"Omega": [0, 0, 0]},
-            "sampling": {"rate_hz": 1000, "delay": 0.001},
-            "loop": [
-                {
-                    "name": one["name"],
-                    "kind": "caging",
-                    "gimbals": [one["name"]],
-                    "use": "classical",
-                    "design": [{"name": "classical", "method": "classical"}],
-                }
-                for one in gimbals
-            ],
-        }
-    )
-    assert [JobPlants(job).loading_axis(spec, 1) for spec in job.loops] == [3, 2]
 
 
 @pytest.mark.parametrize(("kind", "method"), [("rate", "pi"), ("pointing", "classical")])

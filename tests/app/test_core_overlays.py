@@ -65,12 +65,3 @@ def test_another_servo_over_the_picture_is_what_its_own_picture_draws(
     own = bench.picture(bench.chosen(settings, design="slow"))
     _expect_the_loop_of(over, picture.bode.frequency, own)
     assert np.abs(over.response - picture.bode.response).max() > 0.1 * np.abs(picture.bode.response).max()
-
-
-def test_an_overlay_that_cannot_be_built_is_a_note_and_the_rest_is_drawn(bench: Backend, settings: Settings) -> None:
-    # A design that cannot be built is told in a line, and the rest is drawn.
-    slow = {**settings.options[SERVO]["slow"], "filter_hz": 1500.0}
-    broken = settings.but(band=False, options={**settings.options, SERVO: {**settings.options[SERVO], "slow": slow}})
-    shown = bench.picture(broken)
-    assert not shown.bode.overlays
-    assert "filter_hz" in shown.notes[-1]

@@ -13,7 +13,6 @@ from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings, with_options
 from platform_ctrl.cli import main
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.reading import read_job
 
 CLASSICAL = METHODS["classical"]
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
@@ -24,22 +23,12 @@ def shipped() -> Backend:
     return Backend(SHIPPED)
 
 
-@pytest.fixture
-def rate_gyro(tmp_path: Path) -> Path:
-    assert main(["new", "mine", "--kind", "control-moment-gyro", "-o", str(tmp_path)]) == 0
-    return tmp_path / "mine.toml"
-
-
 def _controller(bench: Backend, settings: Settings) -> StateArrays:
     return bench._loops.caged(settings)[0].controller
 
 
 def _differ(one: StateArrays, other: StateArrays) -> bool:
     return any(a.shape != b.shape or not np.array_equal(a, b) for a, b in zip(one[:4], other[:4], strict=True))
-
-
-def _names(bench: Backend, settings: Settings) -> set[str]:
-    return {slider.name for slider in bench.sliders(settings)}
 
 
 def _every_part(bench: Backend, settings: Settings) -> Settings:
@@ -76,20 +65,6 @@ def test_the_sliders_of_a_classical_loop_are_those_that_make_its_controller(kind
 @pytest.mark.parametrize("loop", ["caging 4-5-7", "caging 9-10"])
 def test_the_sliders_of_the_three_gyro_platform_make_its_controllers(shipped: Backend, loop: str) -> None:
     _expect_that_sliders_are_what_acts(shipped, shipped.chosen(shipped.start(loop), design="classical"))
-
-
-def test_a_single_gimbal_has_no_slider_of_pairs_and_is_saved_without_one(rate_gyro: Path, tmp_path: Path) -> None:
-    bench = Backend(rate_gyro)
-    settings = bench.start()
-    assert not _names(bench, settings) & {"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"}
-    assert "notch" not in {part.name for part in bench.parts(settings)}
-    moved = bench.moved(bench.moved(settings, "inertial_crossover_hz", 4.0), "integral_hz", 0.1)
-    assert decode_state(bench, encode_state(bench, moved)).data() == moved.data()
-    saved = bench.save(moved, tmp_path / "saved.toml")
-    made = read_job(saved.job).loops[0].designs[0].options
-    assert made["inertial_crossover_hz"] == 4.0
-    again = Backend(saved.job)
-    assert not _differ(_controller(again, again.start()), _controller(bench, moved))
 
 
 def test_a_slider_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Backend) -> None:

@@ -35,15 +35,6 @@ def test_a_sine_ends_in_the_amplitude_that_the_gain_from_the_base_has_at_its_fre
     assert np.hypot(*found) == pytest.approx(expected, rel=2e-2)
 
 
-def test_a_sine_that_is_too_fast_to_be_drawn_for_the_whole_run_is_shown_where_it_begins() -> None:
-    sine = {"kind": "rate", "axis": 3, "frequency_hz": 50.0, "amplitude": AMPLITUDE}
-    backend = Backend(read_job(camera_job(manoeuvre=[{"name": "r", "mode": "caged", "duration": 9.0, "sine": [sine]}])))
-    shown = backend.picture(backend.start()).Omega_time
-    backend.close()
-    assert shown.title == "r, the first 0.3 s"
-    assert shown.t[-1] == pytest.approx(0.3)
-
-
 @pytest.mark.parametrize("kind", ["rate", "pointing"])
 def test_a_commanded_reading_ends_at_its_command(kind: str) -> None:
     reading = "gyro" if kind == "rate" else "heading"

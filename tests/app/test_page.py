@@ -20,8 +20,9 @@ pytest.importorskip("tomlkit")
 
 
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.background import LatestTasks
 from platform_ctrl.app.page.messages import REQUESTS, chosen, parse_request
-from platform_ctrl.app.page.tasks import LatestTasks, target
+from platform_ctrl.app.page.tasks import target
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.reading import read_job
 from questions import Sleeping
@@ -221,24 +222,6 @@ def test_a_slider_that_is_dragged_changes_the_plots_and_one_undo_takes_the_drag_
     until(page, lambda: drawn(page) == before)
     page.keyboard.press("Control+Shift+z")
     until(page, lambda: drawn(page) != before)
-
-
-def test_undo_during_moves_waits_and_takes_all_of_them_back(page: Page) -> None:
-    page.evaluate(
-        """selector => {
-          const slider = document.querySelector(`${selector} input[type="range"]`);
-          slider.dispatchEvent(new Event("pointerdown"));
-          for (let k = 0; k < 8; k += 1) {
-            slider.value = Number(slider.value) + 5;
-            slider.dispatchEvent(new Event("input", { bubbles: true }));
-          }
-          document.dispatchEvent(new KeyboardEvent("keydown", { key: "z", ctrlKey: true, bubbles: true }));
-        }""",
-        CROSSOVER,
-    )
-    settled(page)
-    assert number(page, "crossover_hz").input_value() == "40"
-    assert page.locator("#redo").is_enabled()
 
 
 def test_everything_works_by_keyboard(page: Page) -> None:

@@ -223,27 +223,3 @@ def test_designs_that_fail_on_two_pages_are_not_tried_again_and_again() -> None:
         with pytest.raises(DesignError, match=f"{key} is infeasible"):
             queue.request("loop", "design", key, failing(key))
     assert tried == ["mine", "theirs"]
-
-
-def test_pages_are_notified_of_a_design_that_is_finished_not_of_one_that_gave_way_to_another_pages() -> None:
-    queue, begun = DesignQueue(pause=0.0), threading.Event()
-    notified = _idle(queue)
-
-    def first(cancelled: Callable[[], bool]) -> None:
-        begun.set()
-        _until(cancelled)
-        raise DesignError("cancelled")
-
-    ended, go = threading.Event(), threading.Event()
-
-    def second(cancelled: Callable[[], bool]) -> None:
-        ended.set()
-        assert go.wait(10.0)
-
-    queue.request("loop", "design", "mine", first)
-    assert begun.wait(10.0)
-    queue.request("loop", "design", "theirs", second)
-    assert ended.wait(10.0)
-    assert notified() == 0
-    go.set()
-    _until(lambda: notified() == 1)

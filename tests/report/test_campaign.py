@@ -13,8 +13,7 @@ import platform_ctrl as pc
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.probability import clopper_pearson
 from platform_ctrl.campaign.single_run import simulate_runs
-from platform_ctrl.campaign.summary import summarise, summary_record
-from platform_ctrl.campaign.table_statistics import statistics
+from platform_ctrl.campaign.summary import summarise
 from platform_ctrl.cli.campaign_command import show_campaign
 from platform_ctrl.report import style
 from platform_ctrl.report.page import campaign_tables as tables
@@ -168,20 +167,6 @@ def test_a_campaign_without_violations_passes_and_bounds_what_it_did_not_see(mad
     assert "PASSED: none of 1,500 runs violates a requirement" in printed
 
 
-def test_the_terminal_shows_the_same_numbers_at_any_width(summary, capsys, monkeypatch):
-    columns = 70
-    monkeypatch.setenv("COLUMNS", str(columns))
-    show_campaign(summary)
-    printed = capsys.readouterr().out
-    found = summary.statistics
-    flat = " ".join(printed.split())
-    assert f"FAILED: {found.violation.events:,} of {found.violation.runs:,} runs violate a requirement" in flat
-    for one in found.requirements:
-        assert f"{one.violation.events:,} of {one.violation.runs:,}" in flat
-    assert "worst: run 11" in flat
-    assert all(len(line) <= columns for line in printed.splitlines())
-
-
 def test_the_worst_run_is_simulated_again_and_drawn_where_it_is_the_one_of_the_table(made):
     table = simulate_runs(made, range(4))
     summary = summarise(made, table)
@@ -194,21 +179,6 @@ def test_the_worst_run_is_simulated_again_and_drawn_where_it_is_the_one_of_the_t
     other = table | {worst.requirement: table[worst.requirement] * np.where(table["run"] == worst.run, 1.01, 1.0)}
     [section] = [one for one in campaign_document(summarise(made, other)).sections if one.name == "trace"]
     assert section.blocks[0].text.startswith(f"{name.capitalize()} is not drawn")
-
-
-@pytest.mark.parametrize("factor", [1e-5, 0.6, 1e3])
-def test_runs_are_drawn_wherever_the_limit_is(made, factor):
-    limits = {one.name: {name: factor * x for name, x in one.limits.items()} for one, _ in made.job.campaign_manoeuvres}
-    found = statistics(by_formula(made, odd=False), limits)
-    one = found.of("angle", "turn about 1")
-    with style.settings():
-        drawn = campaign_figures.histogram_figure(found, "angle").axes[0]
-        reach = campaign_figures.exceedance_figure(found).axes[0]
-    counts = drawn.patches[0].get_data()
-    assert (np.diff(counts.edges) > 0.0).all()
-    assert len(counts.values) <= 100
-    assert counts.values.sum() > 0.5 * one.violation.runs
-    assert reach.get_xlim()[1] > one.quantiles[0.5] / one.limit
 
 
 def test_histograms_count_every_run_once_and_colour_those_beyond(summary):
@@ -243,32 +213,3 @@ def test_of_one_violating_run_no_cause_is_asserted(capsys, monkeypatch):
     page = html.unescape(re.sub(r"<[^>]+>", " ", as_html(campaign_document(summary))))
     for words in ("every violating run", "What violating runs have in common"):
         assert words not in told + page
-
-
-def test_a_fault_in_every_violating_run_is_never_among_what_has_no_influence(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "200")
-    one = planned(campaign=JOB["campaign"] | {"fault": [{"fault": "weak Q9", "probability": 0.02}]})
-    table = by_formula(one, scale=0.3, odd=False)
-    beyond = table["fault.weak Q9"] & (table["manoeuvre"] == "turn about 1")
-    beyond &= np.cumsum(beyond) <= 3
-    table["angle"] = np.where(beyond, 0.5, 0.001 * table["rotor.11.angular_momentum"])
-    table["angle_passed"] = table["passed"] = ~beyond
-    summary = summarise(one, table)
-    [cause] = [one for one in tables.causes(summary) if one.parameter == "fault.weak Q9"]
-    assert (cause.present.events, cause.absent.events) == (3, 0)
-    assert all("fault.weak Q9" not in quiet for _, _, quiet in tables.influence_groups(summary)[:1])
-    words = tables.cause_words(cause)
-    assert words.startswith(f"fault: weak Q9: 3 of {cause.present.runs} runs with it violate a limit (")
-    assert words.endswith("; every violating run has it")
-    drawn = html.unescape(re.sub(r"<[^>]+>", " ", as_html(campaign_document(summary))))
-    shown = " ".join(drawn.split())
-    assert "in every violating run" in shown
-    sections = [section.name for section in campaign_document(summary).sections]
-    assert sections.index("common") < sections.index("probabilities")
-    first = shown[shown.rindex("What violating runs have in common") :]
-    assert first.removeprefix("What violating runs have in common").lstrip().startswith("Fault: weak Q9: 3 of")
-    show_campaign(summary)
-    assert words in capsys.readouterr().out
-    recorded = next(one for one in summary_record(summary)["influences"] if one["parameter"] == "fault.weak Q9")
-    assert (recorded["value"], recorded["in_every_violation"]) == (True, True)
-    assert recorded["without"]["high"] == pytest.approx(1.0 - 0.025 ** (1.0 / recorded["without"]["runs"]))

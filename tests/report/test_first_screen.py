@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 
 import numpy as np
@@ -13,8 +12,6 @@ from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.job.quantities import compared
 from platform_ctrl.report import style
-from platform_ctrl.report.figures.loop import sensitivity_figure
-from platform_ctrl.report.loop_responses import loop_responses
 from platform_ctrl.report.page import first_screen, tables
 from platform_ctrl.report.page.blocks import Cell, Columns, Document, Part, Plate, Table
 from platform_ctrl.report.page.first_screen import worst_plant, worst_plant_figure
@@ -99,19 +96,6 @@ def test_the_nichols_plot_is_of_the_plant_with_the_least_disk_margin(result: Job
         assert -330.0 < curve[np.argmin(level), 0] < -30.0
 
 
-def test_a_section_shows_its_own_verdict(result: JobResult, document: Document) -> None:
-    verdicts = {section.name: (section.passed, section.verdict) for section in document.sections}
-    missed = sum(not one.passed for one in result.requirements)
-    assert verdicts["requirements"][0] is False
-    assert verdicts["requirements"][1].startswith(f"{missed} of {len(result.requirements)} not met: bandwidth")
-    assert verdicts["loop-1"][1].startswith(f"{missed} of")
-    assert verdicts["coupled"][0] is True
-    assert verdicts["coupled"][1].startswith(("all ", "1 met"))
-    assert verdicts["plant"] == (True, "")
-    only_met = dataclasses.replace(result, requirements=tuple(one for one in result.requirements if one.passed))
-    assert "met, tightest +" in first_screen.section_verdict(only_met.requirements)[0]
-
-
 def cells_of(table: Table) -> list[Cell]:
     return [cell for group in table.groups for row in group.rows for cell in row.cells]
 
@@ -182,20 +166,3 @@ def test_a_figure_carries_its_scales_for_the_script() -> None:
     [scales] = re.findall(r'data-axes="([^"]*)"', drawn)
     assert "[1,2,0],[3,4,0]]" in scales
     assert "[1,10,1],[0.1,100,1]]" in scales
-
-
-def test_a_design_has_one_colour_in_all_loops_and_what_closes_a_loop_is_solid(result: JobResult) -> None:
-    [outcome] = result.loops
-    alone = loop_responses(result.model, outcome)
-    assert alone is not None
-    assert alone.palette == {"slow": False, "classical": True}
-    among = dataclasses.replace(alone, palette={"servo": True, "classical": True, "slow": False})
-    with style.settings():
-        for responses, places in ((alone, {"slow": 0, "classical": 1}), (among, {"slow": 2, "classical": 1})):
-            left = sensitivity_figure(responses, outcome.spec).axes[0]
-            for name, place in places.items():
-                own = [
-                    line for line in left.lines if line.get_color() == style.SERIES[place] and len(line.get_xdata()) > 9
-                ]
-                assert own
-                assert {line.get_linestyle() for line in own} == {"-" if name == "classical" else "--"}

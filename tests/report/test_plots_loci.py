@@ -26,7 +26,6 @@ def ss(A, B, C, D=0.0, dt=0):
 
 MINUS = ss(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-1.0]])
 THIRD = control.ss(control.tf([1.0], [1.0, 6.0, 5.0, 0.0]))  # 1/(s (s + 1) (s + 5)): stable below a gain of 30
-OSCILLATOR = ss([[0.0, 1.0], [-4.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]])
 
 
 @pytest.fixture(scope="module")
@@ -128,40 +127,9 @@ def test_the_edge_is_routh_s_for_three_poles():
     assert np.abs(locus.branches[at].imag).max() == pytest.approx(math.sqrt(5.0), rel=1e-6)
 
 
-def test_the_edge_is_found_where_stability_begins_at_the_end_of_the_range():
-    # s³ + 2ζ s² + s + k, with an integrator: stable for 0 < k < 2ζ, much closer to 0 than the first points.
-    lightly_damped = control.ss(control.tf([1.0], [1.0, 2e-3, 1.0, 0.0]))
-    locus = figures.root_locus(lightly_damped, MINUS).locus
-    assert locus.edges == pytest.approx([2e-3], rel=1e-5)
-    assert locus.stable_ranges == [(0.0, pytest.approx(2e-3, rel=1e-5))]
-
-
-def test_a_loop_without_damping_at_the_start_of_the_range_has_no_edge_there():
-    damper = control.ss(control.tf([-1.0, 0.0], [0.01, 1.0]))
-    plot = figures.root_locus(OSCILLATOR, damper, gains=[0.0, 2.0])
-    assert not plot.locus.edges.size
-    assert plot.locus.stable_ranges == [(0.0, 2.0)]
-
-
 def test_over_spin_the_nominal_poles_are_those_of_the_loop(over_spin, plant, controller):
     closed = pc.analysis.closed_loop(plant, controller).poles()
     assert nearest(over_spin.locus.nominal, closed) < 1e-8
-
-
-def test_over_spin_the_plant_is_the_linearised_one_at_every_speed(job, controller):
-    from platform_ctrl.design.cases import changed
-
-    Omega = (0.3, -0.2, 0.5)
-    plot = figures.root_locus_over_spin(
-        job.platform, None, controller, spins=[0.5, 1.37], period=PERIOD, delay=DELAY, rotors=("11",), Omega=Omega
-    )
-    faster = changed(job.platform, {}, {"11": 0.37})
-    system = pc.state_space(pc.linearise(faster, Omega=Omega))[ANGLES, TORQUES]
-    lag = [torquer.lag for torquer in job.platform.torquers if torquer.gimbal in ("9", "10")]
-    sampled = pc.analysis.sampled(system, PERIOD, DELAY, lag)
-    closed = pc.analysis.closed_loop(sampled, controller).poles()
-    assert nearest(plot.locus.branches[-1], closed) < 1e-5
-    assert nearest(closed, plot.locus.branches[-1]) < 1e-5
 
 
 def test_over_spin_stability_ends_where_the_poles_say(over_spin, job, controller):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 import types
 
@@ -12,7 +11,6 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 
 import platform_ctrl as pc
 from platform_ctrl import simulation
@@ -86,14 +84,6 @@ def test_nutation_at_nominal_speed_is_the_model_s_pole(three):
         assert f"{fastest * HZ:.3g} Hz at nominal speed" in name
 
 
-def test_nutation_is_the_momentum_over_the_inertias(three):
-    [L] = [rotor.angular_momentum for rotor in three.rotors if rotor.name == "11"]
-    J9, J10 = np.diag(pc.linearise(three).M)[[three.gimbal("9"), three.gimbal("10")]]
-    [(rpm, hz)] = curves(figures.campbell(three, gimbals=("9", "10"))).values()
-    assert hz[-1] / HZ == pytest.approx(1.5 * L / np.sqrt(J9 * J10), rel=1e-9)
-    assert rpm[-1] == pytest.approx(1.5 * 1250.0 * RPM)
-
-
 def test_springs_part_nutation_and_precession_whose_product_is_kept(gyro):
     found = curves(figures.campbell(on_springs(gyro)))
     kinds = {name.split()[0]: hz for name, (_, hz) in found.items()}
@@ -163,17 +153,6 @@ def shaded(axes):
     return sorted(edges)
 
 
-def test_a_trajectory_is_shaded_beyond_the_limits_that_are_given(flown, gyro):
-    largest = float(np.abs(flown.q).max())
-    figure = figures.time_run(flown, gyro, limits={"angle": 2.0 * largest})
-    angles = figure.axes[0]
-    assert shaded(angles) == pytest.approx([-2e3 * largest, 2e3 * largest])
-    traces = [line for line in angles.lines if len(line.get_xdata()) > 2]
-    assert max(np.abs(line.get_ydata()).max() for line in traces) == pytest.approx(1e3 * largest)
-    red = [line for line in angles.lines if line.get_color() == LIMIT]
-    assert len(red) == 2
-
-
 def test_a_run_is_shaded_beyond_the_limits_of_its_manoeuvre(flown, gyro):
     from platform_ctrl.verification.simulated import Run
 
@@ -213,21 +192,6 @@ def test_histograms_count_every_run_and_colour_those_beyond_the_limit():
     assert f"{beyond} beyond" in written(figure)
     [start] = [patch.get_x() for patch in axes.patches if to_hex(patch.get_facecolor()) == BEYOND]
     assert start == pytest.approx(1.2)
-
-
-def test_histograms_are_the_same_of_statistics_and_of_a_folder(tmp_path):
-    pa = pytest.importorskip("pyarrow")
-    import pyarrow.parquet
-
-    columns = table()
-    found = statistics(columns, LIMITS)
-    pyarrow.parquet.write_table(pa.table(columns), tmp_path / "campaign.parquet")
-    told = [{"manoeuvre": "turn", "requirement": "angle", "limit": 1.2e-3}]
-    record = {"schema": 2, "identity": {}, "statistics": {"requirements": told}}
-    (tmp_path / "campaign.json").write_text(json.dumps(record))
-    words = [written(figures.campaign_histograms(given)) for given in (found, tmp_path)]
-    words.append(written(figures.campaign_histograms(tmp_path / "campaign.parquet", LIMITS, figure="angle")))
-    assert words[0] == words[1] == words[2]
 
 
 @pytest.mark.parametrize(
@@ -309,11 +273,3 @@ def test_show_opens_a_window_for_each_plot_and_for_no_other(gyro, monkeypatch):
     finally:
         pyplot.close("all")
         pyplot.switch_backend(before)
-
-
-def test_nothing_is_registered_with_pyplot_and_everything_is_on_white(gyro, flown):
-    from matplotlib import pyplot
-
-    made = [figures.campbell(gyro), figures.time_run(flown)]
-    assert all(isinstance(figure, Figure) and to_hex(figure.get_facecolor()) == "#ffffff" for figure in made)
-    assert pyplot.get_fignums() == []

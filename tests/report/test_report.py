@@ -28,7 +28,6 @@ from platform_ctrl.analysis.loop_set import Transfer
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.cli.terminal import show_result
-from platform_ctrl.common.text import Rounding
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
 from platform_ctrl.errors import InputError
@@ -42,7 +41,6 @@ from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import modes, style
 from platform_ctrl.report.failures import value_and_limit
 from platform_ctrl.report.figures import coupled as coupled_figures
-from platform_ctrl.report.figures import loop as loop_figures
 from platform_ctrl.report.figures.loop import (
     disturbance_figure,
     further_gains_figure,
@@ -380,42 +378,7 @@ def test_what_is_proved_and_what_is_not_is_mentioned(compared_designs: JobResult
     assert shown == [("3 of 4", "all")]
 
 
-def test_plants_are_counted_by_group(compared_designs: JobResult, compared_page: str) -> None:
-    closed = compared_designs.loops[0].closed
-    plants, measures = closed.plants, closed.measures
-    assert plants is not None
-    assert measures is not None
-    words = comparison.plants_in_words(plants)
-    assert (
-        words == "9 plants: the nominal one, 4 of the parameter uncertainty, 2 with a platform rate and 2 with a fault"
-    )
-    assert words in visible_text(compared_page)
-    rows = comparison.group_rows(closed)
-    assert [(row[0], row[1]) for row in rows] == [
-        ("nominal", "1"),
-        ("parameter uncertainty", "4"),
-        ("platform rates", "2"),
-        ("faults", "2"),
-    ]
-    margins = [float(row[4]) for row in rows]
-    assert min(margins[:3]) == pytest.approx(
-        measures.disk_margin[measures.of(("nominal", "uncertainty", "Omega"))].min(), rel=1e-3
-    )
-    assert margins[3] == pytest.approx(measures.disk_margin[measures.of(("faults",))].min(), rel=1e-3)
-    assert "torquer" in rows[3][5]
-
-
 # Tables again
-
-
-def test_metrics_without_a_limit_are_compared_too(result: JobResult) -> None:
-    rows = {row.cells[0].text: row.cells for row in comparison.limit_rows(result.loops[0])}
-    [found] = [one for one in result.loops[0].closed.results if one.name == "bandwidth"]
-    assert [cell.text for cell in rows["bandwidth"]] == ["bandwidth", "≥ 20 Hz", f"✗ {plain(found.value)}"]
-    assert not found.passed
-    besides = designs_in(comparison.measured_rows(result.loops[0]))
-    assert rows.keys().isdisjoint(besides)
-    assert "damping" in besides
 
 
 def number_in(text: str) -> Fraction:
@@ -427,15 +390,6 @@ def number_in(text: str) -> Fraction:
 def asked(measured: float, limit: float, unit: str, sense: Sense = "at least") -> CheckResult:
     one = Requirement(name="figure", limit=limit, unit=unit, sense=sense)
     return one.judge(measured, subject="loop", stage="decoupled", evidence="")
-
-
-@given(
-    st.floats(1e-12, 1e12), st.sampled_from([-1.0, 1.0]), st.integers(3, 7), st.sampled_from(["nearest", "down", "up"])
-)
-def test_a_printed_number_is_the_number_to_its_digits(size: float, sign: float, digits: int, to: Rounding) -> None:
-    shown, exact = number_in(plain(sign * size, digits, to)), Fraction(repr(sign * size))
-    assert shown == pytest.approx(sign * size, rel=10.0 ** (1 - digits))
-    assert to == "nearest" or (shown <= exact if to == "down" else shown >= exact)
 
 
 @given(
@@ -511,21 +465,6 @@ def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkey
     assert [float(line.get_ydata()[0]) for line in axes.lines[1:]] == [2000.0, 500.0]
 
 
-def test_the_arc_of_the_fastest_pole_is_its_circle_in_the_w_plane() -> None:
-    period, radius = 5e-4, 2000.0
-    real, imag = loop_figures.pole_circle(radius, period)
-    z = np.exp((real + 1j * imag) * period)
-    assert np.abs(2.0 / period * (z - 1.0) / (z + 1.0)) == pytest.approx(radius, rel=1e-6)
-    assert np.all(imag >= 0.0)
-    assert np.all(real <= 1e-9)
-
-
-def test_the_share_of_torque_peaks_at_the_value_of_the_requirement(responses: LoopResponses) -> None:
-    for one in responses.designs:
-        [asked] = [r for r in one.design.results if r.name.startswith("torque at full Omega")]
-        assert one.gains["torque limit"].max() == pytest.approx(asked.value, rel=1e-5)
-
-
 def test_captions_have_peaks_that_every_grid_misses() -> None:
     data = pc.read_job(job(loop=[CAGING], sampling={"rate_hz": 2000, "delay": 0.0}))
     [outcome] = loops(data)
@@ -582,11 +521,6 @@ def test_every_pole_belongs_to_one_mode(result: JobResult, Omega: tuple[float, f
     assert sum(mode.poles for mode in modes.modes_at(result, Omega)) == 2 * len(result.job.platform.gimbals)
 
 
-def test_at_rest_three_gyros_have_one_inertial_direction(result: JobResult) -> None:
-    kinds = [mode.kind for mode in modes.modes_at(result, (0.0, 0.0, 0.0)) if len(mode.gimbals) == 3]
-    assert kinds == ["nutation", "precession", "rigid body"]
-
-
 def camera(sign: float, rotors: list[dict[str, Any]] | None = None) -> LinearModel:
     """A two-axis camera gimbal, the pitch body's centre of mass off its axis by 3 g m, upwards or downwards."""
     return pc.linearise(
@@ -620,18 +554,6 @@ def test_modes_of_a_plant_without_rotors_are_those_of_a_pendulum_and_of_a_rigid_
     [fall] = modes.modes(standing, ("pitch",))
     assert (fall.kind, fall.poles, fall.frequency) == ("divergence", 2, 0.0)
     assert fall.growth == pytest.approx(np.sqrt(9.81 * 0.003 / 0.03))
-
-
-def test_a_rotor_makes_a_mode_nutation_or_precession_only_where_its_torques_hold_the_balance() -> None:
-    rotor = {"name": "wheel", "carrier": "pitch", "axis": [1, 0, 0], "axial_inertia": 1e-3, "transverse_inertia": 6e-4}
-    both = ("yaw", "pitch")
-    # A fast wheel: nutation at L/sqrt(J1 J2), and precession under gravity at about zero, for yaw is not restrained.
-    fast = modes.modes(camera(-1.0, [rotor | {"angular_momentum": 5.0}]), both)
-    assert fast[0].kind == "nutation"
-    assert fast[0].frequency == pytest.approx(5.0 / np.sqrt(0.1106 * 0.0306), rel=1e-3)
-    # A wheel that hardly spins leaves the pendulum what it is.
-    slow = modes.modes(camera(-1.0, [rotor | {"angular_momentum": 1e-3}]), both)
-    assert [mode.kind for mode in slow] == ["pendulum", "rigid body"]
 
 
 def test_a_gyro_on_springs_has_nutation_and_precession() -> None:
@@ -689,15 +611,6 @@ def test_the_platform_yields_to_a_torque_as_in_the_simulation(result: JobResult)
     run = result.runs[1]
     final = run.trajectory.attitude_angles[-200:].mean(axis=0)
     assert run.manoeuvre.torque * closed[0, n, 0] == pytest.approx(final[0], rel=0.02)
-
-
-def test_without_a_controller_the_platform_is_a_plain_inertia_when_shaken_fast(result: JobResult) -> None:
-    w = np.array([2e4])
-    opened, _ = coupled_figures.platform_compliance(result, w)
-    n = len(result.job.platform.gimbals)
-    model = result.model
-    inertia = model.root_inertia - model.M_Omega.T @ np.linalg.solve(model.M, model.M_Omega)
-    assert opened[0, n:] == pytest.approx(np.abs(np.linalg.inv(inertia)) / w**2, rel=2e-2, abs=1e-11)
 
 
 @given(hnp.arrays(np.float64, st.integers(1, 3000), elements=st.floats(-1e6, 1e6)), st.integers(2, 60))

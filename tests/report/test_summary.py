@@ -14,7 +14,7 @@ from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.summary import Summary, summarise
 from platform_ctrl.report.page import blocks, campaign_tables, job_page
 from platform_ctrl.report.page.blocks import html as as_html
-from platform_ctrl.report.page.campaign_page import as_section, campaign_document, differences
+from platform_ctrl.report.page.campaign_page import campaign_document
 from platform_ctrl.report.page.captions import opening, tightest
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.verification.verdict import JobResult
@@ -81,30 +81,11 @@ def with_campaign(result: JobResult, summary: Summary) -> blocks.Document:
     return job_page.prepared(result, campaign=summary, again="platform-ctrl simulate a.toml --run")
 
 
-def told(result: JobResult, campaign: Summary | None = None) -> str:
-    return " ".join(opening(result, campaign)).replace("\u00a0", " ")
-
-
 def text_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)).split())
 
 
 # The opening
-
-
-def test_the_opening_names_platform_loops_verdict_tightest_requirement_and_worst_run(result: JobResult) -> None:
-    words = told(result)
-    worst = tightest(result.requirements)
-    assert worst is not None
-    assert 3 <= len(opening(result)) <= 6
-    assert words.startswith("One loop was designed for “three-gyro platform” (5 gimbals and 3 rotors), for platform ")
-    assert "up to 0.5 rad/s about an axis, sampled at 2 kHz: caging 9-10 (plain)." in words
-    assert (
-        f"All {len(result.requirements)} requirements are met; the tightest is {worst.name} of “{worst.subject}”"
-        in words
-    )
-    assert "Of 2 simulated runs “1.0 rad/s” comes nearest to a limit" in words
-    assert "on the coupled platform it stays stable while every channel changes: gain × " in words
 
 
 def test_the_decay_rate_of_a_stable_loop_is_never_the_tightest(result: JobResult) -> None:
@@ -188,16 +169,3 @@ def test_a_campaign_that_violates_a_limit_stands_in_the_banner(
     words = campaign_tables.campaign_words(summary)
     assert words in with_campaign.verdict
     assert words in text_of(page_html(with_campaign).split('id="requirements"')[0])
-
-
-def test_a_campaign_of_other_controllers_has_a_warning(result: JobResult) -> None:
-    flown = counted(plan(result.job, ()), 1.1)
-    assert differences(flown, result) == ["controllers"]
-    words = [block.text for block in as_section(flown, result, None).blocks if isinstance(block, blocks.Paragraph)]
-    assert "It was simulated with other controllers: its values are not those of the design above." in words
-
-
-def test_the_report_mentions_that_a_campaign_is_missing(prepared: blocks.Document) -> None:
-    words = text_of(page_html(prepared))
-    assert "this report has none" in words
-    assert "--campaign" in words

@@ -119,7 +119,6 @@ _LEAST_GAIN = 5e-3
 _ROUNDING = 1e-12
 # What a slider's value looked like before a page moved it; a start that no slider has is shown as none.
 Starts = Mapping[str, float]
-_MODES = ("caged", "stabilised")
 
 
 def plain_number(number: float | None) -> float | str | None:
@@ -146,27 +145,18 @@ def slider_data(sliders: Iterable[Slider], starts: Starts) -> list[dict[str, Any
 
 def choice_data(choices: Choices, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
     """Return what every list of the page offers."""
-    methods = choices.methods.get(settings.loop, {})
-    designs = choices.designs.get(settings.loop, ())
-    others = [one for one in designs if one != settings.design]
+    methods, designs = choices.methods[settings.loop], choices.designs[settings.loop]
+    every = [METHODS[one].kinds for loop in choices.methods.values() for one in loop.values()]
     return {
-        "mode": list(available_modes(choices)),
+        "mode": ["caged", "stabilised"] if any("stabilisation" in kinds for kinds in every) else ["caged"],
         "loop": list(choices.loops),
         "design": list(designs),
-        "channel": list(choices.channels.get(settings.loop, ())),
+        "channel": list(choices.channels[settings.loop]),
         "axis": [1, 2, 3],
         "plant": list(plants),
         "manoeuvre": list(choices.manoeuvres),
-        "overlays": [{"design": one, "method": methods.get(one, "")} for one in others],
+        "overlays": [{"design": one, "method": methods[one]} for one in designs if one != settings.design],
     }
-
-
-def available_modes(choices: Choices) -> tuple[str, ...]:
-    """Return the modes in which a job can be shown."""
-    servo = any(
-        "stabilisation" in METHODS[one].kinds for methods in choices.methods.values() for one in methods.values()
-    )
-    return _MODES if servo else _MODES[:1]
 
 
 def verdict_data(picture: Picture) -> dict[str, Any]:
@@ -388,25 +378,18 @@ NAMES = ("mode", "loop", "design", "channel", "plant", "axis", "band")
 
 def chosen(backend: Backend, settings: Settings, name: str, given: object, plants: tuple[str, ...]) -> Settings:
     """Return the settings with something else chosen."""
-    choices = backend.choices()
     known_name("choice", name, NAMES)
     if name == "axis":
         return settings.but(axis=whole("axis", given, 1, 3))
     if name == "band":
-        if not isinstance(given, bool):
-            raise InputError(f"band must be true or false, got {short(given)}")
-        return settings.but(band=given)
-    text = _text(name, given)
-    if name == "loop":
-        return backend.chosen(settings, loop=text)
-    if name == "design":
-        return backend.chosen(settings, design=text)
-    if name == "channel":
-        known_name("channel", text, choices.channels[settings.loop])
-        return settings.but(channel=text)
-    if name == "plant":
-        known_name("plant", text, plants)
-        return settings.but(plant=text)
+        return settings.but(band=_of_kind("band", given, bool))
+    text: str = _of_kind(name, given, str)
+    if name in ("loop", "design"):
+        return backend.chosen(settings, **{name: text})
+    choices = backend.choices()
+    if name in ("channel", "plant"):
+        known_name(name, text, plants if name == "plant" else choices.channels[settings.loop])
+        return settings.but(**{name: text})
     if text == settings.mode:
         return settings
     for loop in choices.loops:
@@ -414,9 +397,3 @@ def chosen(backend: Backend, settings: Settings, name: str, given: object, plant
         if other.mode == text:
             return other
     raise InputError(f"mode: this job has no loop for {short(given)}")
-
-
-def _text(name: str, given: object) -> str:
-    if not isinstance(given, str):
-        raise InputError(f"{name} must be a text, got {short(given)}")
-    return given

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
+from platform_ctrl.app.background import LatestTasks
 from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.gimbal_tree import tree_data
 from platform_ctrl.app.page import messages
 from platform_ctrl.app.page.connection import Connection
 from platform_ctrl.app.page.messages import Request, chosen, parse_request, request_count
-from platform_ctrl.app.page.tasks import LatestTasks, PageTasks, error_text
+from platform_ctrl.app.page.tasks import PageTasks, error_text
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
@@ -48,22 +49,6 @@ class Task:
 
     count: int
     change: Change
-    gesture: object
-
-
-@value
-class Outcome:
-    """The result of tasks: a picture, or the line of an error, which may come after the curves were `drawn` already.
-
-    A result that `awaits` is computed again once a design is available.
-    """
-
-    settings: Settings
-    picture: Picture | None
-    line: str | None
-    awaits: bool
-    drawn: bool
-    count: int
     gesture: object
 
 
@@ -199,11 +184,9 @@ class Session:
         self.change("view", lambda settings: settings, count=request.count, gesture="ready")
 
     def _on_undo(self, request: Request) -> None:
-        if self._awaited is not None:
-            there = self.settings
-            self.change("history", lambda settings: there, count=request.count, gesture="history")
-            return
-        self._step(request, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
+        there = self.settings
+        undo = (lambda: there) if self._awaited is not None else self.history.undo if self.history.can_undo else None
+        self._step(request, undo, "There is nothing to undo.")
 
     def _on_redo(self, request: Request) -> None:
         self._step(request, self.history.redo if self.history.can_redo else None, "There is nothing to redo.")
@@ -223,7 +206,7 @@ class Session:
 
     def _work(self, tasks: list[Task]) -> None:
         """Compute a picture for all tasks together; runs in a thread."""
-        line, picture, awaits, drawn = None, None, False, False
+        line, picture, awaits = None, None, False
         # What waits for a design goes on from there.
         settings = self.settings if self._awaited is None else self._awaited[0]
         # A design that has become available is not a separate step of a gesture.
@@ -236,15 +219,10 @@ class Session:
             except Exception as error:
                 line = error_text(error)
 
-        def on_drawn(drawing: Drawing) -> None:
-            nonlocal drawn
-            drawn = True
-            self._drawn(drawing)
-
         try:
             if self._view == "budget":
                 self._budgeted(settings)
-            picture = self.backend.picture(settings, on_drawn)
+            picture = self.backend.picture(settings, self._drawn)
         except DesignPending as error:
             line, awaits = str(error), True
         except Exception as error:
@@ -253,16 +231,8 @@ class Session:
         if picture is not None:
             # What the next tasks start from, before it is shown.
             self.settings = settings
-        outcome = Outcome(
-            settings=settings,
-            picture=picture,
-            line=line,
-            awaits=awaits,
-            drawn=drawn,
-            count=max(task.count for task in tasks),
-            gesture=gesture,
-        )
-        self.connection.later(lambda: self._show(outcome))
+        count = max(task.count for task in tasks)
+        self.connection.later(partial(self._show, settings, gesture, picture, line, awaits, count))
 
     def _budgeted(self, settings: Settings) -> None:
         """Show the budget before the loop is measured; called in a thread."""
@@ -301,26 +271,28 @@ class Session:
             self.plots.show(drawing)
             self.connection.later(self._sent.set)
 
-    def _show(self, out: Outcome) -> None:
-        line = self._line or out.line
-        self._line = None
-        notes = () if out.picture is None else out.picture.notes
-        kind = "error" if line and not out.awaits else "quiet"
+    def _show(
+        self, settings: Settings, gesture: object, picture: Picture | None, line: str | None, awaits: bool, count: int
+    ) -> None:
+        """Show a picture, or the line of an error; what `awaits` is computed again once a design is available."""
+        line, self._line = self._line or line, None
+        notes = () if picture is None else picture.notes
+        kind = "error" if line and not awaits else "quiet"
         data: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
-        if out.picture is not None:
-            self._remember(out.settings, out.gesture)
-            self.picture = out.picture
-            data |= self._picture_data(out.picture)
+        if picture is not None:
+            self._remember(settings, gesture)
+            self.picture = picture
+            data |= self._picture_data(picture)
             self.rest()
-        elif self.picture is not None and out.awaits:
-            data |= self._slider_rows(out.settings)
+        elif self.picture is not None and awaits:
+            data |= self._slider_rows(settings)
         elif self.picture is not None:
-            # Everything returns to the last picture.
+            # Everything returns to the last picture; the curves may be drawn already.
             data |= self._picture_data(self.picture)
             self.rest()
-            if out.drawn:
+            if self._view == "loop":
                 self.plots.show(self.picture)
-        self.connection.answer(out.count, **data)
+        self.connection.answer(count, **data)
 
     def _remember(self, settings: Settings, gesture: object) -> None:
         if gesture == "ready":

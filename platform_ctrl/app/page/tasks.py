@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app.gimbal_tree import run_data
 from platform_ctrl.app.page.messages import Request, influence_data
@@ -44,11 +44,6 @@ def target(folder: Path, name: str) -> Path:
     if stem.startswith("."):
         raise InputError(f"name: {short(name)} must not begin with a dot, which would hide the file")
     return folder / f"{stem}.toml"
-
-
-def check_line(path: Path) -> str:
-    """Return the command that checks a saved job."""
-    return f"platform-ctrl check {shlex.quote(str(path))}"
 
 
 # Least seconds between two lines about the progress of a task.
@@ -210,7 +205,7 @@ class PageTasks:
         def saved() -> Callable[[], None]:
             written = self._backend.save(settings, path, overwrite=overwrite)
             text = ". ".join((f"Saved: {path}", *written.notes))
-            reply = {"kind": "good", "text": text, "command": check_line(path)}
+            reply = {"kind": "good", "text": text, "command": f"platform-ctrl check {shlex.quote(str(path))}"}
             return lambda: self._connection.answer(saved=reply, line={"text": text, "kind": "good"})
 
         self._do(saved, lambda line: self._connection.answer(saved={"kind": "error", "text": line}))
@@ -294,53 +289,3 @@ class PageTasks:
                 self._connection.later(done)
 
         threading.Thread(target=run, name="page task", daemon=True).start()
-
-
-T = TypeVar("T")
-
-
-class LatestTasks(Generic[T]):
-    """Tasks that a thread works off; a newer task takes the place of one of the same key that still waits.
-
-    The thread ends when nothing waits.
-    """
-
-    def __init__(self, work: Callable[[list[T]], None]) -> None:
-        self._work = work
-        self._lock = threading.Lock()
-        self._waiting: dict[str, T] = {}
-        self._working = False
-        self._closed = False
-
-    def add(self, key: str, task: T) -> None:
-        """Have a task done; the one of the same key that waits is dropped."""
-        with self._lock:
-            if self._closed:
-                return
-            self._waiting.pop(key, None)
-            self._waiting[key] = task
-            if self._working:
-                return
-            self._working = True
-        threading.Thread(target=self._run, name="page", daemon=True).start()
-
-    @property
-    def working(self) -> bool:
-        """Whether a task is being done or waits."""
-        return self._working
-
-    def close(self) -> None:
-        """Drop what waits; nothing more is taken."""
-        with self._lock:
-            self._closed = True
-            self._waiting.clear()
-
-    def _run(self) -> None:
-        while True:
-            with self._lock:
-                if not self._waiting:
-                    self._working = False
-                    return
-                tasks = list(self._waiting.values())
-                self._waiting.clear()
-            self._work(tasks)

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
-from platform_ctrl.app.plots.data import DASHES, FONT, SMALL, Column, Sources, View, column, round_bounds, series
+from platform_ctrl.app.plots.data import SMALL, Sources, View, column, dashes, round_bounds, series
 from platform_ctrl.app.plots.panel import Panel, Theme, limit_key
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.quantities import plain
 from platform_ctrl.verification.budget_result import TOGETHER, LineOfSightBudget, Waterfall, rms_ticks, waterfalls
@@ -38,8 +37,7 @@ class CumulativePanel(Panel):
         self._budget, self._axis, self._source = budget, axis, f"cumulative{axis}"
         self._size = View(0.0, 1.0, _rising)
         plot = self.add(frequency, self._size, "frequency, Hz", "µrad")
-        lines = sources.new(self._source, lists=("xs", "ys", "name", "colour", "dash"))
-        curves = plot.multi_line("xs", "ys", source=lines, line_color="colour", line_dash="dash", line_width=_WIDTH)
+        curves = self.curves(plot, self._source, _WIDTH)
         self._limit = self.limit_line(plot, "width")
         rows = [("@name", "$snap_y{0.[00]} µrad"), ("up to", "$snap_x{0.[000]} Hz")]
         self.hover(plot, [curves], rows, line_policy="interp")
@@ -50,15 +48,13 @@ class CumulativePanel(Panel):
         """Follow a budget; the sources `largest` have curves."""
         every = [found.total_cumulative[self._axis]]
         every += [found.cumulative[found.names.index(name), self._axis] for name in largest]
-        ys = [self._rms(found.frequencies_hz, one) for one in every]
         f, names = column(self._f), ("all sources", *largest)
-        self.sources.put(
+        self.put_curves(
             self._source,
-            xs=[f] * len(ys),
-            ys=ys,
-            name=list(names),
-            colour=[self.theme.colours[series(k)] for k in range(len(ys))],
-            dash=[list(DASHES[k % len(DASHES)]) for k in range(len(ys))],
+            [
+                (name, series(k), dashes(k), f, column(np.sqrt(np.interp(self._f, found.frequencies_hz, one)), MICRO))
+                for k, (name, one) in enumerate(zip(names, every, strict=True))
+            ],
         )
         limit, total = self._budget.limits.jitter_per_axis, MICRO * float(found.total[self._axis])
         near = limit is not None and MICRO * limit < 2.5 * total
@@ -67,11 +63,8 @@ class CumulativePanel(Panel):
         self.heading(found.axes[self._axis])
         # In the legend the largest of this axis come first: for the last ones there may be no room.
         order = sorted(range(1, len(names)), key=lambda k: -float(found.rms[found.names.index(names[k]), self._axis]))
-        keys = [(names[k], series(k), DASHES[k % len(DASHES)], _WIDTH) for k in (0, *order)]
+        keys = [(names[k], series(k), dashes(k), _WIDTH) for k in (0, *order)]
         self.keys([*keys, *([limit_key(_LIMIT)] if near else [])])
-
-    def _rms(self, frequencies_hz: FloatArray, mean_square: FloatArray) -> Column:
-        return column(np.sqrt(np.interp(self._f, frequencies_hz, mean_square)), MICRO)
 
 
 class WaterfallPanel(Panel):
@@ -84,16 +77,7 @@ class WaterfallPanel(Panel):
         columns = {"y": "bar", "left": "low", "right": "high"}
         source = sources.new(name, "bar", "low", "high", "at", "zero", lists=("words", "colour"))
         plot.hbar(**columns, height=_TALL, source=source, fill_color="colour", line_color="colour", line_width=1)
-        words = plot.text(
-            "zero",
-            "at",
-            text="words",
-            source=source,
-            text_font={"value": FONT},
-            text_font_size={"value": SMALL},
-            text_baseline="middle",
-        )
-        theme.paint(words.glyph, text_color="ink")
+        self.words(plot, "zero", "at", source, "ink", text="words", size=SMALL, text_baseline="middle")
         self._limit = self.limit_line(plot, "height")
         plot.yaxis[0].visible = False
         plot.ygrid[0].visible = False

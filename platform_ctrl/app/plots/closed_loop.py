@@ -43,15 +43,14 @@ class ClosedLoopFigures:
         first = panel.add(frequency, self._level, "", "gain, dB")
         panel.decibels(first.yaxis[0])
         lines = new("closed_loop", "frequency", "S", "T")
-        others = new("closed_loop_overlays", lists=("xs", "ys", "colour", "dash"))
         bands = new("closed_loop_band", "frequency", "S_low", "S_high", "T_low", "T_high")
-        self._above, self._bound = panel.beyond(first, "bottom"), panel.limit_line(first, "width")
+        self._bound = panel.bound(first, "bottom")
         slow = new("closed_loop_bandwidth", "frequency", "level")
         panel.draw(
             first.line, "frequency", "level", source=slow, line="limit", line_width=1.5, line_dash=list(LIMIT_DASHES)
         )
         panel.span(first, "width", "reference", location=0.0)
-        first.multi_line("xs", "ys", source=others, line_color="colour", line_dash="dash", line_width=1.3)
+        panel.curves(first, "closed_loop_overlays", 1.3)
         drawn = []
         for name, role in (("S", "series-1"), ("T", "series-2")):
             ends = f"{name}_low", f"{name}_high"
@@ -91,13 +90,9 @@ class ClosedLoopFigures:
         put("closed_loop", frequency=f, S=S, T=T)
         band = self._band(picture)
         put("closed_loop_band", **dict(zip(("frequency", "S_low", "S_high", "T_low", "T_high"), band, strict=True)))
-        others = [(k, ys) for k, one in enumerate(bode.overlays) for ys in _levels(one.response)]
-        put(
-            "closed_loop_overlays",
-            xs=[f] * len(others),
-            ys=[ys for _, ys in others],
-            colour=[self._panel.theme.colours[series(1 + k)] for k, _ in others],
-            dash=[list(dashes(1 + k)) for k, _ in others],
+        others = [(k, one.design, ys) for k, one in enumerate(bode.overlays) for ys in _levels(one.response)]
+        self._panel.put_curves(
+            "closed_loop_overlays", [(name, series(1 + k), dashes(1 + k), f, ys) for k, name, ys in others]
         )
         self._level.fit(extent([S, T, *band[1:]]))
         for k, (name, _, _) in enumerate(_GAINS):
@@ -129,10 +124,7 @@ class ClosedLoopFigures:
         alpha, bandwidth = picture.nichols.disk_margin, picture.bandwidth
         # |S - 1/2| <= 1/alpha, and T = 1 - S.
         bound = float(20.0 * np.log10(1.0 / alpha + 0.5)) if alpha else None
-        self._bound.location = bound
-        if bound is not None:
-            self._above.bottom = bound
-        self._above.visible = bound is not None
+        self._bound(bound)
         # No channel is slower than the bandwidth of all: |S| stays right of the corner.
         f = [] if bandwidth is None else [_FAR[0], bandwidth, bandwidth]
         self._panel.sources.put(

@@ -6,12 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from bokeh.core.properties import value
 
 from platform_ctrl.app.pictures import Bode, Drawing, Nichols
 from platform_ctrl.app.plots.closed_loop import ClosedLoopFigures
 from platform_ctrl.app.plots.data import (
-    FONT,
     HZ,
     Column,
     Sources,
@@ -71,11 +69,8 @@ class BodePanel(Panel):
             self.draw(plot.scatter, "frequency", f"{name}1", source=marks, line="ink", fill="page", size=6)
             # Beside the end that is never at the edge of the view.
             end, offset, side = (f"{name}1", -3, "bottom") if name == "gain" else (f"{name}0", 3, "top")
-            text = plot.text(
-                "frequency", end, text=f"{name}_words", source=marks, x_offset=7, y_offset=offset,
-                text_font=value(FONT), text_font_size=value("10px"), text_baseline=side,
-            )  # fmt: skip
-            theme.paint(text.glyph, text_color="ink")
+            look = {"text": f"{name}_words", "x_offset": 7, "y_offset": offset, "text_baseline": side}
+            self.words(plot, "frequency", end, marks, "ink", **look)
             self.hover(plot, [line], rows, mode="vline", line_policy="interp")
         self.crosshair(above, below)
         self._crossover = self.span(above, "height", "series-1", line_width=1.2)
@@ -265,11 +260,8 @@ class NicholsPanel(Panel):
             align=["right" if x else "center" for x, _, _ in labels] * 3,
         )
         self.draw(plot.multi_line, "xs", "ys", source=curves, line="grid", line_width=1)
-        text = plot.text(
-            "x", "y", text="text", source=words, text_align="align", text_font=value(FONT),
-            text_font_size=value("9px"), text_baseline="bottom",
-        )  # fmt: skip
-        self.theme.paint(text.glyph, text_color="muted")
+        look = {"text": "text", "size": "9px", "text_align": "align", "text_baseline": "bottom"}
+        text = self.words(plot, "x", "y", words, "muted", **look)
         text.visible = False
 
         def follow(attr: str, old: object, new: object) -> None:

@@ -6,11 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from bokeh.core.properties import value
 
 from platform_ctrl.app.pictures import Drawing, Locus
 from platform_ctrl.app.plots.data import (
-    FONT,
     HZ,
     LIMIT_DASHES,
     Sources,
@@ -97,11 +95,8 @@ class LocusPanel(Panel):
         rows = [("gain", "× @gain{0.00}"), ("s", "@re{0} ± j @im{0} rad/s")]
         self.hover(plot, [branch], rows, line_policy="nearest")
         labels = new("plane_labels", "x", "y", "dx", "dy", lists=("text", "align", "baseline"))
-        text = plot.text(
-            "x", "y", text="text", source=labels, text_align="align", text_font=value(FONT),
-            text_font_size=value("10px"), text_baseline="baseline", x_offset="dx", y_offset="dy",
-        )  # fmt: skip
-        self.theme.paint(text.glyph, text_color="muted")
+        side = {"text_align": "align", "text_baseline": "baseline", "x_offset": "dx", "y_offset": "dy"}
+        self.words(plot, "x", "y", labels, "muted", text="text", **side)
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""

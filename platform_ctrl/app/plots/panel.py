@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.events import DoubleTap
 from bokeh.models import (
     AdaptiveTicker,
@@ -54,6 +55,8 @@ from platform_ctrl.common.values import FloatArray
 
 # Key of a curve: words, role of its colour, dashes, width.
 Key = tuple[str, str, Sequence[int], float]
+# A curve: name, role of its colour, dashes, and the columns x and y.
+Curve = tuple[str, str, Sequence[int], Any, Any]
 
 # More keys than this are written closer together.
 _FEW = 5
@@ -327,12 +330,46 @@ class Panel:
         """Return a straight line for a limit of the job."""
         return self.span(plot, dimension, "limit", line_width=1.5, line_dash=list(LIMIT_DASHES))
 
-    def beyond(self, plot: Any, edge: str) -> Any:
-        """Return a shaded region that begins at its ``"bottom"`` or ends at its ``"top"``, hidden at first."""
-        out: Any = BoxAnnotation(visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
-        setattr(out, edge, 0.0)
-        self.theme.paint(out, fill_color="beyond")
-        plot.add_layout(out)
+    def bound(self, plot: Any, edge: str) -> Callable[[float | None], None]:
+        """Return the function that draws a limit: a line, and all above it (edge "bottom") or below it ("top") shaded.
+
+        None hides it.
+        """
+        region: Any = BoxAnnotation(visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
+        setattr(region, edge, 0.0)
+        self.theme.paint(region, fill_color="beyond")
+        plot.add_layout(region)
+        line = self.limit_line(plot, "width")
+
+        def show(at: float | None) -> None:
+            assign(line, location=at)
+            assign(region, visible=at is not None, **({} if at is None else {edge: at}))
+
+        return show
+
+    def curves(self, plot: Any, name: str, width: float, *more: str) -> Any:
+        """Draw the curves of a new source, which `put_curves` fills, with `more` columns of texts."""
+        source = self.sources.new(name, lists=("xs", "ys", "name", "colour", "dash", *more))
+        return plot.multi_line("xs", "ys", source=source, line_color="colour", line_dash="dash", line_width=width)
+
+    def put_curves(self, source: str, curves: Iterable[Curve], **more: list[Any]) -> None:
+        """Set the curves of a source."""
+        rows = list(curves)
+        self.sources.put(
+            source,
+            name=[name for name, _, _, _, _ in rows],
+            colour=[self.theme.colours[role] for _, role, _, _, _ in rows],
+            dash=[list(dash) for _, _, dash, _, _ in rows],
+            xs=[x for _, _, _, x, _ in rows],
+            ys=[y for _, _, _, _, y in rows],
+            **more,
+        )
+
+    def words(self, plot: Any, x: str, y: str, source: Any, role: str, **look: Any) -> Any:
+        """Write texts at places of a source."""
+        font = {"text_font": value(FONT), "text_font_size": value(look.pop("size", "10px"))}
+        out = plot.text(x, y, source=source, **font, **look)
+        self.theme.paint(out.glyph, text_color=role)
         return out
 
     def crosshair(self, *plots: Any) -> None:

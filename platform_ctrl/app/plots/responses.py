@@ -52,18 +52,15 @@ class _TimeFigure:
         self._size = View(-1.0, 1.0)
         self.plot = plot = panel.add(time, self._size, "time, s" if last else "", "")
         new = panel.sources.new
-        lines = new(name, lists=("xs", "ys", "name", "unit", "colour"))
         bands = new(f"{name}_bands", lists=("xs", "ys", "colour"))
-        others = new(f"{name}_overlays", lists=("xs", "ys", "name", "colour", "dash"))
         drive = new(f"{name}_drive", "t", "share")
-        self._edges = [panel.limit_line(plot, "width") for _ in range(2)]
-        self._beyond = [panel.beyond(plot, edge) for edge in ("bottom", "top")]
+        self._bounds = (1.0, panel.bound(plot, "bottom")), (-1.0, panel.bound(plot, "top"))
         plot.extra_y_ranges = {"share": Range1d(start=-1.1, end=1.1)}
         dotted: dict[str, Any] = {"line_width": 1, "line_dash": [2, 3], "y_range_name": "share"}
         panel.draw(plot.line, "t", "share", source=drive, line="reference", **dotted)
         plot.patches("xs", "ys", source=bands, fill_color="colour", fill_alpha=0.16, line_alpha=0.0)
-        plot.multi_line("xs", "ys", source=others, line_color="colour", line_dash="dash", line_width=1.3)
-        curves = plot.multi_line("xs", "ys", source=lines, line_color="colour", line_width=_WIDTH)
+        panel.curves(plot, f"{name}_overlays", 1.3)
+        curves = panel.curves(plot, name, _WIDTH, "unit")
         rows = [("@name", "$snap_y{0.[000]} @unit"), ("time", "$snap_x{0.[0000]} s")]
         panel.hover(plot, [curves], rows, line_policy="interp")
         self._message = panel.message(plot)
@@ -92,58 +89,40 @@ class _TimeFigure:
             # What grows without bound is shown where it begins.
             seen = None if self._shown else _view([_UNSTABLE * values[:, : 1 + len(at) // 8]], [], limit)
         self._shown = self._shown or seen is not None
-        plain = unit
         self._unit.follow(unit, max(abs(seen[0]), abs(seen[1])) if seen is not None else math.nan)
-        scale, unit = self._unit.scale, self._unit.name
+        scale = self._unit.scale
         roles = [series(response.series[i]) for i in rows]
         colours = [self._panel.theme.colours[role] for role in roles]
         names = [greek(response.signals[i]) for i in rows]
-        self._put(t, [column(one, scale) for one in values], names, unit, colours)
+        own_curves = [(name, role, (), t, column(y, scale)) for name, role, y in zip(names, roles, values, strict=True)]
+        self._panel.put_curves(self._name, own_curves, unit=[self._unit.name] * len(names))
         edges = zip(low, high, strict=True) if band else ()
         areas = [_outline(t, column(a, scale), column(b, scale)) for a, b in edges]
         self._sources.put(
             f"{self._name}_bands", xs=[x for x, _ in areas], ys=[y for _, y in areas], colour=colours[: len(areas)]
         )
+        designs = [one.design for one in picture.bode.overlays]
         drawn = [
-            (j, k, column(one.t[some]), column(one.values[i, some], scale))
+            (designs[j], role, dashes(1 + j), column(one.t[some]), column(one.values[i, some], scale))
             for j, one in others
             for some in [thinned(len(one.t), _POINTS)]
-            for k, i in enumerate(rows)
+            for i, role in zip(rows, roles, strict=True)
         ]
-        self._sources.put(
-            f"{self._name}_overlays",
-            xs=[x for _, _, x, _ in drawn],
-            ys=[y for _, _, _, y in drawn],
-            name=[picture.bode.overlays[j].design for j, _, _, _ in drawn],
-            colour=[colours[k] for _, k, _, _ in drawn],
-            dash=[list(dashes(1 + j)) for j, _, _, _ in drawn],
-        )
+        self._panel.put_curves(f"{self._name}_overlays", drawn)
         # A constant needs no curve.
         varies = len(response.drive) == len(response.t) and not self._last and len(np.unique(response.drive[1:])) > 1
         drive = column(response.drive[at] if varies else [])
         self._sources.put(f"{self._name}_drive", t=t if varies else column([]), share=drive)
         if seen is not None:
             self._size.fit((scale * seen[0], scale * seen[1]))
-        assign(self.plot.yaxis[0], axis_label=unit)
-        self._show_limit(None if limit is None else scale * limit)
+        assign(self.plot.yaxis[0], axis_label=self._unit.name)
+        for sign, bound in self._bounds:
+            bound(None if limit is None else sign * scale * limit)
         trouble = "" if picture.stable or self._last else "closed loop not stable"
         lost = bool(rows) and not np.isfinite(column(values)).any()
         set_message(self._message, "no finite response" if lost else trouble)
         self.signals = list(zip(names, roles, strict=True))
-        self.limits = [] if limit is None else [limit_key(f"limit {quantity(limit, plain)}")]
-
-    def _put(self, t: Any, ys: list[Any], names: list[str], unit: str, colours: list[str]) -> None:
-        self._sources.put(self._name, xs=[t] * len(ys), ys=ys, name=names, unit=[unit] * len(ys), colour=colours)
-
-    def _show_limit(self, limit: float | None) -> None:
-        above, below = self._beyond
-        if limit is not None:
-            assign(above, bottom=limit)
-            assign(below, top=-limit)
-        for one in self._beyond:
-            assign(one, visible=limit is not None)
-        for sign, line in zip((1.0, -1.0), self._edges, strict=True):
-            assign(line, location=None if limit is None else sign * limit)
+        self.limits = [] if limit is None else [limit_key(f"limit {quantity(limit, unit)}")]
 
 
 def _signals(response: TimeResponse) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -249,11 +228,10 @@ class RatePanel(TimePanel):
         self._plot = plot = self.add(frequency, self._gain, "frequency, Hz", "")
         lines = sources.new("Omega_gain", "frequency", "gain")
         band = sources.new("Omega_gain_band", "frequency", "low", "high")
-        others = sources.new("Omega_gain_overlays", lists=("xs", "ys", "name", "colour", "dash"))
         self.span(plot, "height", "reference", line_dash=[3, 3], name="cursor")
-        self._beyond, self._edge = self.beyond(plot, "bottom"), self.limit_line(plot, "width")
+        self._bound = self.bound(plot, "bottom")
         self.draw(plot.varea, "frequency", "low", "high", source=band, fill="series-1", fill_alpha=0.16)
-        plot.multi_line("xs", "ys", source=others, line_color="colour", line_dash="dash", line_width=1.5)
+        self.curves(plot, "Omega_gain_overlays", 1.5)
         line = self.draw(plot.line, "frequency", "gain", source=lines, line="series-1", line_width=2.2)
         rows = [("frequency", "@frequency{0.[000]} Hz"), ("gain", "@gain{0.[0000]}")]
         self.hover(plot, [line], rows, mode="vline", line_policy="interp")
@@ -298,18 +276,11 @@ class RatePanel(TimePanel):
         floor = column(_LEAST_GAIN * scale * size if size > 0.0 else 1e-30)
         put("Omega_gain_band", frequency=f, low=np.maximum(low, floor), high=np.maximum(high, floor))
         own = [(k, one) for k, one in enumerate(overlays) if len(one.Omega_gain) == len(response.frequency)]
-        put(
-            "Omega_gain_overlays",
-            xs=[frequency] * len(own),
-            ys=[column(positive(one.Omega_gain), scale) for _, one in own],
-            name=[one.design for _, one in own],
-            colour=[self.theme.colours[series(1 + k)] for k, _ in own],
-            dash=[list(dashes(1 + k)) for k, _ in own],
+        gains = [(k, one.design, column(positive(one.Omega_gain), scale)) for k, one in own]
+        self.put_curves(
+            "Omega_gain_overlays", [(name, series(1 + k), dashes(1 + k), frequency, y) for k, name, y in gains]
         )
-        if limit is not None:
-            self._beyond.bottom = scale * limit
-        self._beyond.visible = limit is not None
-        self._edge.location = None if limit is None else scale * limit
+        self._bound(None if limit is None else scale * limit)
         if top is not None:
             # A limit close by is shown too.
             high_end = size if limit is None or not size / 30.0 < limit < 30.0 * size else max(size, 1.5 * limit)
