@@ -16,7 +16,7 @@ from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
-from platform_ctrl.app.designs import Designs, never, nothing, silent
+from platform_ctrl.app.designs import Designs
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Measured, Picture
 from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, is_unchanged, write_job
@@ -253,7 +253,7 @@ class Backend:
         """Return the limits of the budget within some milliseconds; none before it was computed once."""
         return self._loops.sight.quick_results(settings)
 
-    def influence(self, settings: Settings, before_each: Callable[[], None] = nothing) -> OptionEffects:
+    def influence(self, settings: Settings, before_each: Callable[[], None] = lambda: None) -> OptionEffects:
         """Return what each slider does to each requirement, those of the budget behind the loop's.
 
         `before_each` is called before each slider; what it raises ends the computation.
@@ -269,7 +269,9 @@ class Backend:
 
     # Sliders moved by tuning.
 
-    def tune(self, settings: Settings, progress: Progress = silent, cancelled: IsCancelled = never) -> Settings:
+    def tune(
+        self, settings: Settings, progress: Progress = lambda line: None, cancelled: IsCancelled = lambda: False
+    ) -> Settings:
         """Return the settings with all sliders of the design that are not fixed tuned until its limits are met."""
         spec, design = self._loops.design(settings)
         free = tuple(k.name for k in self.sliders(settings) if k.tunable and not k.fixed)
@@ -315,12 +317,12 @@ class Backend:
                     wanted.setdefault(spec.name, {})[design.name] = used
         return write_job(self._source, Path(path), overwrite, settings.but(closed=closed), start, wanted, controllers)
 
-    def simulate(self, settings: Settings, manoeuvre: str, cancelled: IsCancelled = never) -> Trajectory:
+    def simulate(self, settings: Settings, manoeuvre: str, cancelled: IsCancelled = lambda: False) -> Trajectory:
         """Return one of the job's manoeuvres, simulated on the non-linear plant with the loops as they are set."""
         known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
         closed = tuple(one.system for one in self._loops.controllers(settings))
         task = Simulating(job=self.job(settings), manoeuvre=manoeuvre, controllers=closed)
-        trajectory: Trajectory = self._background.run(task, silent, cancelled)
+        trajectory: Trajectory = self._background.run(task, cancelled=cancelled)
         self.has_simulated = True
         made = next(one for one in task.job.manoeuvres if one.name == manoeuvre)
         self.job_parts.keep(run_stamp(self._loops, settings, manoeuvre), limit_results(task.job, made, trajectory))

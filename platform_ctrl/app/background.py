@@ -98,7 +98,13 @@ class Background:
         self._ended = False
         weakref.finalize(self, _end_all, self._running)
 
-    def run(self, task: Any, progress: Progress, cancelled: IsCancelled, *, gives_way: bool = False) -> Any:
+    def run(
+        self,
+        task: Any,
+        progress: Progress = lambda line: None,
+        cancelled: IsCancelled = lambda: False,
+        gives_way: bool = False,
+    ) -> Any:
         """Return what ``task.run(progress)`` returns there; `TaskCancelled` where it was cancelled.
 
         A task that `gives_way` is cancelled as well when another one waits that does not.

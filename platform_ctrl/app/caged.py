@@ -30,8 +30,6 @@ from platform_ctrl.app.curves import (
     channel_response,
     drive,
     frequency_gain,
-    gain_locus,
-    near_locus,
     settling,
     step_size,
 )
@@ -215,7 +213,7 @@ class CagedCurves(LoopCurves):
         reach = min(1.25 * max(oscillating.max(initial=0.0), 1.5 * nutation), nyquist)
         none = np.zeros(0, dtype=np.complex128)
         others = none if self.set is None else continuous_poles(self.set.poles, shown.period).ravel()
-        return near_locus(gain_locus(self.plant, self.controller, reach), s, others, reach, self.limit("damping"))
+        return self._near_locus(reach, others, self.limit("damping"), [True] * len(self.torquers))
 
 
 def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMetrics) -> Parts:
@@ -260,7 +258,7 @@ def _margins(loop: CagedLoop, metrics: LoopMetrics, curves: CagedCurves, bode: B
         worst_disk=float(metrics.disk_margin[worst]),
         worst_plant=plants.labels[worst],
         worst_sampled=not loop.exact,
-        **channel_margins(bode, curves.stable)._asdict(),
+        **channel_margins(bode, curves.stable),
         bandwidth=bandwidth,
         damping=float(minimum_damping(shown.poles, plants.period)[0]),
     )

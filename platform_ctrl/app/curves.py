@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -149,15 +149,17 @@ def sampled_responses(systems: StateArrays, inputs: FloatArray, every: int) -> F
     )
 
 
-def gain_locus(plant: StateArrays, controller: StateArrays, reach: float) -> tuple[FloatArray, ComplexArray]:
-    """Return factors on all of a controller from 0 to 2.5, 1 among them, and the closed-loop poles (G, n) in s.
+def gain_locus(
+    plant: StateArrays, controller: StateArrays, reach: float, moving: Sequence[bool]
+) -> tuple[FloatArray, ComplexArray]:
+    """Return factors on the `moving` outputs of a controller from 0 to 2.5, 1 among them, and the poles (G, n) in s.
 
     Columns are continuous branches; s = ln(z)/T. There are more factors where poles within `reach`, rad/s, move far.
     """
     A, B, C, D, period = plant
 
     def z_poles(factors: FloatArray) -> ComplexArray:
-        f = factors[:, None, None]
+        f = np.where(np.array(moving)[:, None], factors[:, None, None], 1.0)
         closed = closed_loop(
             StateArrays(A, B, C, D, period),
             StateArrays(controller.A, controller.B, f * controller.C, f * controller.D, period),
@@ -290,6 +292,12 @@ class LoopCurves(ABC):
     def locus(self) -> Locus:
         """Return the root locus over the gain."""
 
+    def _near_locus(self, reach: float, others: ComplexArray, damping: float | None, moving: Sequence[bool]) -> Locus:
+        """Return the root locus over the `moving` torques with the poles of other plants that its view may show."""
+        gains, branches = gain_locus(self.plant, self.controller, reach, moving)
+        others = others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)]
+        return Locus(gains=gains, branches=branches, present=self.poles, others=others, reach=reach, damping=damping)
+
     def transfers(self, frequency: FloatArray) -> LoopTransfers:
         """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
         P, K = (one.at(frequency) for one in self._responses)
@@ -319,12 +327,11 @@ class LoopCurves(ABC):
             all_stable=self.all_stable,
         )
 
-    def overlay(self, design: str, method: str, frequency: FloatArray) -> Overlay:
+    def overlay(self, design: str, frequency: FloatArray) -> Overlay:
         """Return what is drawn of this design over a picture whose Bode diagram is at `frequency`."""
         response = channel_response(self.transfers(frequency).S, self.index)
         return Overlay(
             design=design,
-            method=method,
             response=response,
             phase=degrees(response),
             poles=self.poles,
@@ -441,49 +448,24 @@ def around(every: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.minimum(every.min(axis=0), own), np.maximum(every.max(axis=0), own)
 
 
-class ChannelMargins(NamedTuple):
-    """Margins of one channel; see `Margins`."""
-
-    gain_up: float
-    gain_down: float
-    phase: float
-    delay: float
-    crossover: float | None
-
-
-def channel_margins(bode: Bode, stable: bool) -> ChannelMargins:
-    """Return the margins of a channel by its loop transfer on a grid."""
+def channel_margins(bode: Bode, stable: bool) -> dict[str, Any]:
+    """Return those of the `Margins` that a channel has by its loop transfer on a grid."""
     w, above = gain_crossings(bode.frequency, bode.response)
     down, up = gain_range(bode.response) if stable else (math.nan, math.nan)
     # Phase that may be lost: how far above -180 degrees, taken upwards from there.
     lead = np.radians(above % 360.0)
-    return ChannelMargins(
-        gain_up=up,
-        gain_down=down,
-        phase=float(np.abs(above).min(initial=math.inf)) if stable else math.nan,
-        delay=float((lead / w).min(initial=math.inf)) if stable else math.nan,
-        crossover=float(w[-1]) if len(w) else None,
-    )
-
-
-def near_locus(
-    gain_branches: tuple[FloatArray, ComplexArray],
-    present: ComplexArray,
-    others: ComplexArray,
-    reach: float,
-    damping: float | None,
-) -> Locus:
-    """Return the root locus with the poles of other plants that a view of size `reach` may show."""
-    gains, branches = gain_branches
-    others = others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)]
-    return Locus(gains=gains, branches=branches, present=present, others=others, reach=reach, damping=damping)
+    return {
+        "gain_up": up,
+        "gain_down": down,
+        "phase": float(np.abs(above).min(initial=math.inf)) if stable else math.nan,
+        "delay": float((lead / w).min(initial=math.inf)) if stable else math.nan,
+        "crossover": float(w[-1]) if len(w) else None,
+    }
 
 
 def step_size(limit: float) -> float:
     """Return the torque step that is shown, N m: about a tenth of what the torquer can do, 1 mN m without a limit."""
-    if not math.isfinite(limit):
-        return 1e-3
-    return round_up(0.05 * limit)
+    return round_up(0.05 * limit) if math.isfinite(limit) else 1e-3
 
 
 def settling(s: ComplexArray, nutation: float, period: float, stable: bool) -> float:

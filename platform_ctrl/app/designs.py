@@ -108,20 +108,6 @@ class DesignQueue:
             listener()
 
 
-def never() -> bool:
-    """Return False: nothing is cancelled."""
-    return False
-
-
-def nothing() -> None:
-    """Do nothing."""
-
-
-def silent(line: str) -> None:
-    """Ignore a line."""
-    del line
-
-
 class DesignPending(DesignError):
     """Nothing can be shown before a design is available."""
 
@@ -139,7 +125,7 @@ class Designs:
         if loops.found(settings, spec.name, design.name) is None:
             task = Designing(job=loops.job(settings), loop=spec.name, design=design.name)
             key = loops.design_key(settings, spec.name, design.name)
-            loops.keep(key, self._background.run(task, silent, cancelled, gives_way=True))
+            loops.keep(key, self._background.run(task, cancelled=cancelled, gives_way=True))
 
     def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the loop with its controller; one that a method has to make is requested, and is pending then."""
@@ -171,11 +157,10 @@ class Designs:
     def _overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray) -> tuple[Overlay, str]:
         """Return one design of the loop as an overlay, and a line about it; all other loops stay as they are."""
         own = settings.but(design=name)
-        method = next(one.method for one in spec.designs if one.name == name)
         with np.errstate(all="ignore"):
             if not spec.has_plants:
                 # The picture below it has the lines about the other loops.
                 free, _ = self._loops.stabilised(own)
-                return StabilisedCurves(free, own).overlay(name, method, frequency), ""
+                return StabilisedCurves(free, own).overlay(name, frequency), ""
             loop, notes = self.caged(own)
-            return CagedCurves(loop, own).overlay(name, method, frequency), " ".join(notes)
+            return CagedCurves(loop, own).overlay(name, frequency), " ".join(notes)

@@ -11,6 +11,7 @@ from platform_ctrl.app.curves import POINTS, round_up
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine
+from platform_ctrl.simulation.scenarios import commanded_readings, courses_of
 
 # Points that a period of the fastest sine needs to be drawn.
 _PER_PERIOD = 16
@@ -99,9 +100,6 @@ def _rate(scenario: Scenario, axis: int, t: FloatArray) -> FloatArray:
 
 
 def _commanded(scenario: Scenario, readings: Sequence[str], t: FloatArray) -> FloatArray:
-    # Loads what simulates: the page is to be there before.
-    from platform_ctrl.simulation.scenarios import commanded_readings, courses_of
-
     names = commanded_readings(scenario)
     return courses_of(scenario, t)[:, 1, [names.index(name) for name in readings]]
 

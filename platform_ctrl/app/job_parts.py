@@ -1,12 +1,10 @@
-"""The parts of a job that have verdicts of their own: loops, the coupled check, the budget, the simulated runs.
-
-A further part is a function that returns its `JobPart`s, appended to `PARTS`: the page's strip follows.
-"""
+"""The parts of a job that have verdicts of their own: loops, the coupled check, the budget, the simulated runs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from platform_ctrl.app.caged import loop_metrics
@@ -51,31 +49,7 @@ class JobPart:
     on_request: bool = False
 
 
-PartsOf = Callable[[ClosedLoops, Settings], Iterable[JobPart]]
-
-
-def _loop_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
-    """Return the loops with plants of their own, and the servo's limits on the whole."""
-    whole = coupled_requirements(loops.read)
-    for spec in loops.read.loops:
-        chip = Chip(key=f"loop {spec.name}", label=spec.name, loop=spec.name)
-        if not spec.has_plants:
-            count = sum(subject == spec.name for subject, _ in whole)
-            yield _coupled_part(loops, settings, chip, count, spec.name)
-            continue
-        at = settings.but(loop=spec.name, design=loops.closed(settings)[spec.name], plant="nominal")
-
-        def measure(at: Settings = at) -> Results:
-            loop, _ = loops.caged(at)
-            metrics = loops.cached_metrics(at, loop)(lambda: loop_metrics(loop))
-            return limits_and_goals(loop.spec, loop.design, loop.plants, metrics)[0]
-
-        yield JobPart(
-            chip=chip,
-            count=sum(one.hard for one in requirements_of(spec)),
-            stamp=loop_stamp(loops, settings, spec),
-            measure=measure,
-        )
+BUDGET = "budget"  # key of its chip, and the view of the page
 
 
 def loop_stamp(loops: ClosedLoops, settings: Settings, spec: LoopSpec) -> Hashable:
@@ -83,55 +57,47 @@ def loop_stamp(loops: ClosedLoops, settings: Settings, spec: LoopSpec) -> Hashab
     return ("loop", loops.plants_key(settings, spec), loops.closed_key(settings, spec))
 
 
-def _coupled_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
-    """Return the limits on all loops closed."""
-    servo = next((spec.name for spec in loops.read.loops if not spec.has_plants), "")
-    count = sum(subject == ALL_LOOPS for subject, _ in coupled_requirements(loops.read))
-    yield _coupled_part(loops, settings, Chip(key="coupled", label="coupled", loop=servo), count, ALL_LOOPS)
-
-
-def _coupled_part(loops: ClosedLoops, settings: Settings, chip: Chip, count: int, subject: str) -> JobPart:
-    stamp = loops.whole_key(settings)
-
-    def measure() -> Results:
-        return tuple(one for one in loops.coupled(settings).results if one.subject == subject)
-
-    return JobPart(chip=chip, count=count, stamp=(chip.key, stamp), measure=measure)
-
-
-def _run_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
-    """Return the job's manoeuvres; `JobParts.keep` keeps what was simulated."""
-    chip = Chip(key="runs", label="runs", panel="tree")
-    for one in loops.read.manoeuvres:
-        yield JobPart(
-            chip=chip,
-            count=len(one.limits),
-            stamp=run_stamp(loops, settings, one.name),
-            measure=tuple,
-            on_request=True,
-        )
-
-
 def run_stamp(loops: ClosedLoops, settings: Settings, manoeuvre: str) -> Hashable:
     """Return the stamp of a simulated manoeuvre."""
     return ("run", manoeuvre, loops.whole_key(settings))
 
 
-BUDGET = "budget"  # key of its chip, and the view of the page
+def _parts(loops: ClosedLoops, settings: Settings) -> Iterator[JobPart]:
+    """Return all parts of a job: its loops, the limits on all of them, the budget, and the runs."""
+    job, whole = loops.read, loops.whole_key(settings)
+    subjects = [subject for subject, _ in coupled_requirements(job)]
+    servo = next((spec.name for spec in job.loops if not spec.has_plants), "")
+
+    def coupled(chip: Chip, subject: str) -> JobPart:
+        def measure() -> Results:
+            return tuple(one for one in loops.coupled(settings).results if one.subject == subject)
+
+        return JobPart(chip=chip, count=subjects.count(subject), stamp=(chip.key, whole), measure=measure)
+
+    for spec in job.loops:
+        chip = Chip(key=f"loop {spec.name}", label=spec.name, loop=spec.name)
+        if spec.has_plants:
+            count, stamp = sum(one.hard for one in requirements_of(spec)), loop_stamp(loops, settings, spec)
+            yield JobPart(chip=chip, count=count, stamp=stamp, measure=partial(_loop_results, loops, settings, spec))
+        else:
+            yield coupled(chip, spec.name)
+    yield coupled(Chip(key="coupled", label="coupled", loop=servo), ALL_LOOPS)
+    if job.budget is not None:
+        chip, count = Chip(key=BUDGET, label=BUDGET, panel=BUDGET), len(unstable_results(job))
+        yield JobPart(chip=chip, count=count, stamp=(BUDGET, whole), measure=lambda: loops.sight.results(settings))
+    chip = Chip(key="runs", label="runs", panel="tree")
+    for one in job.manoeuvres:
+        # `JobParts.keep` keeps what was simulated.
+        stamp = run_stamp(loops, settings, one.name)
+        yield JobPart(chip=chip, count=len(one.limits), stamp=stamp, measure=tuple, on_request=True)
 
 
-def _budget_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
-    """Return the limits of the line of sight's budget."""
-    if loops.read.budget is not None:
-        yield JobPart(
-            chip=Chip(key=BUDGET, label=BUDGET, panel=BUDGET),
-            count=len(unstable_results(loops.read)),
-            stamp=(BUDGET, loops.whole_key(settings)),
-            measure=lambda: loops.sight.results(settings),
-        )
+def _loop_results(loops: ClosedLoops, settings: Settings, spec: LoopSpec) -> Results:
+    at = settings.but(loop=spec.name, design=loops.closed(settings)[spec.name], plant="nominal")
+    loop, _ = loops.caged(at)
+    metrics = loops.cached_metrics(at, loop)(lambda: loop_metrics(loop))
+    return limits_and_goals(loop.spec, loop.design, loop.plants, metrics)[0]
 
-
-PARTS: list[PartsOf] = [_loop_parts, _coupled_parts, _budget_parts, _run_parts]
 
 # Results that are kept: a few steps back and forth of a job with many runs.
 _ROOM = 256
@@ -163,7 +129,7 @@ class JobParts:
 
     def parts(self, settings: Settings) -> list[JobPart]:
         """Return all parts of the job for these settings, in the order of the strip."""
-        return [part for parts_of in PARTS for part in parts_of(self._loops, settings)]
+        return list(_parts(self._loops, settings))
 
     def keep(self, stamp: Hashable, results: Results) -> None:
         """Keep what was measured elsewhere: for a picture, or on request."""

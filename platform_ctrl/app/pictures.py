@@ -40,7 +40,6 @@ class Overlay:
     """
 
     design: str
-    method: str
     response: ComplexArray
     phase: FloatArray
     poles: ComplexArray

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, Index, StateArrays
+from platform_ctrl.analysis.bandwidths import bandwidth_of_response
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.norms import peak
@@ -26,8 +27,6 @@ from platform_ctrl.app.curves import (
     drive,
     frequency_gain,
     gain_crossings,
-    gain_locus,
-    near_locus,
     settling,
     step_size,
 )
@@ -165,24 +164,9 @@ class StabilisedCurves(LoopCurves):
 
     def locus(self) -> Locus:
         """Return the root locus for the servo's gain on all axes; the caging loops stay closed as they are."""
-        P, K = self.plant, self.controller
         crossover = gain_crossings(self.frequency, channel_response(self.own.S, self.index))[0].max(initial=1.0)
-        reach = min(8.0 * float(crossover), math.pi / P.dt)
-        moving = np.array([name in self.roots for name in self.torquers])
-        m = len(moving)
-        if P.D.any():
-            branches = gain_locus(P, K, reach)
-        else:
-            inner = StateArrays(
-                K.A, K.B, np.where(moving[:, None], 0.0, K.C), np.where(moving[:, None], 0.0, K.D), K.dt
-            )
-            # Both parts use the same states of the controller: the inner loops first, then the rest as feedback.
-            A, B, _, _, _ = closed_loop(P, inner)
-            feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
-            closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
-            static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
-            branches = gain_locus(closed, static, reach)
-        return near_locus(branches, self.poles, self._set_poles.ravel(), reach, None)
+        reach = min(8.0 * float(crossover), math.pi / self.plant.dt)
+        return self._near_locus(reach, self._set_poles.ravel(), None, [name in self.roots for name in self.torquers])
 
     def measured(self, bode: Bode, check: CoupledCheck) -> Measured:
         """Return margins and requirements; `check` is of all loops closed around the nominal plant."""
@@ -200,18 +184,17 @@ class StabilisedCurves(LoopCurves):
             worst_disk=min(own, worst) if self.all_stable else 0.0,
             worst_plant=worst_plant if worst < own else self.settings.plant,
             worst_sampled=self.banded,
-            **channel_margins(bode, self.stable)._asdict(),
-            bandwidth=self._bandwidth() if self.stable else 0.0,
+            **channel_margins(bode, self.stable),
+            bandwidth=self._bandwidth if self.stable else 0.0,
             damping=float(minimum_damping(self.z_poles[None], self.plant.dt)[0]),
         )
         return Measured(margins=margins, requirements=check.results)
 
+    @property
     def _bandwidth(self) -> float:
-        """Lowest frequency at which the largest singular value of S on the root axes reaches 1/sqrt(2), rad/s."""
+        """The bandwidth of S on the root axes, rad/s."""
         rows = [self.torquers.index(one) for one in self.roots]
-        sizes = np.linalg.norm(self.own.S[:, rows][:, :, rows], 2, axis=(-2, -1))
-        above = np.flatnonzero(sizes >= math.sqrt(0.5))
-        return float(self.frequency[above[0] if above.size else -1])
+        return float(bandwidth_of_response(self.frequency, self.own.S[:, rows][:, :, rows]))
 
 
 def stabilised_parts(

@@ -20,7 +20,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
     path = tmp_path_factory.mktemp("designs") / "gyro.toml"
     path.write_text(TWO)
     run = "platform_ctrl.app.background.Background.run"
-    monkeypatch.setattr(run, lambda _, task, progress, cancelled, gives_way: task.run(progress))
+    monkeypatch.setattr(run, lambda _, task, **more: task.run(lambda line: None))
     return Backend(path)
 
 

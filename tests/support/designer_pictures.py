@@ -81,7 +81,6 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
     over = tuple(
         Overlay(
             design=name,
-            method="structured",
             response=1.5 * responses[0],
             phase=phase[0],
             poles=poles(1.5 * gain),
