@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies
-from platform_ctrl.analysis.disks import disk_factors, disk_to_gain_phase, worst_factors
+from platform_ctrl.analysis.disks import disk_factors, disk_to_gain_phase
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu import SLACK, MuPeak, search_grid
 from platform_ctrl.analysis.norms import hinf_norm, peak_gain
@@ -52,13 +52,11 @@ class DiskMargin:
         Why the margin is 0 although the loop has a response; else empty.
     perturbation : complex (m,)
         Factors of the channels' loop gains, of disk size `upper`, that put a closed-loop pole at `frequency` on the
-        stability boundary. A complex factor is gain |f| and phase arg f at that frequency; see `is_real` and
-        `destabilising`. Infinite where only an infinite gain does, or nothing.
-    dt
-        Sample period of the loop, s; 0: continuous.
+        stability boundary. A complex factor is gain |f| and phase arg f at that frequency. Infinite where only an
+        infinite gain does, or nothing.
     frequencies : (N,)
         Where the responses below are given, rad/s.
-    lower_response, upper_response, unstructured_response : (N,)
+    lower_response, upper_response : (N,)
         The bounds frequency by frequency, dimensionless.
 
     References
@@ -74,11 +72,9 @@ class DiskMargin:
     skew: float
     reason: str
     perturbation: ComplexArray
-    dt: float
     frequencies: FloatArray
     lower_response: FloatArray
     upper_response: FloatArray
-    unstructured_response: FloatArray
 
     @property
     def alpha(self) -> float:
@@ -100,30 +96,6 @@ class DiskMargin:
     def gain_phase(self) -> tuple[float, float, float]:
         """Lowest and highest gain factor and the phase, rad, that `alpha` allows in every channel."""
         return disk_to_gain_phase(self.alpha, self.skew)
-
-    @property
-    def is_real(self) -> bool:
-        """Whether `perturbation` is pure gain: real factors, which an amplifier alone brings about."""
-        return bool(np.all(np.abs(self.perturbation.imag) <= 1e-9 * np.abs(self.perturbation)))
-
-    def destabilising(self) -> control.StateSpace:
-        """Return stable factors with real coefficients, one for each channel, that equal `perturbation` at `frequency`.
-
-        In series with the loop they put a pair of closed-loop poles on the stability boundary at `frequency`. Each
-        is a disk's rim run through by a first-order all-pass (a gain where `perturbation` is real).
-
-        Returns
-        -------
-        control.StateSpace
-            Diagonal, m inputs and outputs.
-
-        Raises
-        ------
-        ArgumentError
-            If no finite factors destabilise the loop, or they are complex at frequency 0, infinity or the Nyquist
-            frequency, where every system with real coefficients has a real response.
-        """
-        return worst_factors(self.perturbation, self.frequency, self.skew, self.dt)
 
 
 @value
@@ -236,9 +208,7 @@ def disk_margin(
         norm,
         skew=float(skew),
         proved=proved,
-        dt=disk.dt,
         frequencies=grid[shown],
-        gains=gains[shown],
         mu=(mu[0][shown], mu[1][shown]),
     )
 
@@ -249,9 +219,7 @@ def _margin(
     *,
     skew: float,
     proved: bool,
-    dt: float,
     frequencies: FloatArray,
-    gains: FloatArray,
     mu: tuple[FloatArray, FloatArray],
 ) -> DiskMargin:
     """Return the margin of a stable loop from the peak of mu and the bounds of mu at `frequencies`."""
@@ -259,7 +227,6 @@ def _margin(
     lower = _inverse(peak.mu)
     with np.errstate(divide="ignore"):
         lower_response, upper_response = 1.0 / mu[0], 1.0 / mu[1]
-        unstructured_response = 1.0 / gains
     return DiskMargin(
         lower=lower,
         upper=max(lower, float(np.abs(delta).max())),
@@ -269,11 +236,9 @@ def _margin(
         skew=skew,
         reason="",
         perturbation=disk_factors(delta, skew),
-        dt=dt,
         frequencies=frequencies,
         lower_response=lower_response,
         upper_response=np.maximum(lower_response, upper_response),
-        unstructured_response=np.minimum(unstructured_response, lower_response),
     )
 
 
@@ -306,9 +271,7 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
         float(gains.max()),
         skew=float(skew),
         proved=False,
-        dt=dt,
         frequencies=grid,
-        gains=gains,
         mu=mu,
     )
 
@@ -377,9 +340,7 @@ def no_margin(skew: float, shown: FloatArray, s: ComplexArray, disk: StateArrays
         skew=float(skew),
         reason=f"the closed loop is not stable{rounded}: pole at s = {worst:.6g}",
         perturbation=np.ones(len(disk.D), dtype=np.complex128),
-        dt=disk.dt,
         frequencies=shown,
         lower_response=nothing,
         upper_response=nothing,
-        unstructured_response=nothing,
     )

@@ -323,7 +323,7 @@ class PeriodicLoop:
             }
             at_worst = [scaled[id(one)] for one in disks]
             norm = periodic_norm(at_worst)
-        grid, lower, upper, unstructured = self._over_frequency(disks, d, s)
+        grid, lower, upper = self._over_frequency(disks, d, s)
         return DiskMargin(
             lower=1.0 / norm,
             upper=1.0 / min(max(self._alone), norm),
@@ -333,20 +333,18 @@ class PeriodicLoop:
             skew=0.0,
             reason="",
             perturbation=np.full(m, np.inf + 0j),
-            dt=self.period,
             frequencies=grid,
             lower_response=lower,
             upper_response=upper,
-            unstructured_response=unstructured,
         )
 
     def _over_frequency(
         self, disks: Sequence[StateArrays], d: FloatArray, s: ComplexArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return frequencies (F,), rad/s, and the margins there: with scalings `d`, of one channel, without any."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return frequencies (F,), rad/s, and the margins there: with scalings `d`, and of one channel."""
         N, m = self.samples, self.channels
         if N * m > _MOST_STACKED:
-            return np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0)
+            return np.zeros(0), np.zeros(0), np.zeros(0)
         disk = lifted(disks)
         grid = search_grid(disk, s)
         response = frequency_response(disk, grid, -3)
@@ -354,8 +352,7 @@ class PeriodicLoop:
         alone = largest_singular_values(own).max(axis=0)
         every = np.tile(d, N)
         gains = largest_singular_values(response * every / every[:, None])
-        plain = np.maximum(gains, largest_singular_values(response))
-        return grid, 1.0 / gains, 1.0 / alone, 1.0 / plain
+        return grid, 1.0 / gains, 1.0 / alone
 
     def noise_to_torque(self, rms: FloatArray) -> list[StateArrays]:
         """Return for each channel a system driven by white samples of unit rms whose outputs add up to its torque.
