@@ -58,13 +58,6 @@ def best_mu_bounds(M: ComplexArray) -> MuBounds:
     return MuBounds(upper=upper, lower=lower, D=D, Q=np.array([Q for _, Q in reached]))
 
 
-def highest_mu(M: ComplexArray) -> int:
-    """Return which of finite matrices (N, m, m) has the largest mu."""
-    upper = mu_bounds(M).upper
-    high = np.flatnonzero(upper >= _NEAR * upper.max())
-    return int(high[np.argmax(best_mu_bounds(M[high]).upper)])
-
-
 def _scaled(M: ComplexArray, D: FloatArray) -> ComplexArray:
     return np.asarray(D[..., :, None] * M / D[..., None, :], dtype=np.complex128)
 

@@ -1,4 +1,4 @@
-"""Responses over time, exact for inputs that are held, linear or impulses between the samples."""
+"""Responses over time, exact for inputs that are held or linear between the samples."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ from platform_ctrl.common.arguments import one_of, real_numbers
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
-Hold = Literal["zoh", "foh", "impulse"]
+Hold = Literal["zoh", "foh"]
 
 # Steps that differ by less than this are equal: of the step, and of the times, which are rounded.
 EQUAL, ROUNDING = 1e-9, 1e-15
-# Uneven steps whose matrix exponentials are in memory at a time.
-TOGETHER = 256
 
 
 def time_response(
@@ -39,15 +37,14 @@ def time_response(
     system
         Continuous, or discrete with the sample period that `timepts` have. A transfer function gets states of its own.
     timepts : (N,)
-        Increasing times, s. Equal steps are fastest, those of a discrete system have to be.
+        Increasing times, s, with equal steps: those of a discrete system are its sample period.
     inputs : (m, N), or (N,) for one input
         Inputs at those times, in the system's units.
     hold
-        ``"foh"``: linear between samples; ``"zoh"``: held from each sample to the next; ``"impulse"``: impulses of
-        that area at the samples, each in the output of its own time already. Without meaning for a discrete system,
-        whose inputs are samples.
+        ``"foh"``: linear between samples; ``"zoh"``: held from each sample to the next. Without meaning for a discrete
+        system, whose inputs are samples.
     initial_state : (n,), optional
-        State at the first time (before its impulse), in the system's units; default zero. Not of a transfer function.
+        State at the first time, in the system's units; default zero. Not of a transfer function.
     squeeze
         As in python-control. None: as ``control.squeeze_time_response`` of its configuration says, which by default
         is None there, too: one input and one output give (N,); True: axes of length one are left out; False:
@@ -61,11 +58,11 @@ def time_response(
     Raises
     ------
     ArgumentError
-        If shapes do not fit, times do not increase, the steps differ from a discrete system's sample period,
-        impulses would reach an output at once (D is not zero), or the system is improper or data.
+        If shapes do not fit, times do not increase in equal steps, those of a discrete system's sample period, or the
+        system is improper or data.
     """
     A, B, C, D, dt = linear_arrays(system, "time_response")
-    times, steps = _times(timepts, dt)
+    times, step = _times(timepts, dt)
     u = real_numbers("time_response: inputs", inputs)
     u = u[None, :] if u.ndim == 1 else u
     if u.shape != (B.shape[1], times.size) or not all_finite(u):
@@ -79,10 +76,10 @@ def time_response(
     x0 = np.zeros(len(A)) if initial_state is None else real_numbers("time_response: initial_state", initial_state)
     if x0.shape != (len(A),) or not all_finite(x0):
         raise ArgumentError(f"time_response: initial_state must be finite, ({len(A)},), got shape {x0.shape}")
-    one_of("time_response: hold", hold, ("foh", "zoh", "impulse"))
+    one_of("time_response: hold", hold, ("foh", "zoh"))
     if not (squeeze is None or isinstance(squeeze, bool)):
         raise ArgumentError(f"time_response: squeeze must be None, True or False, got {squeeze!r}")
-    y = _outputs(StateArrays(A, B, C, D, dt), times, steps, u, x0, hold)
+    y = _outputs(StateArrays(A, B, C, D, dt), step, u, x0, hold)
     if squeeze is None:
         # As there; a system is one of python-control's, which is loaded then.
         import control
@@ -93,9 +90,7 @@ def time_response(
     return y[0] if squeeze is None and D.shape == (1, 1) else y
 
 
-def _outputs(
-    system: StateArrays, times: FloatArray, steps: FloatArray, u: FloatArray, x0: FloatArray, hold: Hold
-) -> FloatArray:
+def _outputs(system: StateArrays, step: float, u: FloatArray, x0: FloatArray, hold: Hold) -> FloatArray:
     A, B, C, D, dt = system
     if not len(A):
         return np.asarray(D @ u)
@@ -104,64 +99,47 @@ def _outputs(
     A, B, C, x0 = A * s / s[:, None], B / s[:, None], C * s, x0 / s
     if dt > 0.0:
         return _at_samples(A, B, C, D, u, x0)
-    if hold == "impulse" and D.any():
-        raise ArgumentError(
-            "time_response: D must be zero with hold = 'impulse': an impulse would reach the output at once"
-        )
-    direct = C @ B if hold == "impulse" else D
-    step = float(times[-1] - times[0]) / steps.size
-    if steps.max() - steps.min() > EQUAL * step + ROUNDING * max(abs(times[0]), abs(times[-1])):
-        return C @ _one_by_one(A, B, steps, hold, u, x0) + direct @ u
     transition, now, next_ = step_matrices(A, B, step, hold)
     # x - next_ u in place of x: its next value needs no input but the present one.
-    return _at_samples(transition, now + transition @ next_, C, direct + C @ next_, u, x0 - next_ @ u[:, 0])
+    return _at_samples(transition, now + transition @ next_, C, D + C @ next_, u, x0 - next_ @ u[:, 0])
 
 
-def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Return the times and the steps between them."""
+def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, float]:
+    """Return the times and the step between them."""
     times = real_numbers("time_response: timepts", timepts)
     if times.ndim != 1 or times.size < 2 or not all_finite(times):
         raise ArgumentError(f"time_response: timepts must be at least two finite times, got shape {times.shape}")
     steps = times[1:] - times[:-1]
     if steps.min() <= 0.0:
         raise ArgumentError("time_response: timepts must increase")
-    if dt > 0.0 and np.abs(steps - dt).max() > 1e-6 * dt:
+    step = float(times[-1] - times[0]) / steps.size
+    uneven = steps.max() - steps.min() > EQUAL * step + ROUNDING * max(abs(times[0]), abs(times[-1]))
+    if np.abs(steps - dt).max() > 1e-6 * dt if dt > 0.0 else uneven:
         raise ArgumentError(
-            f"time_response: timepts must have equal steps of the system's dt = {dt:g} s, "
+            f"time_response: timepts must have equal steps{f' of the dt = {dt:g} s of the system' if dt else ''}, "
             f"got steps of {steps.min():g} to {steps.max():g} s"
         )
-    return times, steps
+    return times, step
 
 
-def step_matrices(
-    A: FloatArray, B: FloatArray, step: float | FloatArray, hold: Hold
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Phi, E0 and E1 of x[k+1] = Phi x[k] + E0 u[k] + E1 u[k+1] for balanced A; for steps (K,) stacks (K, ...).
+def step_matrices(A: FloatArray, B: FloatArray, step: float, hold: Hold) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Phi, E0 and E1 of x[k+1] = Phi x[k] + E0 u[k] + E1 u[k+1] for balanced A.
 
     The inputs are states of the exponential's matrix, and with ``"foh"`` their rise during the step as well.
     """
     from scipy.linalg import expm
 
-    (n, m), steps = B.shape, np.asarray(step)
+    n, m = B.shape
     # A power of two that makes the input matrix as large as A is exact to undo.
     size, gain = np.abs(A).max(initial=0.0), np.abs(B).max(initial=0.0)
     unit = 2.0 ** round(math.log2(gain / size)) if size > 0.0 and gain > 0.0 else 1.0
-    inputs = {"zoh": m, "foh": 2 * m, "impulse": 0}[hold]
-    whole = np.zeros((*steps.shape, n + inputs, n + inputs))
-    faster = steps[..., None, None]
-    whole[..., :n, :n] = A * faster
-    if inputs:
-        whole[..., :n, n : n + m] = B / unit * faster
+    whole = np.zeros((n + 2 * m, n + 2 * m))
+    whole[:n, :n], whole[:n, n : n + m] = A * step, B / unit * step
     if hold == "foh":
-        whole[..., n : n + m, n + m :] = np.eye(m)
-    power = expm(whole)
-    transition = power[..., :n, :n]
-    if hold == "impulse":
-        jump = transition @ B
-        return transition, jump, np.zeros_like(jump)
-    held = unit * power[..., :n, n : n + m]
-    rise = unit * power[..., :n, n + m :] if hold == "foh" else np.zeros_like(held)
-    return transition, held - rise, rise
+        whole[n : n + m, n + m :] = np.eye(m)
+    power = unit * expm(whole)
+    held, rise = power[:n, n : n + m], power[:n, n + m :]
+    return power[:n, :n] / unit, held - rise, rise
 
 
 def _at_samples(
@@ -175,22 +153,3 @@ def _at_samples(
     x[1:] = (B @ u[:, :-1]).T
     states(np.ascontiguousarray(A.T), x)
     return C @ x.T + D @ u
-
-
-def _one_by_one(
-    A: FloatArray, B: FloatArray, steps: FloatArray, hold: Hold, u: FloatArray, x0: FloatArray
-) -> FloatArray:
-    """Return the states (n, N) for steps that differ."""
-    x = np.empty((len(A), u.shape[1]))
-    x[:, 0] = x0
-    with np.errstate(all="ignore"):
-        for first in range(0, steps.size, TOGETHER):
-            piece = slice(first, first + TOGETHER)
-            # Many a step occurs more than once.
-            distinct, which = np.unique(steps[piece], return_inverse=True)
-            transition, now, next_ = (item[which] for item in step_matrices(A, B, distinct, hold))
-            before, after = u.T[:-1][piece, :, None], u.T[1:][piece, :, None]
-            driven = (now @ before + next_ @ after)[..., 0]
-            for k in range(len(which)):
-                x[:, first + k + 1] = transition[k] @ x[:, first + k] + driven[k]
-    return x
