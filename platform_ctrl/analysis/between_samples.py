@@ -21,7 +21,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,65 +189,10 @@ class PlantResponses:
 
 
 @value
-class SlowerResponses:
-    """Those of plants whose inputs are set at every n-th sample only, and held meanwhile."""
-
-    fast: LoopResponses
-    every: int
-
-    @property
-    def inputs(self) -> int:
-        """The number of inputs, m."""
-        return self.fast.inputs
-
-    @property
-    def period(self) -> float:
-        """The slower sample period, s."""
-        return self.every * self.fast.period
-
-    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
-        """Return the responses; see `LoopResponses`."""
-        m, span = self.inputs, min(self.every, _MOST_COMPONENTS)
-        shifts = (np.arange(span) - span // 2) * 2.0 * np.pi / self.period
-        parts = []
-        for shift in shifts:
-            at = w + shift
-            read, seen = self.fast.at(np.abs(at), of)
-            # A response at a negative frequency is the conjugate one.
-            back = (at < 0.0)[:, None, None]
-            read, seen = np.where(back, read.conj(), read), np.where(back[..., None], seen.conj(), seen)
-            held = np.exp(-1j * np.outer(at * self.fast.period, np.arange(self.every))).mean(axis=1)[:, None, None]
-            read[..., :m] *= held
-            seen[..., :m] *= held[..., None]
-            if shift:
-                read[..., m:], seen[..., m:] = 0.0, 0.0
-            parts.append(Responses(read, seen))
-        read = np.sum([one.read for one in parts], axis=0)
-        return Responses(read, np.concatenate([one.seen for one in parts], axis=-3))
-
-    def only(self, index: NDArray[np.intp]) -> SlowerResponses:
-        """Return those of some of the plants."""
-        return dataclasses.replace(self, fast=self.fast.only(index))
-
-
-def added_response(path: StateArrays, sensors: StateArrays, late: FloatArray, w: FloatArray) -> ComplexArray:
-    """Return the response (F, m, 3) of a sampled path behind continuous sensors of the platform's rate."""
-    shown = frequency_response(sensors, w, -3) * np.exp(-1j * w[:, None] * late)[..., None]
-    return np.asarray(frequency_response(path, w, -3) @ shown)
-
-
-@value
-class FedResponses:
-    """Those of plants with feedforward F of the platform's rate: its sensors' readings through F add to the inputs.
-
-    Or to what is read.
-    """
+class _Changed:
+    """Those of plants in which something is changed."""
 
     plain: LoopResponses
-    path: StateArrays  # F, sampled, from the sensors' readings
-    sensors: StateArrays  # continuous, from Omega1 to Omega3 to the sensors' readings
-    late: FloatArray  # (k,): by how much these are late, s
-    into_readings: bool
 
     @property
     def inputs(self) -> int:
@@ -258,6 +203,61 @@ class FedResponses:
     def period(self) -> float:
         """The sample period, s."""
         return self.plain.period
+
+    def only(self, index: NDArray[np.intp]) -> Self:
+        """Return those of some of the plants."""
+        return dataclasses.replace(self, plain=self.plain.only(index))
+
+
+@value
+class SlowerResponses(_Changed):
+    """Those of plants whose inputs are set at every n-th sample only, and held meanwhile."""
+
+    every: int
+
+    @property
+    def period(self) -> float:
+        """The slower sample period, s."""
+        return self.every * self.plain.period
+
+    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
+        """Return the responses; see `LoopResponses`."""
+        m, span = self.inputs, min(self.every, _MOST_COMPONENTS)
+        shifts = (np.arange(span) - span // 2) * 2.0 * np.pi / self.period
+        parts = []
+        for shift in shifts:
+            at = w + shift
+            read, seen = self.plain.at(np.abs(at), of)
+            # A response at a negative frequency is the conjugate one.
+            back = (at < 0.0)[:, None, None]
+            read, seen = np.where(back, read.conj(), read), np.where(back[..., None], seen.conj(), seen)
+            held = np.exp(-1j * np.outer(at * self.plain.period, np.arange(self.every))).mean(axis=1)[:, None, None]
+            read[..., :m] *= held
+            seen[..., :m] *= held[..., None]
+            if shift:
+                read[..., m:], seen[..., m:] = 0.0, 0.0
+            parts.append(Responses(read, seen))
+        read = np.sum([one.read for one in parts], axis=0)
+        return Responses(read, np.concatenate([one.seen for one in parts], axis=-3))
+
+
+def added_response(path: StateArrays, sensors: StateArrays, late: FloatArray, w: FloatArray) -> ComplexArray:
+    """Return the response (F, m, 3) of a sampled path behind continuous sensors of the platform's rate."""
+    shown = frequency_response(sensors, w, -3) * np.exp(-1j * w[:, None] * late)[..., None]
+    return np.asarray(frequency_response(path, w, -3) @ shown)
+
+
+@value
+class FedResponses(_Changed):
+    """Those of plants with feedforward F of the platform's rate: its sensors' readings through F add to the inputs.
+
+    Or to what is read.
+    """
+
+    path: StateArrays  # F, sampled, from the sensors' readings
+    sensors: StateArrays  # continuous, from Omega1 to Omega3 to the sensors' readings
+    late: FloatArray  # (k,): by how much these are late, s
+    into_readings: bool
 
     def at(self, w: FloatArray, of: Chosen = None) -> Responses:
         """Return the responses; see `LoopResponses`."""
@@ -271,19 +271,14 @@ class FedResponses:
         seen[..., -3:] += seen[..., :m] @ added[..., None, :, :]
         return Responses(read, seen)
 
-    def only(self, index: NDArray[np.intp]) -> FedResponses:
-        """Return those of some of the plants."""
-        return dataclasses.replace(self, plain=self.plain.only(index))
-
 
 @value
-class ClosedResponses:
+class ClosedResponses(_Changed):
     """Those of plants around which a loop is closed: inputs are its commands, outputs what it does not read.
 
     Of disturbances Omega1 to Omega3 alone.
     """
 
-    open: LoopResponses
     controller: StateArrays  # u = K y + H r, from the first p readings and their p commands
 
     @property
@@ -291,14 +286,9 @@ class ClosedResponses:
         """The number of commands, p."""
         return int(self.controller.D.shape[1]) // 2
 
-    @property
-    def period(self) -> float:
-        """The sample period, s."""
-        return self.open.period
-
     def at(self, w: FloatArray, of: Chosen = None) -> Responses:
         """Return the responses; see `LoopResponses`."""
-        found, p, m = self.open.at(w, of), self.inputs, self.open.inputs
+        found, p, m = self.plain.at(w, of), self.inputs, self.plain.inputs
         KH = frequency_response(self.controller, w, -3)
         K, H = KH[..., :p], KH[..., p:]
         own = found.read[..., :p, :]
@@ -307,37 +297,18 @@ class ClosedResponses:
         read, seen = _with_inputs(found, inputs, m, 3)
         return Responses(read[..., p:, :], seen[..., p:, :])
 
-    def only(self, index: NDArray[np.intp]) -> ClosedResponses:
-        """Return those of some of the plants."""
-        return dataclasses.replace(self, open=self.open.only(index))
-
 
 @value
-class CombinedResponses:
+class CombinedResponses(_Changed):
     """Those of plants of which combinations of their readings are read."""
 
-    plain: LoopResponses
     sense: FloatArray  # (q, p)
-
-    @property
-    def inputs(self) -> int:
-        """The number of inputs, m."""
-        return self.plain.inputs
-
-    @property
-    def period(self) -> float:
-        """The sample period, s."""
-        return self.plain.period
 
     def at(self, w: FloatArray, of: Chosen = None) -> Responses:
         """Return the responses; see `LoopResponses`."""
         read, seen = self.plain.at(w, of)
         p = self.sense.shape[1]
         return Responses(self.sense @ read, np.concatenate([self.sense @ seen[..., :p, :], seen[..., p:, :]], axis=-2))
-
-    def only(self, index: NDArray[np.intp]) -> CombinedResponses:
-        """Return those of some of the plants."""
-        return dataclasses.replace(self, plain=self.plain.only(index))
 
 
 def _with_inputs(found: Responses, inputs: ComplexArray, m: int, d: int) -> Responses:

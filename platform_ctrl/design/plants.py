@@ -202,7 +202,7 @@ def sampled_plants(
         whole, kept = every_nth(whole, every, p + q)
         times = np.add.outer(sampling.period * np.arange(every), times).ravel()
         states = [states[k] for k in kept]
-        responses = SlowerResponses(fast=responses, every=every)
+        responses = SlowerResponses(plain=responses, every=every)
     return plant_set(
         whole._replace(dt=period),
         labels=tuple(one.label for one in linear.cases),
@@ -300,11 +300,11 @@ def around(
     own = plants.disturbances
     assert own is not None, "plants of a job have them"
     own = own if feedforward is None else feedforward.responses(own)
-    responses: LoopResponses = ClosedResponses(open=own, controller=K._replace(dt=plants.period))
+    responses: LoopResponses = ClosedResponses(plain=own, controller=K._replace(dt=plants.period))
     if slower > 1:
         inner = every_nth(inner, slower, len(spec.sensors) + q)[0]
         times = np.add.outer(plants.period * np.arange(slower), times).ravel()
-        responses = SlowerResponses(fast=responses, every=slower)
+        responses = SlowerResponses(plain=responses, every=slower)
     inner = without_drift(inner)
     commands = tuple(f"{name}{COMMAND}" for name in plants.angles[:p])
     found = plant_set(
