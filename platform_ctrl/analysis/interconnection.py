@@ -55,7 +55,7 @@ class MultiRate(NamedTuple):
         from scipy.linalg import block_diag
 
         own = [_held(K, sample % n == 0) for K, n in zip(self.slow, self.every, strict=True)]
-        A, B, C, D = (block_diag(*(K[k] for K in own)) for k in range(4))
+        A, B, C, D = (block_diag(np.zeros((0, 0)), *(K[k] for K in own)) for k in range(4))
         p, m = self.fast.B.shape[1] - self.held, len(self.fast.C) - self.read
         joined = closed_loop(self.fast, StateArrays(A, B, C, D), range(p, p + self.held), range(m, m + self.read))
         return joined.part(slice(self.held, self.held + m), slice(p))
