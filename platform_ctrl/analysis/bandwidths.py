@@ -7,17 +7,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, square_responses
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.poles import continuous_poles, resonances, spectral_abscissa
+from platform_ctrl.analysis.mu import search_grid
+from platform_ctrl.analysis.norms import level_frequencies
+from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
     import control
 
 LEVEL = math.sqrt(0.5)
+# Relative distance from the level up to which a gain is at it.
+_ROUNDING = 1e-12
+# Share of the highest frequency below which the response is rounding.
+_ROUNDED = 1e-9
 
 
 def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At = "output") -> float:
@@ -48,55 +53,29 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
     return bandwidth_of_sensitivity(closed_loop_with_sensitivity(plant, controller, at))
 
 
-def bandwidth_of_sensitivity(S: StateArrays) -> float:
-    """Return the bandwidth, as `bandwidth` does, of a loop with the sensitivity `S`."""
+def bandwidth_of_sensitivity(S: StateArrays, known: ComplexArray | None = None) -> float:
+    """Return the bandwidth, as `bandwidth` does, of a loop with the sensitivity `S`, whose poles may be known."""
     from scipy.optimize import brentq
 
-    axis = FrequencyAxis(S)
+    axis = FrequencyAxis(S, known)
     s = continuous_poles(axis.poles(), S.dt)
     if S.A.shape[0] and spectral_abscissa(s) >= 0.0:
         return 0.0
-    w = _grid(axis, s)
-
+    # Crossings, and frequencies between them: so fine that the first is in the first interval whose ends differ.
+    w = np.union1d(search_grid(S, s), level_frequencies(axis, LEVEL))
+    # An integrator in the loop makes S as small as the frequency; far below the fastest pole rounding rules.
+    w = w[(w > _ROUNDED * w[np.isfinite(w)].max()) & (w <= axis.edge)]
     sizes = axis.gains(w)
-    above = np.flatnonzero(sizes >= LEVEL)
-    if not above.size:
-        return math.inf if S.dt == 0.0 else math.pi / S.dt
-    first = int(above[0])
+    first = int(np.argmax(sizes >= LEVEL * (1.0 - _ROUNDING)))
+    if sizes[first] < LEVEL * (1.0 - _ROUNDING):
+        return axis.edge
     if first == 0:
         return 0.0
-    if sizes[first] <= LEVEL * (1.0 + 1e-12):
+    if sizes[first] <= LEVEL * (1.0 + _ROUNDING):
         return float(w[first])
-
-    def beyond(x: float) -> float:
-        return math.log(axis.gains(np.array([math.exp(x)]))[0] / LEVEL)
-
-    low, high = math.log(w[first - 1]), math.log(w[first])
-    # Where an end is a crossing itself, rounding decides on which side of it exp(log(w)) lies.
-    for end, wrong in ((low, 1.0), (high, -1.0)):
-        if wrong * beyond(end) >= 0.0:
-            return math.exp(end)
-    return math.exp(brentq(beyond, low, high, rtol=1e-12))
-
-
-def _grid(axis: FrequencyAxis, s: ComplexArray) -> FloatArray:
-    """Return frequencies fine enough that the first crossing lies between the first pair that differs in sign."""
-    crossings = axis.crossings(LEVEL)
-    own = np.concatenate([crossings, resonances(s)])
-    own = own[own > 0.0]
-    if own.size == 0:
-        own = np.ones(1)
-    low, high = 1e-3 * float(own.min()), 1e3 * float(own.max())
-    # An integrator in the loop makes S as small as the frequency; below 1e-9 of the fastest pole rounding rules.
-    low = max(low, 1e-9 * float(own.max()))
-    if math.isfinite(axis.edge):
-        high = axis.edge
-        low = min(low, 1e-3 * high)
-    decades = math.log10(high / low)
-    grid = np.concatenate([own, np.geomspace(low, high, 2 + int(20 * decades))])
-    grid = np.unique(grid[(grid >= low) & (grid <= high)])
-    # Midpoints, so that a peak between two crossings shows.
-    return np.unique(np.concatenate([grid, np.sqrt(grid[1:] * grid[:-1])]))
+    return float(
+        brentq(lambda x: axis.gains(np.array([x]))[0] - LEVEL, *w[first - 1 : first + 1], xtol=1e-300, rtol=1e-12)
+    )
 
 
 def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
@@ -104,15 +83,6 @@ def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
 
     The first frequency if S is that large there already, the last if it never gets there.
     """
-    frequency = frequencies(frequency, "bandwidth_of_response")
-    S = square_responses("bandwidth_of_response: S", S)
-    if S.ndim < 3 or S.shape[-3] != frequency.size or frequency.size < 2:
-        raise ArgumentError(
-            f"bandwidth_of_response: S must be (..., {max(frequency.size, 2)}, m, m), a matrix for each frequency, "
-            f"got {S.shape}"
-        )
-    if frequency[0] <= 0.0 or not (np.diff(frequency) > 0.0).all():
-        raise ArgumentError("bandwidth_of_response: frequency must be above zero and rise")
     sizes = largest_singular_values(S) / LEVEL
     above = sizes >= 1.0
     first = np.argmax(above, axis=-1)

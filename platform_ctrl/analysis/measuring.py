@@ -106,7 +106,8 @@ class Peak:
         if isinstance(loops, LoopSet) and self.refined(loops):
             found, at = _refined(loops, self.transfers, k, self._band(request))
         else:
-            found, at = max(peak(part, self._band(request)) for part in loops.parts(self._parts(request), k))
+            parts, known = self._parts(request), loops.poles[k] if self.transfers else None
+            found, at = max(peak(part, self._band(request), known) for part in loops.parts(parts, k))
         return float(self._of_peak(np.array([found]))[0]), at
 
     def refined(self, loops: LoopSet) -> bool:
@@ -147,7 +148,7 @@ class Bandwidth:
         """Return the value of plant `k`, rad/s, from below, and a frequency at which S is seen to be that large."""
         if not loops.decay[k] > 0.0:
             return 0.0, 0.0
-        at = min(map(bandwidth_of_sensitivity, loops.parts(_SENSITIVITIES, k)))
+        at = min(bandwidth_of_sensitivity(part, loops.poles[k]) for part in loops.parts(_SENSITIVITIES, k))
         return (1.0 - PEAK_TOLERANCE) * at, (1.0 + _ABOVE) * at
 
     def holds(self, loops: LoopSet, request: Request, k: int, bound: float) -> bool:
@@ -213,5 +214,4 @@ def _start(loops: Loops, request: Request) -> float:
 
 
 def _below(loops: LoopSet, parts: Sequence[Transfer] | Channel, k: int, level: float, band: Band) -> bool:
-    s = continuous_poles(loops.poles[k], loops.period)
-    return not any(exceeds(part, level, s, band) for part in loops.parts(parts, k))
+    return not any(exceeds(part, level, loops.poles[k], band) for part in loops.parts(parts, k))

@@ -83,13 +83,15 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: floa
     return _norm(arrays, tolerance, allow_unstable)
 
 
-def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[float, float]:
+def _norm(
+    system: StateArrays, tolerance: float, allow_unstable: bool, known: ComplexArray | None = None
+) -> tuple[float, float]:
     A, B, C, D, dt = system
     if B.shape[1] == 0 or len(C) == 0:
         return 0.0, 0.0
     if len(A) == 0:
         return float(np.linalg.norm(D, 2)), 0.0
-    axis = FrequencyAxis(system)
+    axis = FrequencyAxis(system, known)
     s, on_boundary = boundary_poles(axis.system.A, dt, axis.poles())
     unstable = (s.real > 0.0) & ~on_boundary
     if not allow_unstable and np.any(unstable):
@@ -286,25 +288,26 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
     return X
 
 
-def peak(system: StateArrays, band: Band = WHOLE) -> tuple[float, float]:
+def peak(system: StateArrays, band: Band = WHOLE, known: ComplexArray | None = None) -> tuple[float, float]:
     """Return an upper bound of the largest singular value over `band`, within 5e-10, and the peak's frequency, rad/s.
 
-    Stable where the band is the whole axis; poles may lie anywhere outside of the band.
+    Stable where the band is the whole axis; poles may lie anywhere outside of the band. `known` are the system's poles
+    (n,) in s or z, where they are known already.
     """
     if band == WHOLE:
-        norm, frequency = hinf_norm(system, allow_unstable=True, tolerance=PEAK_TOLERANCE)
+        norm, frequency = _norm(system, PEAK_TOLERANCE, True, known)
     else:
-        axis = FrequencyAxis(system)
+        axis = FrequencyAxis(system, known)
         norm, frequency = peak_gain(axis, continuous_poles(axis.poles(), system.dt), PEAK_TOLERANCE, band)
     return norm * (1.0 + PEAK_TOLERANCE), frequency
 
 
-def exceeds(system: StateArrays, level: float, s: ComplexArray, band: Band = WHOLE) -> bool:
+def exceeds(system: StateArrays, level: float, known: ComplexArray, band: Band = WHOLE) -> bool:
     """Return whether the largest singular value is above `level` anywhere in `band`, or may be.
 
-    The system has no poles in the band; `s` (n,) are its continuous(-equivalent) ones.
+    The system has no poles in the band; `known` (n,) are its poles in s or z.
     """
-    axis = FrequencyAxis(system, s)
+    axis, s = FrequencyAxis(system, known), continuous_poles(known, system.dt)
     crossings = level_frequencies(axis, level)
     if not crossings.size and level > 0.0 and axis.system.A.size:
         # The Hamiltonian leaves floating point: nothing is shown.

@@ -8,7 +8,7 @@ of eigenvalues, which lie close together.
 from __future__ import annotations
 
 import math
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,23 +29,25 @@ Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 class FrequencyAxis:
     """One system, of any stability and number of states, on the imaginary axis or the unit circle.
 
-    `system` is it in balanced states; `edge` is the highest frequency, rad/s: infinite, or the Nyquist frequency. `s`
-    are its continuous(-equivalent) poles, perhaps among others, where they are known already.
+    `system` is it in balanced states; `edge` is the highest frequency, rad/s: infinite, or the Nyquist frequency.
+    `known` are its poles (n,), perhaps among others, in the plane of s or z, where they are known already.
     """
 
-    def __init__(self, system: StateArrays, s: ComplexArray | None = None) -> None:
+    def __init__(self, system: StateArrays, known: ComplexArray | None = None) -> None:
         A, B, C, D, dt = system
         self.edge = math.inf if dt == 0.0 else math.pi / dt
-        self._given, self._s = A, s
+        self._known = known
         self.system = StateArrays(*scaled(A, B, C), D, dt)
         self._w_plane: Matrices | None = None
         self._along = AxisResponse(self.system, balanced=True)
 
     def poles(self) -> ComplexArray:
         """Return the poles, (n,), in the plane of s or z."""
-        if self._along.oldest:
-            return _known_poles(self._given.tobytes())
-        return self._along.poles if self.system.A.size else np.zeros(0, dtype=np.complex128)
+        if self._known is None:
+            A, late = self.system.A, self._along.oldest
+            found = np.linalg.eigvals(A) if late or not A.size else self._along.poles
+            self._known = np.asarray(found, dtype=np.complex128)
+        return self._known
 
     def response(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D.
@@ -103,7 +105,7 @@ class FrequencyAxis:
     @cached_property
     def _grid(self) -> tuple[FloatArray, ComplexArray]:
         """Frequencies that follow the poles and the turns of the oldest values, rad/s, and the response there."""
-        own = resonances(continuous_poles(self.poles(), self.system.dt) if self._s is None else self._s)
+        own = resonances(continuous_poles(self.poles(), self.system.dt))
         turns = np.linspace(0.0, self.edge, _IN_A_TURN * self._along.oldest)
         w = np.unique(np.concatenate([own[own < self.edge], turns]))
         return w, self.response(w)
@@ -128,14 +130,6 @@ class FrequencyAxis:
             beyond = (gains(self.response(middle)) > level) == rising
             low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
         return np.unique(np.concatenate([high, tops]))
-
-
-@lru_cache(maxsize=16)
-def _known_poles(matrix: bytes) -> ComplexArray:
-    """Return the eigenvalues of a matrix: parts of one loop with long delays have the same hundreds."""
-    entries = np.frombuffer(matrix)
-    n = math.isqrt(len(entries))
-    return np.asarray(np.linalg.eigvals(entries.reshape(n, n)), dtype=np.complex128)
 
 
 def largest_singular_values(matrices: ComplexArray) -> FloatArray:
