@@ -36,15 +36,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.drift import over_a_cycle
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.periodic import pruned
 from platform_ctrl.analysis.poles import poles
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sampling import energy_rows, late_outputs, sampled, split_delay, with_lag
-from platform_ctrl.common.arguments import not_negative, whole
+from platform_ctrl.analysis.sampling import energy_rows, late_outputs, sampled, with_lag
+from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -78,29 +78,10 @@ class HybridPlant:
     cycle: int = 1  # samples after which the controller repeats itself
 
     def __post_init__(self) -> None:
-        """Judge sizes; give every control a lag, every measured output a delay."""
-        arrays = system_arrays("hybrid plant", *self.plant)
-        if arrays.dt != 0.0 or arrays.A.ndim != 2:
-            raise ArgumentError("hybrid plant: it must be one continuous system; sampling is part of the analysis")
-        outputs, inputs = arrays.D.shape
-        whole("hybrid plant: controls", self.controls, 1, inputs)
-        whole("hybrid plant: measured", self.measured, 1, outputs)
-        split_delay("hybrid plant", self.period, self.delay, self.controls)
-        whole("hybrid plant: cycle", self.cycle, 1)
-        delays = self.reading_delay or (0,) * self.measured
-        integrated = self.integrated or (False,) * (outputs - self.measured)
-        for name, given, size in (
-            ("reading_delay", delays, self.measured),
-            ("integrated", integrated, outputs - self.measured),
-        ):
-            if len(given) != size:
-                raise ArgumentError(f"hybrid plant: {name} must be {size} values, got {len(given)}")
-        for one in delays:
-            whole("hybrid plant: reading_delay", one, 0)
-        object.__setattr__(self, "plant", arrays)
+        """Give every control a lag, every measured output a delay."""
         object.__setattr__(self, "lag", not_negative("hybrid plant: lag", self.lag, self.controls))
-        object.__setattr__(self, "reading_delay", tuple(delays))
-        object.__setattr__(self, "integrated", tuple(bool(one) for one in integrated))
+        object.__setattr__(self, "reading_delay", self.reading_delay or (0,) * self.measured)
+        object.__setattr__(self, "integrated", self.integrated or (False,) * self.outputs)
 
     @property
     def sample_frequency(self) -> float:
@@ -289,15 +270,7 @@ class OpenLoop:
     def _closed(self, controller: MultiRate) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the transition of the loop over a cycle, how it is driven, and what is measured at its samples."""
         plant = self.plant
-        fast = system_arrays("controller", *controller.fast)
-        outputs, inputs = len(fast.C) - controller.read, fast.B.shape[1] - controller.held
-        if (outputs, inputs) != (plant.controls, plant.measured) or not math.isclose(
-            fast.dt, plant.period, rel_tol=1e-9
-        ):
-            raise ArgumentError(
-                f"controller: must have {plant.measured} inputs, {plant.controls} outputs and dt = {plant.period:g} s, "
-                f"got {inputs}, {outputs} and {fast.dt:g}"
-            )
+        fast = controller.fast
         if plant.cycle % controller.cycle:
             raise ArgumentError(
                 f"controller: repeats after {controller.cycle} samples, the plant's cycle is {plant.cycle}"

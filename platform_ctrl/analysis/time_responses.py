@@ -115,9 +115,9 @@ def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, float]:
     step = float(times[-1] - times[0]) / steps.size
     uneven = steps.max() - steps.min() > EQUAL * step + ROUNDING * max(abs(times[0]), abs(times[-1]))
     if np.abs(steps - dt).max() > 1e-6 * dt if dt > 0.0 else uneven:
+        own = f" of the system's dt = {dt:g} s" if dt else ""
         raise ArgumentError(
-            f"time_response: timepts must have equal steps{f' of the dt = {dt:g} s of the system' if dt else ''}, "
-            f"got steps of {steps.min():g} to {steps.max():g} s"
+            f"time_response: timepts must have equal steps{own}, got steps of {steps.min():g} to {steps.max():g} s"
         )
     return times, step
 

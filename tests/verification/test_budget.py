@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -123,9 +124,11 @@ def by_hand(damping: float = DAMPING, coherence: np.ndarray | None = None) -> Bu
     # The tables end at 150 Hz, on their straight lines.
     spectra = []
     for densities in DENSITIES.values():
-        end = math.exp(np.interp(math.log(150.0), np.log(HZ), np.log(densities)))
-        knots = 2.0 * math.pi * np.array([*HZ[:2], 150.0])
-        spectra.append(Spectrum(knots=knots, density=np.array([*densities[:2], end])))
+        turns = 2.0 * math.pi * np.array(HZ)
+        law = partial(np.interp, xp=np.log(turns), fp=np.log(densities))
+        spectra.append(
+            Spectrum(knots=np.append(turns[:2], 300.0 * math.pi), density=lambda w, law=law: np.exp(law(np.log(w))))
+        )
     sources: list[Disturbance] = [
         RandomDisturbance(name=name, inputs=(k,), spectra=(one,))
         for k, (name, one) in enumerate(zip(DENSITIES, spectra, strict=True))
