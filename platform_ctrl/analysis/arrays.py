@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.common.arguments import complex_numbers, positive, real_numbers
+from platform_ctrl.common.arguments import positive, real_numbers
 from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError
 
@@ -76,45 +76,24 @@ def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
     return out
 
 
-def system_arrays(
-    where: str, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, dt: float = 0.0, suffix: str = ""
-) -> StateArrays:
-    """Return the arrays of a system, or of stacks of systems, whose shapes fit: compiled code trusts them."""
-    A, B, C, D = (
-        np.asarray(real_numbers(f"{where}: {name}{suffix}", item))
-        for name, item in zip("ABCD", (A, B, C, D), strict=True)
-    )
-    for name, item in zip("ABCD", (A, B, C, D), strict=True):
+def system_arrays(where: str, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, dt: float = 0.0) -> StateArrays:
+    """Return the arrays of a system, or of stacks of systems, whose shapes fit and that are finite."""
+    out = [np.asarray(real_numbers(f"{where}: {name}", item)) for name, item in zip("ABCD", (A, B, C, D), strict=True)]
+    for name, item in zip("ABCD", out, strict=True):
         if item.ndim < 2:
-            raise ArgumentError(f"{where}: {name}{suffix} must be a matrix or a stack of them, got shape {item.shape}")
-    (n, m), p = B.shape[-2:], C.shape[-2]
-    for name, item, shape, others in (
-        ("A", A, (n, n), {"B": B}),
-        ("C", C, (p, n), {"B": B}),
-        ("D", D, (p, m), {"C": C, "B": B}),
-    ):
-        if item.shape[-2:] != shape:
-            fits = " and ".join(f"{other}{suffix} {of.shape[-2:]}" for other, of in others.items())
-            raise ArgumentError(f"{where}: {name}{suffix} must be {shape} to fit {fits}, got {item.shape[-2:]}")
-    if not (A.ndim == B.ndim == C.ndim == D.ndim == 2):
-        batch_shape(where, A, B, C, D)
-    for name, item in zip("ABCD", (A, B, C, D), strict=True):
+            raise ArgumentError(f"{where}: {name} must be a matrix or a stack of them, got shape {item.shape}")
         if not all_finite(item):
-            raise ArgumentError(f"{where}: {name}{suffix} must be finite, got {_strange(item)}")
-    return StateArrays(A, B, C, D, positive(f"{where}: dt", dt, zero=True))
-
-
-def batch_shape(where: str, *stacks: FloatArray) -> tuple[int, ...]:
-    """Return the shape to which the leading axes of stacks of matrices broadcast, or raise `ArgumentError`."""
+            raise ArgumentError(f"{where}: {name} must be finite, got {item[~np.isfinite(item)][0]}")
+    n, m, p = out[1].shape[-2], out[1].shape[-1], out[2].shape[-2]
+    if [item.shape[-2:] for item in out] != [(n, n), (n, m), (p, n), (p, m)]:
+        raise ArgumentError(f"{where}: A, B, C, D must fit each other, got {[item.shape[-2:] for item in out]}")
     try:
-        return np.broadcast_shapes(*(item.shape[:-2] for item in stacks))
+        np.broadcast_shapes(*(item.shape[:-2] for item in out))
     except ValueError:
-        batches = ", ".join(str(item.shape[:-2]) for item in stacks)
+        batches = ", ".join(str(item.shape[:-2]) for item in out)
         raise ArgumentError(f"{where}: the leading axes must broadcast, got {batches}") from None
-
-
-def _strange(array: FloatArray) -> float:
-    return float(array[~np.isfinite(array)][0])
+    A, B, C, D = out
+    return StateArrays(A, B, C, D, positive(f"{where}: dt", dt, zero=True))
 
 
 def all_finite(array: FloatArray) -> bool:
@@ -191,14 +170,6 @@ def frequencies(frequency: ArrayLike, where: str) -> FloatArray:
         raise ArgumentError(
             f"{where}: frequency must be a vector of finite numbers >= 0 in rad/s, got shape {np.shape(frequency)}"
         )
-    return out
-
-
-def square_responses(name: str, given: ArrayLike, nan: bool = False) -> ComplexArray:
-    """Return square complex matrices (..., m, m), some infinite or, with `nan`, NaN, or raise `ArgumentError`."""
-    out = complex_numbers(name, given, nan)
-    if out.ndim < 2 or out.shape[-1] != out.shape[-2] or not out.shape[-1]:
-        raise ArgumentError(f"{name} must be square matrices, got shape {out.shape}")
     return out
 
 

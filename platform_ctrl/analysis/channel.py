@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, system_arrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
@@ -60,14 +60,7 @@ class Channel:
         """
         columns = [known_name("inputs", name, inputs) for name in self.inputs] or list(range(len(inputs)))
         rows = [known_name("outputs", name, outputs) for name in self.outputs] or list(range(len(outputs)))
-        whole = system_arrays("Channel.of", *system)
-        D, dt = whole.D, whole.dt
-        if (len(outputs), len(inputs)) != D.shape[-2:]:
-            raise ArgumentError(
-                f"Channel.of: the system has {D.shape[-1]} inputs and {D.shape[-2]} outputs, "
-                f"got {len(inputs)} and {len(outputs)} names"
-            )
-        out = whole.part(rows, columns)
+        out, dt = system.part(rows, columns), system.dt
         if self.input_weight is not None:
             weight = weight_arrays(self.input_weight, len(columns), dt, "input_weight")
             if weight.D.shape[0] != len(columns):

@@ -24,15 +24,12 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import (
     ComplexArray,
     StateArrays,
-    batch_shape,
     frequencies,
     named_system,
     seen_states,
-    square_responses,
-    system_arrays,
 )
 from platform_ctrl.analysis.response import NamedSystem, frequency_response, linear_arrays
-from platform_ctrl.common.arguments import indices, number, one_of
+from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -224,13 +221,10 @@ def loop_of_sensitivity(S: StateArrays) -> StateArrays:
 
 def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateArrays:
     """Return `sign` times the second system after the first; the sample period is that of the first that has one."""
-    A1, B1, C1, D1, dt = system_arrays("series: first", *first)
-    A2, B2, C2, D2, second_dt = system_arrays("series: second", *second)
-    if D2.shape[-1] != D1.shape[-2]:
-        raise ArgumentError(f"series: second must have {D1.shape[-2]} inputs, as many as first has outputs")
-    sign = number("series: sign", sign)
+    A1, B1, C1, D1, dt = first
+    A2, B2, C2, D2, second_dt = second
     n1, n2 = A1.shape[-1], A2.shape[-1]
-    batch = batch_shape("series", A1, B1, C1, D1, A2, B2, C2, D2)
+    batch = _batch(first, second)
     A = np.zeros((*batch, n1 + n2, n1 + n2))
     A[..., :n1, :n1] = A1
     A[..., n1:, :n1] = B2 @ C1
@@ -245,20 +239,20 @@ def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateA
     return StateArrays(A, B, C, D, dt or second_dt)
 
 
+def _batch(one: StateArrays, other: StateArrays) -> tuple[int, ...]:
+    """Return the shape to which the leading axes of two systems broadcast."""
+    return np.broadcast_shapes(*(item.shape[:-2] for item in (*one[:4], *other[:4])))
+
+
 def _closed_loop(
     plant: StateArrays, controller: StateArrays, torques: Sequence[int] | None, angles: Sequence[int] | None
 ) -> StateArrays:
-    where = "closed_loop"
-    A, B, C, D, dt = system_arrays(f"{where}: plant", *plant)
-    A_K, B_K, C_K, D_K, _ = system_arrays(f"{where}: controller", *controller)
+    A, B, C, D, dt = plant
+    A_K, B_K, C_K, D_K, _ = controller
     m, p = B.shape[-1], C.shape[-2]
-    at, seen = indices(f"{where}: torques", torques, m), indices(f"{where}: angles", angles, p)
+    at, seen = (range(size) if some is None else list(some) for some, size in ((torques, m), (angles, p)))
     n, n_K, k, q = A.shape[-1], A_K.shape[-1], len(at), len(seen)
-    if D_K.shape[-2:] != (k, q):
-        raise ArgumentError(
-            f"{where}: D of the controller must be {(k, q)}, torques by angles of the plant, got {D_K.shape[-2:]}"
-        )
-    batch = batch_shape(where, A, B, C, D, A_K, B_K, C_K, D_K)
+    batch = _batch(plant, controller)
     # u and y as functions of [x, x_K, d, n]: u = E (C_K x_K + D_K (C x + D d + n)), y = C x + D (d + u).
     direct = np.zeros((*batch, q, n + n_K + m + q))
     direct[..., :n] = C[..., seen, :]
@@ -348,7 +342,6 @@ def sensitivity_functions(loop: ComplexArray) -> tuple[ComplexArray, ComplexArra
     For a tuner that keeps the plant's response and changes the controller only: L = -K P (broken at the input) or -P K
     (at the output) by `numpy.matmul`. inf in a matrix where I + L is singular or not a number.
     """
-    loop = square_responses("sensitivity_functions: loop", loop, nan=True)
     eye = np.eye(loop.shape[-1])
     S = _inverses(eye + loop)
     return S, eye - S

@@ -21,7 +21,6 @@ from platform_ctrl.analysis.arrays import (
     seen_states,
     state_arrays,
     state_scaling,
-    system_arrays,
 )
 from platform_ctrl.common.arguments import not_negative, positive
 from platform_ctrl.common.values import FloatArray
@@ -76,7 +75,7 @@ def sampled(
     ArgumentError
         If the system is not continuous, or `period`, `delay` or `lag` make no sense.
     """
-    arrays = system_arrays("sampled", *system) if isinstance(system, StateArrays) else state_arrays(system, "sampled")
+    arrays = system if isinstance(system, StateArrays) else state_arrays(system, "sampled")
     if arrays.dt != 0.0:
         raise ArgumentError(f"sampled: the system must be continuous, got dt = {arrays.dt} s")
     A, B, C, D, lags = _sampled(*arrays[:4], period, delay, lag)

@@ -130,18 +130,6 @@ def whole(name: str, given: object, least: int, most: int | None = None) -> int:
     return number
 
 
-def indices(name: str, given: Sequence[int] | None, size: int) -> list[int]:
-    """Return indices from 0 to `size` - 1, each at most once; None stands for all of them."""
-    if given is None:
-        return list(range(size))
-    if not isinstance(given, list | tuple | range) and not (isinstance(given, np.ndarray) and given.ndim == 1):
-        raise ArgumentError(f"{name} must be a sequence of whole numbers, got {short(given)}")
-    out = [whole(name, one, 0, size - 1) for one in given]
-    if len(set(out)) < len(out):
-        raise ArgumentError(f"{name} must differ from one another, got {short(out)}")
-    return out
-
-
 def one_of(name: str, given: object, options: Sequence[str]) -> None:
     """Judge a word that selects something."""
     if not isinstance(given, str) or given not in options:

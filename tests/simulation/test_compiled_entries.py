@@ -14,7 +14,6 @@ import pytest
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation.batch import compile_kernel
@@ -25,11 +24,7 @@ ENTRIES: dict[str, Callable[[StateArrays], Any]] = {
     "frequency_response": lambda system: analysis.frequency_response(system, W),
     "hinf_norm": analysis.hinf_norm,
     "noise_rms": lambda system: noise_rms(system, np.ones(1)),
-    "sampled": lambda system: analysis.sampled(system._replace(dt=0.0), 0.1, 0.25),
-    "closed_loop": lambda system: analysis.closed_loop(system, OTHER),
-    "series": lambda system: series(system, OTHER),
 }
-OTHER = StateArrays(-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.1)
 
 
 def arrays() -> list[np.ndarray]:
