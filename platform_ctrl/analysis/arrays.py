@@ -192,8 +192,8 @@ def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     first, _, _, s, _ = dgebal(A, scale=1, permute=0)
     # B and C count as much as A does; their rows and columns themselves stay unscaled because
     # LAPACK leaves out states with an empty row or column.
-    size = _norm(first) or 1.0
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        size = float(np.linalg.norm(first)) or 1.0
         whole[:n, n : n + m] = _resized(B / s[:, None], size)
         whole[n + m :, :n] = _resized(C * s, size)
     whole[:n, :n] = first
@@ -204,22 +204,9 @@ def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     return out
 
 
-def _norm(block: FloatArray) -> float:
-    norm = math.sqrt(float(np.vdot(block, block)))
-    if norm < math.inf:
-        return norm
-    # Its square is beyond all numbers.
-    largest = float(np.abs(block).max())
-    shares = block / largest
-    return largest * math.sqrt(float(np.vdot(shares, shares)))
-
-
 def _resized(block: FloatArray, size: float) -> FloatArray:
-    norm = _norm(block)
-    if not norm > 0.0:
-        return block
-    share = size / norm
-    return block * share if share < math.inf else block / norm * size
+    norm = float(np.linalg.norm(block))
+    return block * (size / norm) if 0.0 < norm < math.inf else block
 
 
 def _mean_magnitude(array: FloatArray) -> FloatArray:

@@ -276,7 +276,7 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
     )
 
 
-def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input", skew: float = 0.0) -> LoopMargins:
+def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input") -> LoopMargins:
     """Return the disk margin of each channel, broken one at a time with all others closed.
 
     Parameters
@@ -285,8 +285,6 @@ def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input", 
         Joined as u = K y (see `loop_transfer`).
     at
         Break the torques (``"input"``) or the pick-offs (``"output"``).
-    skew
-        Skew of the disk, dimensionless.
 
     Returns
     -------
@@ -303,7 +301,7 @@ def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input", 
         return LoopMargins(channels=names, alpha=np.zeros(len(names)), frequency=np.zeros(len(names)))
     # With the others closed, channel i's own sensitivity is the i-th diagonal entry of S.
     alone = [S.part([i], [i]) for i in range(len(names))]
-    peaks = [hinf_norm(one._replace(D=one.D + 0.5 * (skew - 1.0)), allow_unstable=True) for one in alone]
+    peaks = [hinf_norm(one._replace(D=one.D - 0.5), allow_unstable=True) for one in alone]
     return LoopMargins(
         channels=names,
         alpha=np.array([_inverse(norm) for norm, _ in peaks]),

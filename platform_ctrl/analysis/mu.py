@@ -168,6 +168,8 @@ _LEVEL, _FINER = 1e-7, 9
 # Scalings of the peak are tried on what is so high, relative to it.
 _NEAR = 0.9
 _MOST = 400
+# Scalings that a proof takes at most.
+_SCALINGS = 80
 
 
 class MuPeak:
@@ -227,8 +229,8 @@ class MuPeak:
             self.mu, self.frequency, self.D, self.M = float(upper[k]), float(w[k]), D[k], M[k]
         return upper[of_grid], np.minimum(near.lower, upper[of_grid])
 
-    def prove(self, slack: float = SLACK, most: int = 80) -> bool:
-        """Show that mu exceeds its peak nowhere by more than `slack`; climb where it does.
+    def prove(self) -> bool:
+        """Show that mu exceeds its peak nowhere by more than `SLACK`; climb where it does.
 
         The end of the axis has to have been evaluated.
 
@@ -239,8 +241,8 @@ class MuPeak:
             return True
         doubtful = [(0.0, self.axis.edge)]
         D = self.D
-        for _ in range(most):
-            doubtful = self._exceeding(doubtful, D, self.mu * (1.0 + slack))
+        for _ in range(_SCALINGS):
+            doubtful = self._exceeding(doubtful, D, self.mu * (1.0 + SLACK))
             if not doubtful:
                 return True
             low, high = max(doubtful, key=lambda part: math.inf if part[0] == 0.0 else part[1] / part[0])

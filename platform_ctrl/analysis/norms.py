@@ -105,12 +105,10 @@ def _norm(
     return peak_gain(axis, s, tolerance)
 
 
-def peak_gain(
-    axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band = WHOLE, known: float | None = None
-) -> tuple[float, float]:
+def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band = WHOLE) -> tuple[float, float]:
     """Return the largest gain in a band of a system with poles `s`, none on the boundary there, and its frequency.
 
-    `known` is a frequency near the peak, if one is. The gain at resonances is climbed from the highest; then the
+    The gain at resonances is climbed from the highest; then the
     eigenvalues of a Hamiltonian matrix show where it exceeds the best one (Bruinsma and Steinbuch).
     """
     top = min(band[1], axis.edge)
@@ -120,7 +118,7 @@ def peak_gain(
     def largest(own: FloatArray) -> tuple[float, float]:
         return axis.largest(np.concatenate([[band[0], top], own[(own > band[0]) & (own < top)]]))
 
-    best, frequency = largest(np.append(resonances(s), [] if known is None else known))
+    best, frequency = largest(resonances(s))
     for _ in range(_SEARCHES):
         best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance, band)
         if not 0.0 < best < math.inf:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled
 from platform_ctrl.analysis.response import StateSystem, linear_arrays
-from platform_ctrl.common.arguments import complex_numbers, number, positive, real_numbers, short
+from platform_ctrl.common.arguments import number, real_numbers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -59,7 +59,7 @@ def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
 
     |Im s| <= π/dt, and s is ``-inf`` for z = 0.
     """
-    z, dt = complex_numbers("continuous_poles: poles", poles), positive("continuous_poles: dt", dt, zero=True)
+    z = np.asarray(poles, dtype=np.complex128)
     if dt == 0.0:
         return z
     # By parts: no complex infinities with undefined angles, and no digits lost next to z = 1.
@@ -85,7 +85,7 @@ def resonances(s: ComplexArray) -> FloatArray:
 
 def damping_ratio(poles: ComplexArray) -> FloatArray:
     """Return -Re(s)/|s| of continuous(-equivalent) poles (..., n); 1 for infinitely fast ones, 0 for s = 0."""
-    s = complex_numbers("damping_ratio: poles", poles)
+    s = np.asarray(poles, dtype=np.complex128)
     size = np.abs(s)
     plain = np.isfinite(size) & (size > 0.0)
     out = np.where(np.isinf(size), 1.0, 0.0)
@@ -135,22 +135,15 @@ def minimum_damping(poles: ComplexArray, dt: float = 0.0) -> FloatArray:
     return out
 
 
-def _judged(poles: ComplexArray, where: str) -> ComplexArray:
-    out = complex_numbers(f"{where}: poles", poles)
-    if out.ndim == 0:
-        raise ArgumentError(f"{where}: poles must be an array of poles, got the number {short(poles)}")
-    return out
-
-
 def spectral_radius(poles: ComplexArray) -> FloatArray:
     """Return the largest magnitude of poles (..., n) along the last axis; 0 without poles."""
-    out: FloatArray = np.abs(_judged(poles, "spectral_radius")).max(axis=-1, initial=0.0)
+    out: FloatArray = np.abs(poles).max(axis=-1, initial=0.0)
     return out
 
 
 def spectral_abscissa(poles: ComplexArray) -> FloatArray:
     """Return the largest real part of poles (..., n) along the last axis; -inf without poles."""
-    out: FloatArray = _judged(poles, "spectral_abscissa").real.max(axis=-1, initial=-np.inf)
+    out: FloatArray = poles.real.max(axis=-1, initial=-np.inf)
     return out
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -168,7 +167,7 @@ def _require_same(system: Any, arrays: StateArrays, where: str) -> None:
 
 
 def frequency_response(
-    system: LinearSystem | Sequence[LinearSystem],
+    system: LinearSystem,
     frequency: ArrayLike,
     axis: int = -1,
 ) -> ComplexArray:
@@ -184,8 +183,7 @@ def frequency_response(
     system
         Continuous or discrete `control.StateSpace`, p outputs, m inputs, a `control.TransferFunction` (its polynomials
         are evaluated), data (`control.FrequencyResponseData`, at frequencies of its own) or `StateArrays`, which may
-        have leading batch axes; or a sequence of K systems with as many outputs and inputs each (and states and sample
-        periods of their own).
+        have leading batch axes.
     frequency : (N,)
         rad/s, >= 0.
     axis
@@ -193,7 +191,7 @@ def frequency_response(
 
     Returns
     -------
-    complex (p, m, N), or (K, p, m, N) for a sequence, or (..., p, m, N)
+    complex (p, m, N), or (..., p, m, N)
         In the units of the outputs per unit of the inputs; inf where a frequency coincides with a computed pole.
 
     Raises
@@ -208,15 +206,7 @@ def frequency_response(
     w = frequencies(frequency, "frequency_response")
     if not isinstance(axis, int) or axis not in (-1, -3):
         raise ArgumentError(f"frequency_response: axis must be -1 or -3, got {short(axis)}")
-    if isinstance(system, StateArrays) or not isinstance(system, Sequence):
-        return np.moveaxis(_response_of(system, w), -1, axis)
-    every = [_response_of(one, w) for one in system]
-    if len({one.shape for one in every}) != 1:
-        raise ArgumentError(
-            f"frequency_response: there must be at least one system, and outputs x inputs must be the same for all, "
-            f"got {sorted({one.shape[:2] for one in every})}"
-        )
-    return np.moveaxis(np.stack(every), -1, axis)
+    return np.moveaxis(_response_of(system, w), -1, axis)
 
 
 def _response_of(system: LinearSystem, w: FloatArray) -> ComplexArray:

@@ -7,7 +7,7 @@ import flint
 import numpy as np
 import pytest
 
-from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray
 
@@ -124,20 +124,6 @@ def test_on_a_pole_the_response_is_infinite(dt: float) -> None:
     assert np.isfinite(H[1])
     oscillator = control.ss([[0.0, 2.0], [-2.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
     assert np.isinf(analysis.frequency_response(oscillator, [2.0])[0, 0, 0])
-
-
-def test_a_list_of_models_gives_their_responses_one_behind_the_other() -> None:
-    rng = np.random.default_rng(8)
-    models = [system_of(rng.normal(size=(n, n)), 2, 3, rng) for n in (2, 5, 9)]
-    w = np.geomspace(0.1, 10.0, 7)
-    out = analysis.frequency_response(models, w)
-    assert out.shape == (3, 3, 2, 7)
-    for one, expected in zip(out, models, strict=True):
-        np.testing.assert_array_equal(one, analysis.frequency_response(expected, w))
-    with pytest.raises(PlatformCtrlError, match="the same for all"):
-        analysis.frequency_response([models[0], models[0]["y[0]", "u[0]"]], w)
-    with pytest.raises(PlatformCtrlError, match="at least one"):
-        analysis.frequency_response([], w)
 
 
 # Many states: a narrow band of states in another order, and matrices without structure.
