@@ -22,6 +22,7 @@ from platform_ctrl.analysis.measuring import Loops, Request
 from platform_ctrl.analysis.norms import h2_norm, noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.singular_values import pencil_crossings
 from platform_ctrl.analysis.time_responses import time_response
 from platform_ctrl.common.values import FloatArray
 
@@ -47,11 +48,11 @@ def margins_of_channel(sensitivity: StateArrays) -> tuple[float, float]:
 
     own = np.concatenate([poles(sensitivity.A), poles(loop.A)])
     near = resonances(continuous_poles(own, loop.dt))
-    real = _crossings(L, lambda x: x.imag, _frequencies(_real_pencil(loop), loop.dt), near, np.pi / loop.dt)
+    real = _crossings(L, lambda x: x.imag, _real_frequencies(loop), near, np.pi / loop.dt)
     # L is real at zero frequency and at Nyquist's, too.
     real = np.concatenate([real, L(np.array([0.0, np.pi / loop.dt]))])
     real = real[(real.real < 0.0) & (np.abs(real) < _BEYOND) & (np.abs(real.imag) < _AT * np.abs(real.real))]
-    unit = _crossings(L, lambda x: np.abs(x) - 1.0, _frequencies(_unit_pencil(loop), loop.dt), near, np.pi / loop.dt)
+    unit = _crossings(L, lambda x: np.abs(x) - 1.0, pencil_crossings(*loop), near, np.pi / loop.dt)
     unit = unit[np.abs(np.abs(unit) - 1.0) < _AT]
     gain = float(np.exp(np.abs(np.log(-real.real)).min(initial=np.inf)))
     return gain, float((np.pi - np.abs(np.angle(unit))).min(initial=np.inf))
@@ -84,37 +85,20 @@ def _crossings(
     return L(np.concatenate([known, low_ends]))
 
 
-def _real_pencil(L: StateArrays) -> tuple[FloatArray, FloatArray]:
-    """Return F, E with z E v = F v where L(z) = L(1/z); v = [x, adjoint, u]."""
-    A, B, C, _, _ = L
+def _real_frequencies(L: StateArrays) -> FloatArray:
+    """Return frequencies, rad/s, that contain all where L(z) = L(1/z): z E v = F v with v = [x, adjoint, u]."""
+    from scipy.linalg import eigvals
+
+    A, B, C, _, dt = L
     n = len(A)
     E, F = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, 2 * n + 1))
     E[:n, :n], E[n : 2 * n, n : 2 * n], E[n : 2 * n, 2 * n :] = np.eye(n), A.T, C.T
     F[:n, :n], F[:n, 2 * n :], F[n : 2 * n, n : 2 * n] = A, B, np.eye(n)
     F[2 * n :, :n], F[2 * n :, n : 2 * n] = C, -B.T
-    return F, E
-
-
-def _unit_pencil(L: StateArrays) -> tuple[FloatArray, FloatArray]:
-    """Return F, E with z E v = F v where L(z) L(1/z) = 1; v = [x, adjoint, u]."""
-    A, B, C, D, _ = L
-    n, d = len(A), D[0, 0]
-    E, F = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, 2 * n + 1))
-    E[:n, :n] = np.eye(n)
-    E[n : 2 * n, :n], E[n : 2 * n, n : 2 * n], E[n : 2 * n, 2 * n :] = C.T @ C, A.T, d * C.T
-    F[:n, :n], F[:n, 2 * n :], F[n : 2 * n, n : 2 * n] = A, B, np.eye(n)
-    F[2 * n :, :n], F[2 * n :, n : 2 * n], F[2 * n :, 2 * n :] = d * C, B.T, d * d - 1.0
-    return F, E
-
-
-def _frequencies(pencil: tuple[FloatArray, FloatArray], period: float) -> FloatArray:
-    """Return the frequencies, rad/s, of eigenvalues in the upper half-plane, which may lie on the unit circle."""
-    from scipy.linalg import eigvals
-
     with np.errstate(all="ignore"):
-        z: ComplexArray = np.asarray(eigvals(*pencil), dtype=np.complex128)
+        z: ComplexArray = np.asarray(eigvals(F, E), dtype=np.complex128)
     angles = np.angle(z[np.isfinite(z)])
-    return np.asarray(angles[angles > 0.0] / period)
+    return np.asarray(angles[angles > 0.0] / dt)
 
 
 # Band about the final value that a response has to stay in.

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,25 +28,6 @@ from platform_ctrl.plant.force_elements import Friction
 _FAR = 9.0
 # The describing function counts as valid where the rate is within ±coulomb_rate for no more of the time.
 _MOST_STICKING = 0.1
-
-
-class DryTorque(Protocol):
-    """A torque that depends on the sign of a rate, smooth about zero."""
-
-    @property
-    def coulomb_rate(self) -> float:
-        """Rate at which it is near its full size, rad/s."""
-
-    @property
-    def stribeck_rate(self) -> float:
-        """Rate over which it falls, rad/s; infinite: it does not."""
-
-    @property
-    def breakaway(self) -> tuple[float, float]:
-        """Size about zero to either side, N m."""
-
-    def dry(self, rate: float) -> float:
-        """Return the torque at a rate, N m."""
 
 
 @value
@@ -103,6 +84,10 @@ class FedFriction:
         slope = self.friction / self.friction_rate
         k = self.friction_rate / amplitude
         return slope if k >= 1.0 else 2.0 / math.pi * slope * (math.asin(k) + k * math.sqrt(1.0 - k * k))
+
+
+# A torque that depends on the sign of a rate, smooth about zero.
+DryTorque = Friction | FedFriction
 
 
 class Describing(NamedTuple):

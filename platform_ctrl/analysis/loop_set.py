@@ -230,7 +230,7 @@ class LoopSet:
     def only(self, chosen: Sequence[int]) -> LoopSet:
         """Return the loops of some of the plants (indices): what is computed here is taken over."""
         index = np.asarray(chosen, dtype=np.intp)
-        out = LoopSet(self.plants.only(chosen), self.two_degrees or self.controller)
+        out = LoopSet(self.plants.only(chosen), self._given)
         out.K, out.poles, out.decay = self.K, self.poles[index], self.decay[index]
         out.S_output, out.S_input = self.S_output[index], self.S_input[index]
         out.arrays, out.own_arrays = self.arrays.at(index), self.own_arrays.at(index)

@@ -187,24 +187,6 @@ def pole_branches(z: ComplexArray) -> ComplexArray:
     return out
 
 
-def values_at_breakaways(values: FloatArray, poles: Poles) -> FloatArray:
-    """Return more values around those where poles leave the real axis: there they move fastest."""
-
-    def real(z: ComplexArray) -> FloatArray:
-        return np.asarray((z.imag == 0.0).sum(axis=-1), dtype=np.float64)
-
-    counts = real(poles(values))
-    at = np.flatnonzero(np.diff(counts))
-    low, high, left = values[at].copy(), values[at + 1].copy(), counts[at]
-    for _ in range(24 if at.size else 0):
-        middle = 0.5 * (low + high)
-        before = real(poles(middle)) == left
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    steps = (values[1] - values[0]) * (np.arange(-8, 9) / 8.0) ** 2 * np.sign(np.arange(-8, 9))
-    more = (high[:, None] + steps).ravel()
-    return np.asarray(more[(more >= values[0]) & (more <= values[-1])])
-
-
 def refined_values(
     values: FloatArray, poles: Poles, shown: Callable[[ComplexArray], ComplexArray], step: float
 ) -> FloatArray:
@@ -212,7 +194,6 @@ def refined_values(
 
     `shown` says where a pole is drawn: steps are measured there, and poles that are not finite there do not count.
     """
-    values = np.union1d(values, values_at_breakaways(values, poles))
     z = poles(values)
     for _ in range(_MOST_HALVINGS):
         with np.errstate(invalid="ignore"):
