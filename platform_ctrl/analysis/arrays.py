@@ -115,14 +115,6 @@ def named_system(
     """
     import control
 
-    arrays = system_arrays("named_system", *arrays)
-    for kind, names, size in (
-        ("inputs", inputs, arrays.B.shape[-1]),
-        ("outputs", outputs, arrays.C.shape[-2]),
-        ("states", states, len(arrays.A)),
-    ):
-        if names is not None and len(names) != size:
-            raise ArgumentError(f"named_system: {kind} must be {size} names, got {len(names)}")
     # python-control keeps the full stop to itself.
     options = {} if name is None else {"name": name.replace(".", "_")}
     if states is not None:

@@ -372,22 +372,10 @@ def _inverses(X: ComplexArray) -> ComplexArray:
 def sensitivities_of_plants(P: ComplexArray, K: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Return (I - P K)^-1 and (I - K P)^-1 of plants P (..., F, p, m) with one controller K (F, m, p), u = K y.
 
-    One inverse serves both: (I - K P)^-1 = I + K (I - P K)^-1 P. Inf where that is singular.
+    Inf where that is singular.
     """
     p, m = P.shape[-2:]
-    if p <= m:
-        S_output = _inverses(np.eye(p) - P @ K)
-        return S_output, _other_side(S_output, K, P)
-    S_input = _inverses(np.eye(m) - K @ P)
-    return _other_side(S_input, P, K), S_input
-
-
-def _other_side(S: ComplexArray, left: ComplexArray, right: ComplexArray) -> ComplexArray:
-    with np.errstate(invalid="ignore"):
-        out = left @ S @ right
-    out += np.eye(out.shape[-1])
-    out[~np.isfinite(S).all(axis=(-2, -1))] = np.inf
-    return np.asarray(out, dtype=np.complex128)
+    return _inverses(np.eye(p) - P @ K), _inverses(np.eye(m) - K @ P)
 
 
 def feedback_part(controller: StateArrays, measured: Sequence[int]) -> StateArrays:

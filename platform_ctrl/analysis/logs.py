@@ -56,11 +56,6 @@ class LogDensity:
     mean: float
     variance: float
     segments: int  # how many segments were averaged: the relative standard error of a density is about 1/sqrt(segments)
-    sample_rate: float  # mean rate without the gaps, Hz
-    clock_jitter: float  # standard deviation of the steps of the clock within pieces, s
-    # Bound on the rms error of putting x on a uniform clock, units of x: that of straight lines between the samples of
-    # a smooth curve. The cubic spline that was used is closer. 0: the clock was uniform.
-    interpolation_error: float
     lost: float  # share of the recorded time that was not used: gaps, and pieces shorter than a segment
 
 
@@ -211,12 +206,8 @@ def log_density(time: FloatArray, x: FloatArray, resolution_hz: float) -> LogDen
     steps = np.concatenate([np.diff(time[part]) for part in parts])
     period = float(np.mean(steps))
     length = _segment(period, [part.stop - part.start for part in parts], resolution_hz)
-    clocks, errors = [], []
-    for part in parts:
-        on_clock, error = _uniform(time[part], x[part], period)
-        if len(on_clock) >= length:
-            clocks.append(on_clock)
-            errors.append(error)
+    clocks = [_uniform(time[part], x[part], period) for part in parts]
+    clocks = [one for one in clocks if len(one) >= length]
     used = np.concatenate(clocks)
     mean, variance = float(np.mean(used)), float(np.var(used))
     if variance <= (1e-12 * abs(mean)) ** 2:
@@ -235,9 +226,6 @@ def log_density(time: FloatArray, x: FloatArray, resolution_hz: float) -> LogDen
         mean=mean,
         variance=variance,
         segments=sum(counts),
-        sample_rate=1.0 / period,
-        clock_jitter=float(np.std(steps)),
-        interpolation_error=float(np.sqrt(np.mean(np.concatenate(errors) ** 2))),
         lost=max(0.0, 1.0 - period * sum(len(one) - 1 for one in clocks) / float(time[-1] - time[0])),
     )
 
@@ -269,17 +257,12 @@ def _segment(period: float, lengths: list[int], resolution_hz: float) -> int:
     return max(least, more)
 
 
-def _uniform(time: FloatArray, x: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
-    """Return a piece on a uniform clock, and the bound of its error at each sample."""
+def _uniform(time: FloatArray, x: FloatArray, period: float) -> FloatArray:
+    """Return a piece on a uniform clock."""
     steps = np.diff(time)
     if np.ptp(steps) <= ALIKE * period and abs(float(np.mean(steps)) - period) <= ALIKE * period:
-        return x, np.zeros(len(x))
+        return x
     from scipy.interpolate import CubicSpline
 
-    spline = CubicSpline(time, x)
-    clock = time[0] + period * np.arange(int((time[-1] - time[0]) / period * (1.0 + 1e-12)) + 1)
-    piece = np.clip(np.searchsorted(time, clock, side="right") - 1, 0, len(steps) - 1)
-    bend = np.abs(spline(time, 2))  # linear in each piece: largest at an end
-    bend = np.maximum(bend[:-1], bend[1:])[piece]
-    since, until = clock - time[piece], time[piece + 1] - clock
-    return np.asarray(spline(clock)), 0.5 * since * np.abs(until) * bend
+    count = int((time[-1] - time[0]) / period * (1.0 + 1e-12)) + 1
+    return np.asarray(CubicSpline(time, x)(time[0] + period * np.arange(count)))

@@ -56,9 +56,6 @@ def test_the_integral_of_the_density_is_the_variance(uniform: tuple[np.ndarray, 
     found = log_density(time, x, 0.5)
     assert np.trapezoid(found.densities, found.frequencies_hz) == pytest.approx(np.var(x), rel=1e-9)
     assert found.variance == pytest.approx(KNOWN.mean_square(0.0, 200.0), rel=0.1)
-    assert found.sample_rate == pytest.approx(RATE, rel=1e-9)
-    assert found.interpolation_error == 0.0
-    assert found.clock_jitter < 1e-12
     assert found.lost == pytest.approx(0.0, abs=1e-9)
 
 
@@ -88,20 +85,13 @@ def test_a_fine_resolution_is_averaged_over_bands_of_one_percent(uniform: tuple[
     assert np.trapezoid(found.densities, f) == pytest.approx(np.var(x), rel=1e-9)
 
 
-def test_the_bound_of_the_interpolation_is_above_its_error(jittered: tuple[np.ndarray, np.ndarray]) -> None:
-    time, x = jittered
-    found = log_density(time, x, 1.0)
-    # Steps of a clock with independent uniform errors of 0.6 periods in all: sqrt(2/12) of that.
-    assert found.clock_jitter == pytest.approx(0.6 / RATE * math.sqrt(2.0 / 12.0), rel=0.05)
-    period = 1.0 / found.sample_rate
-    on_clock, bound = _uniform(time, x, period)
-    true = 2.0 * np.sin(2 * np.pi * 7.0 * time)
-    curve, its_bound = _uniform(time, true, period)
-    clock = time[0] + period * np.arange(len(curve))
-    error = curve - 2.0 * np.sin(2 * np.pi * 7.0 * clock)
-    assert 0.0 < np.sqrt(np.mean(error**2)) < np.sqrt(np.mean(its_bound**2)) < 0.01
-    assert found.interpolation_error == pytest.approx(np.sqrt(np.mean(bound**2)), rel=1e-12)
-    assert len(on_clock) in (len(time) - 1, len(time))
+def test_a_clock_that_jitters_is_put_right_by_a_spline(jittered: tuple[np.ndarray, np.ndarray]) -> None:
+    time, _ = jittered
+    period = float(np.mean(np.diff(time)))
+    curve = _uniform(time, 2.0 * np.sin(2 * np.pi * 7.0 * time), period)
+    error = curve - 2.0 * np.sin(2 * np.pi * 7.0 * (time[0] + period * np.arange(len(curve))))
+    assert 0.0 < np.sqrt(np.mean(error**2)) < 0.01
+    assert len(curve) in (len(time) - 1, len(time))
 
 
 def test_gaps_are_left_out_and_the_share_that_is_lost_is_stated(uniform: tuple[np.ndarray, np.ndarray]) -> None:
