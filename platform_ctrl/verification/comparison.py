@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal
@@ -102,10 +103,7 @@ def compare(result: Record, accepted: Record, tolerance: float) -> Comparison:
     before, now = _values(accepted), _values(result)
     changes = [_change(now[key], before.get(key), tolerance) for key in now]
     missing = [one for key, one in before.items() if key not in now]
-    changes += [
-        Change(subject=x.subject, name=x.name, unit=x.unit, sense=x.sense, before=x.now, now=None, state="missing")
-        for x in missing
-    ]
+    changes += [dataclasses.replace(one, before=one.now, now=None, state="missing", limit=None) for one in missing]
     return Comparison(changes=tuple(changes), differing=tuple(_differing(result, accepted)))
 
 
@@ -121,17 +119,7 @@ def _change(now: Change, before: Change | None, tolerance: float) -> Change:
         # A value at its tolerance is within it, whatever the last bit says.
         edge = allowed * (1.0 + 1e-9) + (1e-9 * abs(accepted) if finite else 0.0)
         state = "worse" if loss > edge else "better" if loss < -edge else "within"
-    return Change(
-        subject=now.subject,
-        name=now.name,
-        unit=now.unit,
-        sense=now.sense,
-        before=accepted,
-        now=now.now,
-        allowed=allowed,
-        state=state,  # type: ignore[arg-type]
-        limit=now.limit,
-    )
+    return dataclasses.replace(now, before=accepted, allowed=allowed, state=state)  # type: ignore[arg-type]
 
 
 def _values(record: Record) -> dict[tuple[str, str, str, str], Change]:
