@@ -54,6 +54,8 @@ class MultiRate(NamedTuple):
         """Return the controller of one sample. States: those of `fast`, then of each slower one with its outputs."""
         from scipy.linalg import block_diag
 
+        if not self.slow:
+            return self.fast
         own = [_held(K, sample % n == 0) for K, n in zip(self.slow, self.every, strict=True)]
         A, B, C, D = (block_diag(np.zeros((0, 0)), *(K[k] for K in own)) for k in range(4))
         p, m = self.fast.B.shape[1] - self.held, len(self.fast.C) - self.read
