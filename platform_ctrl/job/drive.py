@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import configuration, topology
 from platform_ctrl.plant import fields
@@ -24,7 +24,7 @@ _WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",
 _ROUNDING = 1e-9
 
 
-@record_value
+@input_value
 class Drive:
     """What a torquer does besides what the loops command: torque = gain * command + friction * sat(v / friction_rate).
 

@@ -94,6 +94,11 @@ def test_a_base_that_a_loop_moves_gives_no_feedforward() -> None:
         read_job(job)
 
 
+def test_a_drive_may_state_that_it_feeds_nothing_forward() -> None:
+    (drive,) = read_job(driven_job(FRICTION | {"friction": 0.0})).drives
+    assert (drive.friction, drive.sensors) == (0.0, ("base_yaw",))
+
+
 def test_a_law_is_made_of_numbers_that_can_be() -> None:
     with pytest.raises(ArgumentError, match="secant_limit must be a number >= 1"):
         DriveLaw(torquer="Q", secant_limit=0.5)
