@@ -180,9 +180,9 @@ def unscale(controller: StateArrays, scaled: ScaledPlant) -> StateArrays:
 
 
 def blocks(A: FloatArray) -> list[tuple[ComplexArray, FloatArray, float]]:
-    """Return poles, their rounding errors and the norm of A, of each block of states that act on one another.
+    """Return the poles, their rounding errors and the norm of each block of A whose states act on one another.
 
-    What is fast in one block does not blur the poles of another.
+    A fast pole of one block does not blur the poles of another.
     """
     from scipy.linalg import eig
 

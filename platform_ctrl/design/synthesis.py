@@ -255,16 +255,12 @@ def or_regularised(solve: Callable[[Partition], Found], plant: Partition, size: 
         made = made._replace(A=made.A / (1.0 + moved), B=made.B / (1.0 + moved))
     else:
         made = made._replace(A=made.A - moved * np.eye(len(made.A)))
-    return (
-        made,
-        least,
-        residual
-        | {
-            "regularisation of controls and measurements": size,
-            "regularisation by a shift of the boundary" + ", rad/s" * (not plant.dt): moved,
-            f"least {what} at a tenth of it": solve(regularised(plant, 0.1 * size)[0])[1],
-        },
-    )
+    added = {
+        "regularisation of controls and measurements": size,
+        "regularisation by a shift of the boundary" + ", rad/s" * (not plant.dt): moved,
+        f"least {what} at a tenth of it": solve(regularised(plant, 0.1 * size)[0])[1],
+    }
+    return made, least, residual | added
 
 
 def require_time_limit(where: str, given: float) -> None:
@@ -302,12 +298,9 @@ def certify(  # noqa: PLR0913 - what certifies one result
     if poles.size and not np.min(decay) > 0.0:
         worst = poles[np.argmin(decay)]
         place = ", not within the unit circle" if plant.dt else " rad/s, not within the left half-plane"
-        raise NotCertifiedError(
-            f"{method}: the closed loop has a pole at {worst.real:.4g}{worst.imag:+.4g}j{place}; {CURE}",
-            P,
-        )
+        pole = f"{worst.real:.4g}{worst.imag:+.4g}j{place}"
+        raise NotCertifiedError(f"{method}: the closed loop has a pole at {pole}; {CURE}", P)
     loop = loop._replace(dt=plant.dt)
-    limit = (1 + backoff + tolerance) * least
     try:
         if norm == "h2":
             gamma, frequency = _h2_norm(loop, plant, controller), float("nan")
@@ -315,6 +308,7 @@ def certify(  # noqa: PLR0913 - what certifies one result
             gamma, frequency = hinf_norm(loop, allow_unstable=True)
     except ArgumentError as error:
         raise NotCertifiedError(f"{method}: no finite H2 norm: {error}; {CURE}", P) from None
+    limit = (1 + backoff + tolerance) * least
     if not gamma <= limit:
         shown = f"the H2 norm {gamma:.6g}" if norm == "h2" else f"the norm {gamma:.6g} at {frequency:.4g} rad/s"
         raise NotCertifiedError(
