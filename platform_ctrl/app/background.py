@@ -183,11 +183,6 @@ def _work(pipe: Connection) -> None:
                 pipe.send(("failed", DesignError(str(error)) if isinstance(error, DesignError) else error))
 
 
-def _specs(job: Job, loop: str, design: str) -> tuple[LoopSpec, DesignSpec]:
-    spec = next(one for one in job.loops if one.name == loop)
-    return spec, next(one for one in spec.designs if one.name == design)
-
-
 @value
 class Tuning:
     """Tunes the `movable` options of a classical, PI or LQG design until the limits of its loop are met.
@@ -212,6 +207,7 @@ class Tuning:
         from platform_ctrl.job.requirements import loop_requirements
 
         plants, channel, design = self.plants, self.directions, self.design
+        bounds = {"pi": rate.upper_bounds, "classical": caging.upper_bounds}
 
         def controller(trial: dict[str, float]) -> StateArrays:
             if design.method == "lqg":
@@ -228,18 +224,12 @@ class Tuning:
             controller,
             plants,
             loop_requirements(self.spec.limits),
-            upper={"pi": rate.upper_bounds, "classical": caging.upper_bounds}.get(design.method, _unbounded)(
-                plants.period
-            ),
+            upper=bounds[design.method](plants.period) if design.method in bounds else {},
             starts=over_decades(
                 self.options, [name for name in rates(design.method) if name in self.movable], plants.period
             ),
             progress=lambda _, limiting: progress(limiting),
         )
-
-
-def _unbounded(period: float) -> dict[str, float]:
-    return {}
 
 
 @value
@@ -263,7 +253,8 @@ class Designing:
         """Return the controller."""
         from platform_ctrl.design.jobs import loops
 
-        spec, design = _specs(self.job, self.loop, self.design)
+        spec = next(one for one in self.job.loops if one.name == self.loop)
+        design = next(one for one in spec.designs if one.name == self.design)
         alone = [dataclasses.replace(spec, designs=(design,), use=design.name)]
         if spec.around is not None:
             inner = next(one for one in self.job.loops if one.name == spec.around)

@@ -31,21 +31,11 @@ def part_of(option: str) -> str:
     return "" if known is None else known.part
 
 
-def parts_given(options: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the optional parts that a job's options ask for."""
-    return tuple(sorted({part for name in options if (part := part_of(name))}))
-
-
 def acts(option: str, channel: Channels) -> bool:
     """Return whether the controller of a classical loop with these gyros is made of an option."""
     if option.startswith("inertial_"):
         return channel.inertial > 0
     return len(channel.momenta) > 0 or not (option in _OF_PAIRS or part_of(option) == "notch")
-
-
-def meaningful(options: Mapping[str, float], channel: Channels) -> dict[str, float]:
-    """Return those options that a classical design with these gyros takes."""
-    return {name: x for name, x in options.items() if name == ALWAYS or acts(name, channel)}
 
 
 def full_options(
@@ -63,7 +53,7 @@ def full_options(
 def _classical_options(
     given: Mapping[str, float], channel: Channels, nutation: float, period: float
 ) -> dict[str, float]:
-    own = meaningful(given, channel)
+    own = {name: x for name, x in given.items() if name == ALWAYS or acts(name, channel)}
     rate_hz = 1.0 / period
     more = {"lag_hz": 0.1 * starting_values(own, channel, nutation, period)["crossover_hz"], "lag_ratio": 3.0}
     if len(channel.momenta):
@@ -76,11 +66,6 @@ def _classical_options(
 
 def _with(design: DesignSpec, options: Mapping[str, float]) -> DesignSpec:
     return dataclasses.replace(design, options=dict(options))
-
-
-def parts_used(options: Mapping[str, float], parts: tuple[str, ...]) -> dict[str, float]:
-    """Return the options of a classical design without those of parts that are off."""
-    return {name: x for name, x in options.items() if not part_of(name) or part_of(name) in parts}
 
 
 def direct_arrays(method: str, options: Mapping[str, float], channel: Channels, period: float) -> StateArrays:
@@ -120,7 +105,8 @@ class DesignOptions:
             return offered
         channel, nutation = self._plants.gyros(spec, design), self._plants.nutation(spec, design)
         period = self.read.period_of(spec)
-        given = parts_used(offered, settings.parts_on(spec.name, design.name))
+        parts = ("", *settings.parts_on(spec.name, design.name))
+        given = {name: x for name, x in offered.items() if part_of(name) in parts}
         try:
             if design.method == "pi":
                 return rate_options(_with(design, given), channel, nutation, period)
@@ -145,7 +131,9 @@ class DesignOptions:
             options[spec.name], optional[spec.name] = {}, {}
             for design in spec.designs:
                 options[spec.name][design.name] = self._options(spec, design)
-                optional[spec.name][design.name] = parts_given(design.options)
+                optional[spec.name][design.name] = tuple(
+                    sorted({part for name in design.options if (part := part_of(name))})
+                )
             there = [d.name for d in spec.designs if built_directly(d)]
             closed[spec.name] = spec.use if spec.use in there or not there else there[0]
         first = self.read.loops[0]

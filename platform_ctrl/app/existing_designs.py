@@ -24,7 +24,10 @@ def existing_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
         read = read_controllers(path, job, part)
         entries: list[Any] = list(data.get(part, [])) if isinstance(data, dict) else []
         for K, entry in zip(read, entries, strict=True):
-            spec = _loop_of(job, set(K.output_labels))
+            loops = (one for one in job.loops if one.has_plants)
+            spec = next(
+                (one for one in loops if set(K.output_labels) == set(loop_names(job, one, one.closed)[1])), None
+            )
             if spec is None:
                 continue
             design = next((one for one in spec.designs if one.name == entry.get("design")), spec.closed)
@@ -61,10 +64,3 @@ def loop_names(job: Job, spec: LoopSpec, design: DesignSpec) -> tuple[list[str],
         return list(spec.read_by(design).sensors), [f"{name}{COMMAND}" for name in commands]
     signals = loop_signals(job.platform, spec.read_by(design))
     return [one.name for one in signals.sensors], [one.name for one in signals.torquers]
-
-
-def _loop_of(job: Job, outputs: set[str]) -> LoopSpec | None:
-    for spec in job.loops:
-        if spec.has_plants and outputs == set(loop_names(job, spec, spec.closed)[1]):
-            return spec
-    return None

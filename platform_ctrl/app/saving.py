@@ -146,7 +146,7 @@ def write_job(
             raise InputError(f"{one}: exists already; choose another name or overwrite it")
     text = _complete_text(before, source.path, path, settings, start, wanted)
     if is_unchanged(settings, start):
-        same = _moved_text(before, source.path, path.parent)
+        same = _job_text(before, source.path, path.parent, {}, {}, {})
         if text != same or controllers is None:
             # Controllers of other designs, or of numbers that are to be tuned, are not those of this job.
             write_whole(path, same)
@@ -197,14 +197,14 @@ def _complete_text(before: str, old: Path, new: Path, settings: Settings, start:
     text = ""
     # Options that follow from others are right once these are.
     for _ in range(_ROUNDS):
-        text = _job_text(before, old, new.parent, settings, start, written, wanted)
+        text = _job_text(before, old, new.parent, settings.closed, written, wanted)
         missing = _not_found(_read(text, new.parent, new), wanted)
         if not missing:
             return text
         for loop, designs in missing.items():
             for design, numbers in designs.items():
                 written[loop][design] |= numbers
-    return _job_text(before, old, new.parent, settings, start, wanted, wanted)
+    return _job_text(before, old, new.parent, settings.closed, wanted, wanted)
 
 
 def _not_found(job: Job, wanted: Options) -> dict[str, dict[str, dict[str, float]]]:
@@ -226,29 +226,20 @@ def _not_found(job: Job, wanted: Options) -> dict[str, dict[str, dict[str, float
 
 
 def _job_text(
-    before: str, old: Path, folder: Path, settings: Settings, start: Settings, written: Options, wanted: Options
+    before: str, old: Path, folder: Path, closed: Mapping[str, str], written: Options, wanted: Options
 ) -> str:
-    """Return the text of the job with the changes of the page; all else stays, also comments."""
+    """Return the text of the job in a folder with the changes of the page; all else stays, also comments."""
     import tomlkit
 
     document = tomlkit.parse(before)
     for loop in document["loop"]:
         name = str(loop["name"])
-        if loop["use"] != settings.closed[name]:
-            loop["use"] = settings.closed[name]
+        if loop["use"] != closed.get(name, loop["use"]):
+            loop["use"] = closed[name]
         for design in loop["design"]:
             numbers = wanted.get(name, {}).get(str(design["name"]))
             if numbers is not None:
                 _put(design, numbers, written[name][str(design["name"])])
-    _plant(document, old.parent, folder)
-    return str(tomlkit.dumps(document))
-
-
-def _moved_text(before: str, old: Path, folder: Path) -> str:
-    """Return the text of the job as it is, seen from another folder."""
-    import tomlkit
-
-    document = tomlkit.parse(before)
     _plant(document, old.parent, folder)
     return str(tomlkit.dumps(document))
 

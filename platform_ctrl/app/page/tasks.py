@@ -98,7 +98,7 @@ class PageTasks:
         path = self._backend.path
         manoeuvres = self._page.choices.manoeuvres
         return {
-            "folder": str(self._folder()),
+            "folder": str(self._backend.folder.resolve()),
             "stem": f"{'job' if path is None else path.stem}-tuned",
             "manoeuvre": manoeuvres[0] if manoeuvres else "",
         }
@@ -190,7 +190,7 @@ class PageTasks:
 
     def _on_save(self, request: Request) -> None:
         try:
-            path = target(self._folder(), request.more["name"])
+            path = target(self._backend.folder.resolve(), request.more["name"])
         except PlatformCtrlError as error:
             self._connection.answer(request.count, saved={"kind": "error", "text": str(error)})
             return
@@ -272,9 +272,6 @@ class PageTasks:
     def _cancel(self) -> None:
         if self._running is not None:
             self._running.cancelled.set()
-
-    def _folder(self) -> Path:
-        return self._backend.folder.resolve()
 
     def _do(self, work: Callable[[], Callable[[], None]], failed: Callable[[str], None]) -> None:
         """Do `work` in a thread; what it returns, or `failed` with a line, is then called on the server's loop."""
