@@ -15,7 +15,8 @@ from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import LoopProblem
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.design.partition import gain
+from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS, resolved
 from platform_ctrl.job.quantities import compared
@@ -43,10 +44,12 @@ def tuned(
     upper: dict[str, float],
     starts: Sequence[dict[str, float]] | None = None,
     reserve: float = 0.05,
+    evaluations: int = 1500,
 ) -> dict[str, float]:
     """Return the options of a design, with ``tune = true`` moved until its loop's limits are met: see `tune`.
 
-    Other `starts` are by default the options as given and those by rules of thumb, at crossovers over decades.
+    Other `starts` are by default the options as given and those by rules of thumb, at crossovers over decades. Options
+    with which there is no design count as no control: no loop is stable then, and the search turns back.
     """
     spec, design, plants = problem.spec, problem.design, problem.plants
     if not design.tune:
@@ -54,15 +57,24 @@ def tuned(
     movable = [name for name in tunable if name in options]
     if starts is None:
         starts = _starts(problem, options, movable)
+    nothing = gain(np.zeros((plants.B.shape[-1], plants.C.shape[-2])))
+
+    def built(numbers: dict[str, float]) -> StateArrays:
+        try:
+            return problem.with_commands(build(numbers))
+        except DesignError:
+            return nothing
+
     return tune(
         options,
         movable,
-        lambda numbers: problem.with_commands(build(numbers)),
+        built,
         plants,
         loop_requirements(spec.limits),
         upper=upper,
         starts=starts,
         reserve=reserve,
+        evaluations=evaluations,
         progress=lambda _, limiting: problem.progress(f"{spec.name}: {design.name}, {limiting}"),
     )
 

@@ -21,13 +21,14 @@ from platform_ctrl.design.fixed_structure.caging import (
     without_integrators,
 )
 from platform_ctrl.design.fixed_structure.descent import finer, pieces
-from platform_ctrl.design.fixed_structure.loops import ClosedLoops, at_least
+from platform_ctrl.design.fixed_structure.loops import ClosedLoops
 from platform_ctrl.design.fixed_structure.maps import (
     CONTROLLER,
     S_OUTPUT,
     map_of,
     torque_per_Omega,
 )
+from platform_ctrl.design.fixed_structure.pieces import at_least
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of

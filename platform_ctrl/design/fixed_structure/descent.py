@@ -38,10 +38,11 @@ from platform_ctrl.analysis.measuring import ControllerGain, Peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Pieces, joined
+from platform_ctrl.design.fixed_structure.loops import ClosedLoops
 from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, map_of, torque_per_Omega
 from platform_ctrl.design.fixed_structure.minimax import Effort, Evaluation, minimise
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.pieces import Pieces, joined
 from platform_ctrl.job.requirements import LoopRequirement
 
 # What is not stable is worse than anything else.
@@ -127,7 +128,10 @@ class Search:
     ) -> None:
         # Where nothing is required of a plant, not even stability, it is of no interest.
         requested = [k for k, group in enumerate(plants.groups) if k == 0 or any(group in r.over for r in requirements)]
-        self._plants = finer(with_disturbances(plants.only(requested), requirements))
+        plants = plants.only(requested)
+        if any(one.metric.of_disturbances for one in requirements):
+            plants = plants.with_disturbances()
+        self._plants = finer(plants)
         self._limits = [r for r in requirements if r.hard]
         bands = [r for r in requirements if r.kind == "bandwidth"]
         self._limit = max((r.limit for r in bands if r.hard), default=None)
@@ -348,11 +352,6 @@ def _ratio(value: float) -> float:
 
 def _ranked(by_plant: FloatArray) -> list[int]:
     return [int(k) for k in np.argsort(-by_plant, kind="stable")]
-
-
-def with_disturbances(plants: PlantSet, requirements: Sequence[LoopRequirement]) -> PlantSet:
-    """Return the set with what disturbances do, where a requirement is about that."""
-    return plants.with_disturbances() if any(one.metric.of_disturbances for one in requirements) else plants
 
 
 def finer(plants: PlantSet) -> PlantSet:

@@ -1,15 +1,13 @@
 """A controller closed around every plant of a set, with derivatives: responses, singular values, poles, noise.
 
-The formulas are in `platform_ctrl.design.fixed_structure.goals`.
+The formulas are in `descent`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidths import LEVEL
@@ -19,7 +17,7 @@ from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import SPLIT, continuous_poles
 from platform_ctrl.analysis.singular_values import largest_singular_values
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.maps import (
     S_INPUT,
     S_OUTPUT,
@@ -30,8 +28,7 @@ from platform_ctrl.design.fixed_structure.maps import (
     row_of,
     singular,
 )
-
-Numbers = NDArray[np.intp]
+from platform_ctrl.design.fixed_structure.pieces import Numbers, Pieces, at_least, joined, reaching, tops
 
 # Share of the grid's spacing at which a top is looked at again.
 _CLOSER = 0.2
@@ -41,8 +38,6 @@ _SPIKE = 1.1
 # less; poles as many units from their limit are in view.
 _DECAY_UNIT, _NO_DECAY = 0.02, 20.0
 _SLOW = 2.0
-# Share of a limit below which a measure that should be at least that counts along the tangent.
-_LEAST = 0.01
 # Relative step in frequency for the slope of a singular value.
 _SLOPE_STEP = 1e-4
 # A gain below this is none: a balanced gimbal without friction transmits nothing.
@@ -50,32 +45,6 @@ _NOTHING = 1e-200
 _UNDISTURBED = Disturbed(*(np.zeros((0, 0, 0), dtype=np.complex128),) * 3)
 # Resonances of less damping may hide between two points of the grid.
 _HIDDEN = 0.02
-
-
-@value
-class Pieces:
-    """Smooth pieces."""
-
-    ratio: FloatArray  # (k,): values; as ratios of a requirement at most 1 when it is met
-    gradient: FloatArray  # (k, n_K + m, n_K + p): with respect to [[A_K, B_K], [C_K, D_K]]
-    plant: Numbers  # (k,): number of the plant in the set
-
-    def times(self, factor: float) -> Pieces:
-        """Return the pieces in another unit."""
-        return Pieces(ratio=factor * self.ratio, gradient=factor * self.gradient, plant=self.plant)
-
-    def raised(self, by: float) -> Pieces:
-        """Return the pieces with a larger ratio."""
-        return Pieces(ratio=self.ratio + by, gradient=self.gradient, plant=self.plant)
-
-
-def joined(parts: Sequence[Pieces]) -> Pieces:
-    """Return all pieces of several lists."""
-    return Pieces(
-        ratio=np.concatenate([part.ratio for part in parts]),
-        gradient=np.concatenate([part.gradient for part in parts]),
-        plant=np.concatenate([part.plant for part in parts]),
-    )
 
 
 class Points:
@@ -175,7 +144,7 @@ class ClosedLoops:
         row, k = np.nonzero(chosen)
         if not len(k):
             return hidden
-        x, step = _tops(np.log(w[cut]), np.log(np.maximum(sizes, _NOTHING)), row, k)
+        x, step = tops(np.log(w[cut]), np.log(np.maximum(sizes, _NOTHING)), row, k)
         # Once more, from three points close to the top.
         close = x + np.multiply.outer(np.array([-_CLOSER, 0.0, _CLOSER]), step)
         near = Points(self, np.tile(members[row], 3), np.exp(close.ravel()), of.disturbed)
@@ -242,7 +211,7 @@ class ClosedLoops:
         size = np.where(finite, np.abs(s), 1.0)
         ratio, slope = at_least(np.where(finite, -s.real / size, 1.0), limit)
         counts = finite & (s.imag >= 0.0) & ((size * self.plants.period > SPLIT) | (s.real > 0.0))
-        row, k = _reaching(ratio, counts, floor)
+        row, k = reaching(ratio, counts, floor)
         s, size = s[row, k], size[row, k]
         # d(−Re s/|s|) = Re((Re s conj(s)/|s|³ − 1/|s|) ds).
         factor = slope[row, k] * (s.real * s.conj() / size**3 - 1.0 / size)
@@ -259,7 +228,7 @@ class ClosedLoops:
             # No decay at all has to be worse than most other things.
             unit = min(unit, limit / _NO_DECAY)
         ratio = np.where(np.isfinite(s), 1.0 + (limit + s.real) / unit, -np.inf)
-        row, k = _reaching(ratio, s.imag >= 0.0, 1.0 - _SLOW)
+        row, k = reaching(ratio, s.imag >= 0.0, 1.0 - _SLOW)
         gradient = self._pole_gradient(np.full(len(k), 1.0 / unit), members[row], k)
         return Pieces(ratio=ratio[row, k], gradient=gradient, plant=members[row])
 
@@ -268,7 +237,7 @@ class ClosedLoops:
         z = self.poles().z[members]
         two = 2.0 / self.plants.period
         w = two * (z - 1.0) / (z + 1.0)
-        row, k = _reaching(np.abs(w) / limit, z.imag >= 0.0, floor)
+        row, k = reaching(np.abs(w) / limit, z.imag >= 0.0, floor)
         z, w = z[row, k], w[row, k]
         # dw = 2 two dz/(z + 1)² and dz = z T ds.
         factor = w.conj() / np.abs(w) * 2.0 * two / (z + 1.0) ** 2 * z * self.plants.period / limit
@@ -283,7 +252,7 @@ class ClosedLoops:
         y = left_vectors(x)
         two = 2.0 / self.plants.period
         w = two * (z - 1.0) / (z + 1.0)
-        _, k = _reaching(np.abs(w)[None] / limit, (z.imag >= 0.0)[None], floor)
+        _, k = reaching(np.abs(w)[None] / limit, (z.imag >= 0.0)[None], floor)
         z, w = z[k], w[k]
         factor = w.conj() / np.maximum(np.abs(w), 1e-12) * 2.0 * two / (z + 1.0) ** 2 / limit
         gradient = np.zeros((len(k), *self.M.shape))
@@ -379,39 +348,3 @@ def left_vectors(x: ComplexArray) -> ComplexArray:
         return np.asarray(np.linalg.inv(x), dtype=np.complex128)
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.pinv(x), dtype=np.complex128)
-
-
-def at_least(measured: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:
-    """Return limit/measured and its slope; near zero along the tangent, so that negative values count as worse."""
-    low = _LEAST * limit
-    inside = np.maximum(measured, low)
-    slope = -limit / inside**2
-    return limit / inside + np.minimum(measured - low, 0.0) * slope, slope
-
-
-def _reaching(ratio: FloatArray, counts: NDArray[np.bool_], floor: float) -> tuple[Numbers, Numbers]:
-    """Return the places that count and reach `floor`, and the worst that counts."""
-    masked = np.where(counts, ratio, -np.inf)
-    chosen = masked >= floor
-    if np.any(counts):
-        chosen[np.unravel_index(int(np.argmax(masked)), masked.shape)] = True
-    row, k = np.nonzero(chosen)
-    return row, k
-
-
-def _tops(x: FloatArray, y: FloatArray, row: Numbers, k: Numbers) -> tuple[FloatArray, FloatArray]:
-    """Return the tops of the parabolas through points `k` of rows of `y` and their neighbours, and the smaller spacing.
-
-    At the ends of the grid the point itself, with a spacing of zero.
-    """
-    if len(x) < 3:
-        return x[k], np.zeros(len(k))
-    inside = (k > 0) & (k < len(x) - 1)
-    j = np.clip(k, 1, len(x) - 2)
-    left, right = x[j - 1] - x[j], x[j + 1] - x[j]
-    fall, rise = y[row, j - 1] - y[row, j], y[row, j + 1] - y[row, j]
-    # y ≈ y_j + b t + c t² through both neighbours.
-    c = (fall / left - rise / right) / (left - right)
-    b = fall / left - c * left
-    t = np.clip(-b / np.where(c < 0.0, 2.0 * c, -np.inf), left, right)
-    return np.where(inside, x[j] + t, x[k]), np.where(inside, np.minimum(right, -left), 0.0)

@@ -1,8 +1,8 @@
-"""Where searches begin: the structure's own values, fits to full-order controllers, and a scatter about those."""
+"""Searches from several starts: the structure's own values, fits to full-order controllers, and a scatter."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.fixed_structure.norm import ClosedLoop
+from platform_ctrl.design.fixed_structure.minimax import Effort, Minimum, minimise
+from platform_ctrl.design.fixed_structure.norm import ClosedLoop, WorstNorm
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.partition import Partition, augmented
 
@@ -131,3 +132,60 @@ class Fit:
             self.difference, np.clip(start, low + room, high - room), bounds=(low, high), x_scale="jac", max_nfev=60
         )
         return np.clip(np.asarray(found.x, dtype=np.float64), low, high)
+
+
+# Largest gains, in their units, and the share of the starts that go on with each: where the infimum lies at infinite
+# gain, a search without limit runs there on a way of its own; along a limit it finds the best way first.
+_STAGES = ((1e1, 1.0), (1e2, 1.0), (1e3, 0.5), (1e4, 0.25), (1e5, 0.25))
+# Share of the largest number by which the first step of a stage may move it.
+_FIRST = 0.1
+# Most steps of a search, rounds of a start in the last stage, and the decrease that is worth another one, relative.
+_STEPS, _ROUNDS, _WORTH = 300, 6, 1e-5
+
+
+def rank(found: Minimum) -> tuple[bool, float]:
+    """The smaller the better: stability first."""
+    return not found.at.stable, found.at.largest(hard=False)
+
+
+def searched(
+    plants: Sequence[Partition],
+    family: Parametrised,
+    points: Sequence[FloatArray],
+    evaluations: int,
+    progress: Callable[[str], None],
+) -> list[Minimum]:
+    """Return where the searches from `points` end, in their order.
+
+    Gains may grow in stages; the best starts go on with larger ones, and once more each time that it was worth it: a
+    search may end at a kink that a new region and curvature lead away from.
+    """
+    functions = [WorstNorm(plants, family) for _ in points]
+    ends: dict[int, Minimum] = {}
+    left, order = evaluations, list(range(len(points)))
+    for stage, (gain, share) in enumerate(_STAGES):
+        chosen = order[: max(2, round(share * len(points)))]
+        for n, k in enumerate(chosen):
+            most = left // ((len(chosen) - n) * (len(_STAGES) - stage))
+            for again in range(_ROUNDS if stage == len(_STAGES) - 1 else 1):
+                before = ends.get(k)
+                if before is not None and most <= 0:
+                    break
+                found = _within(functions[k], family, points[k] if before is None else before.x, gain, max(most, 1))
+                most, left = most - found.evaluations, left - found.evaluations
+                if before is None or rank(found) < rank(before):
+                    ends[k] = found
+                if before is not None and again and not rank(found)[1] < (1.0 - _WORTH) * rank(before)[1]:
+                    break
+            progress(f"structured: start {k + 1} of {len(points)}, gains to {gain:g}: {rank(ends[k])[1]:.6g}")
+        order.sort(key=lambda k: rank(ends[k]))
+    return [ends[k] for k in range(len(points))]
+
+
+def _within(function: WorstNorm, family: Parametrised, x: FloatArray, gain: float, evaluations: int) -> Minimum:
+    """Return where the search from x ends with gains up to `gain`, in their units."""
+    size = float(np.abs(x[~family.positive]).max(initial=0.0))
+    limits = np.where(family.positive, np.inf, max(gain, 2.0 * size))
+    bounds = np.maximum(family.lower, -limits), np.minimum(family.upper, limits)
+    effort = Effort(evaluations=evaluations, steps=_STEPS, radius=_FIRST * max(1.0, size), least=1e-10)
+    return minimise(function, x, bounds, effort)

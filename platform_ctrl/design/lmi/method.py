@@ -21,7 +21,7 @@ number of states. D̂ = 0: the controller has a zero at the Nyquist frequency, a
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -39,15 +39,14 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.inequalities import LinearLoop, balancing, cp, half_plane, in_states, sector, solve
 from platform_ctrl.design.lmi.shared import sharing
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
-from platform_ctrl.design.partition import Channels, Partition, between, closed_loop, gain, split, whole
+from platform_ctrl.design.partition import Channels, Partition, between, closed_loop, split, whole
 from platform_ctrl.design.riccati.weighted_loop import default_weights, error_weight, signal_names, torque_units
 from platform_ctrl.design.scaling import autoscale, balance, unscale
 from platform_ctrl.design.synthesis import hinf
-from platform_ctrl.design.tuning import tune
+from platform_ctrl.design.tuning import tuned
 from platform_ctrl.errors import DesignError, InfeasibleError, UnscalableError
 from platform_ctrl.job.job import DesignSpec
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.requirements import loop_requirements
 
 # Pole decay where it is not given, relative to the slowest bandwidth in rad/s.
 DECAY = 0.05
@@ -84,38 +83,21 @@ def lmi_design(problem: LoopProblem) -> Designed:
 
     controller, claims = synthesis(options)
     if problem.design.tune:
-        options = _tuned(problem, options, lambda numbers: synthesis(numbers)[0])
+        options = tuned(
+            problem,
+            options,
+            METHODS["lmi"].tunable,
+            lambda numbers: synthesis(numbers)[0],
+            {},
+            (),
+            evaluations=EVALUATIONS,
+        )
         controller, claims = synthesis(options)
     loops = LoopSet(plants, controller._replace(dt=plants.period))
     if loops.decay[0] > 0.0:
         shared = sharing(loops.own_arrays.A, options["time_limit"])
         claims |= {"plants with one Lyapunov matrix": float(shared), "plants": float(len(plants.labels))}
     return Designed(controller=controller, options=options, claims=claims)
-
-
-def _tuned(
-    problem: LoopProblem, options: dict[str, float], build: Callable[[dict[str, float]], StateArrays]
-) -> dict[str, float]:
-    """Return the weights moved until the loop's limits are met."""
-    spec, plants = problem.spec, problem.plants
-    nothing = gain(np.zeros((plants.B.shape[-1], plants.C.shape[-2])))
-
-    def built(numbers: dict[str, float]) -> StateArrays:
-        try:
-            return problem.with_commands(build(numbers))
-        except DesignError:
-            # Without control no loop is stable: the search turns back.
-            return nothing
-
-    return tune(
-        options,
-        [name for name in METHODS["lmi"].tunable if name in options],
-        built,
-        plants,
-        loop_requirements(spec.limits),
-        evaluations=EVALUATIONS,
-        progress=lambda _, line: problem.progress(f"{spec.name}: {problem.design.name}, {line}"),
-    )
 
 
 def _synthesis(
