@@ -20,6 +20,7 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.designs import DesignPending, DesignQueue
 from platform_ctrl.app.page.connection import Connection
 from platform_ctrl.app.page.session import Session
+from platform_ctrl.app.pictures import Picture
 from platform_ctrl.errors import DesignError
 
 
@@ -42,14 +43,14 @@ def _until(met: Callable[[], bool]) -> None:
 class Driven:
     """A session whose loop the test drives, with a design that is available when the test says so."""
 
-    def __init__(self, backend: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, backend: Backend, shown: Picture, monkeypatch: pytest.MonkeyPatch) -> None:
         self.backend, self.count = backend, 0
         self.available = False
         # Called as soon as the design was found missing, still within the computation of the picture.
         self.on_missing: Callable[[], None] = lambda: None
         self._listeners: list[Callable[[], None]] = []
         self._waiting: list[Callable[[], None]] = []
-        self._picture = backend.picture
+        self._shown = shown
         monkeypatch.setattr(Connection, "later", lambda connection, act: self._waiting.append(act))
         monkeypatch.setattr(backend, "picture", self.picture)
         monkeypatch.setattr(backend, "on_designed", lambda listener: self._listeners.append(listener) or (lambda: None))
@@ -65,7 +66,7 @@ class Driven:
             self.on_missing()
             raise DesignPending("H-infinity: is being designed")
         # Its curves do not matter here.
-        return dataclasses.replace(self._picture(settings.but(design="classical")), settings=settings)
+        return dataclasses.replace(self._shown, settings=settings)
 
     def designed(self) -> None:
         self.available = True
@@ -97,9 +98,14 @@ class Driven:
             self.work()
 
 
+@pytest.fixture(scope="module")
+def shown(backend: Backend) -> Picture:
+    return backend.picture(backend.start())
+
+
 @pytest.fixture
-def driven(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> Iterator[Driven]:
-    made = Driven(backend, monkeypatch)
+def driven(backend: Backend, shown: Picture, monkeypatch: pytest.MonkeyPatch) -> Iterator[Driven]:
+    made = Driven(backend, shown, monkeypatch)
     yield made
     made.session.close(None)
 
