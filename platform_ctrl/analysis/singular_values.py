@@ -69,16 +69,9 @@ class FrequencyAxis:
         frequency = frequency[frequency <= self.edge * (1.0 + 1e-12)]
         if frequency.size == 0:
             return 0.0, 0.0
-        response = self.response(frequency)
-        # No singular value is larger than the root of the sum of squares: most of them need not be known.
-        bounds = np.linalg.norm(response, axis=(-2, -1))
-        bounds[~np.isfinite(bounds)] = np.inf
-        k = int(np.argmax(bounds))
-        first = largest_singular_values(response[k])
-        left = np.append(k, np.flatnonzero(bounds > first))
-        sizes = largest_singular_values(response[left])
+        sizes = self.gains(frequency)
         i = int(np.argmax(sizes))
-        return float(sizes[i]), float(frequency[left[i]])
+        return float(sizes[i]), float(frequency[i])
 
     def crossings(self, level: float, scaling: FloatArray | None = None) -> FloatArray:
         """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level` > 0.
