@@ -54,14 +54,10 @@ class Window:
     """Displacement, smear and jitter within an exposure; root mean squares over its instants and over exposures."""
 
     exposure: float  # s
-    # displacement, smear, jitter: (G, q): of each source, in the outputs' units.
+    # displacement, smear, jitter: (q,): of all sources together, in the outputs' units.
     displacement: FloatArray
     smear: FloatArray
     jitter: FloatArray
-    # total_displacement, total_smear, total_jitter: (q,): of all sources.
-    total_displacement: FloatArray
-    total_smear: FloatArray
-    total_jitter: FloatArray
 
 
 @value
@@ -80,11 +76,6 @@ class Budget:
     # Bound on the share of an integrated output's variance that images beyond those kept would add; what they add to
     # other outputs is included.
     remaining: float
-
-    @property
-    def shares(self) -> FloatArray:
-        """Variance of each source over that of all (G, q); zero where there is none."""
-        return variance_shares(self.rms, self.total)
 
 
 def assembled(
@@ -133,12 +124,9 @@ def assembled(
     windows = tuple(
         Window(
             exposure=one,
-            displacement=root[3 * k + 1],
-            smear=root[3 * k + 2],
-            jitter=root[3 * k + 3],
-            total_displacement=whole[3 * k + 1],
-            total_smear=whole[3 * k + 2],
-            total_jitter=whole[3 * k + 3],
+            displacement=whole[3 * k + 1],
+            smear=whole[3 * k + 2],
+            jitter=whole[3 * k + 3],
         )
         for k, one in enumerate(exposures)
     )

@@ -144,8 +144,6 @@ class FrictionBalance:
         drive.
     remainder : (J,)
         rms of the torque that is not in proportion to these rates, what is fed forward taken off the friction, N m.
-    iterations
-        Loops that were evaluated.
     """
 
     frictions: tuple[Friction, ...]
@@ -155,7 +153,6 @@ class FrictionBalance:
     viscous: FloatArray
     fed: FloatArray
     remainder: FloatArray
-    iterations: int
 
     @property
     def sticking(self) -> FloatArray:
@@ -203,7 +200,7 @@ def friction_balance(
     rate = real_array("friction balance: start", start, (len(near),)) if start is not None else 10.0 * near
     least = 1e-12 * near
     before: tuple[FloatArray, FloatArray] | None = None
-    for count in range(1, iterations + 1):  # noqa: B007 - reported after the loop
+    for _ in range(iterations):
         found = [describing_function(one, float(at)) for one, at in zip(torques, rate, strict=True)]
         gains = np.array([one.viscous for one in found])
         new = np.asarray(rate_rms(gains), dtype=np.float64)
@@ -233,7 +230,6 @@ def friction_balance(
         viscous=gains[:J],
         fed=fed,
         remainder=np.array([one.remainder for one in found[:J]]),
-        iterations=count,
     )
 
 

@@ -82,11 +82,10 @@ def interconnected(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> StateArrays:
     """Return the matrices of `interconnect_controllers`; python-control refuses systems without inputs."""
-    parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
-    for k, (K, system) in enumerate(zip(parts, controllers, strict=True)):
-        if not math.isclose(K.dt, period, rel_tol=1e-9):
+    for k, system in enumerate(controllers):
+        if not math.isclose(system.dt or 0.0, period, rel_tol=1e-9):
             raise ArgumentError(f"{_where(k, system)}: dt must be the sample period {period:.6g} s, got {system.dt!r}")
-    return _joined(parts, controllers, inputs, outputs, period)
+    return interconnected_by_sample(controllers, inputs, outputs, period)[0]
 
 
 def interconnected_by_sample(

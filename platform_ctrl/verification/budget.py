@@ -175,11 +175,11 @@ def _result(loop: BudgetLoop, at: Balanced, apart: Found, together: Found) -> Li
     rms = np.sqrt(sums @ apart.rms[:, :3] ** 2)
     windows = []
     for one in together.windows:
-        smear, jitter = one.total_smear[:3], one.total_jitter[:3]
+        smear, jitter = one.smear[:3], one.jitter[:3]
         windows.append(
             WindowBudget(
                 exposure=one.exposure,
-                displacement=one.total_displacement[:3],
+                displacement=one.displacement[:3],
                 smear=_EXTENT * smear,
                 jitter=jitter,
                 about_mean=np.hypot(smear, jitter),

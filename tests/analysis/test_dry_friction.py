@@ -167,7 +167,6 @@ def test_the_balance_is_a_fixed_point_of_the_linear_loop() -> None:
     found = friction_balance([BEARING], rate)
     assert found.rate == pytest.approx(rate(found.viscous), rel=1e-7)
     assert found.viscous[0] == pytest.approx(describing_function(BEARING, float(found.rate[0])).viscous, rel=1e-7)
-    assert found.iterations < 12
     # Sliding fast against coulomb_rate: 2 J b σ² = q with b = √(2/π) F/σ.
     assert found.rate[0] == pytest.approx(q / (2.0 * inertia * math.sqrt(2.0 / math.pi) * 0.02), rel=0.1)
 

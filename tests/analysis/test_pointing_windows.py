@@ -62,9 +62,9 @@ def test_windows_of_a_stationary_process_are_those_of_its_correlation(exposure: 
     displacement = np.sum(area * R) / exposure**2
     half = 0.5 * exposure
     smear = 12.0 / exposure**4 * np.sum(area * R * (t[:, None] - half) * (s - half))
-    assert window.displacement[0, 0] ** 2 == pytest.approx(displacement, rel=1e-8)
-    assert window.smear[0, 0] ** 2 == pytest.approx(smear, rel=1e-8)
-    assert window.jitter[0, 0] ** 2 == pytest.approx(0.5 - displacement - smear, rel=1e-8, abs=1e-10)
+    assert window.displacement[0] ** 2 == pytest.approx(displacement, rel=1e-8)
+    assert window.smear[0] ** 2 == pytest.approx(smear, rel=1e-8)
+    assert window.jitter[0] ** 2 == pytest.approx(0.5 - displacement - smear, rel=1e-8, abs=1e-10)
 
 
 def test_contrast_is_the_mean_over_the_motion() -> None:
