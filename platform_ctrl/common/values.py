@@ -116,7 +116,8 @@ class _Short(reprlib.Repr):
 
     def repr_instance(self, item: Any, level: int) -> str:
         if not dataclasses.is_dataclass(item) or isinstance(item, type):
-            return super().repr_instance(item, level)
+            text = " ".join(repr(item).split())  # in one line, as matrices of SymPy are not
+            return text if len(text) <= self.maxother else f"{text[: self.maxother - 3]}..."
         name = getattr(item, "name", "")
         return f"<{type(item).__qualname__}{f' {name!r}' if isinstance(name, str) and name else ''}>"
 
@@ -125,11 +126,11 @@ def _summary(self: Any) -> str:
     """Return what a value is, in at most twenty lines, or one where it fits: numbers, names, and sizes of arrays."""
     short, kind = _Short(), type(self).__qualname__
     short.maxlist = short.maxtuple = short.maxdict = 3
-    short.maxlevel, short.maxstring, short.maxother = 2, _COLUMNS // 2, _COLUMNS // 2
+    short.maxlevel, short.maxstring, short.maxother = 2, _COLUMNS // 2, _COLUMNS - 10
     names = [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
     shown = names if len(names) <= _LINES - 2 else names[: _LINES - 3]
     items = [f"{name}={short.repr(getattr(self, name))}"[:_COLUMNS] for name in shown]
-    items += ["..."] if len(shown) < len(names) else []
+    items += [f"... {', '.join(names[len(shown) :])}"[:_COLUMNS]] if len(shown) < len(names) else []
     line = f"{kind}({', '.join(items)})"
     return line if len(line) <= _COLUMNS else "\n".join([f"{kind}(", *(f"    {item}," for item in items), ")"])
 
