@@ -296,8 +296,6 @@ def batch_metrics(batched: Batch, threads: int = 1, record: FloatArray = _NO_REC
             batched.packed.at,
             batched.layout,
             batched.free,
-            0,
-            batched.layout.samples,
             plants[part],
             given[part],
             metrics[part],

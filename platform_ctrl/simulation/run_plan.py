@@ -316,7 +316,6 @@ def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         table=take(9),
         pushed=take(3 * n),
         alive=take(1),
-        contact=take(1),
         random=take(4),
         spare_state=take(2 * at.size),
         spare_block=take(at.block),

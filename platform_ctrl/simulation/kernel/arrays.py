@@ -134,7 +134,6 @@ class Layout(NamedTuple):
     table: int  # three rows of the time table's torque
     pushed: int  # rows of torques on the gimbals from outside, one for each block of the surroundings
     alive: int
-    contact: int  # whether any gimbal lies on a stop
     random: int
     spare_state: int  # two of them
     spare_block: int

@@ -71,7 +71,7 @@ from platform_ctrl.simulation.kernel.surroundings import begin_surroundings, fol
 
 @inlined
 def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, layout: Layout, record: FloatArray) -> None:
-    """A row for the first column: see `columns_of_record`."""
+    """A row for the first column: see `batch.recorded`."""
     n, nu, column = at.n, shared.targets.shape[0], 0
     for i in range(n):
         record[i] = load(mem, at.state + i, 0)
@@ -310,10 +310,9 @@ def _sample(
     layout: Layout,
     free: bool,
     k: int,
-    row: int,
     record: FloatArray,
 ) -> bool:
-    """Take sample k, note it in a row of the record, and return whether any scenario is still going."""
+    """Take sample k, note it in the record, and return whether any scenario is still going."""
     nu, t = shared.targets.shape[0], k * shared.period
     strike(links, shared, mem, lane, at, layout, free, k)
     _survey(links, mem, lane, at, layout, free)
@@ -321,7 +320,7 @@ def _sample(
         turn_bodies(links, mem, lane, at, layout, k)
     look(shared, mem, lane, at, layout)
     read(shared, keys, mem, lane, at, layout, k, t)
-    _command(shared, mem, lane, layout, row)
+    _command(shared, mem, lane, layout, k)
     _control(shared, keys, mem, lane, at, layout, k, t)
     going = judge(mem, lane, at, layout, shared)
     update_metrics(shared, mem, lane, at, layout, k)
@@ -332,12 +331,12 @@ def _sample(
         ring = layout.ring + k % (layout.whole + 2) * nu + i
         store(mem, ring, lane, command)
     if record.shape[0] > 0:
-        note_sample(links, shared, mem, at, layout, record[row])
+        note_sample(links, shared, mem, at, layout, record[k])
     if going:
         segment = 0 if layout.before > 0 else 1
         start = 0.0 * load(mem, layout.start, lane) + t
         new_torque(shared, mem, lane, layout, segment, k - layout.whole - 1 + segment, start)
-        note_torques(shared, mem, at, layout, record, row)
+        note_torques(shared, mem, at, layout, record, k)
     return going
 
 
@@ -369,26 +368,20 @@ def simulate_samples(
     at: At,
     layout: Layout,
     free: bool,
-    first: int,
-    until: int,
     record: FloatArray,
 ) -> None:
-    """Simulate the scenarios of the memory over the samples from `first`, 0 at t = 0, to before `until`.
-
-    A memory that has been simulated up to a sample is simulated on from there. It holds the metrics up to then.
+    """Simulate the scenarios of the memory; it holds their metrics then.
 
     At sample k the sensors are read and the controllers evaluated. A period has two segments, before and after the
     command changes: the first holds the command of `whole` + 1 samples ago, the second that of `whole` samples ago.
     """
-    if first == 0:
-        _begin(links, shared, keys, mem, lane, at, layout, free)
-    contact = bool(anywhere(load(mem, layout.contact, lane) > 0.5))
-    for k in range(first, until):
+    _begin(links, shared, keys, mem, lane, at, layout, free)
+    contact = False
+    for k in range(layout.samples):
         if k > 0:
             contact = _period(links, shared, mem, lane, at, layout, free, k - 1, contact)
-        if not _sample(links, shared, keys, mem, lane, at, layout, free, k, k - first, record):
+        if not _sample(links, shared, keys, mem, lane, at, layout, free, k, record):
             return
-    store(mem, layout.contact, lane, 0.0 * load(mem, layout.start, lane) + (1.0 if contact else 0.0))
 
 
 @compiled
@@ -401,18 +394,15 @@ def simulate_groups(
     at: At,
     layout: Layout,
     free: bool,
-    first: int,
-    until: int,
     plants: FloatArray,
     given: FloatArray,
     metrics: FloatArray,
     record: FloatArray,
 ) -> None:
-    """Simulate group after group of scenarios in the same memory, over the samples from `first` to before `until`.
+    """Simulate group after group of scenarios in the same memory.
 
-    `keys` (G, LANES, 2); `plants` (G, at.work, LANES) and `given` (G, given, LANES): what the host gives of each, no
-    rows where a run goes on in its memory; `metrics` (G, metrics, LANES): what comes out; `record` (samples, columns),
-    of the first scenario, or no rows.
+    `keys` (G, LANES, 2); `plants` (G, at.work, LANES) and `given` (G, given, LANES): what the host gives of each;
+    `metrics` (G, metrics, LANES): what comes out; `record` (samples, columns), of the first scenario, or no rows.
     """
     for g in range(keys.shape[0]):
         for i in range(plants.shape[1]):
@@ -421,7 +411,7 @@ def simulate_groups(
         for i in range(given.shape[1]):
             for j in range(given.shape[2]):
                 mem[at.end + i, j] = given[g, i, j]
-        simulate_samples(links, shared, keys[g], mem, lane, at, layout, free, first, until, record)
+        simulate_samples(links, shared, keys[g], mem, lane, at, layout, free, record)
         for i in range(metrics.shape[1]):
             for j in range(metrics.shape[2]):
                 metrics[g, i, j] = mem[layout.metrics + i, j]
