@@ -122,6 +122,18 @@ class ContinuousLoop:
             total = total + np.swapaxes(z.conj(), -1, -2) @ z
         return np.sqrt(np.linalg.eigvalsh(total)[:, -1].real)
 
+    def sure_gain(self, w):
+        """The gain, 0 where rounding decides: where it is another one in other states of the plant.
+
+        Far below the poles of the loop the disturbance and what the loop answers are large and cancel.
+        """
+        n = len(self.A)
+        T = np.linalg.qr(np.random.default_rng(n).normal(size=(n, n)))[0]
+        plant = (T.T @ self.A @ T, T.T @ self.B_u, T.T @ self.B_w, self.C_y @ T, self.C_z @ T, self.D_yw, self.D_zw)
+        turned = ContinuousLoop(plant, self.K, self.period, self.delay, self.lag, self.late)
+        one, other = self.gain(w), turned.gain(w)
+        return np.where(np.abs(one - other) <= 5e-3 * np.maximum(one, other), one, 0.0)
+
     def poles(self):
         """Poles of the closed loop in z, with the readings late."""
         A, B, C, N, _ = self._discrete()

@@ -307,14 +307,14 @@ class Truth:
         high = high[(np.abs(high - 2.0 * nyquist) > 1e-3 * nyquist) & (high < 3.0 * nyquist)]
         reading = "angle" if self.one.pointing else "rate"
         if asked(f"{reading} from Omega"):
-            slow, slower = self.of_rate.gain(band[0] * np.array([1.0, 0.1]))
-            worst = float(self.of_rate.gain(high).max())
+            slow, slower = self.of_rate.sure_gain(band[0] * np.array([1.0, 0.1]))
+            worst = float(self.of_rate.sure_gain(high).max())
             out[f"{reading} from Omega"] = np.inf if slower > max(5.0 * slow, 1e-2 * worst) else worst
         if asked(f"{reading} from torque"):
-            out[f"{reading} from torque"] = float(self.of_torque.gain(high).max())
+            out[f"{reading} from torque"] = float(self.of_torque.sure_gain(high).max())
         if asked("attenuation of base motion"):
-            slow, slower = self.of_sight.gain(band[0] * np.array([1.0, 0.1]))
-            worst = self.of_sight.gain(band).max()
+            slow, slower = self.of_sight.sure_gain(band[0] * np.array([1.0, 0.1]))
+            worst = self.of_sight.sure_gain(band).max()
             worst = np.inf if slower > max(5.0 * slow, 1e-2 * worst) else worst
             out["attenuation of base motion"] = float(-20.0 * np.log10(worst))
         if asked("torque at full Omega over its limit"):
