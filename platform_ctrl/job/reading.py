@@ -18,7 +18,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS, resolved
 from platform_ctrl.plant.fields import PLANT, Expected, Unfit
 from platform_ctrl.plant.locking import with_locked
-from platform_ctrl.plant.mistakes import Mistake, one_line, report
+from platform_ctrl.plant.mistakes import Mistake, listed, one_line, report
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import judge_plant, open_plant
 from platform_ctrl.plant.source import Document, open_file, open_mapping, path_of, read_text
@@ -78,7 +78,7 @@ def read_job(
         raise report(document.label, document.data, crowd)
     platform, plant_wrong = _plant(document, start or document.folder)
     read, wrong = read_table(JOB_FILE, document.data)
-    mistakes = [*document.mistakes, *plant_wrong, *wrong]
+    mistakes = [*document.mistakes, *plant_wrong, *(_with_names(one, platform, document.data) for one in wrong)]
     if mistakes or platform is None:
         raise report(document.label, document.data, mistakes)
     del read["schema"]
@@ -102,6 +102,21 @@ def read_job(
     if mistakes := mistakes or list(unexercised(job)):
         raise report(document.label, document.data, mistakes)
     return job
+
+
+def _with_names(mistake: Mistake, platform: Platform | None, job: Mapping[str, Any]) -> Mistake:
+    """Return a mistake in a list of names with the names that there are."""
+    words, key = mistake.words, mistake.path[-1] if mistake.path else ""
+    if platform is None or "a list of names" not in words:
+        return mistake
+    faults = job.get("fault", [])
+    known = {
+        "gimbals": platform.gimbal_names,
+        "sensors": [one.name for one in platform.sensors],
+        "torquers": [one.name for one in platform.torquers],
+        "faults": [one["name"] for one in faults if isinstance(one, dict) and isinstance(one.get("name"), str)],
+    }.get(str(key))
+    return Mistake(mistake.path, f"{words}; {listed(known)}") if known else mistake
 
 
 def _plant(document: Document, folder: Path) -> tuple[Platform | None, list[Mistake]]:
