@@ -243,7 +243,8 @@ def test_a_page_is_written_whole_or_not_at_all(
 ) -> None:
     target = tmp_path / "report.html"
     target.write_text("what stood there before")
-    monkeypatch.setattr(document, "page_html", lambda result: "a page with α and Ω")
+    monkeypatch.setattr(document, "prepared", lambda result: None)
+    monkeypatch.setattr(document, "html", lambda made: "a page with α and Ω")
 
     def refuse(*paths: object) -> None:
         raise OSError(28, "No space left on device")
