@@ -244,15 +244,16 @@ class Search:
         by_plant = np.zeros(len(self._plants.labels))
         counted = found.hard | (not self._soft) | (not found.stable)
         np.maximum.at(by_plant, found.owner[:, 1], np.where(counted, found.values, 0.0))
+        worst = [int(k) for k in np.argsort(-by_plant, kind="stable")]
         if not found.stable:
-            return _UNSTABLE + float(found.values.max()), _UNSTABLE, _ranked(by_plant)
+            return _UNSTABLE + float(found.values.max()), _UNSTABLE, worst
         if self._soft:
             hard = _ratio(float(found.values[found.hard].max(initial=0.0))) - self._reserve
             soft = _ratio(float(found.values[~found.hard].max(initial=0.0)))
         else:
             level = _ratio(float(found.values[found.hard].max(initial=0.0))) - self._reserve
             hard, soft = max(_ratio(float(found.values[~found.hard].max())), level), 0.0
-        return hard, soft, _ranked(by_plant)
+        return hard, soft, worst
 
     def _evaluated(self, family: Parametrised, x: FloatArray, plants: PlantSet, floor: float) -> Evaluation:
         """Return all pieces; hard ones with the reserve added, so that 1 is their limit.
@@ -348,10 +349,6 @@ class Search:
 def _ratio(value: float) -> float:
     """Return the ratio that a piece was made of."""
     return float(np.exp(value - 1.0)) if value > 1.0 else value
-
-
-def _ranked(by_plant: FloatArray) -> list[int]:
-    return [int(k) for k in np.argsort(-by_plant, kind="stable")]
 
 
 def finer(plants: PlantSet) -> PlantSet:
