@@ -69,12 +69,6 @@ class AxisResponse:
         return H.transpose(2, 1, 0) if self._turned else H.transpose(2, 0, 1)
 
     @cached_property
-    def _modes(self) -> tuple[ComplexArray, ComplexArray]:
-        """Eigenvalues, and eigenvectors of length one."""
-        values, vectors = np.linalg.eig(self._A)
-        return values.astype(np.complex128), vectors.astype(np.complex128)
-
-    @cached_property
     def _schur(self) -> tuple[ComplexArray, ComplexArray]:
         """T, upper triangular, and Q, unitary: A = Q T Q*."""
         from scipy.linalg import rsf2csf, schur
@@ -93,22 +87,28 @@ class AxisResponse:
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles, in the plane of s or z."""
-        own = np.diag(self._schur[0]) if self._residues is None else self._modes[0]
-        return np.asarray(own + (1.0 if self._dt > 0.0 else 0.0))
+        return np.asarray(np.diag(self._schur[0]) + (1.0 if self._dt > 0.0 else 0.0))
 
     @cached_property
     def _residues(self) -> ComplexArray | None:
         """What each mode contributes, (p m, n) over z less its pole; None where modes do not tell them apart."""
-        values, vectors = self._modes
-        try:
-            inverse = np.linalg.inv(vectors)
-        except np.linalg.LinAlgError:
-            return None
-        # Columns have length one: this is about the condition number.
-        if not np.sqrt(len(values)) * float(np.abs(inverse).max()) < _MODAL:
-            return None
-        out = (self._C @ vectors)[:, None, :] * (inverse @ self._B).T
-        return np.asarray(out.reshape(-1, len(values)), dtype=np.complex128)
+        from scipy.linalg.lapack import ztrtri
+
+        T, Q = self._schur
+        own = np.diag(T)
+        vectors = np.eye(len(T), dtype=np.complex128)
+        with np.errstate(all="ignore"):
+            for i in range(len(T) - 2, -1, -1):
+                vectors[i, i + 1 :] = T[i, i + 1 :] @ vectors[i + 1 :, i + 1 :] / (own[i + 1 :] - own[i])
+            vectors /= np.sqrt(np.sum(vectors.real**2 + vectors.imag**2, axis=0))
+            if not np.isfinite(vectors).all():
+                return None
+            inverse, failed = ztrtri(vectors)
+            # Columns have length one: this is about the condition number.
+            if failed or not np.sqrt(len(T)) * float(np.abs(inverse).max()) < _MODAL:
+                return None
+        out = (self._C @ Q @ vectors)[:, None, :] * (inverse @ (Q.conj().T @ self._B)).T
+        return np.asarray(out.reshape(-1, len(T)), dtype=np.complex128)
 
     def _strictly_proper(self, exact: NDArray[np.clongdouble]) -> ComplexArray:
         """Return C (z I - A)^-1 B, (p, m, N)."""
@@ -119,7 +119,7 @@ class AxisResponse:
             growth = (np.linalg.norm(X, axis=0) / np.repeat(np.linalg.norm(self._B, axis=0), len(z))).reshape(m, -1)
             near = (size * growth > _GROWN).any(axis=0)
         else:
-            gap = z - self._modes[0][:, None]
+            gap = z - np.diag(self._schur[0])[:, None]
             square = gap.real**2 + gap.imag**2
             nearest = np.sqrt(square.min(axis=0))
             shares = gap.conj() * (1.0 / square)
