@@ -37,6 +37,11 @@ def made_of(problems: Sequence[LoopProblem], workers: int, progress: Progress) -
 
 def _in_processes(problems: Sequence[LoopProblem], workers: int, progress: Progress) -> list[Made | None]:
     """Return the designs; None of those that were under way when a process was killed."""
+    # What the designs need is loaded once, before the processes are forked.
+    import control  # noqa: F401
+
+    for problem in problems:
+        resolved(known_method(problem.design.method).design)
     out: list[Made | None] = [None] * len(problems)
     with processes(min(workers, len(problems)), "fork", _begin, problems) as executor:
         progress(f"{len(problems)} designs side by side; {problems[0].spec.name}: {problems[0].design.name}")
