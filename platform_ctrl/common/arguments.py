@@ -65,14 +65,6 @@ def real_numbers(name: str, given: object, more: str = "") -> FloatArray:
     return _numbers(name, given, "iuf", f"real numbers{more}").astype(np.float64, copy=False)
 
 
-def complex_numbers(name: str, given: object, nan: bool = False) -> NDArray[np.complex128]:
-    """Return `given`, real or complex, as a complex128 array of any shape; it may be infinite and, with `nan`, NaN."""
-    array = _numbers(name, given, "iufc", "numbers").astype(np.complex128, copy=False)
-    if not nan and np.isnan(array).any():
-        raise ArgumentError(f"{name} must be numbers, got NaN among them")
-    return array
-
-
 def _numbers(name: str, given: object, kinds: str, expected: str) -> NDArray[Any]:
     try:
         array = np.asarray(given)
