@@ -18,8 +18,8 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_scali
 from platform_ctrl.analysis.drift import drifting_rms
 from platform_ctrl.analysis.feedback import loop_of_sensitivity
 from platform_ctrl.analysis.loop_set import LoopSet
-from platform_ctrl.analysis.measuring import Loops, Request
-from platform_ctrl.analysis.norms import h2_norm, noise_rms
+from platform_ctrl.analysis.measuring import Request
+from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import pencil_crossings
@@ -253,13 +253,9 @@ def of_margins(which: int) -> Callable[[LoopSet, Request], FloatArray]:
     return measured
 
 
-def channel_h2_norm(loops: Loops, request: Request) -> FloatArray:
+def channel_h2_norm(loops: LoopSet, request: Request) -> FloatArray:
     """Return the H2 norm between the signals of the request's channel, of each plant."""
     part = loops.channel(request.channel)
-    if part.dt > 0.0:
-        rms = noise_rms(part, np.ones(part.B.shape[-1]), allow_unstable=True)
-        with np.errstate(over="ignore"):
-            return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)
-    if np.any(part.D) or not loops.decay[0] > 0.0:
-        return np.array([np.inf])
-    return np.array([h2_norm(part.at(0))])
+    rms = noise_rms(part, np.ones(part.B.shape[-1]), allow_unstable=True)
+    with np.errstate(over="ignore"):
+        return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)

@@ -12,7 +12,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.direct_metrics import torque_noise
 from platform_ctrl.analysis.loop_set import Indices, LoopSet
-from platform_ctrl.analysis.measuring import Direct, Loops, MetricRequest, Request
+from platform_ctrl.analysis.measuring import Direct, MetricRequest, Request
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
 from platform_ctrl.common.values import FloatArray, value
@@ -137,14 +137,14 @@ def _is_of_nominal(request: Request) -> bool:
     return request.kind in _OF_NOMINAL and tuple(request.over) == ("nominal",)
 
 
-def exact_value(loops: Loops, request: Request, k: int = 0) -> float:
+def exact_value(loops: LoopSet, request: Request, k: int = 0) -> float:
     """Return the value of plant `k` over all frequencies, to 1e-9 from the worse side, in SI units."""
     measure = METRICS[request.kind].measure
     if isinstance(measure, Direct):
         return float(measure.values(loops, request, np.array([k]))[0])
     place = (_place(request), k)
     if place not in loops.exact_values:
-        loops.exact_values[place] = measure.exact(loops, request, k)  # type: ignore[arg-type]
+        loops.exact_values[place] = measure.exact(loops, request, k)
     return loops.exact_values[place][0]
 
 

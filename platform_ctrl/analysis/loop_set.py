@@ -71,38 +71,6 @@ Indices = NDArray[np.intp]
 Parts = Sequence[Transfer] | Channel
 
 
-class SingleLoop:
-    """One system with named signals: a loop that is closed already, or a controller alone.
-
-    Below the frequency `slow`, rad/s, poles and gains do not count.
-    """
-
-    def __init__(self, arrays: StateArrays, inputs: Sequence[str], outputs: Sequence[str], slow: float = 0.0) -> None:
-        self.arrays, self.inputs, self.outputs, self.slow = arrays, inputs, outputs, slow
-        self.controller, self.period = arrays, arrays.dt
-        self.exact_values: dict[tuple[object, int], tuple[float, float]] = {}
-
-    @cached_property
-    def poles(self) -> ComplexArray:
-        """Poles, (1, poles): in z of a sampled system."""
-        return poles(self.arrays.A)[None]
-
-    @cached_property
-    def decay(self) -> FloatArray:
-        """Decay rate of the slowest pole, 1/s, (1,)."""
-        return np.asarray(-spectral_abscissa(continuous_poles(self.poles, self.period)))
-
-    def channel(self, channel: Channel | None) -> StateArrays:
-        """Return the weighted part of the system between named signals, as a stack of one."""
-        return (channel or Channel()).of(self.arrays, self.inputs, self.outputs).at(None)
-
-    def parts(self, parts: Parts, k: int) -> list[StateArrays]:
-        """Return the systems whose gains count."""
-        if not isinstance(parts, Channel):
-            raise TypeError("a single loop has no torques and angles")
-        return [self.channel(parts).at(k)]
-
-
 class LoopSet:
     """A controller closed around every plant of a set, each part computed when it is first needed.
 

@@ -14,12 +14,10 @@ import numpy as np
 
 from platform_ctrl.analysis.bandwidths import LEVEL, bandwidth_of_response, bandwidth_of_sensitivity
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop_set import S_INPUT, S_OUTPUT, Indices, LoopSet, SingleLoop, Transfer
+from platform_ctrl.analysis.loop_set import S_INPUT, S_OUTPUT, Indices, LoopSet, Transfer
 from platform_ctrl.analysis.norms import PEAK_TOLERANCE, WHOLE, Band, exceeds, gains, peak, refined_peak
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.common.values import FloatArray, value
-
-Loops = LoopSet | SingleLoop
 
 # Share of the slowest pole's frequency at which a response is at its limit for zero frequency.
 _LIMIT = 1e-2
@@ -81,7 +79,7 @@ class Direct:
     # for the structured tuner; without it the tuner looks at this metric only when it has ended
     gradient: Gradient | None = None
 
-    def values(self, loops: Loops, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: LoopSet, request: Request, members: Indices) -> FloatArray:
         """Return the values of some plants, (k,); of the controller alone (1,)."""
         every = self.function(loops, request)
         return every if len(every) == 1 else every[members]
@@ -99,11 +97,11 @@ class Peak:
         """Return the values of some plants on the grid, (k,): never worse than they are."""
         return self._of_peak(loops.grid_peaks(self._parts(request), self._band(request), members))
 
-    def exact(self, loops: Loops, request: Request, k: int) -> tuple[float, float]:
+    def exact(self, loops: LoopSet, request: Request, k: int) -> tuple[float, float]:
         """Return the value of plant `k`, to 1e-9 from the worse side, and its frequency, rad/s."""
         if not loops.decay[k] > 0.0:
             return float(self._of_peak(np.array([np.inf]))[0]), 0.0
-        if isinstance(loops, LoopSet) and self.refined(loops):
+        if self.refined(loops):
             found, at = _refined(loops, self.transfers, k, self._band(request))
         else:
             parts, known = self._parts(request), loops.poles[k] if self.transfers else None
@@ -169,15 +167,15 @@ class Bandwidth:
 class ControllerGain:
     """The largest gain of the controller from a frequency on."""
 
-    def values(self, loops: Loops, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: LoopSet, request: Request, members: Indices) -> FloatArray:
         """Return the value on the grid, (1,)."""
         K, start = loops.controller, _start(loops, request)
         own = resonances(continuous_poles(poles(K.A), K.dt))
-        grid = loops.plants.frequency if isinstance(loops, LoopSet) else np.zeros(0)
+        grid = loops.plants.frequency
         w = np.concatenate([grid, own, [start, np.pi / K.dt]])
         return np.array([gains(K, w[(w >= start) & (w <= np.pi / K.dt)]).max(initial=0.0)])
 
-    def exact(self, loops: Loops, request: Request, k: int) -> tuple[float, float]:
+    def exact(self, loops: LoopSet, request: Request, k: int) -> tuple[float, float]:
         """Return the value, to 1e-9 from above, and its frequency, rad/s."""
         return peak(loops.controller, (_start(loops, request), np.inf))
 
@@ -209,7 +207,7 @@ def _refined(loops: LoopSet, parts: Sequence[Transfer], k: int, band: Band) -> t
     return refined_peak(gain, w)
 
 
-def _start(loops: Loops, request: Request) -> float:
+def _start(loops: LoopSet, request: Request) -> float:
     return loops.slow if request.frequency is None else request.frequency
 
 

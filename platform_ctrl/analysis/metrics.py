@@ -57,8 +57,8 @@ class Metric(Quantity):
     # ending ``_worst_case`` or ``_faults``
     scopes: tuple[str, ...] = ("",)
     best: float | None = None  # the best value that any loop can have, in `unit`
-    # what has to be known: ``"plants"`` and the controller, the ``"closed loop"`` alone, or the ``"controller"``
-    of: Literal["plants", "closed loop", "controller"] = "plants"
+    # what has to be known: ``"plants"`` and the controller, or the ``"controller"`` alone
+    of: Literal["plants", "controller"] = "plants"
     # needs_frequency, has_channel: whether the frequency must be given, and whether it is taken between named signals
     needs_frequency: bool = False
     has_channel: bool = False
@@ -116,7 +116,6 @@ METRICS: dict[str, Metric] = {
             function=lambda loops, request: loops.decay,
             gradient=lambda loops, limit, floor, members: loops.decay(limit, members),
         ),
-        of="closed loop",
     ),
     "bandwidth": Metric(
         name="bandwidth",
@@ -185,7 +184,6 @@ METRICS: dict[str, Metric] = {
         ),
         scopes=("", "worst_case", "faults"),
         best=1.0,
-        of="closed loop",
     ),
     "fastest pole": Metric(
         name="fastest pole",
@@ -199,7 +197,6 @@ METRICS: dict[str, Metric] = {
             function=lambda loops, request: fastest_pole(loops.poles, loops.period),
             gradient=lambda loops, limit, floor, members: loops.fastest(floor, limit, members),
         ),
-        of="closed loop",
     ),
     "tracking": Metric(
         name="tracking error",
@@ -319,7 +316,6 @@ METRICS: dict[str, Metric] = {
         sense="at most",
         meaning="H-infinity norm between named signals",
         measure=Peak(),
-        of="closed loop",
         has_channel=True,
     ),
     "H2 norm": Metric(
@@ -327,7 +323,6 @@ METRICS: dict[str, Metric] = {
         sense="at most",
         meaning="H2 norm between named signals",
         measure=Direct(function=channel_h2_norm),
-        of="closed loop",
         has_channel=True,
     ),
 }

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop_metrics import LoopMetrics, exact_value, measured
-from platform_ctrl.analysis.loop_set import LoopSet, SingleLoop
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
+from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.common.arguments import known_name, one_of, positive
@@ -236,66 +236,6 @@ class LoopRequirement(Requirement):
         loops = LoopSet(plants, K)
         values = self.metric.in_unit(measured(loops, self, exact=True))
         return self._worst(plants, values, subject, design, True, loops.free_angles)
-
-    def check_closed_loop(
-        self, closed_loop: control.StateSpace, *, subject: str = "", design: str = "", above: float = 0.0
-    ) -> CheckResult:
-        """Judge a loop that is closed already, as a synthesis or `analysis.closed_loop` returns it.
-
-        Parameters
-        ----------
-        closed_loop
-            Continuous or sampled; a channel finds its signals by name.
-        subject, design
-            Names for the result.
-        above
-            "damping": poles slower than this, rad/s, do not count.
-
-        Returns
-        -------
-        CheckResult
-            Of this one loop.
-
-        Raises
-        ------
-        ArgumentError
-            A metric that needs to know which signals are torques and angles, or a channel that does not fit.
-        """
-        known = [kind for kind, metric in METRICS.items() if metric.of == "closed loop"]
-        one_of("check_closed_loop: kind", self.kind, known)
-        arrays = state_arrays(closed_loop, "check_closed_loop")
-        loop = SingleLoop(arrays, closed_loop.input_labels, closed_loop.output_labels, above)
-        return self._single(loop, f"closed loop with {arrays.A.shape[0]} states", subject, design)
-
-    def check_controller(self, controller: control.StateSpace, *, subject: str = "", design: str = "") -> CheckResult:
-        """Judge a controller by itself: "fastest controller pole" and "controller gain" (from `frequency` on).
-
-        Parameters
-        ----------
-        controller
-            Continuous or sampled.
-        subject, design
-            Names for the result.
-
-        Returns
-        -------
-        CheckResult
-            Of the controller alone.
-
-        Raises
-        ------
-        ArgumentError
-            Another metric.
-        """
-        known = [kind for kind, metric in METRICS.items() if metric.of == "controller"]
-        one_of("check_controller: kind", self.kind, sorted(known))
-        arrays = state_arrays(controller, "check_controller")
-        loop = SingleLoop(arrays, controller.input_labels, controller.output_labels)
-        return self._single(loop, f"controller with {arrays.A.shape[0]} states", subject, design)
-
-    def _single(self, loop: SingleLoop, evidence: str, subject: str, design: str) -> CheckResult:
-        found = float(self.metric.in_unit(exact_value(loop, self)))
-        return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence, method="exact")
 
 
 # What gains of a loop whose sensors measure rates are called, in place of those of angles.
