@@ -1,9 +1,8 @@
 """Requirements: a limit on a metric of a loop, and the verdict on a measured value.
 
 A requirement turns a measured value into a ratio that is at most 1 when it is met, whatever its sense. It is checked on
-a plant set and a controller (`LoopRequirement.check`), on a closed loop with named signals
-(`LoopRequirement.check_closed_loop`), or on metrics that were measured already (`LoopRequirement.ratios`). What can be
-required is `platform_ctrl.analysis.metrics.METRICS`.
+a plant set and a controller (`LoopRequirement.check`), or on metrics that were measured already
+(`LoopRequirement.ratios`). What can be required is `platform_ctrl.analysis.metrics.METRICS`.
 """
 
 from __future__ import annotations
