@@ -105,9 +105,8 @@ def read_job(
 
 
 def _with_names(mistake: Mistake, platform: Platform | None, job: Mapping[str, Any]) -> Mistake:
-    """Return a mistake in a list of names with the names that there are."""
-    words, key = mistake.words, mistake.path[-1] if mistake.path else ""
-    if platform is None or "a list of names" not in words:
+    """Return a mistake in a list of names with the names that there are, found when it is reported."""
+    if platform is None or not mistake.path:
         return mistake
     faults = job.get("fault", [])
     known = {
@@ -115,8 +114,12 @@ def _with_names(mistake: Mistake, platform: Platform | None, job: Mapping[str, A
         "sensors": [one.name for one in platform.sensors],
         "torquers": [one.name for one in platform.torquers],
         "faults": [one["name"] for one in faults if isinstance(one, dict) and isinstance(one.get("name"), str)],
-    }.get(str(key))
-    return Mistake(mistake.path, f"{words}; {listed(known)}") if known else mistake
+    }.get(str(mistake.path[-1]))
+
+    def words() -> str:
+        return f"{mistake.words}; {listed(known or ())}" if "a list of names" in mistake.words else mistake.words
+
+    return Mistake(mistake.path, words) if known else mistake
 
 
 def _plant(document: Document, folder: Path) -> tuple[Platform | None, list[Mistake]]:
