@@ -16,11 +16,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.disturbances import RandomDisturbance, Spectrum
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.sampling import held_input
+from platform_ctrl.analysis.system import System
 
 PERIOD, SOURCES, INSTANTS, LOOPS, PERIODS = 1e-3, 8, 8, 32, 20_000
 # First-order noise of the disturbances: corner, rad/s; its density is cut where it hardly counts.
@@ -41,7 +41,7 @@ def plant() -> HybridPlant:
     C[0, 0] = C[1, 1] = 1.0
     C[:, 2::2] = 0.05 * rng.normal(size=(2, 4))
     return HybridPlant(
-        plant=StateArrays(A, B, np.vstack([C, C]), np.zeros((4, 2 + SOURCES))),
+        plant=System(A, B, np.vstack([C, C]), np.zeros((4, 2 + SOURCES))),
         controls=2,
         measured=2,
         period=PERIOD,
@@ -49,10 +49,10 @@ def plant() -> HybridPlant:
     )
 
 
-def controller(gain: float) -> StateArrays:
+def controller(gain: float) -> System:
     """Return proportional and integral control of both rates."""
     one = np.eye(2)
-    return StateArrays(one, 20.0 * PERIOD * one, -gain * one, -gain * one, PERIOD)
+    return System(one, 20.0 * PERIOD * one, -gain * one, -gain * one, PERIOD)
 
 
 def sources() -> list[RandomDisturbance]:
@@ -62,7 +62,7 @@ def sources() -> list[RandomDisturbance]:
     return [RandomDisturbance(name=f"source {i}", inputs=(i,), spectra=(density,)) for i in range(SOURCES)]
 
 
-def simulated(of: HybridPlant, K: StateArrays) -> np.ndarray:
+def simulated(of: HybridPlant, K: System) -> np.ndarray:
     """Return the rms of both outputs in a simulation: noise of second order drives the plant, held over an instant."""
     rng = np.random.default_rng(0)
     A, B, C, _, _ = of.plant

@@ -18,7 +18,7 @@ from typing import Any
 import control
 import numpy as np
 
-from platform_ctrl.analysis.arrays import named_system
+from platform_ctrl.analysis.system import named_system
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.fixed_structure.pid import PID
 from platform_ctrl.design.fixed_structure.structures import Static

@@ -27,8 +27,8 @@ from typing import Any
 import control
 import numpy as np
 
-from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
+from platform_ctrl.analysis.system import named_system
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.partition import Partition, channels, partition
 from platform_ctrl.design.plants import loop_plants

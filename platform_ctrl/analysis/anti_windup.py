@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import schur, solve_sylvester
 
-from platform_ctrl.analysis.arrays import StateArrays, scaled, state_scaling
+from platform_ctrl.analysis.system import System, scaled, state_scaling
 from platform_ctrl.common.values import FloatArray, value
 
 # A state integrates if it decays by less than this share in a sample.
@@ -39,7 +39,7 @@ class BackCalculation:
     radius: float = 0.0  # Of the slowest pole with all limited outputs at their limits
 
 
-def back_calculation(K: StateArrays, limited: Sequence[bool]) -> BackCalculation:
+def back_calculation(K: System, limited: Sequence[bool]) -> BackCalculation:
     """Return the anti-windup of a sampled controller some of whose outputs are `limited`."""
     limits = np.array(limited, dtype=np.bool_)[:, None]
     none = np.zeros((len(K.A), len(limits)))

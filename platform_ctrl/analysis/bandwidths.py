@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu import search_grid
 from platform_ctrl.analysis.norms import level_frequencies
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
     return bandwidth_of_sensitivity(closed_loop_with_sensitivity(plant, controller, at))
 
 
-def bandwidth_of_sensitivity(S: StateArrays, known: ComplexArray | None = None) -> float:
+def bandwidth_of_sensitivity(S: System, known: ComplexArray | None = None) -> float:
     """Return the bandwidth, as `bandwidth` does, of a loop with the sensitivity `S`, whose poles may be known."""
     from scipy.optimize import brentq
 

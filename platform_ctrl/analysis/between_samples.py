@@ -26,9 +26,9 @@ from typing import NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, split_delay, with_lag
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 
 # Points of Gauss's rule on each part of a period. The plant's own motions are slow against half a period, torquers
@@ -71,11 +71,11 @@ class LoopResponses(Protocol):
         """Return those of some of the plants."""
 
 
-def _response(system: StateArrays, w: FloatArray, of: Chosen) -> ComplexArray:
+def _response(system: System, w: FloatArray, of: Chosen) -> ComplexArray:
     return frequency_response(system, w, -3) if of is None else response_at(system, w, of)
 
 
-def response_at(system: StateArrays, w: FloatArray, of: NDArray[np.intp]) -> ComplexArray:
+def response_at(system: System, w: FloatArray, of: NDArray[np.intp]) -> ComplexArray:
     """Return the responses (F, p, m) of systems `of` (F,) of a stack (N, ...), each at its frequency w (F,), rad/s."""
     A, B, C, D, dt = system
     z = np.exp(1j * w * dt) if dt else 1j * w
@@ -104,7 +104,7 @@ def instants(period: float, delay: float) -> Instants:
 
 
 def rows_between(
-    plants: StateArrays, period: float, delay: float, lags: FloatArray, times: Sequence[float] | FloatArray
+    plants: System, period: float, delay: float, lags: FloatArray, times: Sequence[float] | FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return C and D of the outputs of sampled plants (`sampling.sampled`) at instants after a sample.
 
@@ -141,9 +141,9 @@ class PlantResponses:
     """
 
     # (N, ...): continuous, from disturbances to these outputs.
-    smooth: StateArrays
+    smooth: System
     # (N, ...): sampled, from torques to these outputs, late, and to readings' signals and line of sight at instants.
-    stepped: StateArrays
+    stepped: System
     late: tuple[int, ...]  # (p + s + f,): whole periods by which these outputs are late
     instants: Instants
     drives: FloatArray | None = None  # (N, m, f): what drives add to the torques in proportion to their readings
@@ -241,7 +241,7 @@ class SlowerResponses(_Changed):
         return Responses(read, np.concatenate([one.seen for one in parts], axis=-3))
 
 
-def added_response(path: StateArrays, sensors: StateArrays, late: FloatArray, w: FloatArray) -> ComplexArray:
+def added_response(path: System, sensors: System, late: FloatArray, w: FloatArray) -> ComplexArray:
     """Return the response (F, m, 3) of a sampled path behind continuous sensors of the platform's rate."""
     shown = frequency_response(sensors, w, -3) * np.exp(-1j * w[:, None] * late)[..., None]
     return np.asarray(frequency_response(path, w, -3) @ shown)
@@ -254,8 +254,8 @@ class FedResponses(_Changed):
     Or to what is read.
     """
 
-    path: StateArrays  # F, sampled, from the sensors' readings
-    sensors: StateArrays  # continuous, from Omega1 to Omega3 to the sensors' readings
+    path: System  # F, sampled, from the sensors' readings
+    sensors: System  # continuous, from Omega1 to Omega3 to the sensors' readings
     late: FloatArray  # (k,): by how much these are late, s
     into_readings: bool
 
@@ -279,7 +279,7 @@ class ClosedResponses(_Changed):
     Of disturbances Omega1 to Omega3 alone.
     """
 
-    controller: StateArrays  # u = K y + H r, from the first p readings and their p commands
+    controller: System  # u = K y + H r, from the first p readings and their p commands
 
     @property
     def inputs(self) -> int:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import series
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -38,7 +38,7 @@ class Channel:
     input_weight: Weight = None
     output_weight: Weight = None
 
-    def of(self, system: StateArrays, inputs: Sequence[str], outputs: Sequence[str]) -> StateArrays:
+    def of(self, system: System, inputs: Sequence[str], outputs: Sequence[str]) -> System:
         """Return the weighted part of a system (or a stack of them) whose signals are named.
 
         Parameters
@@ -50,7 +50,7 @@ class Channel:
 
         Returns
         -------
-        StateArrays
+        System
             ``W_out G W_in`` from the channel's inputs to its outputs.
 
         Raises
@@ -74,10 +74,10 @@ class Channel:
         return out
 
 
-def weight_arrays(weight: Any, size: int, dt: float, where: str) -> StateArrays:
+def weight_arrays(weight: Any, size: int, dt: float, where: str) -> System:
     """Return a weight on `size` signals as arrays, with no states where it is constant."""
     if hasattr(weight, "nstates"):
-        own = state_arrays(weight, where)
+        own = System.of(weight, where)
         if weight.dt is not None and abs(own.dt - dt) > 1e-9 * max(own.dt, dt):
             raise ArgumentError(
                 f"{where}: must have the loop's dt = {dt} s, got {own.dt} s; "
@@ -96,4 +96,4 @@ def weight_arrays(weight: Any, size: int, dt: float, where: str) -> StateArrays:
             f"got {type(weight).__name__}"
         )
     rows, columns = gain.shape
-    return StateArrays(np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0)), gain, dt)
+    return System(np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0)), gain, dt)

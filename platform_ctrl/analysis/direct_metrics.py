@@ -14,15 +14,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_scaling
 from platform_ctrl.analysis.drift import drifting_rms
 from platform_ctrl.analysis.feedback import loop_of_sensitivity
-from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.measuring import Request
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import pencil_crossings
+from platform_ctrl.analysis.system import ComplexArray, System, state_scaling
 from platform_ctrl.analysis.time_responses import time_response
 from platform_ctrl.common.values import FloatArray
 
@@ -35,7 +35,7 @@ _AT = 1e-3
 _GRID, _PARTS, _CUTS = 200, 16, 10
 
 
-def margins_of_channel(sensitivity: StateArrays) -> tuple[float, float]:
+def margins_of_channel(sensitivity: System) -> tuple[float, float]:
     """Return the gain margin, a factor > 1, and the phase margin, rad, of a stable sampled loop, from its S_i.
 
     The gain margin is the least factor by which the gain may be raised or lowered, infinite where none ends stability.
@@ -85,7 +85,7 @@ def _crossings(
     return L(np.concatenate([known, low_ends]))
 
 
-def _real_frequencies(L: StateArrays) -> FloatArray:
+def _real_frequencies(L: System) -> FloatArray:
     """Return frequencies, rad/s, that contain all where L(z) = L(1/z): z E v = F v with v = [x, adjoint, u]."""
     from scipy.linalg import eigvals
 
@@ -113,18 +113,18 @@ _NO_ERROR = 1e-8
 
 
 # Returns a value of each channel, (p,), of a loop from commands to what is measured.
-Measure = Callable[[StateArrays], FloatArray]
+Measure = Callable[[System], FloatArray]
 
 
-def of_following(function: Measure) -> Callable[[LoopSet, Request], FloatArray]:
+def of_following(function: Measure) -> Callable[[Loop, Request], FloatArray]:
     """Return the measure of the worst channel of each plant; infinite of an unstable loop."""
     return _worst(lambda loops, k: function(loops.settled(loops.following.at(k).part(slice(loops.p), slice(None)))))
 
 
-def of_steps(which: int) -> Callable[[LoopSet, Request], FloatArray]:
+def of_steps(which: int) -> Callable[[Loop, Request], FloatArray]:
     """Return the same of the overshoot (0) or the settling time (1): steps are computed once for both."""
 
-    def measured(loops: LoopSet, k: int) -> FloatArray:
+    def measured(loops: Loop, k: int) -> FloatArray:
         if k not in loops.of_steps:
             time, steps = step_responses(
                 loops.settled(loops.following.at(k)), float(loops.decay[k]), loops.plants.between
@@ -135,8 +135,8 @@ def of_steps(which: int) -> Callable[[LoopSet, Request], FloatArray]:
     return _worst(measured)
 
 
-def _worst(measured: Callable[[LoopSet, int], FloatArray]) -> Callable[[LoopSet, Request], FloatArray]:
-    def worst(loops: LoopSet, request: Request) -> FloatArray:
+def _worst(measured: Callable[[Loop, int], FloatArray]) -> Callable[[Loop, Request], FloatArray]:
+    def worst(loops: Loop, request: Request) -> FloatArray:
         out = np.full(len(loops.plants.labels), np.inf)
         for k in np.flatnonzero(loops.decay > 0.0):
             out[k] = float(measured(loops, int(k)).max(initial=0.0))
@@ -174,14 +174,14 @@ def settling_time(time: FloatArray, steps: FloatArray) -> FloatArray:
     return np.array(out)
 
 
-def steady_error(loop: StateArrays) -> FloatArray:
+def steady_error(loop: System) -> FloatArray:
     """Return the error of each channel that a step leaves, relative."""
     A, B, C, D, _ = loop
     left = np.abs(1.0 - np.diag(D + C @ _solved(A, B)))
     return np.where(left > _NO_ERROR, left, 0.0)
 
 
-def ramp_error(loop: StateArrays) -> FloatArray:
+def ramp_error(loop: System) -> FloatArray:
     """Return the error of each channel behind a ramp, over its slope, s; infinite where it grows."""
     A, B, C, _, dt = loop
     # With y = G(z) r the error behind r = k dt tends to dt G'(1), G' = −C (zI − A)⁻² B, where G(1) = 1.
@@ -195,9 +195,7 @@ def _solved(A: FloatArray, B: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(np.eye(len(A)) - A * s / s[:, None], B / s[:, None]) * s[:, None])
 
 
-def step_responses(
-    loop: StateArrays, decay: float, between: FloatArray = _NO_INSTANTS
-) -> tuple[FloatArray, FloatArray]:
+def step_responses(loop: System, decay: float, between: FloatArray = _NO_INSTANTS) -> tuple[FloatArray, FloatArray]:
     """Return the times (N,), s, and the response (p, N) of each channel to a step of its own reference.
 
     `decay`: of the slowest pole, 1/s. The loop's outputs are p signals at the samples, then, if there are some, at
@@ -222,7 +220,7 @@ def step_responses(
     return time, np.array([np.concatenate(one) for one in out])
 
 
-def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
+def torque_noise(loops: Loop, plants: slice = slice(None)) -> FloatArray:
     """Return the rms of every torque from the noise of the sensors, N m, (k, m); infinite of an unstable loop."""
     m, everything = loops.m, slice(None)
     to_torque = loops.own_arrays.at(plants).part(slice(m), everything)
@@ -233,17 +231,17 @@ def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
     return out
 
 
-def _rms(loops: LoopSet, systems: StateArrays, rms: FloatArray) -> FloatArray:
+def _rms(loops: Loop, systems: System, rms: FloatArray) -> FloatArray:
     """Return the rms (k, m) of outputs from white samples, of a loop that drifts after an hour."""
     if not loops.plants.drifting:
         return noise_rms(systems, rms, allow_unstable=True)
     return np.array([drifting_rms(systems.at(k), rms, DRIFT_TIME) for k in range(len(systems.A))])
 
 
-def of_margins(which: int) -> Callable[[LoopSet, Request], FloatArray]:
+def of_margins(which: int) -> Callable[[Loop, Request], FloatArray]:
     """Return the measure of the gain margin, a factor (0), or of the phase margin, rad (1), of the worst channel."""
 
-    def measured(loops: LoopSet, request: Request) -> FloatArray:
+    def measured(loops: Loop, request: Request) -> FloatArray:
         out = np.full(len(loops.plants.labels), 1.0 - which)
         for k in np.flatnonzero(loops.decay > 0.0):
             alone = [loops.settled(loops.own_arrays.at(k).part([i], [i])) for i in range(loops.m)]
@@ -253,7 +251,7 @@ def of_margins(which: int) -> Callable[[LoopSet, Request], FloatArray]:
     return measured
 
 
-def channel_h2_norm(loops: LoopSet, request: Request) -> FloatArray:
+def channel_h2_norm(loops: Loop, request: Request) -> FloatArray:
     """Return the H2 norm between the signals of the request's channel, of each plant."""
     part = loops.channel(request.channel)
     rms = noise_rms(part, np.ones(part.B.shape[-1]), allow_unstable=True)

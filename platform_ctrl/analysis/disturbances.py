@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_scaling
+from platform_ctrl.analysis.system import System, state_scaling
 from platform_ctrl.common.values import FloatArray
 
 # Singular value of [A - I; C] in balanced states, relative to the largest, below which it is rounding: a pole that
@@ -27,11 +27,11 @@ _NO_PART, _NOTHING = 1e-13, 1e-30
 class Drift(NamedTuple):
     """A system without its unseen equilibria, and these (n, d)."""
 
-    system: StateArrays
+    system: System
     equilibria: FloatArray
 
 
-def unseen_equilibria(system: StateArrays) -> Drift:
+def unseen_equilibria(system: System) -> Drift:
     """Return a sampled system without the equilibria that its outputs do not see: their poles z = 1 become 0, exactly.
 
     Responses of the outputs stay as they are.
@@ -40,7 +40,7 @@ def unseen_equilibria(system: StateArrays) -> Drift:
     return Drift(system._replace(A=system.A - (system.A @ V) @ L), V)
 
 
-def _equilibria(system: StateArrays) -> tuple[FloatArray, FloatArray]:
+def _equilibria(system: System) -> tuple[FloatArray, FloatArray]:
     """Return unseen equilibria V (n, d) and how much of each there is in a state, L (d, n): L V = 1."""
     A, B, C, _, dt = system
     n = len(A)
@@ -64,7 +64,7 @@ def _coupling(matrix: FloatArray) -> FloatArray:
     return np.asarray(np.where(size > _NOTHING * size.max(initial=0.0), matrix, 0.0))
 
 
-def without_drift(system: StateArrays) -> StateArrays:
+def without_drift(system: System) -> System:
     """Return sampled systems (..., n, n) without equilibria that their outputs do not see or their inputs do not reach.
 
     Responses stay as they are; poles z = 1 that they do not have become 0.
@@ -74,13 +74,13 @@ def without_drift(system: StateArrays) -> StateArrays:
     out = np.array(A).reshape(-1, *A.shape[-2:])
     for k, place in enumerate(np.ndindex(*batch)):
         B_k, C_k = (item[place] if item.ndim > 2 else item for item in (B, C))
-        (V, L), (W, M) = _no_part(StateArrays(out[k], B_k, C_k, np.zeros((len(C_k), B_k.shape[1])), dt))
+        (V, L), (W, M) = _no_part(System(out[k], B_k, C_k, np.zeros((len(C_k), B_k.shape[1])), dt))
         left = out[k] - (out[k] @ V) @ L
         out[k] = left - M.T @ (W.T @ left)
-    return StateArrays(out.reshape(A.shape), B, C, D, dt)
+    return System(out.reshape(A.shape), B, C, D, dt)
 
 
-def over_a_cycle(systems: Sequence[StateArrays]) -> StateArrays:
+def over_a_cycle(systems: Sequence[System]) -> System:
     """Return systems that take turns as one, from the inputs of all samples to the outputs of all, without D."""
     state, seen = np.eye(systems[0].A.shape[1]), []
     for one in systems:
@@ -91,10 +91,10 @@ def over_a_cycle(systems: Sequence[StateArrays]) -> StateArrays:
         reached.append(after @ one.B)
         after = after @ one.A
     B, C = np.hstack(reached), np.vstack(seen)
-    return StateArrays(state, B, C, np.zeros((len(C), B.shape[1])), systems[0].dt)
+    return System(state, B, C, np.zeros((len(C), B.shape[1])), systems[0].dt)
 
 
-def without_drift_over_a_cycle(systems: Sequence[StateArrays]) -> list[StateArrays]:
+def without_drift_over_a_cycle(systems: Sequence[System]) -> list[System]:
     """Return systems that take turns as `without_drift` does: what has no part in responses ends with each cycle."""
     (V, L), (W, M) = _no_part(over_a_cycle(systems))
     out = list(systems)
@@ -103,14 +103,14 @@ def without_drift_over_a_cycle(systems: Sequence[StateArrays]) -> list[StateArra
     return out
 
 
-def _no_part(system: StateArrays) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+def _no_part(system: System) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
     """Return the equilibria that outputs do not see, and of the transpose those that inputs do not reach."""
     A, B, C, D, dt = system
     V, L = _equilibria(system)
-    return (V, L), _equilibria(StateArrays((A - (A @ V) @ L).T, C.T, B.T, D.T, dt))
+    return (V, L), _equilibria(System((A - (A @ V) @ L).T, C.T, B.T, D.T, dt))
 
 
-def drifting_rms(system: StateArrays, rms: FloatArray, duration: float) -> FloatArray:
+def drifting_rms(system: System, rms: FloatArray, duration: float) -> FloatArray:
     """Return the rms (p,) of the outputs of one system with poles z = 1 after a time, s, from white samples.
 
     The part along the equilibria is a random walk, whose variance grows with time; the rest is stationary. Infinite
@@ -130,7 +130,7 @@ def drifting_rms(system: StateArrays, rms: FloatArray, duration: float) -> Float
     if np.linalg.svd(coupling, compute_uv=False)[-1] < math.sqrt(_ROUNDING):
         return np.full(len(C), np.inf)
     P = (V @ np.linalg.solve(coupling, W.T)) * s[:, None] / s
-    rest = StateArrays(A - P, B - P @ B, C, D, dt)
+    rest = System(A - P, B - P @ B, C, D, dt)
     walk = (C @ P @ B) * rms
     steps = duration / dt
     return np.asarray(

@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import (
+from platform_ctrl.analysis.response import NamedSystem, frequency_response, linear_arrays
+from platform_ctrl.analysis.system import (
     ComplexArray,
-    StateArrays,
+    System,
     frequencies,
     named_system,
     seen_states,
 )
-from platform_ctrl.analysis.response import NamedSystem, frequency_response, linear_arrays
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -104,11 +104,11 @@ def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input")
 
 @overload
 def closed_loop(
-    plant: StateArrays,
-    controller: StateArrays,
+    plant: System,
+    controller: System,
     torques: Sequence[int] | None = ...,
     angles: Sequence[int] | None = ...,
-) -> StateArrays: ...
+) -> System: ...
 @overload
 def closed_loop(plant: NamedSystem, controller: NamedSystem) -> control.StateSpace: ...
 def closed_loop(
@@ -116,7 +116,7 @@ def closed_loop(
     controller: NamedSystem,
     torques: Sequence[int] | None = None,
     angles: Sequence[int] | None = None,
-) -> control.StateSpace | StateArrays:
+) -> control.StateSpace | System:
     """Return the closed loop of u = K (y + n), y = P (u + d), as one system with every state of both.
 
     Parameters
@@ -125,13 +125,13 @@ def closed_loop(
         May have more inputs and outputs than the controller uses: joined by name (see `loop_transfer`). All of
         its inputs become inputs of the result, all of its outputs outputs.
     controller
-        u = K y, same sample period. Of two `StateArrays` one or both may have leading batch axes.
+        u = K y, same sample period. Of two `System` one or both may have leading batch axes.
     torques, angles
-        Of `StateArrays`: indices of the plant's inputs and outputs that the controller uses, in its order; default all.
+        Of `System`: indices of the plant's inputs and outputs that the controller uses, in its order; default all.
 
     Returns
     -------
-    control.StateSpace, or StateArrays of two of these
+    control.StateSpace, or System of two of these
         Inputs: the plant's inputs (a disturbance that adds to the controller's torque, or for example Omega1),
         then ``noise_`` + name for every pick-off that the controller uses. Outputs: the controller's torques, then
         the plant's outputs (without the noise). States: the plant's, then the controller's.
@@ -141,10 +141,10 @@ def closed_loop(
     ArgumentError
         If sizes, names or sample periods do not fit, or the algebraic loop I - D_K D_P is singular.
     """
-    if isinstance(plant, StateArrays) and isinstance(controller, StateArrays):
+    if isinstance(plant, System) and isinstance(controller, System):
         return _closed_loop(plant, controller, torques, angles)
     if torques is not None or angles is not None:
-        raise ArgumentError("closed_loop: torques and angles belong to StateArrays; other systems are joined by name")
+        raise ArgumentError("closed_loop: torques and angles belong to System; other systems are joined by name")
     P, K, at, seen = _matched(plant, controller, "closed_loop")
     of_plant, of_controller = _states(plant, P, controller, K)
     return named_system(
@@ -155,7 +155,7 @@ def closed_loop(
     )
 
 
-def _states(plant: NamedSystem, P: StateArrays, controller: NamedSystem, K: StateArrays) -> tuple[list[str], list[str]]:
+def _states(plant: NamedSystem, P: System, controller: NamedSystem, K: System) -> tuple[list[str], list[str]]:
     """Return the names of the plant's states and, each behind ``controller_``, of the controller's."""
     own = getattr(plant, "state_labels", None) or [f"plant_{k}" for k in range(len(P.A))]
     its = getattr(controller, "state_labels", None) or [f"x_{k}" for k in range(len(K.A))]
@@ -201,7 +201,7 @@ def gang(plant: NamedSystem, controller: NamedSystem, frequency: ArrayLike) -> G
     )
 
 
-def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at: At) -> StateArrays:
+def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at: At) -> System:
     """Return the arrays of S at the plant's input or output, with every state of plant and controller."""
     P, K, torques, angles = _matched(plant, controller, "sensitivity")
     P = P.part(angles, torques)
@@ -212,14 +212,14 @@ def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at
     return loop._replace(D=loop.D + np.eye(len(loop.D)))
 
 
-def loop_of_sensitivity(S: StateArrays) -> StateArrays:
+def loop_of_sensitivity(S: System) -> System:
     """Return L = S^-1 - I of S = (I + L)^-1."""
     A, B, C, D, dt = S
     inverse = np.linalg.inv(D)
-    return StateArrays(A - B @ inverse @ C, B @ inverse, -inverse @ C, inverse - np.eye(len(D)), dt)
+    return System(A - B @ inverse @ C, B @ inverse, -inverse @ C, inverse - np.eye(len(D)), dt)
 
 
-def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateArrays:
+def series(first: System, second: System, sign: float = 1.0) -> System:
     """Return `sign` times the second system after the first; the sample period is that of the first that has one."""
     A1, B1, C1, D1, dt = first
     A2, B2, C2, D2, second_dt = second
@@ -236,17 +236,17 @@ def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateA
     C[..., :n1] = sign * (D2 @ C1)
     C[..., n1:] = sign * C2
     D = np.array(np.broadcast_to(sign * (D2 @ D1), (*batch, C2.shape[-2], B1.shape[-1])))
-    return StateArrays(A, B, C, D, dt or second_dt)
+    return System(A, B, C, D, dt or second_dt)
 
 
-def _batch(one: StateArrays, other: StateArrays) -> tuple[int, ...]:
+def _batch(one: System, other: System) -> tuple[int, ...]:
     """Return the shape to which the leading axes of two systems broadcast."""
     return np.broadcast_shapes(*(item.shape[:-2] for item in (*one[:4], *other[:4])))
 
 
 def _closed_loop(
-    plant: StateArrays, controller: StateArrays, torques: Sequence[int] | None, angles: Sequence[int] | None
-) -> StateArrays:
+    plant: System, controller: System, torques: Sequence[int] | None, angles: Sequence[int] | None
+) -> System:
     A, B, C, D, dt = plant
     A_K, B_K, C_K, D_K, _ = controller
     m, p = B.shape[-1], C.shape[-2]
@@ -277,10 +277,10 @@ def _closed_loop(
     rate[..., n:, n : n + n_K] += A_K
     outputs = np.concatenate([u, y], axis=-2)
     N = n + n_K
-    return StateArrays(rate[..., :N], rate[..., N:], outputs[..., :N], outputs[..., N:], dt)
+    return System(rate[..., :N], rate[..., N:], outputs[..., :N], outputs[..., N:], dt)
 
 
-def performance_loop(plant: StateArrays, controller: StateArrays) -> StateArrays:
+def performance_loop(plant: System, controller: System) -> System:
     """Return the loop from w to z of a plant with inputs [w, u] and outputs [z, y] closed by u = K y."""
     ncon, nmeas = controller.D.shape
     nz, nw = plant.D.shape[0] - nmeas, plant.D.shape[1] - ncon
@@ -303,9 +303,7 @@ def _checked(at: str) -> str:
     return at
 
 
-def _matched(
-    plant: NamedSystem, controller: NamedSystem, where: str
-) -> tuple[StateArrays, StateArrays, list[int], list[int]]:
+def _matched(plant: NamedSystem, controller: NamedSystem, where: str) -> tuple[System, System, list[int], list[int]]:
     """Return both systems' arrays and the plant's inputs and outputs that the controller uses, in its order."""
     P, K = linear_arrays(plant, f"{where} (plant)"), linear_arrays(controller, f"{where} (controller)")
     if plant.dt is None or controller.dt is None:
@@ -317,8 +315,8 @@ def _matched(
             f"{where}: plant and controller must have the same sample period, got {P.dt} s and {K.dt} s; "
             "see platform_ctrl.analysis.sampled"
         )
-    if isinstance(plant, StateArrays) or isinstance(controller, StateArrays):
-        raise ArgumentError(f"{where}: plant and controller must both have named signals, or both be StateArrays")
+    if isinstance(plant, System) or isinstance(controller, System):
+        raise ArgumentError(f"{where}: plant and controller must both have named signals, or both be System")
     inputs, outputs = list(plant.input_labels), list(plant.output_labels)
     if set(controller.output_labels) <= set(inputs) and set(controller.input_labels) <= set(outputs):
         return (
@@ -378,7 +376,7 @@ def sensitivities_of_plants(P: ComplexArray, K: ComplexArray) -> tuple[ComplexAr
     return _inverses(np.eye(p) - P @ K), _inverses(np.eye(m) - K @ P)
 
 
-def feedback_part(controller: StateArrays, measured: Sequence[int]) -> StateArrays:
+def feedback_part(controller: System, measured: Sequence[int]) -> System:
     """Return K from some of a controller's inputs, without the states that only the other inputs reach."""
     A, B = controller.A, controller.B
     others = [k for k in range(B.shape[1]) if k not in measured]
@@ -389,15 +387,13 @@ def feedback_part(controller: StateArrays, measured: Sequence[int]) -> StateArra
     return own._replace(A=A[np.ix_(kept, kept)], B=own.B[kept], C=own.C[:, kept])
 
 
-def with_error_alone(controller: StateArrays) -> StateArrays:
+def with_error_alone(controller: System) -> System:
     """Return u = K (y − r) of u = K y: inputs y, then r."""
     A, B, C, D, dt = controller
-    return StateArrays(A, np.hstack([B, -B]), C, np.hstack([D, -D]), dt)
+    return System(A, np.hstack([B, -B]), C, np.hstack([D, -D]), dt)
 
 
-def commanded_loop(
-    plants: StateArrays, controller: StateArrays, torques: Sequence[int], angles: Sequence[int]
-) -> StateArrays:
+def commanded_loop(plants: System, controller: System, torques: Sequence[int], angles: Sequence[int]) -> System:
     """Return plants (N, ...) with u = K y + H r closed: inputs the plants', then r; outputs u, then the plants'."""
     A, B, C, D, dt = plants
     p, inputs, outputs = len(angles), B.shape[-1], C.shape[-2]
@@ -406,7 +402,7 @@ def commanded_loop(
     through = np.zeros((*many, outputs + p, inputs + p))
     through[..., :outputs, :inputs] = D
     through[..., outputs:, inputs:] = np.eye(p)
-    whole = StateArrays(
+    whole = System(
         A,
         np.concatenate([B, np.zeros((*B.shape[:-1], p))], axis=-1),
         np.concatenate([C, np.zeros((*many, p, C.shape[-1]))], axis=-2),

@@ -14,9 +14,9 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.between_samples import FedResponses, LoopResponses, added_response
 from platform_ctrl.analysis.feedback import series
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 
 Into = Literal["torque", "reading"]
@@ -28,16 +28,16 @@ class RateFeedforward:
 
     into: Into  # what it adds to: the controller's ``"torque"``, or what the controller reads
     sensors: tuple[str, ...]  # names of the k sensors of the platform's rate that the controller reads
-    path: StateArrays  # F, from their readings, rad/s, to the m torques, N m, or to the p readings; sampled
+    path: System  # F, from their readings, rad/s, to the m torques, N m, or to the p readings; sampled
     # G, from the platform's rate (Omega1 to Omega3, rad/s) to the readings of the sensors, rad/s: with the rate held
     # between samples, and continuous, without the times `late` (k,), s, by which readings come late.
-    measured: StateArrays
-    smooth: StateArrays
+    measured: System
+    smooth: System
     late: FloatArray
     noise: FloatArray  # (k,): rms of one sample of each sensor, rad/s
 
     @property
-    def from_rate(self) -> StateArrays:
+    def from_rate(self) -> System:
         """F G, from the platform's rate, held between samples, to torques or readings."""
         return series(self.measured, self.path)
 
@@ -57,7 +57,7 @@ class RateFeedforward:
             return self
         return dataclasses.replace(self, path=self.path._replace(C=sense @ self.path.C, D=sense @ self.path.D))
 
-    def joined_to(self, controller: StateArrays) -> StateArrays:
+    def joined_to(self, controller: System) -> System:
         """Return K (or K with commands) together with F: inputs of K, then the sensors; states of K, then of F."""
         A, B, C, D, dt = controller
         n, p, f = len(A), D.shape[1], len(self.path.A)
@@ -68,7 +68,7 @@ class RateFeedforward:
             read = slice(len(self.path.C))
             cross, driven = B[:, read] @ self.path.C, B[:, read] @ self.path.D
             out, direct = D[:, read] @ self.path.C, D[:, read] @ self.path.D
-        return StateArrays(
+        return System(
             np.block([[A, cross], [np.zeros((f, n)), self.path.A]]),
             np.block([[B, driven], [np.zeros((f, p)), self.path.B]]),
             np.hstack([C, out]),
@@ -76,7 +76,7 @@ class RateFeedforward:
             dt,
         )
 
-    def taken_up(self, whole: StateArrays, m: int, p: int) -> StateArrays:
+    def taken_up(self, whole: System, m: int, p: int) -> System:
         """Return plants (N, ...) that have it.
 
         Inputs are `m` torques and the platform's rate, the first `p` outputs are what the controller reads.
@@ -96,9 +96,9 @@ class RateFeedforward:
         else:
             new_C[:, :p, n:] = C_f
             new_D[:, :p, m:] += D_f
-        return StateArrays(new_A, new_B, new_C, new_D, dt)
+        return System(new_A, new_B, new_C, new_D, dt)
 
-    def noise_of_torques(self, closed: StateArrays) -> StateArrays:
+    def noise_of_torques(self, closed: System) -> System:
         """Return the loops from independent samples of unit rms, one for each sensor, to the torques.
 
         `closed` (N, ...) leads from a disturbance of the torques and the noise of the readings to the torques.
@@ -107,6 +107,6 @@ class RateFeedforward:
         A, B, C, D, dt = closed
         m = C.shape[-2]
         if self.into == "reading":
-            return series(path, StateArrays(A, B[..., m:], C, D[..., m:], dt))
+            return series(path, System(A, B[..., m:], C, D[..., m:], dt))
         # What it adds to the torques, and what the controller adds against it.
-        return series(path, StateArrays(A, B[..., :m], C, D[..., :m] + np.eye(m), dt))
+        return series(path, System(A, B[..., :m], C, D[..., :m] + np.eye(m), dt))

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray
 
 # Grids of sampled systems end at this share of the Nyquist frequency.

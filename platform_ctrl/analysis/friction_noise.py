@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.disturbances import Spectrum
 from platform_ctrl.analysis.dry_friction import DryTorque, FedFriction
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 
 # Terms of the series that are computed. Of a step they fall with n to the power -3/2: what is left goes, in that

@@ -36,7 +36,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.drift import over_a_cycle
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.interconnection import MultiRate
@@ -44,6 +43,7 @@ from platform_ctrl.analysis.periodic import pruned
 from platform_ctrl.analysis.poles import poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import energy_rows, late_outputs, sampled, with_lag
+from platform_ctrl.analysis.system import ComplexArray, System, scaled
 from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -63,7 +63,7 @@ class HybridPlant:
 
     # Continuous arrays; inputs: m controls u, then k disturbances w; outputs: p measured y, then q performance outputs
     # z, in SI units. y may have a direct path from w.
-    plant: StateArrays
+    plant: System
     # controls, measured: m and p.
     controls: int
     measured: int
@@ -143,8 +143,8 @@ class OpenLoop:
         self._continuous = with_lag(plant.plant, lags)
         self.size = self._continuous.D.size
         A, B, C, D, _ = self._continuous
-        self.sampled = sampled(StateArrays(A, B[:, :m], C[:p], D[:p, :m]), plant.period, plant.delay)
-        rows = energy_rows(StateArrays(A, B[:, :m], C[p:], D[p:, :m]), plant.period, plant.delay)
+        self.sampled = sampled(System(A, B[:, :m], C[:p], D[:p, :m]), plant.period, plant.delay)
+        rows = energy_rows(System(A, B[:, :m], C[p:], D[p:, :m]), plant.period, plant.delay)
         self._ends = np.cumsum([0, *(len(one) for one in rows)])
         every = np.vstack([np.zeros((0, len(self.sampled.A) + m)), *rows])
         own = len(self.sampled.A)
@@ -279,7 +279,7 @@ class OpenLoop:
         if plant.cycle == 1:
             A, B, C, *_ = closed_loop(sampled_plant, fast)
             return A, B, C[plant.controls :]
-        loops: dict[tuple[bool, ...], StateArrays] = {}
+        loops: dict[tuple[bool, ...], System] = {}
         cycle, m = [], plant.controls
         for k in range(plant.cycle):
             due = tuple(k % n == 0 for n in controller.every)
@@ -290,18 +290,18 @@ class OpenLoop:
                 measured = self.sampled.D @ torques
                 measured[:, : len(self.sampled.A)] += self.sampled.C
                 C = np.vstack([torques, measured])
-                loops[due] = StateArrays(one.A, one.B, C, np.zeros((len(C), one.B.shape[1])), one.dt)
+                loops[due] = System(one.A, one.B, C, np.zeros((len(C), one.B.shape[1])), one.dt)
             cycle.append(loops[due])
         A, B, C, *_ = over_a_cycle(pruned(cycle))
         return A, B, C.reshape(plant.cycle, -1, A.shape[1])[:, m:].reshape(-1, A.shape[1])
 
-    def closed_poles(self, controller: StateArrays | MultiRate) -> ComplexArray:
+    def closed_poles(self, controller: System | MultiRate) -> ComplexArray:
         """Return the poles z of the loop; refuse a controller that does not fit or does not stabilise.
 
         A pole on the unit circle or outside counts if it can be excited and seen: the angle of a gimbal whose inertial
         rate is held, and that nothing else depends on, does not.
         """
-        A, B, C = self._closed(MultiRate(controller) if isinstance(controller, StateArrays) else controller)
+        A, B, C = self._closed(MultiRate(controller) if isinstance(controller, System) else controller)
         # Equilibria that neither sensors nor outputs see do not count; the torques that hold them would show them.
         z = poles(A)
         for one in z[np.abs(z) >= 1.0 - _BOUNDARY]:
@@ -338,7 +338,7 @@ def _unit(columns: FloatArray) -> FloatArray:
     return out
 
 
-def _signed_response(system: StateArrays, omega: FloatArray) -> ComplexArray:
+def _signed_response(system: System, omega: FloatArray) -> ComplexArray:
     """Return the response (..., p, m) at frequencies (...) of any sign, rad/s."""
     found = frequency_response(system, np.abs(omega).ravel(), -3).reshape(*omega.shape, *system.D.shape)
     out: ComplexArray = np.where((omega < 0.0)[..., None, None], found.conj(), found)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.anti_windup import back_calculation
-from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import is_rate
@@ -27,8 +27,8 @@ class MultiRate(NamedTuple):
     hold, its outputs the torques, then what the slower ones read, both in their order.
     """
 
-    fast: StateArrays  # dt: the sample period, s
-    slow: tuple[StateArrays, ...] = ()  # dt: whole numbers of sample periods, s
+    fast: System  # dt: the sample period, s
+    slow: tuple[System, ...] = ()  # dt: whole numbers of sample periods, s
 
     @property
     def every(self) -> tuple[int, ...]:
@@ -50,7 +50,7 @@ class MultiRate(NamedTuple):
         """Number of signals that the slower ones read."""
         return sum(K.B.shape[1] for K in self.slow)
 
-    def at(self, sample: int) -> StateArrays:
+    def at(self, sample: int) -> System:
         """Return the controller of one sample. States: those of `fast`, then of each slower one with its outputs."""
         from scipy.linalg import block_diag
 
@@ -59,7 +59,7 @@ class MultiRate(NamedTuple):
         own = [_held(K, sample % n == 0) for K, n in zip(self.slow, self.every, strict=True)]
         A, B, C, D = (block_diag(np.zeros((0, 0)), *(K[k] for K in own)) for k in range(4))
         p, m = self.fast.B.shape[1] - self.held, len(self.fast.C) - self.read
-        joined = closed_loop(self.fast, StateArrays(A, B, C, D), range(p, p + self.held), range(m, m + self.read))
+        joined = closed_loop(self.fast, System(A, B, C, D), range(p, p + self.held), range(m, m + self.read))
         return joined.part(slice(self.held, self.held + m), slice(p))
 
 
@@ -80,7 +80,7 @@ def interconnect_controllers(
 
 def interconnected(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
-) -> StateArrays:
+) -> System:
     """Return the matrices of `interconnect_controllers`; python-control refuses systems without inputs."""
     for k, system in enumerate(controllers):
         if not math.isclose(system.dt or 0.0, period, rel_tol=1e-9):
@@ -94,14 +94,14 @@ def interconnected_by_sample(
     outputs: Sequence[str],
     period: float,
     limited: Collection[str] = (),
-) -> list[StateArrays]:
+) -> list[System]:
     """Return the matrices of `interconnect_controllers` at every sample until they repeat.
 
     A controller whose dt is n periods is computed at every n-th sample, the first included; its outputs are held in
     between, in states of their own. The same matrices are the same object. Where outputs are `limited` the excess of
     every output, limited − commanded, is a further input, which acts on the states: see `back_calculation`.
     """
-    parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
+    parts = [System.of(system, _where(k, system)) for k, system in enumerate(controllers)]
     every = [samples_between(K.dt, period, _where(k, controllers[k])) for k, K in enumerate(parts)]
     if limited:
         parts = [
@@ -109,7 +109,7 @@ def interconnected_by_sample(
         ]
     if max(every, default=1) == 1:
         return [_joined(parts, controllers, inputs, outputs, period, limited=limited)]
-    made: dict[tuple[bool, ...], StateArrays] = {}
+    made: dict[tuple[bool, ...], System] = {}
     out = []
     for sample in range(math.lcm(*every)):
         due = tuple(sample % n == 0 for n in every)
@@ -124,7 +124,7 @@ def interconnected_at_rates(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> MultiRate:
     """Return what `interconnected_by_sample` returns without the samples of the cycle one by one."""
-    parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
+    parts = [System.of(system, _where(k, system)) for k, system in enumerate(controllers)]
     slow = [k for k, K in enumerate(parts) if samples_between(K.dt, period, _where(k, controllers[k])) > 1]
     fast = _joined(parts, controllers, inputs, outputs, period, slow)
     return MultiRate(fast, tuple(parts[k] for k in slow))
@@ -140,30 +140,30 @@ def samples_between(dt: float, period: float, where: str) -> int:
     return n
 
 
-def _with_excess(K: StateArrays, limited: Sequence[bool]) -> StateArrays:
+def _with_excess(K: System, limited: Sequence[bool]) -> System:
     """Return a controller with the excesses of its limited outputs as further inputs."""
     E = back_calculation(K, limited).gain[:, limited]
-    return StateArrays(K.A, np.hstack([K.B, E]), K.C, np.hstack([K.D, np.zeros((len(K.C), E.shape[1]))]), K.dt)
+    return System(K.A, np.hstack([K.B, E]), K.C, np.hstack([K.D, np.zeros((len(K.C), E.shape[1]))]), K.dt)
 
 
-def _held(K: StateArrays, due: bool) -> StateArrays:
+def _held(K: System, due: bool) -> System:
     """Return a controller with its last outputs as further states: as it is computed, or holding them."""
     n, (p, m) = len(K.A), K.D.shape
     if not due:
-        return StateArrays(np.eye(n + p), np.zeros((n + p, m)), np.eye(n + p)[n:], np.zeros((p, m)), K.dt)
+        return System(np.eye(n + p), np.zeros((n + p, m)), np.eye(n + p)[n:], np.zeros((p, m)), K.dt)
     A = np.block([[K.A, np.zeros((n, p))], [K.C, np.zeros((p, p))]])
-    return StateArrays(A, np.vstack([K.B, K.D]), np.hstack([K.C, np.zeros((p, p))]), K.D, K.dt)
+    return System(A, np.vstack([K.B, K.D]), np.hstack([K.C, np.zeros((p, p))]), K.D, K.dt)
 
 
 def _joined(
-    parts: Sequence[StateArrays],
+    parts: Sequence[System],
     controllers: Sequence[control.StateSpace],
     inputs: Sequence[str],
     outputs: Sequence[str],
     period: float,
     apart: Collection[int] = (),
     limited: Collection[str] = (),
-) -> StateArrays:
+) -> System:
     """Join the matrices of controllers by the names of their signals.
 
     Those that are kept `apart` have inputs for their outputs behind the others, and outputs for their inputs. Where any
@@ -214,7 +214,7 @@ def _joined(
             )
     final = np.array([rows[name] if name in made else np.zeros(size) for name in outputs]).reshape(len(outputs), size)
     final = np.vstack([final, *taken_apart])
-    return StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
+    return System(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
 
 
 def _expect_inputs(where: str, inputs: Sequence[str], known: Collection[str]) -> None:

@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.budget_result import Budget, Contribution, assembled, between_nodes, thinned
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance
 from platform_ctrl.analysis.frequency_grids import GAUSS, KRONROD, Panel, between, halves, nodes
@@ -30,6 +29,7 @@ from platform_ctrl.analysis.hybrid_plant import HybridPlant, Modulator, OpenLoop
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.pointing_windows import window_shares
 from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import positive, within
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -115,9 +115,7 @@ class JitterBudget:
         self._known: dict[Panel, _Prepared] = {}
         self._kept = 0
 
-    def of(
-        self, controller: StateArrays | MultiRate, tolerance: float = 1e-6, *, over_frequency: bool = True
-    ) -> Budget:
+    def of(self, controller: System | MultiRate, tolerance: float = 1e-6, *, over_frequency: bool = True) -> Budget:
         """Return the budget with a controller u = K y, all of it of the plant's sample period or a part of it slower.
 
         `tolerance` bounds the relative error of each variance. Without cumulative variances, `over_frequency`, it is
@@ -125,7 +123,7 @@ class JitterBudget:
         bound.
         """
         tolerance = within("jitter budget: tolerance", tolerance, 1e-11, 0.1)
-        if isinstance(controller, StateArrays):
+        if isinstance(controller, System):
             controller = MultiRate(controller)
         z = self.open_loop.closed_poles(controller)
         while True:

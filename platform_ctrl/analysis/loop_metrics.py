@@ -8,13 +8,13 @@ from typing import get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.direct_metrics import torque_noise
-from platform_ctrl.analysis.loop_set import Indices, LoopSet
+from platform_ctrl.analysis.loop import Indices, Loop
 from platform_ctrl.analysis.measuring import Direct, MetricRequest, Request
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -75,11 +75,11 @@ class LoopMetrics:
 
 def measure(
     plants: PlantSet,
-    controller: StateArrays,
+    controller: System,
     requests: Sequence[Request] = (),
     *,
     exact: bool = True,
-    loops: LoopSet | None = None,
+    loops: Loop | None = None,
 ) -> LoopMetrics:
     """Measure a controller, u = K y in the set's order of angles and torques, with its sample period, on every plant.
 
@@ -89,7 +89,7 @@ def measure(
     frequencies of the set's grid and of closed-loop poles that are narrower than its spacing alone. `loops` are the
     closed loops of this controller and these plants, where they exist already.
     """
-    loops = LoopSet(plants, controller) if loops is None else loops
+    loops = Loop(plants, controller) if loops is None else loops
     every = get_args(Group)
     damping, margin = (measured(loops, MetricRequest(kind=kind, over=every)) for kind in ("damping", "disk margin"))
     if exact:
@@ -117,7 +117,7 @@ def measure(
     )
 
 
-def measured(loops: LoopSet, request: Request, *, exact: bool = False) -> FloatArray:
+def measured(loops: Loop, request: Request, *, exact: bool = False) -> FloatArray:
     """Return one metric of every plant that `request` is about, (k,), as `LoopMetrics.values` does."""
     if request.kind == "torque noise" and _is_of_nominal(request):
         return np.asarray(torque_noise(loops, slice(1))[0])
@@ -137,7 +137,7 @@ def _is_of_nominal(request: Request) -> bool:
     return request.kind in _OF_NOMINAL and tuple(request.over) == ("nominal",)
 
 
-def exact_value(loops: LoopSet, request: Request, k: int = 0) -> float:
+def exact_value(loops: Loop, request: Request, k: int = 0) -> float:
     """Return the value of plant `k` over all frequencies, to 1e-9 from the worse side, in SI units."""
     measure = METRICS[request.kind].measure
     if isinstance(measure, Direct):
@@ -148,7 +148,7 @@ def exact_value(loops: LoopSet, request: Request, k: int = 0) -> float:
     return loops.exact_values[place][0]
 
 
-def worst_exact(loops: LoopSet, request: Request, values: FloatArray, members: Indices) -> FloatArray:
+def worst_exact(loops: Loop, request: Request, values: FloatArray, members: Indices) -> FloatArray:
     """Return values on the grid (k,) with the worst of them exact: none of the plants is worse than that.
 
     The plant that is worst on the grid gets its exact value. Every other one is shown to be no worse, or gets its own.
@@ -172,7 +172,7 @@ def worst_exact(loops: LoopSet, request: Request, values: FloatArray, members: I
     return out
 
 
-def _no_worse(loops: LoopSet, request: Request, k: int, bound: float) -> bool:
+def _no_worse(loops: Loop, request: Request, k: int, bound: float) -> bool:
     metric, place = METRICS[request.kind], (_place(request), k)
     at_least = metric.sense == "at least"
     if at_least and bound <= 0.0:

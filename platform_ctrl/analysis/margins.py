@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies
 from platform_ctrl.analysis.disks import disk_factors, disk_to_gain_phase
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu import SLACK, MuPeak, search_grid
@@ -22,6 +21,7 @@ from platform_ctrl.analysis.norms import hinf_norm, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import LinearSystem, NamedSystem, linear_arrays
 from platform_ctrl.analysis.singular_values import boundary_poles, largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System, frequencies
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -263,7 +263,7 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
             "disk_margin: I + L is singular at a frequency of the data: the closed loop has a pole there, and no margin"
         ) from None
     dt = float(data.dt) if data.dt else 0.0
-    peak = MuPeak(StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.zeros((m, m)), dt))
+    peak = MuPeak(System(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.zeros((m, m)), dt))
     gains = largest_singular_values(response)
     mu = peak.search(grid, response, between=False)
     return _margin(
@@ -313,7 +313,7 @@ def _inverse(mu: float) -> float:
     return 1.0 / mu if mu > 0.0 else math.inf
 
 
-def _disk_arrays(L: StateArrays, skew: float) -> StateArrays:
+def _disk_arrays(L: System, skew: float) -> System:
     """Return the arrays of S + (skew - 1)/2 I for S = (I + L)^-1."""
     eye = np.eye(L.D.shape[0])
     if np.linalg.svd(eye + L.D, compute_uv=False).min() < 1e-12 * max(1.0, float(np.abs(L.D).max())):
@@ -321,10 +321,10 @@ def _disk_arrays(L: StateArrays, skew: float) -> StateArrays:
             "disk_margin: the loop is not well posed because I + D of its transfer is singular; add a lag"
         )
     E = np.linalg.inv(eye + L.D)
-    return StateArrays(L.A - L.B @ E @ L.C, L.B @ E, -E @ L.C, E + 0.5 * (skew - 1.0) * eye, L.dt)
+    return System(L.A - L.B @ E @ L.C, L.B @ E, -E @ L.C, E + 0.5 * (skew - 1.0) * eye, L.dt)
 
 
-def no_margin(skew: float, shown: FloatArray, s: ComplexArray, disk: StateArrays) -> DiskMargin:
+def no_margin(skew: float, shown: FloatArray, s: ComplexArray, disk: System) -> DiskMargin:
     """Return the margin of a loop that is not stable; `s` are its poles, `disk` the system whose gain counts."""
     nothing = np.zeros(shown.shape)
     worst = s[np.argmax(s.real)]

@@ -14,7 +14,7 @@ import numpy as np
 
 from platform_ctrl.analysis.bandwidths import LEVEL, bandwidth_of_response, bandwidth_of_sensitivity
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop_set import S_INPUT, S_OUTPUT, Indices, LoopSet, Transfer
+from platform_ctrl.analysis.loop import S_INPUT, S_OUTPUT, Indices, Loop, Transfer
 from platform_ctrl.analysis.norms import PEAK_TOLERANCE, WHOLE, Band, exceeds, gains, peak, refined_peak
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.common.values import FloatArray, value
@@ -79,7 +79,7 @@ class Direct:
     # for the structured tuner; without it the tuner looks at this metric only when it has ended
     gradient: Gradient | None = None
 
-    def values(self, loops: LoopSet, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
         """Return the values of some plants, (k,); of the controller alone (1,)."""
         every = self.function(loops, request)
         return every if len(every) == 1 else every[members]
@@ -93,11 +93,11 @@ class Peak:
     reciprocal: bool = False  # whether the metric is 1/peak
     banded: bool = False  # whether the peak is taken from the lowest up to the frequency of the request, if it has one
 
-    def values(self, loops: LoopSet, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
         """Return the values of some plants on the grid, (k,): never worse than they are."""
         return self._of_peak(loops.grid_peaks(self._parts(request), self._band(request), members))
 
-    def exact(self, loops: LoopSet, request: Request, k: int) -> tuple[float, float]:
+    def exact(self, loops: Loop, request: Request, k: int) -> tuple[float, float]:
         """Return the value of plant `k`, to 1e-9 from the worse side, and its frequency, rad/s."""
         if not loops.decay[k] > 0.0:
             return float(self._of_peak(np.array([np.inf]))[0]), 0.0
@@ -108,11 +108,11 @@ class Peak:
             found, at = max(peak(part, self._band(request), known) for part in loops.parts(parts, k))
         return float(self._of_peak(np.array([found]))[0]), at
 
-    def refined(self, loops: LoopSet) -> bool:
+    def refined(self, loops: Loop) -> bool:
         """Return whether the value is from continuous disturbances: of a grid that is refined, not exact."""
         return any(loops.between(one) for one in self.transfers)
 
-    def holds(self, loops: LoopSet, request: Request, k: int, bound: float) -> bool:
+    def holds(self, loops: Loop, request: Request, k: int, bound: float) -> bool:
         """Return whether the value of the stable plant `k` is shown to be no worse than `bound`."""
         level = 1.0 / bound if self.reciprocal else bound
         if self.refined(loops):
@@ -138,22 +138,22 @@ class Bandwidth:
 
     gradient: Gradient
 
-    def values(self, loops: LoopSet, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
         """Return the values of some plants on the grid, rad/s, (k,)."""
         return np.array([self._on_grid(loops, int(k)) for k in members])
 
-    def exact(self, loops: LoopSet, request: Request, k: int) -> tuple[float, float]:
+    def exact(self, loops: Loop, request: Request, k: int) -> tuple[float, float]:
         """Return the value of plant `k`, rad/s, from below, and a frequency at which S is seen to be that large."""
         if not loops.decay[k] > 0.0:
             return 0.0, 0.0
         at = min(bandwidth_of_sensitivity(part, loops.poles[k]) for part in loops.parts(_SENSITIVITIES, k))
         return (1.0 - PEAK_TOLERANCE) * at, (1.0 + _ABOVE) * at
 
-    def holds(self, loops: LoopSet, request: Request, k: int, bound: float) -> bool:
+    def holds(self, loops: Loop, request: Request, k: int, bound: float) -> bool:
         """Return whether S of the stable plant `k` is shown to stay below the level up to `bound`."""
         return _below(loops, _SENSITIVITIES, k, LEVEL, (0.0, bound))
 
-    def _on_grid(self, loops: LoopSet, k: int) -> float:
+    def _on_grid(self, loops: Loop, k: int) -> float:
         if not loops.decay[k] > 0.0:
             return 0.0
         frequency = loops.plants.frequency
@@ -167,7 +167,7 @@ class Bandwidth:
 class ControllerGain:
     """The largest gain of the controller from a frequency on."""
 
-    def values(self, loops: LoopSet, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
         """Return the value on the grid, (1,)."""
         K, start = loops.controller, _start(loops, request)
         own = resonances(continuous_poles(poles(K.A), K.dt))
@@ -175,12 +175,12 @@ class ControllerGain:
         w = np.concatenate([grid, own, [start, np.pi / K.dt]])
         return np.array([gains(K, w[(w >= start) & (w <= np.pi / K.dt)]).max(initial=0.0)])
 
-    def exact(self, loops: LoopSet, request: Request, k: int) -> tuple[float, float]:
+    def exact(self, loops: Loop, request: Request, k: int) -> tuple[float, float]:
         """Return the value, to 1e-9 from above, and its frequency, rad/s."""
         return peak(loops.controller, (_start(loops, request), np.inf))
 
 
-def _refined(loops: LoopSet, parts: Sequence[Transfer], k: int, band: Band) -> tuple[float, float]:
+def _refined(loops: Loop, parts: Sequence[Transfer], k: int, band: Band) -> tuple[float, float]:
     """Return the largest gain of parts of a loop from continuous disturbances, and its frequency, rad/s.
 
     Infinite where it grows without bound towards zero frequency.
@@ -207,9 +207,9 @@ def _refined(loops: LoopSet, parts: Sequence[Transfer], k: int, band: Band) -> t
     return refined_peak(gain, w)
 
 
-def _start(loops: LoopSet, request: Request) -> float:
+def _start(loops: Loop, request: Request) -> float:
     return loops.slow if request.frequency is None else request.frequency
 
 
-def _below(loops: LoopSet, parts: Sequence[Transfer] | Channel, k: int, level: float, band: Band) -> bool:
+def _below(loops: Loop, parts: Sequence[Transfer] | Channel, k: int, level: float, band: Band) -> bool:
     return not any(exceeds(part, level, loops.poles[k], band) for part in loops.parts(parts, k))

@@ -11,8 +11,6 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis import loop_set
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.direct_metrics import (
     DRIFT_TIME,
     channel_h2_norm,
@@ -24,8 +22,22 @@ from platform_ctrl.analysis.direct_metrics import (
     torque_noise,
 )
 from platform_ctrl.analysis.drift import drifting_rms
+from platform_ctrl.analysis.loop import (
+    ANGLE_PER_OMEGA,
+    ANGLE_PER_TORQUE,
+    FOLLOWING,
+    HALF_INPUT,
+    HALF_OUTPUT,
+    S_INPUT,
+    S_OUTPUT,
+    SIGHT_PER_OMEGA,
+    T_INPUT,
+    T_OUTPUT,
+    TORQUE_SHARE,
+)
 from platform_ctrl.analysis.measuring import Bandwidth, ControllerGain, Direct, Peak
 from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 
 Sense = Literal["at least", "at most"]
@@ -64,7 +76,7 @@ class Metric(Quantity):
     has_channel: bool = False
     # of_torquers: from the coupled closed loop between the sensors' noise and the torque commands, and the rms of that
     # noise, to the values of all torquers; with it a stabilisation loop may have a limit
-    of_torquers: Callable[[StateArrays, FloatArray], FloatArray] | None = None
+    of_torquers: Callable[[System, FloatArray], FloatArray] | None = None
 
     def in_SI(self, number: float) -> float:
         """Return a number in the metric's unit in SI units."""
@@ -132,7 +144,7 @@ METRICS: dict[str, Metric] = {
         sense="at least",
         meaning="1/‖(S − T)/2‖∞, the smaller of input and output. Unstructured: all channels at once, "
         "cross-talk included",
-        measure=Peak(transfers=(loop_set.HALF_OUTPUT, loop_set.HALF_INPUT), reciprocal=True),
+        measure=Peak(transfers=(HALF_OUTPUT, HALF_INPUT), reciprocal=True),
         scopes=("", "worst_case", "faults"),
         best=2.0,
     ),
@@ -162,7 +174,7 @@ METRICS: dict[str, Metric] = {
         key="sensitivity_peak",
         sense="at most",
         meaning="‖S‖∞, the larger of input and output",
-        measure=Peak(transfers=(loop_set.S_OUTPUT, loop_set.S_INPUT)),
+        measure=Peak(transfers=(S_OUTPUT, S_INPUT)),
         scopes=("", "worst_case"),
     ),
     "complementary sensitivity peak": Metric(
@@ -170,7 +182,7 @@ METRICS: dict[str, Metric] = {
         key="complementary_sensitivity_peak",
         sense="at most",
         meaning="‖T‖∞, the larger of input and output",
-        measure=Peak(transfers=(loop_set.T_OUTPUT, loop_set.T_INPUT)),
+        measure=Peak(transfers=(T_OUTPUT, T_INPUT)),
         scopes=("", "worst_case"),
     ),
     "damping": Metric(
@@ -204,7 +216,7 @@ METRICS: dict[str, Metric] = {
         sense="at most",
         meaning="the largest singular value of S at the plant's output up to this frequency; of a design with "
         "`command` of the transfer from commands to their errors",
-        measure=Peak(transfers=(loop_set.FOLLOWING,), banded=True),
+        measure=Peak(transfers=(FOLLOWING,), banded=True),
         needs_frequency=True,
     ),
     "overshoot": Metric(
@@ -247,7 +259,7 @@ METRICS: dict[str, Metric] = {
         unit="rad/(rad/s)",
         sense="at most",
         meaning="peak gain from the platform's rate to the angles",
-        measure=Peak(transfers=(loop_set.ANGLE_PER_OMEGA,)),
+        measure=Peak(transfers=(ANGLE_PER_OMEGA,)),
     ),
     "attenuation": Metric(
         name="attenuation of base motion",
@@ -257,7 +269,7 @@ METRICS: dict[str, Metric] = {
         sense="at least",
         meaning="the platform's rate over the rate of the line of sight that it causes, in the worst direction, up to "
         "this frequency; of the axes across the line of sight that the loop's torquers move",
-        measure=Peak(transfers=(loop_set.SIGHT_PER_OMEGA,), banded=True, reciprocal=True),
+        measure=Peak(transfers=(SIGHT_PER_OMEGA,), banded=True, reciprocal=True),
         scopes=("", "worst_case"),
         needs_frequency=True,
     ),
@@ -267,7 +279,7 @@ METRICS: dict[str, Metric] = {
         unit="rad/(N m)",
         sense="at most",
         meaning="peak gain from torques that add to the torquers' to the angles",
-        measure=Peak(transfers=(loop_set.ANGLE_PER_TORQUE,)),
+        measure=Peak(transfers=(ANGLE_PER_TORQUE,)),
     ),
     "torque noise": Metric(
         name="torque noise, rms",
@@ -288,7 +300,7 @@ METRICS: dict[str, Metric] = {
         meaning="commanded torque over the torquer's limit (1: just at it), worst torquer, for sinusoidal platform "
         "rates in the ellipsoid with half-axes `Omega`, up to this frequency or of any frequency. Torquers without "
         "a limit do not count",
-        measure=Peak(transfers=(loop_set.TORQUE_SHARE,), banded=True),
+        measure=Peak(transfers=(TORQUE_SHARE,), banded=True),
     ),
     "fastest controller pole": Metric(
         name="fastest pole of the controller",

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.poles import resonances
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
 
 # Sweeps of balancing, and the share of a row that counts as that of an empty column.
@@ -143,7 +143,7 @@ def _largest_eigenvalue(Q: ComplexArray | FloatArray, M: ComplexArray | FloatArr
     return complex(eigenvalues[np.argmax(np.abs(eigenvalues))])
 
 
-def search_grid(system: StateArrays, s: ComplexArray) -> FloatArray:
+def search_grid(system: System, s: ComplexArray) -> FloatArray:
     """Return frequencies that follow the closed loop's poles, and some a decade between and beyond them."""
     own = resonances(s)
     own = own[own > 0.0]
@@ -179,7 +179,7 @@ class MuPeak:
     response there.
     """
 
-    def __init__(self, system: StateArrays) -> None:
+    def __init__(self, system: System) -> None:
         m = len(system.D)
         self.axis = FrequencyAxis(system)
         self.mu = self.frequency = 0.0

@@ -15,10 +15,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System, scaled
 from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -43,7 +43,7 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: floa
     Parameters
     ----------
     system
-        Continuous or discrete, stable: `control.StateSpace`, `TransferFunction` or `StateArrays` of one system. Data
+        Continuous or discrete, stable: `control.StateSpace`, `TransferFunction` or `System` of one system. Data
         are refused: the largest gain among their frequencies is not the norm.
     allow_unstable
         Take unstable systems too and return the L-infinity norm, the peak along the frequency axis.
@@ -84,7 +84,7 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: floa
 
 
 def _norm(
-    system: StateArrays, tolerance: float, allow_unstable: bool, known: ComplexArray | None = None
+    system: System, tolerance: float, allow_unstable: bool, known: ComplexArray | None = None
 ) -> tuple[float, float]:
     A, B, C, D, dt = system
     if B.shape[1] == 0 or len(C) == 0:
@@ -143,7 +143,7 @@ def _between(w: FloatArray) -> FloatArray:
     return np.concatenate([w, between, 0.5 * (w[1:] + w[:-1]), [0.5 * w[0], 2.0 * w[-1]]])
 
 
-def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
+def gains(system: System, frequency: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
     return largest_singular_values(frequency_response(system, frequency, -3))
 
@@ -228,7 +228,7 @@ def noise_rms(system: StateSystem, rms: ArrayLike, allow_unstable: bool = False)
     Parameters
     ----------
     system
-        Discrete, stable: `control.StateSpace`, `TransferFunction` or `StateArrays`, which may have leading batch axes.
+        Discrete, stable: `control.StateSpace`, `TransferFunction` or `System`, which may have leading batch axes.
     rms : (m,) or scalar
         Standard deviation of the independent samples at each input, in its units.
     allow_unstable
@@ -286,7 +286,7 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
     return X
 
 
-def peak(system: StateArrays, band: Band = WHOLE, known: ComplexArray | None = None) -> tuple[float, float]:
+def peak(system: System, band: Band = WHOLE, known: ComplexArray | None = None) -> tuple[float, float]:
     """Return an upper bound of the largest singular value over `band`, within 5e-10, and the peak's frequency, rad/s.
 
     Stable where the band is the whole axis; poles may lie anywhere outside of the band. `known` are the system's poles
@@ -300,7 +300,7 @@ def peak(system: StateArrays, band: Band = WHOLE, known: ComplexArray | None = N
     return norm * (1.0 + PEAK_TOLERANCE), frequency
 
 
-def exceeds(system: StateArrays, level: float, known: ComplexArray, band: Band = WHOLE) -> bool:
+def exceeds(system: System, level: float, known: ComplexArray, band: Band = WHOLE) -> bool:
     """Return whether the largest singular value is above `level` anywhere in `band`, or may be.
 
     The system has no poles in the band; `known` (n,) are its poles in s or z.

@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_scaling
 from platform_ctrl.analysis.drift import unseen_equilibria, without_drift_over_a_cycle
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.margins import DiskMargin, no_margin
@@ -32,6 +31,7 @@ from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_absci
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import factor
 from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System, state_scaling
 from platform_ctrl.common.values import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -84,7 +84,7 @@ def _symmetric(matrix: FloatArray) -> FloatArray:
     return out
 
 
-def lifted(systems: Sequence[StateArrays]) -> StateArrays:
+def lifted(systems: Sequence[System]) -> System:
     """Return N systems that take turns, sample by sample, as one of N samples: their inputs and outputs are stacked."""
     N, n, (p, m) = len(systems), systems[0].A.shape[1], systems[0].D.shape
     state, driven = np.eye(n), np.zeros((n, N * m))
@@ -95,10 +95,10 @@ def lifted(systems: Sequence[StateArrays]) -> StateArrays:
         D[rows, columns] += one.D
         state, driven = one.A @ state, one.A @ driven
         driven[:, columns] += one.B
-    return StateArrays(state, driven, C, D, N * systems[0].dt)
+    return System(state, driven, C, D, N * systems[0].dt)
 
 
-def transition(systems: Sequence[StateArrays]) -> FloatArray:
+def transition(systems: Sequence[System]) -> FloatArray:
     """Return the states (n, n) after the samples of a cycle, of those before."""
     out = np.eye(systems[0].A.shape[1])
     for one, count in _runs(systems):
@@ -106,7 +106,7 @@ def transition(systems: Sequence[StateArrays]) -> FloatArray:
     return out
 
 
-def periodic_norm(systems: Sequence[StateArrays], tolerance: float = _TOLERANCE) -> float:
+def periodic_norm(systems: Sequence[System], tolerance: float = _TOLERANCE) -> float:
     """Return the norm of systems that take turns and are stable together, as of `lifted`.
 
     It is not below the true one, nor above by more than `tolerance`, relative.
@@ -129,17 +129,17 @@ def periodic_norm(systems: Sequence[StateArrays], tolerance: float = _TOLERANCE)
     return math.exp(high)
 
 
-def _worst_frequency(systems: Sequence[StateArrays], norm: float) -> float:
+def _worst_frequency(systems: Sequence[System], norm: float) -> float:
     """Return the frequency, rad/s, at most that of half a cycle, at which the norm is reached."""
     if not 0.0 < norm < math.inf:
         return 0.0
     A, G, Q = _over_a_cycle(_runs(systems), norm)
     B, C = factor(G), factor(Q).T
-    whole = StateArrays(A, B, C, np.zeros((len(C), B.shape[1])), len(systems) * systems[0].dt)
+    whole = System(A, B, C, np.zeros((len(C), B.shape[1])), len(systems) * systems[0].dt)
     return hinf_norm(whole, allow_unstable=True)[1]
 
 
-def _is_below(parts: Sequence[tuple[StateArrays, int]], log_level: float) -> bool:
+def _is_below(parts: Sequence[tuple[System, int]], log_level: float) -> bool:
     """Return whether the norm is below a level: cycle after cycle the state is forgotten, whatever the input."""
     try:
         step = _over_a_cycle(parts, math.exp(log_level))
@@ -153,12 +153,12 @@ def _is_below(parts: Sequence[tuple[StateArrays, int]], log_level: float) -> boo
     return False
 
 
-def _runs(systems: Sequence[StateArrays]) -> list[tuple[StateArrays, int]]:
+def _runs(systems: Sequence[System]) -> list[tuple[System, int]]:
     """Return systems that are the same object one sample after the other, each once with their number."""
     return [(alike[0], len(alike)) for alike in (list(group) for _, group in groupby(systems, id))]
 
 
-def _over_a_cycle(parts: Sequence[tuple[StateArrays, int]], level: float) -> Step:
+def _over_a_cycle(parts: Sequence[tuple[System, int]], level: float) -> Step:
     """Return the step of all samples; `PeriodExceedsLevel` where the cycle by itself reaches more than the level."""
     whole: Step | None = None
     for one, count in parts:
@@ -172,7 +172,7 @@ def _over_a_cycle(parts: Sequence[tuple[StateArrays, int]], level: float) -> Ste
     return whole
 
 
-def _one_sample(system: StateArrays, level: float) -> Step:
+def _one_sample(system: System, level: float) -> Step:
     """Return the step of one sample: the worst input follows from the state before and the costate behind it."""
     A, B, C, D = system.A, system.B / math.sqrt(level), system.C / math.sqrt(level), system.D / level
     if D.size and np.linalg.norm(D, 2) >= 1.0:
@@ -182,7 +182,7 @@ def _one_sample(system: StateArrays, level: float) -> Step:
     return Step(A + into @ seen, into @ B.T, C.T @ C + seen.T @ inverse @ seen)
 
 
-def balanced(systems: Sequence[StateArrays]) -> list[StateArrays]:
+def balanced(systems: Sequence[System]) -> list[System]:
     """Return systems of the same states in balanced ones, those that are the same object still so."""
     own = {id(one): one for one in systems}
     s = state_scaling(*(np.array([one[k] for one in own.values()]) for k in range(3)))
@@ -192,7 +192,7 @@ def balanced(systems: Sequence[StateArrays]) -> list[StateArrays]:
     return [scaled[id(one)] for one in systems]
 
 
-def pruned(systems: Sequence[StateArrays]) -> list[StateArrays]:
+def pruned(systems: Sequence[System]) -> list[System]:
     """Return systems without the states at each sample that no output depends on and that are over by themselves.
 
     Of a reading that is late these are the samples that are not going to be read. Matrices A (n', n) need not be
@@ -207,7 +207,7 @@ def pruned(systems: Sequence[StateArrays]) -> list[StateArrays]:
         live = _live(systems, links, seen)
     if all(one.all() for one in live):
         return list(systems)
-    made: dict[tuple[bytes, ...], StateArrays] = {}
+    made: dict[tuple[bytes, ...], System] = {}
     out = []
     for k, (one, now) in enumerate(zip(systems, live, strict=True)):
         after = live[(k + 1) % len(live)]
@@ -220,7 +220,7 @@ def pruned(systems: Sequence[StateArrays]) -> list[StateArrays]:
     return out
 
 
-def _live(systems: Sequence[StateArrays], links: dict[int, BoolArray], seen: Sequence[BoolArray]) -> list[BoolArray]:
+def _live(systems: Sequence[System], links: dict[int, BoolArray], seen: Sequence[BoolArray]) -> list[BoolArray]:
     """Return for each sample the states (n,) on which what is `seen` then or later depends."""
     live = [one.copy() for one in seen]
     changed = True
@@ -233,7 +233,7 @@ def _live(systems: Sequence[StateArrays], links: dict[int, BoolArray], seen: Seq
     return live
 
 
-def _lasting(systems: Sequence[StateArrays], links: dict[int, BoolArray], live: Sequence[BoolArray]) -> BoolArray:
+def _lasting(systems: Sequence[System], links: dict[int, BoolArray], live: Sequence[BoolArray]) -> BoolArray:
     """Return the states (n,) at the first sample that are not live and that follow from such states for ever."""
     left = ~live[0]
     while left.any():
@@ -252,9 +252,7 @@ class PeriodicLoop:
     loop by sample, from disturbances of the torques, then noise of what is measured, to the torques.
     """
 
-    def __init__(
-        self, plant: StateArrays, by_sample: Sequence[StateArrays], at: Sequence[int], seen: Sequence[int]
-    ) -> None:
+    def __init__(self, plant: System, by_sample: Sequence[System], at: Sequence[int], seen: Sequence[int]) -> None:
         m = len(at)
         own = plant.part(seen, at)
         closed = {id(K): closed_loop(own, K) for K in by_sample}
@@ -267,12 +265,10 @@ class PeriodicLoop:
         # Without the equilibria that no sensor sees at any sample.
         n = len(self.A)
         rows = np.vstack([row for one in closed.values() for row in (one.A - np.eye(n), one.C[m:])])
-        self.drift = unseen_equilibria(
-            StateArrays(self.A, np.zeros((n, 0)), rows, np.zeros((len(rows), 0)), self.period)
-        )
+        self.drift = unseen_equilibria(System(self.A, np.zeros((n, 0)), rows, np.zeros((len(rows), 0)), self.period))
         self.poles: ComplexArray = poles(self.drift.system.A)
 
-    def _disk(self, outputs: Sequence[int], inputs: Sequence[int]) -> list[StateArrays]:
+    def _disk(self, outputs: Sequence[int], inputs: Sequence[int]) -> list[System]:
         """Return S − I/2 from some channels' torques to others', by sample; the same matrices are the same object."""
         direct = 0.5 * (np.array(outputs)[:, None] == np.array(inputs))
         parts = {id(one): one.part(outputs, inputs) for one in self.systems}
@@ -339,7 +335,7 @@ class PeriodicLoop:
         )
 
     def _over_frequency(
-        self, disks: Sequence[StateArrays], d: FloatArray, s: ComplexArray
+        self, disks: Sequence[System], d: FloatArray, s: ComplexArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return frequencies (F,), rad/s, and the margins there: with scalings `d`, and of one channel."""
         N, m = self.samples, self.channels
@@ -354,7 +350,7 @@ class PeriodicLoop:
         gains = largest_singular_values(response * every / every[:, None])
         return grid, 1.0 / gains, 1.0 / alone
 
-    def noise_to_torque(self, rms: FloatArray) -> list[StateArrays]:
+    def noise_to_torque(self, rms: FloatArray) -> list[System]:
         """Return for each channel a system driven by white samples of unit rms whose outputs add up to its torque.
 
         The sum of their mean squares is that of the torque, over the samples of a cycle, from noise (p,) of what is
@@ -377,5 +373,5 @@ class PeriodicLoop:
             C = np.pad(factor(seen[k]).T, ((0, 1), (0, 0)))
             D = np.zeros((len(C), B.shape[1]))
             D[-1, -1] = math.sqrt(own[k])
-            out.append(StateArrays(state, B, C / math.sqrt(self.samples), D / math.sqrt(self.samples), self.period))
+            out.append(System(state, B, C / math.sqrt(self.samples), D / math.sqrt(self.samples), self.period))
         return out

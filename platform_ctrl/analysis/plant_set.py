@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.between_samples import (
     CombinedResponses,
     Disturbed,
@@ -21,6 +20,7 @@ from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.system import ComplexArray, System, named_system
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.errors import ArgumentError
@@ -102,14 +102,14 @@ class PlantSet:
     feedforward: RateFeedforward | None = None
 
     @property
-    def arrays(self) -> StateArrays:
+    def arrays(self) -> System:
         """All plants, (N, ...), from torques to what is measured."""
-        return StateArrays(self.A, self.B, self.C, self.D, self.period)
+        return System(self.A, self.B, self.C, self.D, self.period)
 
     @property
-    def whole(self) -> StateArrays:
+    def whole(self) -> System:
         """All plants, (N, ...), from torques and Omega to what is measured, the line of sight and `between`."""
-        return StateArrays(
+        return System(
             self.A,
             np.concatenate([self.B, self.B_Omega], axis=-1),
             np.concatenate([self.C, self.C_sight, self.C_between], axis=-2),
@@ -146,11 +146,11 @@ class PlantSet:
         static = fed is not None and fed.into == "reading" and not len(fed.path.A)
         return np.hstack([own, fed.path.D * fed.noise]) if fed is not None and static else own
 
-    def of_torques(self) -> StateArrays:
+    def of_torques(self) -> System:
         """Return the nominal plant from its torques to what is measured, without states that no torque changes."""
         added = 0 if self.feedforward is None else len(self.feedforward.from_rate.A)
         n = self.A.shape[-1] - added
-        return StateArrays(self.A[0, :n, :n], self.B[0, :n], self.C[0, :, :n], self.D[0], self.period)
+        return System(self.A[0, :n, :n], self.B[0, :n], self.C[0, :, :n], self.D[0], self.period)
 
     def named_inputs(self, commands: Sequence[str] = ()) -> list[str]:
         """Return the names of what a delivered controller reads: the angles, commands, sensors of feedforward."""
@@ -213,17 +213,17 @@ class PlantSet:
         arrays = self.arrays.at(k)._replace(B=B, D=D)
         return named_system(arrays, [*self.torques, *OMEGA_NAMES], self.angles, self.states)
 
-    def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
+    def joined(self, controller: control.StateSpace | System) -> System:
         """Return the arrays of a controller u = K y from all angles of this set to all of its torques, in its order.
 
         A `control.StateSpace` is joined by the names of its signals. Commands are left out, and what they alone reach,
         and so is feedforward of the platform's rate, which is a part of the plants. Other signals, sizes or sample
         periods are refused.
         """
-        K = controller if isinstance(controller, StateArrays) else state_arrays(controller, "controller")
+        K = controller if isinstance(controller, System) else System.of(controller, "controller")
         if abs(K.dt - self.period) > 1e-9 * self.period:
             raise ArgumentError(f"controller: dt must be {self.period} s, as of the plants, got {K.dt} s")
-        if not isinstance(controller, StateArrays):
+        if not isinstance(controller, System):
             columns, rows = list(controller.input_labels), list(controller.output_labels)
             columns = [name for name in columns if name.removesuffix(COMMAND) == name or name in self.angles]
             if set(columns) != set(self.named_inputs()) or set(rows) != set(self.torques):
@@ -243,9 +243,9 @@ class PlantSet:
             )
         return K
 
-    def without_feedforward(self, controller: control.StateSpace) -> tuple[StateArrays, list[str]]:
+    def without_feedforward(self, controller: control.StateSpace) -> tuple[System, list[str]]:
         """Return a controller's arrays and inputs without feedforward, which must be the one that the plants have."""
-        K, names, fed = state_arrays(controller, "controller"), list(controller.input_labels), self.feedforward
+        K, names, fed = System.of(controller, "controller"), list(controller.input_labels), self.feedforward
         if fed is None:
             return K, names
         others = [name for name in names if name not in (*self.angles, *fed.sensors)]
@@ -262,7 +262,7 @@ class PlantSet:
             )
         return inner, own
 
-    def feedback(self, controller: StateArrays) -> StateArrays:
+    def feedback(self, controller: System) -> System:
         """Return K of a controller u = K y, itself, or of u = K y + H r, with twice as many inputs."""
         p = len(self.angles)
         return feedback_part(controller, range(p)) if controller.D.shape[1] == 2 * p else controller
@@ -322,7 +322,7 @@ class PlantSet:
         )
 
 
-def _alike(one: StateArrays, other: StateArrays) -> bool:
+def _alike(one: System, other: System) -> bool:
     """Return whether two systems have the same matrices but for rounding."""
     pairs = [(getattr(one, name), getattr(other, name)) for name in "ABCD"]
     return all(
@@ -336,7 +336,7 @@ def members(groups: Sequence[str], of: Sequence[str]) -> BoolArray:
 
 
 def plant_set(  # noqa: PLR0913 - what a set is made of, by keyword
-    whole: StateArrays,
+    whole: System,
     *,
     labels: tuple[str, ...],
     groups: tuple[Group, ...],
@@ -379,7 +379,7 @@ def plant_set(  # noqa: PLR0913 - what a set is made of, by keyword
     return out.on(tuning_grid(nutation, whole.dt))
 
 
-def _matrices(whole: StateArrays, m: int, p: int, q: int) -> dict[str, Any]:
+def _matrices(whole: System, m: int, p: int, q: int) -> dict[str, Any]:
     """Return the matrices of plants with m torques, p measured outputs and q of the line of sight by field."""
     A, B, C, D, _ = whole
     at, of = slice(p, p + q), slice(p + q, None)

@@ -13,8 +13,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled
 from platform_ctrl.analysis.response import StateSystem, linear_arrays
+from platform_ctrl.analysis.system import ComplexArray, all_finite, scaled
 from platform_ctrl.common.arguments import number, real_numbers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
+from platform_ctrl.analysis.system import ComplexArray, System, scaled
 from platform_ctrl.common.values import FloatArray
 
 # Condition number of the eigenvectors from which on responses come from the Schur form.
@@ -37,11 +37,11 @@ class AxisResponse:
     A sampled system is evaluated as a function of z - 1: nothing cancels far below the sample rate.
     """
 
-    def __init__(self, system: StateArrays, balanced: bool = False) -> None:
+    def __init__(self, system: System, balanced: bool = False) -> None:
         A, B, C, D, self._dt = system
         if not balanced:
             A, B, C = scaled(A, B, C)
-        self._late = _Late.of(StateArrays(A, B, C, D, self._dt))
+        self._late = _Late.of(System(A, B, C, D, self._dt))
         A = A.astype(np.longdouble)
         if self._dt > 0.0:
             A -= np.eye(len(A))
@@ -162,7 +162,7 @@ class AxisResponse:
 class _Late:
     """A sampled system whose states are mostly those of delays: the others' equations, with powers of z in them."""
 
-    def __init__(self, system: StateArrays, late: NDArray[np.bool_], source: NDArray[np.intp]) -> None:
+    def __init__(self, system: System, late: NDArray[np.bool_], source: NDArray[np.intp]) -> None:
         A, B, C, self._D, self._dt = system
         core = np.flatnonzero(~late)
         place = np.cumsum(~late) - 1
@@ -188,7 +188,7 @@ class _Late:
         self._B = B[core].astype(np.complex128)
 
     @staticmethod
-    def of(system: StateArrays) -> _Late | None:
+    def of(system: System) -> _Late | None:
         """Return the system with its delays taken out, None where it has but few."""
         A, B, D = system.A, system.B, system.D
         if not system.dt > 0.0 or len(A) < _LATE or not D.size:
@@ -238,7 +238,7 @@ def _less_one(w: FloatArray, dt: float) -> NDArray[np.clongdouble]:
     return np.asarray(out, dtype=np.clongdouble)
 
 
-def state_response(system: StateArrays, w: FloatArray) -> ComplexArray:
+def state_response(system: System, w: FloatArray) -> ComplexArray:
     """Return the response of a system, or of a stack of them, along the frequency axis, (..., p, m, N)."""
     A, B, C, D, dt = system
     if A.ndim == B.ndim == C.ndim == D.ndim == 2:
@@ -249,5 +249,5 @@ def state_response(system: StateArrays, w: FloatArray) -> ComplexArray:
     if A.shape[-1] and D.size:
         A, B, C = scaled(A, B, C)
     for k in np.ndindex(batch):
-        H[k] = AxisResponse(StateArrays(A[k], B[k], C[k], D[k], dt), balanced=True).at(w).transpose(1, 2, 0)
+        H[k] = AxisResponse(System(A[k], B[k], C[k], D[k], dt), balanced=True).at(w).transpose(1, 2, 0)
     return H

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays, system_arrays
 from platform_ctrl.analysis.resolvent import state_response
+from platform_ctrl.analysis.system import ComplexArray, System, frequencies, scaled, system_arrays
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 # What has named signals, what has states, and what has at least values.
 NamedSystem: TypeAlias = "control.StateSpace | control.TransferFunction"
-StateSystem: TypeAlias = "control.StateSpace | control.TransferFunction | StateArrays"
-LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData | StateArrays"
+StateSystem: TypeAlias = "control.StateSpace | control.TransferFunction | System"
+LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData | System"
 
 # Part of |A| (of B or C) below which a direction of the state space counts as not reached (not seen).
 _UNREACHED = 1e-11
@@ -27,13 +27,13 @@ _UNREACHED = 1e-11
 _REALISED = 1e-7
 
 
-def linear_arrays(system: StateSystem, where: str, stack: bool = False) -> StateArrays:
+def linear_arrays(system: StateSystem, where: str, stack: bool = False) -> System:
     """Return the arrays of a `control.StateSpace`, or a minimal realisation of a `control.TransferFunction`.
 
-    `where` is what messages call it, and `stack` says whether `StateArrays` may have batch axes. T. Kailath, Linear
+    `where` is what messages call it, and `stack` says whether `System` may have batch axes. T. Kailath, Linear
     Systems, 1980, sec. 6.4.
     """
-    if isinstance(system, StateArrays):
+    if isinstance(system, System):
         arrays = system_arrays(where, *system)
         if not stack and any(item.ndim > 2 for item in arrays[:4]):
             raise ArgumentError(f"{where}: A, B, C, D must be matrices of one system, got a stack of several")
@@ -44,7 +44,7 @@ def linear_arrays(system: StateSystem, where: str, stack: bool = False) -> State
             "TransferFunction (of data take the values that you need from `data.frdata`)"
         )
     if not is_rational(system):
-        return state_arrays(system, where)
+        return System.of(system, where)
     if not is_proper(system, where):
         raise ArgumentError(
             f"{where}: the transfer function is improper, an entry has more zeros than poles; add fast poles"
@@ -94,7 +94,7 @@ def _entries(system: Any, where: str = "transfer function") -> list[tuple[int, i
     return out
 
 
-def _realisation(system: Any, where: str) -> StateArrays:
+def _realisation(system: Any, where: str) -> System:
     """Return companion forms of the entries, and of several entries what is reached and seen."""
     p, m, dt = system.noutputs, system.ninputs, _period(system, where)
     entries = _entries(system, where)
@@ -114,11 +114,11 @@ def _realisation(system: Any, where: str) -> StateArrays:
         C[i, own], D[i, j] = num[1:] - num[0] * den[1:], num[0]
         at += n
     if p * m == 1 or not size:
-        return StateArrays(A, B, C, D, dt)
+        return System(A, B, C, D, dt)
     # A pole that entries share would be there twice, and a loop closed around it could not move the second one.
     A, B, C = _minimal(A, B, C)
-    _require_same(system, StateArrays(A, B, C, D, dt), where)
-    return StateArrays(A, B, C, D, dt)
+    _require_same(system, System(A, B, C, D, dt), where)
+    return System(A, B, C, D, dt)
 
 
 def _minimal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -147,7 +147,7 @@ def _reached(A: FloatArray, B: FloatArray) -> FloatArray:
     return Q
 
 
-def _require_same(system: Any, arrays: StateArrays, where: str) -> None:
+def _require_same(system: Any, arrays: System, where: str) -> None:
     """Raise an ArgumentError where the realisation's response is not that of the transfer function."""
     rates = np.abs(np.concatenate([np.roots(den) for *_, den in _entries(system)]))
     w = (
@@ -182,7 +182,7 @@ def frequency_response(
     ----------
     system
         Continuous or discrete `control.StateSpace`, p outputs, m inputs, a `control.TransferFunction` (its polynomials
-        are evaluated), data (`control.FrequencyResponseData`, at frequencies of its own) or `StateArrays`, which may
+        are evaluated), data (`control.FrequencyResponseData`, at frequencies of its own) or `System`, which may
         have leading batch axes.
     frequency : (N,)
         rad/s, >= 0.
@@ -210,13 +210,13 @@ def frequency_response(
 
 
 def _response_of(system: LinearSystem, w: FloatArray) -> ComplexArray:
-    if isinstance(system, StateArrays):
+    if isinstance(system, System):
         return state_response(system_arrays("frequency_response", *system), w)
     if hasattr(system, "frdata"):
         return _measured(system, w)
     if is_rational(system):
         return rational_response(system, w)
-    return state_response(state_arrays(system, "frequency_response"), w)
+    return state_response(System.of(system, "frequency_response"), w)
 
 
 def _measured(data: control.FrequencyResponseData, w: FloatArray) -> ComplexArray:

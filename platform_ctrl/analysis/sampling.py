@@ -14,14 +14,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import (
-    StateArrays,
-    named_system,
-    scaled,
-    seen_states,
-    state_arrays,
-    state_scaling,
-)
+from platform_ctrl.analysis.system import System, named_system, scaled, seen_states, state_scaling
 from platform_ctrl.common.arguments import not_negative, positive
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -37,14 +30,14 @@ _SHORT = 0.4
 
 
 @overload
-def sampled(system: StateArrays, period: float, delay: float = ..., lag: ArrayLike | None = ...) -> StateArrays: ...
+def sampled(system: System, period: float, delay: float = ..., lag: ArrayLike | None = ...) -> System: ...
 @overload
 def sampled(
     system: control.StateSpace, period: float, delay: float = ..., lag: ArrayLike | None = ...
 ) -> control.StateSpace: ...
 def sampled(
-    system: control.StateSpace | StateArrays, period: float, delay: float = 0.0, lag: ArrayLike | None = None
-) -> control.StateSpace | StateArrays:
+    system: control.StateSpace | System, period: float, delay: float = 0.0, lag: ArrayLike | None = None
+) -> control.StateSpace | System:
     """Return the system as a sampled controller sees it: hold, delay, actuator lag, plant, sampler.
 
     ::
@@ -57,7 +50,7 @@ def sampled(
     Parameters
     ----------
     system
-        Continuous, m inputs: a `control.StateSpace`, or `StateArrays`, which may have leading batch axes.
+        Continuous, m inputs: a `control.StateSpace`, or `System`, which may have leading batch axes.
     period
         Sample period, s; the result's `dt`.
     delay
@@ -67,7 +60,7 @@ def sampled(
 
     Returns
     -------
-    control.StateSpace or StateArrays
+    control.StateSpace or System
         As `system`, with the names of its inputs and outputs.
 
     Raises
@@ -75,15 +68,15 @@ def sampled(
     ArgumentError
         If the system is not continuous, or `period`, `delay` or `lag` make no sense.
     """
-    arrays = system if isinstance(system, StateArrays) else state_arrays(system, "sampled")
+    arrays = system if isinstance(system, System) else System.of(system, "sampled")
     if arrays.dt != 0.0:
         raise ArgumentError(f"sampled: the system must be continuous, got dt = {arrays.dt} s")
     A, B, C, D, lags = _sampled(*arrays[:4], period, delay, lag)
-    if isinstance(system, StateArrays):
-        return StateArrays(A, B, C, D, float(period))
+    if isinstance(system, System):
+        return System(A, B, C, D, float(period))
     inputs = list(system.input_labels)
     states = sampled_states(list(system.state_labels), inputs, lags, A.shape[-1])
-    return named_system(StateArrays(A, B, C, D, float(period)), inputs, list(system.output_labels), states)
+    return named_system(System(A, B, C, D, float(period)), inputs, list(system.output_labels), states)
 
 
 def sampled_states(states: Sequence[str], inputs: Sequence[str], lags: FloatArray, order: int) -> list[str]:
@@ -98,7 +91,7 @@ def _sampled(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     m = B.shape[-1]
     lags = not_negative("sampled: lag", 0.0 if lag is None else lag, m)
-    A, B, C, D, _ = with_lag(StateArrays(A, B, C, D), lags)
+    A, B, C, D, _ = with_lag(System(A, B, C, D), lags)
 
     period, whole, part = split_delay("sampled", period, delay, m)
     reach = whole + (1 if part > 0.0 else 0)
@@ -135,7 +128,7 @@ def _sampled(
     return Ad, Bd, Cd, np.zeros((*batch, p, m)), lags
 
 
-def every_nth(system: StateArrays, n: int, once: int | None = None) -> tuple[StateArrays, list[int]]:
+def every_nth(system: System, n: int, once: int | None = None) -> tuple[System, list[int]]:
     """Return a sampled system, which may have batch axes, at every n-th sample, and which of its states that has.
 
     Its inputs are held in between. The outputs behind the first `once` are taken at all n samples, one after another.
@@ -162,10 +155,10 @@ def every_nth(system: StateArrays, n: int, once: int | None = None) -> tuple[Sta
                 kept.remove(k)
     own = power[..., kept, :][..., kept].reshape(-1, len(kept), len(kept))
     kept = [kept[k] for k in seen_states(own, C[..., kept].reshape(-1, C.shape[-2], len(kept)))]
-    return StateArrays(power[..., kept, :][..., kept], driven[..., kept, :], C[..., kept], D, n * dt), kept
+    return System(power[..., kept, :][..., kept], driven[..., kept, :], C[..., kept], D, n * dt), kept
 
 
-def late_outputs(system: StateArrays, periods: Sequence[int]) -> StateArrays:
+def late_outputs(system: System, periods: Sequence[int]) -> System:
     """Return a sampled system, which may have leading batch axes, whose outputs are late by whole sample periods."""
     A, B, C, D, dt = system
     n, m = A.shape[-1], B.shape[-1]
@@ -186,7 +179,7 @@ def late_outputs(system: StateArrays, periods: Sequence[int]) -> StateArrays:
         first += count
         new_C[..., row, :], new_D[..., row, :] = 0.0, 0.0
         new_C[..., row, first - 1] = 1.0
-    return StateArrays(new_A, new_B, new_C, new_D, dt)
+    return System(new_A, new_B, new_C, new_D, dt)
 
 
 def late_states(outputs: Sequence[str], periods: Sequence[int]) -> list[str]:
@@ -208,7 +201,7 @@ def split_delay(where: str, period: float, delay: float, inputs: int) -> tuple[f
     return period, whole, 0.0 if part < 1e-9 else part
 
 
-def with_lag(system: StateArrays, lags: FloatArray) -> StateArrays:
+def with_lag(system: System, lags: FloatArray) -> System:
     """Return a continuous system with a first-order lag in front of every input whose time constant is not zero."""
     slow = np.flatnonzero(lags > 0.0)
     if slow.size == 0:
@@ -229,7 +222,7 @@ def with_lag(system: StateArrays, lags: FloatArray) -> StateArrays:
     new_C[..., :, n:] = D[..., :, slow]
     new_D = np.array(np.broadcast_to(D, (*batch, p, m)))
     new_D[..., :, slow] = 0.0
-    return StateArrays(new_A, new_B, new_C, new_D)
+    return System(new_A, new_B, new_C, new_D)
 
 
 def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
@@ -261,7 +254,7 @@ def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArra
     return phi, held
 
 
-def energy_rows(plant: StateArrays, period: float, delay: float) -> list[FloatArray]:
+def energy_rows(plant: System, period: float, delay: float) -> list[FloatArray]:
     """Return of each output of a continuous plant rows E (r, n' + m): |E [x; u]|² is its energy over a period.
 
     x (n',) and u (m,) are the states and inputs of the plant as `sampled` makes it, at the period's sample.
@@ -322,7 +315,7 @@ def factor(square: FloatArray) -> FloatArray:
     return out
 
 
-def to_w_plane(system: StateArrays) -> StateArrays:
+def to_w_plane(system: System) -> System:
     """Return a discrete system in w = (2/T) (z - 1)/(z + 1), in balanced states.
 
     The map is exact: stability, the H-infinity norm and the values along the frequency axis are kept, the latter at
@@ -332,17 +325,15 @@ def to_w_plane(system: StateArrays) -> StateArrays:
     D, period, eye = system.D, system.dt, np.eye(A.shape[-1])
     inverse = _inverse(A + eye, "the system has a pole at z = -1")
     root = 2.0 / math.sqrt(period)
-    return StateArrays(
-        2.0 / period * (inverse @ (A - eye)), root * (inverse @ B), root * (C @ inverse), D - C @ inverse @ B
-    )
+    return System(2.0 / period * (inverse @ (A - eye)), root * (inverse @ B), root * (C @ inverse), D - C @ inverse @ B)
 
 
-def from_w_plane(system: StateArrays, period: float) -> StateArrays:
+def from_w_plane(system: System, period: float) -> System:
     """Return a system in w in z, in balanced states: the inverse of `to_w_plane` (Tustin's map)."""
     A, B, C = scaled(*system[:3])
     D, half, root, eye = system.D, 0.5 * period, math.sqrt(period), np.eye(A.shape[-1])
     inverse = _inverse(eye - half * A, f"the system has a pole at 2/period = {2.0 / period:g}")
-    return StateArrays(
+    return System(
         inverse @ (eye + half * A), root * (inverse @ B), root * (C @ inverse), D + half * (C @ inverse @ B), period
     )
 

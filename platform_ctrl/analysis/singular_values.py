@@ -13,10 +13,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.poles import continuous_poles, resonances
 from platform_ctrl.analysis.resolvent import AxisResponse
 from platform_ctrl.analysis.sampling import to_w_plane
+from platform_ctrl.analysis.system import ComplexArray, System, scaled
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -33,11 +33,11 @@ class FrequencyAxis:
     `known` are its poles (n,), perhaps among others, in the plane of s or z, where they are known already.
     """
 
-    def __init__(self, system: StateArrays, known: ComplexArray | None = None) -> None:
+    def __init__(self, system: System, known: ComplexArray | None = None) -> None:
         A, B, C, D, dt = system
         self.edge = math.inf if dt == 0.0 else math.pi / dt
         self._known = known
-        self.system = StateArrays(*scaled(A, B, C), D, dt)
+        self.system = System(*scaled(A, B, C), D, dt)
         self._w_plane: Matrices | None = None
         self._along = AxisResponse(self.system, balanced=True)
 

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays, all_finite, state_scaling
 from platform_ctrl.analysis.response import StateSystem, is_rational, linear_arrays
+from platform_ctrl.analysis.system import System, all_finite, state_scaling
 from platform_ctrl.common.arguments import one_of, real_numbers
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -79,7 +79,7 @@ def time_response(
     one_of("time_response: hold", hold, ("foh", "zoh"))
     if not (squeeze is None or isinstance(squeeze, bool)):
         raise ArgumentError(f"time_response: squeeze must be None, True or False, got {squeeze!r}")
-    y = _outputs(StateArrays(A, B, C, D, dt), step, u, x0, hold)
+    y = _outputs(System(A, B, C, D, dt), step, u, x0, hold)
     if squeeze is None:
         # As there; a system is one of python-control's, which is loaded then.
         import control
@@ -90,7 +90,7 @@ def time_response(
     return y[0] if squeeze is None and D.shape == (1, 1) else y
 
 
-def _outputs(system: StateArrays, step: float, u: FloatArray, x0: FloatArray, hold: Hold) -> FloatArray:
+def _outputs(system: System, step: float, u: FloatArray, x0: FloatArray, hold: Hold) -> FloatArray:
     A, B, C, D, dt = system
     if not len(A):
         return np.asarray(D @ u)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import DesignError, PlatformCtrlError
@@ -209,7 +209,7 @@ class Tuning:
         plants, channel, design = self.plants, self.directions, self.design
         bounds = {"pi": rate.upper_bounds, "classical": caging.upper_bounds}
 
-        def controller(trial: dict[str, float]) -> StateArrays:
+        def controller(trial: dict[str, float]) -> System:
             if design.method == "lqg":
                 K = read_by_sensors(trial, channel, plants)
             else:
@@ -236,7 +236,7 @@ class Tuning:
 class Made:
     """A controller u = K y that a method has designed, with its completed options and what the method claims."""
 
-    controller: StateArrays
+    controller: System
     options: dict[str, float]
     claims: dict[str, float]
 
@@ -261,7 +261,7 @@ class Designing:
             alone.insert(0, dataclasses.replace(inner, designs=(inner.closed,)))
         outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress)
         closed = next(one.closed for one in outcomes if one.spec.name == spec.name)
-        controller = state_arrays(closed.own_controller, closed.name)
+        controller = System.of(closed.own_controller, closed.name)
         return Made(controller=controller, options=dict(closed.options), claims=dict(closed.claims))
 
 

@@ -9,16 +9,16 @@ from typing import get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidths import bandwidth_of_response
 from platform_ctrl.analysis.feedback import commanded_loop, with_error_alone
 from platform_ctrl.analysis.frequency_grids import following_grid
+from platform_ctrl.analysis.loop import Loop, Transfer
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
-from platform_ctrl.analysis.loop_set import LoopSet, Transfer
 from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.app.curves import (
     EDGE,
     GRID_POINTS,
@@ -61,16 +61,16 @@ class CagedLoop:
     design: str
     plants: PlantSet
     shown: PlantSet
-    controller: StateArrays
-    shaped: Callable[[StateArrays], StateArrays] | None = None
+    controller: System
+    shaped: Callable[[System], System] | None = None
 
     @property
-    def delivered(self) -> StateArrays:
+    def delivered(self) -> System:
         """The controller that is measured, with its commands where it does more with them than to compare."""
         return self.controller if self.shaped is None else self.shaped(self.controller)
 
     @property
-    def plant(self) -> StateArrays:
+    def plant(self) -> System:
         """The plant shown."""
         return self.shown.arrays.at(0)
 
@@ -84,7 +84,7 @@ class CagedLoop:
 CachedMetrics = Callable[[Callable[[], LoopMetrics]], LoopMetrics]
 
 
-def loop_metrics(loop: CagedLoop, whole: LoopSet | None = None) -> LoopMetrics:
+def loop_metrics(loop: CagedLoop, whole: Loop | None = None) -> LoopMetrics:
     """Return the metrics that the page shows of a loop: peaks are norms unless it has too many states for that."""
     requests = requirements_of(loop.spec)
     if loop.exact:
@@ -95,14 +95,14 @@ def loop_metrics(loop: CagedLoop, whole: LoopSet | None = None) -> LoopMetrics:
 class CagedCurves(LoopCurves):
     """The curves of a caging loop; with `whole` those of the whole set too, failed parts left out."""
 
-    def __init__(self, loop: CagedLoop, settings: Settings, whole: LoopSet | None = None) -> None:
+    def __init__(self, loop: CagedLoop, settings: Settings, whole: Loop | None = None) -> None:
         names = loop.plants
         channel = settings.channel if settings.channel in names.torques else names.torques[0]
         super().__init__(job=loop.job, settings=settings, plant=loop.plant, controller=loop.controller,
                          readings=names.angles, torquers=names.torques, channel=channel)  # fmt: skip
         self.loop, self.whole = loop, whole
-        self.shown = LoopSet(loop.shown, loop.controller)
-        self.set: LoopSet | None = None
+        self.shown = Loop(loop.shown, loop.controller)
+        self.set: Loop | None = None
         if whole is not None and settings.band and len(names.labels) > 1:
             inside = np.flatnonzero(names.of(_BAND))
             self.set = whole if len(inside) == len(names.labels) else whole.only(inside.tolist())
@@ -177,7 +177,7 @@ class CagedCurves(LoopCurves):
         return () if read else self.loop.plants.sight
 
     def _over_time(
-        self, given: Drive, arrays: Callable[[LoopSet], StateArrays], columns: Sequence[int], inputs: FloatArray
+        self, given: Drive, arrays: Callable[[Loop], System], columns: Sequence[int], inputs: FloatArray
     ) -> TimeResponse:
         m, p = self.shown.m, self.shown.p
         seen = self._sight or self.readings
@@ -194,7 +194,7 @@ class CagedCurves(LoopCurves):
             every = np.arange(len(self.set.plants.labels))
             band = self.set.plants.frequency, self.set.responses(part, every)[0][..., axis]
         words = "line of sight" if self._sight else "rates" if kind == "rate" else "angles"
-        shown = LoopSet(self.loop.shown.on(frequency), self.controller)
+        shown = Loop(self.loop.shown.on(frequency), self.controller)
         own = shown.responses(part, np.zeros(1, dtype=np.intp))[0][0, ..., axis]
         unit, limit = of_readings(METRICS["Omega rejection"].unit, kind), self.limit("Omega rejection")
         return frequency_gain(f"rate Omega{self.axis} → {words}", unit, frequency, own, band, limit)
@@ -218,7 +218,7 @@ class CagedCurves(LoopCurves):
 
 def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMetrics) -> Parts:
     """Return what is drawn for a caging loop, and the function that measures it; `labels` are those of all plants."""
-    curves = CagedCurves(loop, settings, LoopSet(loop.plants, loop.delivered))
+    curves = CagedCurves(loop, settings, Loop(loop.plants, loop.delivered))
     drawing = curves.drawing(labels)
 
     def measured_parts() -> Measured:
@@ -235,7 +235,7 @@ def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], ca
     return drawing, measured_parts
 
 
-def commanded_arrays(loops: LoopSet) -> StateArrays:
+def commanded_arrays(loops: Loop) -> System:
     """Return closed loops from torques, Omega and commands to the torques and what the plants show."""
     K = with_error_alone(loops.controller) if loops.two_degrees is None else loops.two_degrees
     return commanded_loop(loops.plants.whole, K, range(loops.m), range(loops.p))

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.app.background import Made
 from platform_ctrl.app.budget import LineOfSight
 from platform_ctrl.app.caged import CachedMetrics, CagedLoop
@@ -228,7 +228,7 @@ class ClosedLoops:
 
     def _closed_design(
         self, settings: Settings, spec: LoopSpec, strict: bool = False
-    ) -> tuple[DesignSpec, StateArrays, str]:
+    ) -> tuple[DesignSpec, System, str]:
         """Return the design that is closed in a loop, its controller of the readings, and a line about it.
 
         Until it is designed it is another one, unless `strict`.
@@ -263,7 +263,7 @@ class ClosedLoops:
             loop=spec.name, design=design.name, method=design.method, system=system, options=options, note=note
         )
 
-    def _with_commands(self, settings: Settings, spec: LoopSpec, design: DesignSpec, K: StateArrays) -> StateArrays:
+    def _with_commands(self, settings: Settings, spec: LoopSpec, design: DesignSpec, K: System) -> System:
         """Return a controller with the commands that its design shapes, or that a loop or a manoeuvre gives."""
         if design.command is not None:
             channel = self.directions(settings, spec, design)
@@ -276,10 +276,10 @@ class ClosedLoops:
         """Return the controller of a servo on the platform."""
         mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         made = designed(LoopProblem(job=self.read, spec=spec, design=mine, model=self.plants.model)).controller
-        K = state_arrays(made, design.name)
+        K = System.of(made, design.name)
         return named_system(K, made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
 
-    def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> StateArrays:
+    def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> System:
         """Return the controller of a caging loop."""
         if built_directly(design):
             channel = self.directions(settings, spec, design)
@@ -291,6 +291,6 @@ class ClosedLoops:
         return made.controller
 
 
-def _content(K: StateArrays) -> tuple[object, ...]:
+def _content(K: System) -> tuple[object, ...]:
     """Return the numbers of a controller as part of a key."""
     return (K.A.shape, *(item.tobytes() for item in K[:4]))

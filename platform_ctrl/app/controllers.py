@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.app.excitation import first_axis
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings
@@ -68,7 +68,7 @@ def _with(design: DesignSpec, options: Mapping[str, float]) -> DesignSpec:
     return dataclasses.replace(design, options=dict(options))
 
 
-def direct_arrays(method: str, options: Mapping[str, float], channel: Channels, period: float) -> StateArrays:
+def direct_arrays(method: str, options: Mapping[str, float], channel: Channels, period: float) -> System:
     """Return the sampled controller of a classical or PI design of complete options, from readings to torques."""
     made = (rate_controller if method == "pi" else classical_controller)(dict(options), channel, period)
     controller = made if channel.sense is None else made._replace(B=made.B @ channel.sense, D=made.D @ channel.sense)

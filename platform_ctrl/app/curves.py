@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.poles import continuous_poles, pole_branches, poles, spectral_abscissa
 from platform_ctrl.analysis.resolvent import AxisResponse
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.app.pictures import (
     Bode,
     ClosedLoop,
@@ -122,7 +122,7 @@ def drive(
     return Drive(title=title, t=t, u=u, every=every, limit=limit)
 
 
-def sampled_responses(systems: StateArrays, inputs: FloatArray, every: int) -> FloatArray:
+def sampled_responses(systems: System, inputs: FloatArray, every: int) -> FloatArray:
     """Return the outputs (..., p, T) of sampled systems at rest at every `every`-th sample.
 
     `inputs` (m, every * (T - 1) + 1) have all samples. Exact: a power of A carries the state over whole intervals,
@@ -150,7 +150,7 @@ def sampled_responses(systems: StateArrays, inputs: FloatArray, every: int) -> F
 
 
 def gain_locus(
-    plant: StateArrays, controller: StateArrays, reach: float, moving: Sequence[bool]
+    plant: System, controller: System, reach: float, moving: Sequence[bool]
 ) -> tuple[FloatArray, ComplexArray]:
     """Return factors on the `moving` outputs of a controller from 0 to 2.5, 1 among them, and the poles (G, n) in s.
 
@@ -161,8 +161,8 @@ def gain_locus(
     def z_poles(factors: FloatArray) -> ComplexArray:
         f = np.where(np.array(moving)[:, None], factors[:, None, None], 1.0)
         closed = closed_loop(
-            StateArrays(A, B, C, D, period),
-            StateArrays(controller.A, controller.B, f * controller.C, f * controller.D, period),
+            System(A, B, C, D, period),
+            System(controller.A, controller.B, f * controller.C, f * controller.D, period),
         ).A
         return np.asarray(np.linalg.eigvals(closed), dtype=np.complex128)
 
@@ -229,8 +229,8 @@ class LoopCurves(ABC):
         self,
         job: Job,
         settings: Settings,
-        plant: StateArrays,
-        controller: StateArrays,
+        plant: System,
+        controller: System,
         readings: Sequence[str],
         torquers: Sequence[str],
         channel: str,
@@ -388,7 +388,7 @@ class LoopCurves(ABC):
         return bode, Nichols(labels=labels, phase=phases, magnitude=sizes, frequency=where, disk_margin=disk_margin)
 
     def over_time(
-        self, drive: Drive, signals: Sequence[str], shown: StateArrays, band: StateArrays | None, inputs: FloatArray
+        self, drive: Drive, signals: Sequence[str], shown: System, band: System | None, inputs: FloatArray
     ) -> TimeResponse:
         """Return what `inputs` (m, T) do to the outputs of closed loops, which are the `signals`."""
         values = sampled_responses(shown, inputs, drive.every)[0]

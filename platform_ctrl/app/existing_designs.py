@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.system import System
 from platform_ctrl.app.background import Made
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.loop_signals import loop_signals
@@ -32,7 +32,7 @@ def existing_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
                 continue
             design = next((one for one in spec.designs if one.name == entry.get("design")), spec.closed)
             readings, torques = loop_names(job, spec, design)
-            arrays = state_arrays(K, str(K.name))
+            arrays = System.of(K, str(K.name))
             names = list(K.input_labels)
             if design.feedforward is not None and set(design.feedforward.sensors) <= set(names):
                 fed = rate_feedforward(job, spec.read_by(design), design)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.interconnection import interconnected
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, sampled
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
 from platform_ctrl.job.job import Job, LoopSpec
@@ -42,8 +42,8 @@ class FreePlants:
     labels: tuple[str, ...]
     torquers: tuple[str, ...]
     sensors: tuple[str, ...]
-    arrays: StateArrays
-    turned: StateArrays
+    arrays: System
+    turned: System
     period: float
     frequency: FloatArray
     response: ComplexArray
@@ -108,10 +108,10 @@ def free_plants(
     A, B, C, B_root, C_rate = map(np.array, zip(*rows, strict=True))
     N, n, m = B.shape
     period, delay, lags = job.sampling.period, job.sampling.delay, np.array([t.lag for t in torquers])
-    own = StateArrays(A, B, C, np.zeros((N, len(sensors), m)), 0.0)
+    own = System(A, B, C, np.zeros((N, len(sensors), m)), 0.0)
     # With the attitude as states and outputs: on the sampled plant's own states lags and held torques have no effect.
     none = np.zeros((N, 3, 3))
-    turned = StateArrays(
+    turned = System(
         np.block([[A, np.zeros((N, n, 3))], [C_rate, none]]),
         np.concatenate([B, np.zeros((N, 3, m))], axis=1),
         np.block([[C, np.zeros((N, len(sensors), 3))], [np.zeros((N, 3, n)), np.broadcast_to(np.eye(3), none.shape)]]),
@@ -158,7 +158,7 @@ class StabilisedLoop:
     plants: FreePlants
     shown: FreePlants
 
-    def joined(self, plants: FreePlants) -> tuple[StateArrays, list[int], tuple[str, ...]]:
+    def joined(self, plants: FreePlants) -> tuple[System, list[int], tuple[str, ...]]:
         """Return all controllers as one, the plants' inputs that it sets, and its torquers."""
         used = {name for K in self.controllers for name in K.output_labels}
         torquers = [name for name in plants.torquers if name in used]

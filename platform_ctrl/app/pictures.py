@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.judging import CheckResult

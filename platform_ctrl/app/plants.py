@@ -10,8 +10,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.system import System
 from platform_ctrl.app.free_plants import FreePlants, corners, free_plants
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
@@ -122,7 +122,7 @@ class JobPlants:
         return self._plants.get((spec.name, spec.read_by(design).sensors, name), made)
 
     def around(
-        self, spec: LoopSpec, inner: LoopSpec, design: DesignSpec, K: StateArrays, key: Hashable
+        self, spec: LoopSpec, inner: LoopSpec, design: DesignSpec, K: System, key: Hashable
     ) -> tuple[PlantSet, Channels]:
         """Return plants and directions of a tracking loop, `K` of the rate loop's `design` closed, by its `key`."""
         return self._around.get(

@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, Index, StateArrays
 from platform_ctrl.analysis.bandwidths import bandwidth_of_response
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.system import ComplexArray, Index, System
 from platform_ctrl.app.curves import (
     EDGE,
     GRID_POINTS,
@@ -109,7 +109,7 @@ class StabilisedCurves(LoopCurves):
         band = self._turned(self.loop.plants, order) if self.banded else None
         return self.over_time(given, signals, self._turned(self.loop.shown, order), band, given.u[None])
 
-    def _turned(self, plants: FreePlants, outputs: Index) -> StateArrays:
+    def _turned(self, plants: FreePlants, outputs: Index) -> System:
         """Return the closed loops from the torque on the platform to torques, sensors and attitude."""
         sensors = range(len(self.readings))
         whole = closed_loop(plants.turned, self.controller, torques=self.used, angles=sensors)

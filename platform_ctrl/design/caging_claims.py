@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.design.loop import LoopDesign, with_commands
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
@@ -38,7 +38,7 @@ def largest_rates(design: LoopDesign) -> dict[str, float]:
     plants, measures = design.plants, design.measures
     assert plants is not None, "a caging loop has plants"
     assert measures is not None, "and is measured"
-    A, B, C, D, _ = LoopSet(plants, with_commands(plants, design.controller)).arrays
+    A, B, C, D, _ = Loop(plants, with_commands(plants, design.controller)).arrays
     torques, rates = slice(len(plants.torques)), slice(len(plants.torques), len(plants.torques) + 3)
     varied = plants.of(("nominal", "uncertainty"))
     chosen = varied if np.all(measures.decay[varied] > 0.0) else np.arange(len(A)) == 0

@@ -19,10 +19,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, seen_states, state_arrays
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import every_nth, from_w_plane, held_input, late_outputs
+from platform_ctrl.analysis.system import System, seen_states
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.loop_signals import LoopSignals, loop_signals, without_sensors
@@ -134,7 +134,7 @@ def _shown(model: LinearModel, signals: LoopSignals, sums: Sequence[dict[str, fl
     return T[:, [in_file.index(row) for row in rows]], c
 
 
-def _torque(model: LinearModel, signals: LoopSignals, fed: Feedforward, seen: FloatArray, period: float) -> StateArrays:
+def _torque(model: LinearModel, signals: LoopSignals, fed: Feedforward, seen: FloatArray, period: float) -> System:
     """Return F from the sensors' rates to the torques that keep what the loop reads at zero."""
     T, c = _shown(model, signals, [_rates_of(model.platform, sensor) for sensor in signals.sensors])
     W = -np.linalg.pinv(T) @ c
@@ -161,7 +161,7 @@ def _without_rounding(matrix: FloatArray, scale: FloatArray) -> FloatArray:
     return np.where(np.abs(matrix) > _ROUNDING * size, matrix, 0.0)
 
 
-def _filtered(direct: FloatArray, parts: Sequence[tuple[FloatArray, float]], period: float) -> StateArrays:
+def _filtered(direct: FloatArray, parts: Sequence[tuple[FloatArray, float]], period: float) -> System:
     """Return direct + Σ gain/(s + rate) by Tustin's rule; parts of zero gain take no states."""
     k = direct.shape[1]
     kept = [(gain, rate) for gain, rate in parts if gain.any()]
@@ -169,8 +169,8 @@ def _filtered(direct: FloatArray, parts: Sequence[tuple[FloatArray, float]], per
     B = np.vstack([np.zeros((0, k)), *(np.eye(k) for _ in kept)])
     C = np.hstack([np.zeros((len(direct), 0)), *(gain for gain, _ in kept)])
     if not kept:
-        return StateArrays(A.reshape(0, 0), B, C, direct, period)
-    return from_w_plane(StateArrays(A, B, C, direct), period)
+        return System(A.reshape(0, 0), B, C, direct, period)
+    return from_w_plane(System(A, B, C, direct), period)
 
 
 def _weights(model: LinearModel, signals: LoopSignals) -> FloatArray:
@@ -199,7 +199,7 @@ def _expect_whole(where: str, weights: FloatArray, supplied: FloatArray, signals
         )
 
 
-def _reading(w: FloatArray, order: int, period: float) -> StateArrays:
+def _reading(w: FloatArray, order: int, period: float) -> System:
     """Return F from the sensors' rates to what they add to rates (order 1) or angles (order 2) that are read."""
     if order == 1:
         return _filtered(w, [], period)
@@ -219,18 +219,18 @@ def _worst_scale(
     return 1.0 + sign * np.abs([sensor.scale_error for sensor in sensors])
 
 
-def _measured(model: LinearModel, signals: LoopSignals, sensors: Sequence[Sensor], scale: FloatArray) -> StateArrays:
+def _measured(model: LinearModel, signals: LoopSignals, sensors: Sequence[Sensor], scale: FloatArray) -> System:
     """Return the sensors of the platform's rate, not late: low-passes and scale factors; continuous."""
     bare = state_space(model, gimbals=signals.gimbals, others="held")
     shown = observed(bare, model.platform, [sensor.name for sensor in sensors], model.q0, model.Omega0)
-    A, B, C, D, _ = state_arrays(shown, "feedforward")
+    A, B, C, D, _ = System.of(shown, "feedforward")
     kept, columns = seen_states(A[None], C[None]), [shown.input_labels.index(name) for name in OMEGA_NAMES]
     factor = (scale / np.array([1.0 + sensor.scale_error for sensor in sensors]))[:, None]
-    return StateArrays(A[np.ix_(kept, kept)], B[np.ix_(kept, columns)], factor * C[:, kept], factor * D[:, columns])
+    return System(A[np.ix_(kept, kept)], B[np.ix_(kept, columns)], factor * C[:, kept], factor * D[:, columns])
 
 
-def _held(sensors: StateArrays, late: Sequence[int], period: float, every: int) -> StateArrays:
+def _held(sensors: System, late: Sequence[int], period: float, every: int) -> System:
     """Return sensors of a rate that is held between samples, late by whole periods, at every n-th sample."""
     A, B = held_input(sensors.A, sensors.B, period)
-    found = late_outputs(StateArrays(A, B, sensors.C, sensors.D, period), late)
+    found = late_outputs(System(A, B, sensors.C, sensors.D, period), late)
     return every_nth(found, every)[0] if every > 1 else found

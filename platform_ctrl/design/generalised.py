@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from platform_ctrl.analysis.arrays import named_system, state_arrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.sampling import from_w_plane
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import completed, remeasured
 from platform_ctrl.design.partition import Channels
@@ -101,7 +101,7 @@ def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "g
     if controller.dt:
         given = controller
     else:
-        (weighted, channel), K = _weighted(loop, weights), state_arrays(controller, "controller")
+        (weighted, channel), K = _weighted(loop, weights), System.of(controller, "controller")
         if K.D.shape != (weighted.size, weighted.size):
             raise ArgumentError(
                 f"controller: must have {weighted.size} inputs and outputs, as the generalised plant has "

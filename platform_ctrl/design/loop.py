@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import block_diag
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.system import ComplexArray, System, named_system
 from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
@@ -128,7 +128,7 @@ class LoopProblem:
         sense = self.channel.sense
         return self.plant_set if sense is None else self.plant_set.in_directions(sense)
 
-    def with_commands(self, K: StateArrays) -> StateArrays:
+    def with_commands(self, K: System) -> System:
         """Return the design's controller of `plants` with its commands, if it says what to do with them; else K."""
         if self.design.command is None:
             return K
@@ -147,7 +147,7 @@ class LoopProblem:
 class Designed:
     """What a design method returns; `designed` measures the closed loop and does not rely on the claims."""
 
-    controller: StateArrays  # u = K y, sampled with the job's period or a static gain
+    controller: System  # u = K y, sampled with the job's period or a static gain
     options: dict[str, float]  # the method's numbers as finally used, in the units of the job file
     claims: dict[str, float] = field(default_factory=dict)  # what the method claims, by name, in SI units
     # inputs, outputs: names of the signals; by default the pick-offs and the torquers of the loop's plants.
@@ -196,7 +196,7 @@ def _sections(problem: LoopProblem, design: LoopDesign) -> tuple[Section, ...]:
     return found
 
 
-def in_signals(problem: LoopProblem, controller: StateArrays) -> StateArrays:
+def in_signals(problem: LoopProblem, controller: System) -> System:
     """Return what a method made, from the readings of the loop's plants, with the commands that its design shapes."""
     design, channel = problem.design, problem.channel
     sense, K = channel.sense, controller
@@ -274,7 +274,7 @@ def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants
     return _measured(spec, name, "given", K, plants)
 
 
-def _measured(spec: LoopSpec, name: str, method: str, K: StateArrays, plants: PlantSet) -> LoopDesign:
+def _measured(spec: LoopSpec, name: str, method: str, K: System, plants: PlantSet) -> LoopDesign:
     """Return a controller with its measures, compared with the limits and goals."""
     measures = measure(plants, K, requirements_of(spec))
     results, goals = limits_and_goals(spec, name, plants, measures)
@@ -294,14 +294,14 @@ def _commands(plants: PlantSet) -> list[str]:
     return [f"{name}{COMMAND}" for name in plants.angles]
 
 
-def _delivered(K: StateArrays, plants: PlantSet, name: str) -> control.StateSpace:
+def _delivered(K: System, plants: PlantSet, name: str) -> control.StateSpace:
     """Return a controller of what the plants measure, perhaps of its commands behind it, with feedforward, by name."""
     commands = _commands(plants)[: K.B.shape[1] - len(plants.angles)]
     whole = K if plants.feedforward is None else plants.feedforward.joined_to(K)
     return named_system(whole, plants.named_inputs(commands), plants.torques, name=name)
 
 
-def with_commands(plants: PlantSet, controller: control.StateSpace) -> StateArrays:
+def with_commands(plants: PlantSet, controller: control.StateSpace) -> System:
     """Return a controller of what the plants measure and, if it takes their commands, of these behind it."""
     own = plants.joined(controller)
     given, names = plants.without_feedforward(controller)
@@ -333,7 +333,7 @@ def commanded(design: LoopDesign) -> LoopDesign:
     return dataclasses.replace(design, controller=controller, sections=sections)
 
 
-def with_controller(design: LoopDesign, controller: StateArrays) -> LoopDesign:
+def with_controller(design: LoopDesign, controller: System) -> LoopDesign:
     """Return a design with another controller of what its plants measure; nothing of it is measured again."""
     plants = design.plants
     assert plants is not None, "the loop has plants"
@@ -344,7 +344,7 @@ def with_controller(design: LoopDesign, controller: StateArrays) -> LoopDesign:
 
 def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> ComplexArray:
     """Return the poles of every plant's closed loop, complex (N, poles), in z."""
-    K = state_arrays(controller, "closed_loop_poles")
+    K = System.of(controller, "closed_loop_poles")
     A = closed_loop(plants.arrays._replace(dt=K.dt), K).A
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
@@ -365,7 +365,7 @@ def completed(method: str, given: dict[str, float], defaults: dict[str, float]) 
     return out
 
 
-def shaped(K: StateArrays, shaping: CommandShaping, directions: Channels, sense: FloatArray) -> StateArrays:
+def shaped(K: System, shaping: CommandShaping, directions: Channels, sense: FloatArray) -> System:
     """Return the controller of readings and commands behind a reference filter, of K from the readings.
 
     u = K (y − F r) + H F r. F = ω²/(s + ω)² does not overshoot. H is the inverse of the plant along the directions:
@@ -384,7 +384,7 @@ def shaped(K: StateArrays, shaping: CommandShaping, directions: Channels, sense:
                 torque = strength[:, None] * sense
                 fed_C += torque @ block_diag(*(one.C,) * p)
                 fed_D += torque @ block_diag(*(one.D,) * p)
-    return StateArrays(
+    return System(
         np.block([[K.A, -K.B @ C], [np.zeros((len(A), len(K.A))), A]]),
         np.block([[K.B, -K.B @ D], [np.zeros((len(A), p)), B]]),
         np.hstack([K.C, fed_C - K.D @ C]),

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from platform_ctrl.analysis.arrays import StateArrays, seen_states, state_scaling
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.system import System, seen_states, state_scaling
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between
@@ -68,7 +68,7 @@ class QuadraticProblem:
         The units of measurements and torques, rad (rate loops: rad/s) and N m.
     """
 
-    plant: StateArrays
+    plant: System
     A: FloatArray
     B: FloatArray
     Q: FloatArray
@@ -93,7 +93,7 @@ def lqg_design(problem: LoopProblem) -> Designed:
     """Return the LQG loop of a job, with ``tune = true`` its weights moved until the loop's limits are met."""
     channel, plants, design = problem.channel, problem.plants.regular(), problem.design
 
-    def build(options: dict[str, float]) -> StateArrays:
+    def build(options: dict[str, float]) -> System:
         return lqg_controller(options, channel, plants)
 
     start = lqg_options(design, channel, plants.nutation, plants.period)
@@ -153,7 +153,7 @@ def quadratic_problem(options: dict[str, float], channel: Channels, plants: Plan
     noise = np.sqrt(channel.basis**2 @ plants.noise**2) / error
     noise = np.where(noise > 0.0, noise, 1.0 / _ERROR)
     return QuadraticProblem(
-        plant=StateArrays(A, B, C, D, period),
+        plant=System(A, B, C, D, period),
         A=np.block([[A, np.zeros((n, size))], [sums[:, None] * C, np.eye(size)]]),
         B=np.vstack([B, sums[:, None] * D]),
         Q=block_diag(C.T @ C + rate.T @ rate, np.eye(size)),
@@ -203,7 +203,7 @@ def _solved(
     raise NotStabilisableError(f"lqg: {advice}", problem)
 
 
-def lqg_controller(options: dict[str, float], channel: Channels, plants: PlantSet) -> StateArrays:
+def lqg_controller(options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
     """Return the sampled controller u = K y for complete `options`; states are x̂(k|k−1) and the sums."""
     problem = quadratic_problem(options, channel, plants)
     (A, B, C, D, period), (K, L, M) = problem.plant, lqg_gains(problem)
@@ -216,11 +216,11 @@ def lqg_controller(options: dict[str, float], channel: Channels, plants: PlantSe
     C_K, D_K = -solved @ np.hstack([feedback @ (np.eye(n) - M @ C), sums]), -solved @ feedback @ M
     into = np.vstack([B - L @ D, np.zeros((p, B.shape[1]))])
     own = block_diag(A - L @ C, np.eye(p))
-    made = StateArrays(own + into @ C_K, np.vstack([L, np.diag(problem.sums)]) + into @ D_K, C_K, D_K, period)
+    made = System(own + into @ C_K, np.vstack([L, np.diag(problem.sums)]) + into @ D_K, C_K, D_K, period)
     return between(channel.basis / problem.error[:, None], made, channel.basis.T * problem.torque)
 
 
-def read_by_sensors(options: dict[str, float], channel: Channels, plants: PlantSet) -> StateArrays:
+def read_by_sensors(options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
     """Return the same controller from the readings of the loop's plants, not in directions of `channel`."""
     sense = channel.sense
     if sense is None:

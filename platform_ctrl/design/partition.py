@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.feedback import performance_loop
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -56,7 +56,7 @@ class Partition:
 
 def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Partition:
     """Split a plant at its last `nmeas` outputs and last `ncon` inputs; `sampled`: it may have dt > 0."""
-    arrays = state_arrays(P, "plant")
+    arrays = System.of(P, "plant")
     if arrays.dt and not sampled:
         raise ArgumentError(f"plant: must be continuous, got dt = {arrays.dt} s; give the plant before it was sampled")
     for name, number, total, signals in (("nmeas", nmeas, P.noutputs, "outputs"), ("ncon", ncon, P.ninputs, "inputs")):
@@ -70,7 +70,7 @@ def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Pa
     return split(arrays, P.noutputs - nmeas, P.ninputs - ncon)
 
 
-def split(plant: StateArrays, nz: int, nw: int) -> Partition:
+def split(plant: System, nz: int, nw: int) -> Partition:
     """Split a plant behind its first `nz` outputs and first `nw` inputs."""
     A, B, C, D, dt = plant
     return Partition(
@@ -86,15 +86,15 @@ def in_w_plane(plant: Partition) -> Partition:
     return split(to_w_plane(whole(plant)), *plant.D11.shape)
 
 
-def out_of_w_plane(K: StateArrays, period: float) -> StateArrays:
+def out_of_w_plane(K: System, period: float) -> System:
     """Return a controller of the plant that `in_w_plane` made as a sampled one; for `period` 0 as it is."""
     return K if period == 0.0 else from_w_plane(K, period)
 
 
-def with_direct_path(K: StateArrays, D22: FloatArray) -> StateArrays:
+def with_direct_path(K: System, D22: FloatArray) -> System:
     """Return the controller u = K y for a plant whose D22 was left out when K was made: K (y − D22 u), solved for u."""
     shift = np.linalg.inv(np.eye(len(K.D)) + K.D @ D22)
-    return StateArrays(
+    return System(
         A=K.A - K.B @ D22 @ shift @ K.C,
         B=K.B @ (np.eye(K.B.shape[1]) - D22 @ shift @ K.D),
         C=shift @ K.C,
@@ -102,7 +102,7 @@ def with_direct_path(K: StateArrays, D22: FloatArray) -> StateArrays:
     )
 
 
-def closed_loop(plant: Partition, K: StateArrays) -> StateArrays:
+def closed_loop(plant: Partition, K: System) -> System:
     """Return the lower linear fractional transformation of a plant and u = K y, with states [x, xK]."""
     try:
         return performance_loop(whole(plant), K)
@@ -110,9 +110,9 @@ def closed_loop(plant: Partition, K: StateArrays) -> StateArrays:
         raise np.linalg.LinAlgError(str(error)) from None
 
 
-def whole(plant: Partition) -> StateArrays:
+def whole(plant: Partition) -> System:
     """Return a plant in one piece: from [w, u] to [z, y]."""
-    return StateArrays(
+    return System(
         A=plant.A,
         B=np.hstack([plant.B1, plant.B2]),
         C=np.vstack([plant.C1, plant.C2]),
@@ -121,38 +121,38 @@ def whole(plant: Partition) -> StateArrays:
     )
 
 
-def controller_system(P: StateSpace, K: StateArrays) -> StateSpace:
+def controller_system(P: StateSpace, K: System) -> StateSpace:
     """Return u = K y, sampled as P is, with the names that u and y have in P."""
     ncon, nmeas = K.D.shape
     return named_system(K._replace(dt=P.dt or 0.0), P.output_labels[-nmeas:], P.input_labels[-ncon:])
 
 
-def closed_loop_system(P: StateSpace, loop: StateArrays) -> StateSpace:
+def closed_loop_system(P: StateSpace, loop: System) -> StateSpace:
     """Return a `closed_loop` around P, sampled as P is, with the names that w and z have in P."""
     nz, nw = loop.D.shape
     states = [*P.state_labels, *(f"controller_{k}" for k in range(len(loop.A) - P.nstates))]
     return named_system(loop._replace(dt=P.dt or 0.0), P.input_labels[:nw], P.output_labels[:nz], states)
 
 
-def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> StateArrays:
+def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> System:
     """Return (b1 s + b0)/(a1 s + a0), sampled by Tustin's rule."""
     two = 2.0 / period
     lead, last = a1 * two + a0, a0 - a1 * two
     high, low = b1 * two + b0, b0 - b1 * two
     pole = -last / lead
     direct = high / lead
-    return StateArrays(
+    return System(
         np.array([[pole]]), np.array([[1.0]]), np.array([[low / lead + direct * pole]]), np.array([[direct]]), period
     )
 
 
-def notch(frequency: float, depth: float, width: float, period: float) -> StateArrays:
+def notch(frequency: float, depth: float, width: float, period: float) -> System:
     """Return (s² + 2 depth width f s + f²)/(s² + 2 width f s + f²), by Tustin's rule prewarped at f = `frequency`."""
     f2, damping = frequency**2, 2.0 * width * frequency
     return _prewarped((1.0, depth * damping, f2), (1.0, damping, f2), frequency, period)
 
 
-def low_pass(frequency: float, damping: float, period: float, order: int = 0) -> StateArrays:
+def low_pass(frequency: float, damping: float, period: float, order: int = 0) -> System:
     """Return sᵏ f²/(s² + 2 damping f s + f²), k = `order`, by Tustin's rule prewarped at f = `frequency`, rad/s."""
     f2 = frequency**2
     numerator = ((0.0, 0.0, f2), (0.0, f2, 0.0), (f2, 0.0, 0.0))[order]
@@ -161,7 +161,7 @@ def low_pass(frequency: float, damping: float, period: float, order: int = 0) ->
 
 def _prewarped(
     numerator: tuple[float, float, float], denominator: tuple[float, float, float], frequency: float, period: float
-) -> StateArrays:
+) -> System:
     """Return (b2 s² + b1 s + b0)/(a2 s² + a1 s + a0), by Tustin's rule prewarped at `frequency`, rad/s."""
     two = frequency / np.tan(0.5 * frequency * period)
     b, a = (
@@ -169,7 +169,7 @@ def _prewarped(
         for c2, c1, c0 in (numerator, denominator)
     )
     a, b = a / a[0], b / a[0]
-    return StateArrays(
+    return System(
         np.array([[-a[1], -a[2]], [1.0, 0.0]]),
         np.array([[1.0], [0.0]]),
         np.array([[b[1] - b[0] * a[1], b[2] - b[0] * a[2]]]),
@@ -178,24 +178,24 @@ def _prewarped(
     )
 
 
-def gain(matrix: FloatArray | float) -> StateArrays:
+def gain(matrix: FloatArray | float) -> System:
     """Return a static gain: `dt` is 0, whatever it is joined with."""
     D = np.atleast_2d(np.asarray(matrix, dtype=np.float64))
-    return StateArrays(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D)
+    return System(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D)
 
 
-def side_by_side(*systems: StateArrays) -> StateArrays:
+def side_by_side(*systems: System) -> System:
     """Return one system of several, each with its own inputs and outputs."""
     from scipy.linalg import block_diag
 
     A, B, C, D = (block_diag(*(system[k] for system in systems)) for k in range(4))
-    return StateArrays(A, B, C, D, systems[0].dt)
+    return System(A, B, C, D, systems[0].dt)
 
 
-def between(first: FloatArray, system: StateArrays, last: FloatArray) -> StateArrays:
+def between(first: FloatArray, system: System, last: FloatArray) -> System:
     """Return last · system · first, with matrices for the other signals."""
     A, B, C, D, dt = system
-    return StateArrays(A, B @ first, last @ C, last @ D @ first, dt)
+    return System(A, B @ first, last @ C, last @ D @ first, dt)
 
 
 # A pair whose h is this small against the largest is not gyroscopic.

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, seen_states
 from platform_ctrl.analysis.between_samples import (
     ClosedResponses,
     Instants,
@@ -22,6 +21,7 @@ from platform_ctrl.analysis.feedback import commanded_loop, with_error_alone
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
 from platform_ctrl.analysis.sampling import every_nth, held_input, late_outputs, late_states, sampled, sampled_states
+from platform_ctrl.analysis.system import System, seen_states
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import (
     Case,
@@ -160,7 +160,7 @@ def sampled_plants(
     m, p, q = len(torques), len(names), len(linear.signals.sight)
     period = every * sampling.period
     _expect_slow(A, linear.cases, period)
-    continuous = StateArrays(
+    continuous = System(
         A,
         linear.B,
         np.concatenate([linear.C, linear.C_sight], axis=1),
@@ -188,7 +188,7 @@ def sampled_plants(
     D = np.concatenate([arrays.D, D_Omega], axis=-1)
     D_seen = np.concatenate([D_seen, np.tile(D_Omega[:, :p], (1, len(times), 1))], axis=-1)
     whole = late_outputs(
-        StateArrays(
+        System(
             arrays.A,
             np.concatenate([arrays.B, B_Omega], axis=-1),
             np.concatenate([arrays.C[:, : p + q], C_seen, arrays.C[:, p + q :]], axis=-2),
@@ -225,8 +225,8 @@ def sampled_plants(
 
 def _responses(
     linear: LinearPlants,
-    continuous: StateArrays,
-    arrays: StateArrays,
+    continuous: System,
+    arrays: System,
     late: Sequence[int],
     seen: Sequence[FloatArray],
     at: Instants,
@@ -242,7 +242,7 @@ def _responses(
     D_rate = np.concatenate([linear.D_Omega, linear.D_sight[..., m:]], axis=1)
     return PlantResponses(
         # Torques that add are not those of torquers, which may be weak.
-        smooth=StateArrays(
+        smooth=System(
             linear.A,
             np.concatenate([linear.B / shares, linear.B_Omega], axis=-1),
             continuous.C,
@@ -266,7 +266,7 @@ def tracking_signals(job: Job, spec: LoopSpec, inner: LoopSpec) -> LoopSignals:
 
 
 def tracking_plants(
-    job: Job, spec: LoopSpec, inner: LoopSpec, inside: PlantSet, controller: StateArrays
+    job: Job, spec: LoopSpec, inner: LoopSpec, inside: PlantSet, controller: System
 ) -> tuple[PlantSet, Channels]:
     """Return the plants of a tracking loop, from commands of the rate loop inside to its readings, and its directions.
 
@@ -279,7 +279,7 @@ def tracking_plants(
 
 
 def around(
-    job: Job, spec: LoopSpec, plants: PlantSet, feedforward: RateFeedforward | None, controller: StateArrays
+    job: Job, spec: LoopSpec, plants: PlantSet, feedforward: RateFeedforward | None, controller: System
 ) -> tuple[PlantSet, Channels]:
     """Return plants and directions of a tracking loop, of `plants` with the signals of `tracking_signals`.
 
@@ -399,7 +399,7 @@ def _passive(job: Job, signals: LoopSignals) -> tuple[str, ...]:
     return tuple(name for name in free if name in own)
 
 
-def _with_drives(whole: StateArrays, linear: LinearPlants) -> StateArrays:
+def _with_drives(whole: System, linear: LinearPlants) -> System:
     """Return sampled plants with what drives feed back of the last outputs, without these outputs."""
     count, m = len(linear.signals.fed), len(linear.torquers)
     if not count:
@@ -408,7 +408,7 @@ def _with_drives(whole: StateArrays, linear: LinearPlants) -> StateArrays:
     back = _drive_gains(linear) @ np.concatenate([C[:, -count:], D[:, -count:]], axis=-1)
     n = A.shape[-1]
     moved, shown = B[..., :m] @ back, D[:, :-count, :m] @ back
-    return StateArrays(
+    return System(
         A + moved[..., :n], B + moved[..., n:], C[:, :-count] + shown[..., :n], D[:, :-count] + shown[..., n:], dt
     )
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition, with_direct_path
 from platform_ctrl.errors import IllPosedError, NotStabilisableError, UnscalableError
@@ -172,11 +172,11 @@ def balance(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     return d
 
 
-def unscale(controller: StateArrays, scaled: ScaledPlant) -> StateArrays:
+def unscale(controller: System, scaled: ScaledPlant) -> System:
     """Return a controller of the scaled plant in the units of the plant as given."""
     A, B = scaled.rate * controller.A, scaled.rate * controller.B @ scaled.measurement
     C, D = scaled.control @ controller.C, scaled.control @ controller.D @ scaled.measurement
-    return with_direct_path(StateArrays(A=A, B=B, C=C, D=D), scaled.D22)
+    return with_direct_path(System(A=A, B=B, C=C, D=D), scaled.D22)
 
 
 def blocks(A: FloatArray) -> list[tuple[ComplexArray, FloatArray, float]]:

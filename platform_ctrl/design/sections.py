@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 
 
@@ -17,7 +17,7 @@ class Section(NamedTuple):
     name: str
     kind: str
     note: str
-    block: StateArrays
+    block: System
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
@@ -34,7 +34,7 @@ class Section(NamedTuple):
         return {"name": self.name, "kind": self.kind, "note": self.note, **matrices, **signals}
 
 
-def flattened(sections: Sequence[Section], inputs: Sequence[str], outputs: Sequence[str]) -> StateArrays:
+def flattened(sections: Sequence[Section], inputs: Sequence[str], outputs: Sequence[str]) -> System:
     """Return the sections from `inputs` to `outputs` as one system; its states are theirs in their order."""
     n, m = sum(len(section.block.A) for section in sections), len(inputs)
     rows: dict[str, FloatArray] = dict(zip(inputs, np.eye(m, n + m, n), strict=True))
@@ -53,4 +53,4 @@ def flattened(sections: Sequence[Section], inputs: Sequence[str], outputs: Seque
         first = last
     given = np.array([rows[name] for name in outputs])
     period = max(section.block.dt for section in sections)
-    return StateArrays(later[:, :n], later[:, n:], given[:, :n], given[:, n:], period)
+    return System(later[:, :n], later[:, n:], given[:, :n], given[:, n:], period)

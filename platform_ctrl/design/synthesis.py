@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import one_of, positive, short, within
 from platform_ctrl.common.values import value
 from platform_ctrl.design.partition import (
@@ -50,7 +50,7 @@ CURE = "give a larger backoff, the other method, or weights with less spread bet
 DIRECT_ROUNDING = 1e-9
 
 # What a route finds: the controller in the units of its plant, the least level, figures of merit.
-Found = tuple[StateArrays, float, dict[str, float]]
+Found = tuple[System, float, dict[str, float]]
 
 
 @value
@@ -272,7 +272,7 @@ def require_time_limit(where: str, given: float) -> None:
 def certify(  # noqa: PLR0913 - what certifies one result
     P: StateSpace,
     plant: Partition,
-    controller: StateArrays,
+    controller: System,
     *,
     least: float,
     backoff: float,
@@ -333,7 +333,7 @@ def certify(  # noqa: PLR0913 - what certifies one result
     )
 
 
-def _h2_norm(loop: StateArrays, plant: Partition, controller: StateArrays) -> float:
+def _h2_norm(loop: System, plant: Partition, controller: System) -> float:
     """Return the norm of a closed loop, whose direct term a controller may have cancelled but for rounding."""
     through = np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(plant.D21)
     if not plant.dt and np.linalg.norm(loop.D) <= DIRECT_ROUNDING * (np.linalg.norm(plant.D11) + through):

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
-from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import LoopProblem
 from platform_ctrl.design.partition import gain
@@ -23,7 +23,7 @@ from platform_ctrl.job.quantities import compared
 from platform_ctrl.job.requirements import LoopRequirement, loop_requirements
 
 BoolArray = NDArray[np.bool_]
-Builder = Callable[[dict[str, float]], StateArrays]
+Builder = Callable[[dict[str, float]], System]
 
 # How far options may move, as a factor: where nothing gets better the search would go on to infinity.
 _LARGEST_FACTOR = 1e6
@@ -59,7 +59,7 @@ def tuned(
         starts = _starts(problem, options, movable)
     nothing = gain(np.zeros((plants.B.shape[-1], plants.C.shape[-2])))
 
-    def built(numbers: dict[str, float]) -> StateArrays:
+    def built(numbers: dict[str, float]) -> System:
         try:
             return problem.with_commands(build(numbers))
         except DesignError:
@@ -111,7 +111,7 @@ def over_decades(options: dict[str, float], together: Iterable[str], period: flo
     return [options | {name: options[name] * float(hz) / largest for name in scaled} for hz in crossovers]
 
 
-def worst_ratio(controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
+def worst_ratio(controller: System, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
     """Return the largest ratio of all requirements, compressed to below 10; beyond it for an unstable loop.
 
     The ratio of an unstable loop is the larger the faster it diverges.
@@ -119,7 +119,7 @@ def worst_ratio(controller: StateArrays, plants: PlantSet, requirements: Sequenc
     return _worst(_on_grid(controller, plants, requirements), plants, requirements)
 
 
-def _on_grid(controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> LoopMetrics:
+def _on_grid(controller: System, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> LoopMetrics:
     return measure(plants, controller._replace(dt=plants.period), requirements, exact=False)
 
 
@@ -290,10 +290,10 @@ def _search(  # noqa: PLR0913 - the parts of one search
 
 
 def _exactly(
-    controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]
+    controller: System, plants: PlantSet, requirements: Sequence[LoopRequirement]
 ) -> tuple[LoopMetrics, PlantSet]:
     """Return the metrics over all frequencies, and the plants on a grid that has those at which they are reached."""
-    loops = LoopSet(plants, controller._replace(dt=plants.period))
+    loops = Loop(plants, controller._replace(dt=plants.period))
     measures = measure(plants, loops.controller, requirements, loops=loops)
     return measures, plants.finer(loops.peak_frequencies)
 

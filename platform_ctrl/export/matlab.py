@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.systems import system_of
@@ -62,7 +62,7 @@ def write_mat(systems: Sequence[control.StateSpace], path: str | os.PathLike[str
         while name in structs:
             name = f"{plain}_{len(structs) + 1}"
         labels = {"InputName": one.input_labels, "OutputName": one.output_labels, "StateName": one.state_labels}
-        matrices = dict(zip(("A", "B", "C", "D", "Ts"), state_arrays(one, "write_mat"), strict=True))
+        matrices = dict(zip(("A", "B", "C", "D", "Ts"), System.of(one, "write_mat"), strict=True))
         structs[name] = matrices | {key: np.array([names], dtype=object).T for key, names in labels.items()}
     content = io.BytesIO()
     import_module("scipy.io").savemat(content, structs)

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from platform_ctrl.analysis.arrays import named_system, state_arrays
 from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.json_text import write_json
 from platform_ctrl.errors import ArgumentError, InputError
@@ -46,7 +46,7 @@ def write_entries(systems: Sequence[ExportedSystem], path: str | os.PathLike[str
 
 def _entry(one: ExportedSystem, units: Mapping[str, str]) -> dict[str, Any]:
     """Return a system in plain types."""
-    A, B, C, D, dt = state_arrays(one.system, "systems")
+    A, B, C, D, dt = System.of(one.system, "systems")
     if max(*A.shape, *D.shape) > MOST_STATES:
         raise ArgumentError(f"systems: {one.system.name!r} has more than {MOST_STATES} states or signals")
     inputs, outputs = list(one.system.input_labels), list(one.system.output_labels)

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
-from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import known_name, one_of, positive
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
@@ -202,7 +202,7 @@ class LoopRequirement(Requirement):
         return "".join(f"; {one}" for one in words)
 
     def check(
-        self, plants: PlantSet, controller: control.StateSpace | StateArrays, *, subject: str = "", design: str = ""
+        self, plants: PlantSet, controller: control.StateSpace | System, *, subject: str = "", design: str = ""
     ) -> CheckResult:
         """Close `controller` around the plants and judge, peaks as norms: ``assert requirement.check(...).passed``.
 
@@ -232,7 +232,7 @@ class LoopRequirement(Requirement):
                 f"{self.name} is about {', '.join(self.over)}; the set of plants must have such ones, here "
                 f"{', '.join(dict.fromkeys(plants.groups))}"
             )
-        loops = LoopSet(plants, K)
+        loops = Loop(plants, K)
         values = self.metric.in_unit(measured(loops, self, exact=True))
         return self._worst(plants, values, subject, design, True, loops.free_angles)
 

@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import exact_value
-from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import gains
@@ -19,6 +18,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, sampled_plant
@@ -100,7 +100,7 @@ def loop_responses(
     plants = nominal[outcome.use] if outcome.use in nominal else nominal[designs[0].name]
     nyquist = np.pi / plants.period
     P = plants.of_torques()
-    loops = {one.name: LoopSet(nominal[one.name], nominal[one.name].joined(one.controller)) for one in designs}
+    loops = {one.name: Loop(nominal[one.name], nominal[one.name].joined(one.controller)) for one in designs}
     for one in designs:
         assert one.measures is not None
         loops[one.name].poles = one.measures.poles[:1]
@@ -119,7 +119,7 @@ def loop_responses(
         # What friction brings of the platform's motion; without it a balanced gimbal transmits nothing.
         for one, own in of_designs:
             rubbing = own.only([_with_friction(own)])
-            of_sight = LoopSet(rubbing, rubbing.joined(one.controller))
+            of_sight = Loop(rubbing, rubbing.joined(one.controller))
             shown[one.name] |= {kind: of_sight for kind in kinds if _is_of_sight(kind)}
     peaks = {
         name: {kind: exact_value(loop, MetricRequest(kind=kind)) for kind, loop in of.items()}
@@ -153,8 +153,8 @@ def _with_friction(plants: PlantSet) -> int:
 
 def _design_responses(
     design: LoopDesign,
-    loop: LoopSet,
-    shown: Mapping[str, LoopSet],
+    loop: Loop,
+    shown: Mapping[str, Loop],
     peaks: Mapping[str, float],
     frequency: FloatArray,
     from_rate: ComplexArray,
@@ -196,11 +196,11 @@ def _reading_per_rate(model: LinearModel, spec: LoopSpec, plants: PlantSet, freq
     """Return the response of what a design reads to Omega while it does nothing, (N, readings, 3)."""
     # A tracking loop sets no torques: its gimbals are held by the loop that it commands.
     if plants.feedforward is not None or spec.kind == "tracking":
-        fed = StateArrays(plants.A[0], plants.B_Omega[0], plants.C[0], plants.D_Omega[0], plants.period)
+        fed = System(plants.A[0], plants.B_Omega[0], plants.C[0], plants.D_Omega[0], plants.period)
         return frequency_response(fed, frequency, -3)
     signals = loop_signals(model.platform, spec)
     if signals.held:
         signals = loop_signals(model.platform, dataclasses.replace(spec, sensors=plants.angles))
     system = state_space(model, gimbals=signals.gimbals, others="held" if signals.held else "coupled")
     shown = observed(system, model.platform, [sensor.name for sensor in signals.sensors], model.q0, model.Omega0)
-    return frequency_response(state_arrays(shown[:, list(OMEGA_NAMES)], "gimbals"), frequency, -3)
+    return frequency_response(System.of(shown[:, list(OMEGA_NAMES)], "gimbals"), frequency, -3)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.scenario import Scenario
@@ -80,7 +80,7 @@ class Prepared(NamedTuple):
     key: tuple[object, ...]
 
 
-def controller_rows(by_sample: Sequence[StateArrays], rates: FloatArray) -> Controller:
+def controller_rows(by_sample: Sequence[System], rates: FloatArray) -> Controller:
     """Return discrete state spaces, and the weights (drives, inputs) in the rates of drives, in the kernel's form.
 
     There is one of every sample until they repeat; those that are one object are stored once.

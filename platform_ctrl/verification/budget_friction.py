@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget as Found
 from platform_ctrl.analysis.disturbances import RandomDisturbance, Spectrum
 from platform_ctrl.analysis.dry_friction import FedFriction, FrictionBalance, friction_balance
@@ -20,6 +19,7 @@ from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.jitter_budget import most_of_sources
 from platform_ctrl.analysis.poles import poles
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.plant.sensors import LOS_RATES
 from platform_ctrl.verification.budget_loop import BudgetLoop
@@ -126,7 +126,7 @@ def _with_finders(loop: BudgetLoop) -> MultiRate:
     m = len(loop.torquers)
     C = np.insert(C, m, np.zeros((len(weights), len(A))), axis=0)
     D = np.insert(D, m, np.pad(weights, ((0, 0), (0, loop.controller.held))), axis=0)
-    return loop.controller._replace(fast=StateArrays(A, B, C, D, dt))
+    return loop.controller._replace(fast=System(A, B, C, D, dt))
 
 
 def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner: float | None) -> HybridPlant:
@@ -159,7 +159,7 @@ def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner:
             B = np.vstack([B, corner * direct])
             D = np.vstack([D, row, row + direct, row])
     return HybridPlant(
-        plant=StateArrays(A, B, C, D),
+        plant=System(A, B, C, D),
         controls=m + len(laws),
         measured=base.measured,
         period=base.period,

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates
 from platform_ctrl.analysis.jitter_budget import JitterBudget
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import secant_gains
 from platform_ctrl.errors import ArgumentError
@@ -117,7 +117,7 @@ class BudgetLoop:
         torquers = {t.name: t for t in platform.torquers}
         controls = [torquers[name].signal for name in self.torquers]
         columns = [shown.input_labels.index(name) for name in (*controls, *self.inputs)]
-        A, B, C, D, _ = state_arrays(shown, "budget")
+        A, B, C, D, _ = System.of(shown, "budget")
         gains = np.concatenate([secant_gains(self.job, q, self.torquers), np.ones(len(self.inputs))])
         # The gimbals' rates: the first states are their angles.
         rates = len(model.angle_names)
@@ -125,7 +125,7 @@ class BudgetLoop:
         period, often = self.job.sampling.period, self.job.often_read
         late = {one.name: one.periods_late(period, often.get(one.name, 1)) for one in platform.sensors}
         return HybridPlant(
-            plant=StateArrays(A, gains * B[:, columns], C, gains * D[:, columns]),
+            plant=System(A, gains * B[:, columns], C, gains * D[:, columns]),
             controls=len(controls),
             measured=len(self.sensors),
             period=period,

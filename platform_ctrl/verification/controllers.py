@@ -126,7 +126,7 @@ def _designs(entries: object) -> list[tuple[object, object]]:
 
 def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.StateSpace:
     """Return one controller of a file, its inputs among `known`."""
-    from platform_ctrl.analysis.arrays import named_system
+    from platform_ctrl.analysis.system import named_system
 
     name, inputs, outputs = entry.text("name", "a name"), entry.names("inputs"), entry.names("outputs")
     for one in inputs:

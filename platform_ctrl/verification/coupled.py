@@ -17,14 +17,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import (
-    ComplexArray,
-    StateArrays,
-    named_system,
-    seen_states,
-    state_arrays,
-    state_scaling,
-)
 from platform_ctrl.analysis.drift import unseen_equilibria, without_drift
 from platform_ctrl.analysis.feedback import closed_loop, loop_of_sensitivity
 from platform_ctrl.analysis.interconnection import interconnect_controllers, interconnected_by_sample
@@ -34,6 +26,7 @@ from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.periodic import PeriodicLoop
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
+from platform_ctrl.analysis.system import ComplexArray, System, named_system, seen_states, state_scaling
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import at_angles, secant_gains
@@ -229,7 +222,7 @@ class _Together:
             for labels, names in ((list(plant.input_labels), torquers), (list(plant.output_labels), self._seen))
         )
         read = [k for k, name in enumerate(self._seen) if any(name in K.input_labels for K in controllers)]
-        arrays = state_arrays(plant, "coupled plant")
+        arrays = System.of(plant, "coupled plant")
         if len(by_sample) == 1:
             self.controller = one_controller(job, controllers, plant)
             own = closed_loop(arrays.part(seen, at), by_sample[0])
@@ -347,7 +340,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         uncontrolled = tuple(g.name for g in platform.gimbals if g.angle in momenta)
     names = [t.name for t in torquers]
     gains = secant_gains(job, model.q0, names)
-    arrays = StateArrays(
+    arrays = System(
         whole.A[np.ix_(kept, kept)],
         gains * whole.B[np.ix_(kept, columns)],
         whole.C[:, kept],
@@ -382,7 +375,7 @@ def _read_late(job: Job, plant: control.StateSpace) -> control.StateSpace:
     periods = [late.get(name, 0) for name in outputs]
     if not any(periods):
         return plant
-    arrays = late_outputs(state_arrays(plant, "coupled plant"), periods)
+    arrays = late_outputs(System.of(plant, "coupled plant"), periods)
     states = [*plant.state_labels, *late_states(outputs, periods)]
     return named_system(arrays, list(plant.input_labels), outputs, states)
 
@@ -456,7 +449,7 @@ def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> Coupled
         else:
             B[n:, column] = mobility[:, torquer.root_axis - 1]
     C = np.block([[system.C, np.zeros((system.noutputs, 3))], [np.zeros((3, n)), np.eye(3)]])
-    arrays = StateArrays(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
+    arrays = System(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
     states = [*system.state_labels, *OMEGA_NAMES]
     named = named_system(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
     named = observed(named, job.platform, [*model.angle_names, *rates], model.q0, model.Omega0)
@@ -464,7 +457,7 @@ def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> Coupled
     return CoupledPlant(_read_late(job, at_samples), (), (), 0.0)
 
 
-def torquer_metrics(noise_to_torque: StateArrays, rms: FloatArray) -> dict[str, FloatArray]:
+def torquer_metrics(noise_to_torque: System, rms: FloatArray) -> dict[str, FloatArray]:
     """Return the metrics of every torquer from the closed loop between the sensors' noise and the torque commands."""
     return {
         kind: metric.of_torquers(noise_to_torque, rms)

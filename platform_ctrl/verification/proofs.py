@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.periodic import lifted
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.design.loop import LoopDesign, requirements_of
@@ -137,7 +137,7 @@ def proofs_of(spec: LoopSpec, design: LoopDesign) -> Proofs:
     plants, measures = design.plants, design.measures
     if plants is None or measures is None or measures.free_angles:
         return Proofs()
-    K = state_arrays(design.own_controller, "controller")
+    K = System.of(design.own_controller, "controller")
     if left_out := _too_many(plants.A.shape[-1] + len(K.A)):
         return Proofs(left_out=left_out)
     required = np.zeros(len(plants.labels))
@@ -166,7 +166,7 @@ def coupled_proofs(check: CoupledCheck, controllers: Sequence[control.StateSpace
         loop = _side_by_side(check.plant, controllers)
     else:
         # All samples after which the order of the controllers repeats are one step.
-        P = state_arrays(check.plant, "coupled plant")
+        P = System.of(check.plant, "coupled plant")
         by_sample = interconnected_by_sample(controllers, check.plant.output_labels, check.plant.input_labels, P.dt)
         loop = lifted([P] * len(by_sample)), lifted(by_sample)
     decay = -float(np.log(np.abs(check.poles).max(initial=1e-300))) / check.period
@@ -177,13 +177,13 @@ def _too_many(states: int) -> str:
     return f"{states} states, more than {_MOST_STATES}" if states > _MOST_STATES else ""
 
 
-def _stability(P: StateArrays, K: StateArrays, label: str, decay: float) -> Claim:
+def _stability(P: System, K: System, label: str, decay: float) -> Claim:
     rate = _OF_DECAY * float(decay)
     bits = _decided(lambda: _decays(_loop(P, K)[0], rate * P.dt))
     return Claim(plant=label, kind="stability", bound=rate, bits=bits)
 
 
-def _disk_margin(P: StateArrays, K: StateArrays, label: str, margin: float) -> Claim:
+def _disk_margin(P: System, K: System, label: str, margin: float) -> Claim:
     bits = _decided(lambda: all(_norm_below(loop, 1 / flint().arb(margin)) for loop in (_loop(P, K), _loop(K, P))))
     return Claim(plant=label, kind="disk margin", bound=margin, bits=bits)
 
@@ -210,7 +210,7 @@ def _blocks(rows: Sequence[Sequence[Balls]]) -> Balls:
     return flint().arb_mat(sum(row[0].nrows() for row in rows), sum(part.ncols() for part in rows[0]), out)
 
 
-def _loop(P: StateArrays, K: StateArrays) -> tuple[Balls, Balls, Balls, Balls]:
+def _loop(P: System, K: System) -> tuple[Balls, Balls, Balls, Balls]:
     """Return A, B, C, D of S − I/2 at the input of P with u = K y: from w, added to u, to u + w/2.
 
     With plant and controller exchanged it is that at the output of P. Nothing is rounded.
@@ -278,22 +278,20 @@ def _no_positive_root(p: list[Balls]) -> bool:
     return False
 
 
-def _side_by_side(
-    plant: control.StateSpace, controllers: Sequence[control.StateSpace]
-) -> tuple[StateArrays, StateArrays]:
+def _side_by_side(plant: control.StateSpace, controllers: Sequence[control.StateSpace]) -> tuple[System, System]:
     """Return plant and controllers such that closing them rounds nothing.
 
     Controllers stand side by side. What one takes from an earlier one is fed through the plant, whose measurement
     then contains that control itself.
     """
-    P = state_arrays(plant, "coupled plant")
+    P = System.of(plant, "coupled plant")
     made = [name for K in controllers for name in K.output_labels]
     taken = [name for K in controllers for name in K.input_labels]
     # Entries 0 and 1 alone: products with them round nothing.
     into, out = _same(plant.input_labels, made), _same(taken, plant.output_labels)
     earlier = _same(["" if name in plant.output_labels else name for name in taken], made)
-    together = side_by_side(*(state_arrays(K, "controller") for K in controllers))
-    return StateArrays(P.A, P.B @ into, out @ P.C, out @ P.D @ into + earlier, P.dt), together
+    together = side_by_side(*(System.of(K, "controller") for K in controllers))
+    return System(P.A, P.B @ into, out @ P.C, out @ P.D @ into + earlier, P.dt), together
 
 
 def _same(rows: Sequence[str], columns: Sequence[str]) -> FloatArray:

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl import __version__
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.dry_friction import FrictionBalance
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.json_text import plain_types, write_json
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign
@@ -374,13 +374,13 @@ class JSONTable:
                 raise self.mistake(f"{key}: {given(name)} is listed twice; leave one of them out")
         return tuple(item)
 
-    def arrays(self, inputs: int, outputs: int, dt: float) -> StateArrays:
+    def arrays(self, inputs: int, outputs: int, dt: float) -> System:
         """Return the matrices A to D of a system with so many signals."""
         rows = self._rows("A")
         order = 0 if rows == [[]] else len(rows)
         if order > MOST_STATES:
             raise self.mistake(f"A: has {order} rows; at most {MOST_STATES} states are allowed")
-        return StateArrays(
+        return System(
             A=self._matrix("A", order, order),
             B=self._matrix("B", order, inputs),
             C=self._matrix("C", outputs, order),

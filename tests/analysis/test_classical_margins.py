@@ -9,14 +9,14 @@ import pytest
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.direct_metrics import margins_of_channel
 from platform_ctrl.analysis.feedback import gang
+from platform_ctrl.analysis.system import System
 from platform_ctrl.job.requirements import requirement
 
 
-def sensitivity(L: control.StateSpace) -> StateArrays:
-    return state_arrays(control.feedback(control.ss([], [], [], [[1.0]], L.dt), L), "S")
+def sensitivity(L: control.StateSpace) -> System:
+    return System.of(control.feedback(control.ss([], [], [], [[1.0]], L.dt), L), "S")
 
 
 @pytest.mark.parametrize("gain", [0.2, 0.9])

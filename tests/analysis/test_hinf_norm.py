@@ -11,9 +11,9 @@ from scipy.linalg import block_diag
 
 from exact_norm import gain_exceeds
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.norms import exceeds
 from platform_ctrl.analysis.poles import poles
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 
 TOLERANCE = 1e-8
@@ -105,7 +105,7 @@ def test_hard_systems_have_the_norm_that_exact_arithmetic_proves(kind: str, seed
 @pytest.mark.parametrize("kind", HARD)
 @pytest.mark.parametrize("seed", range(2))
 def test_a_level_below_the_norm_is_exceeded_and_one_above_it_is_not(kind: str, seed: int) -> None:
-    system = state_arrays(HARD[kind](seed), "system")
+    system = System.of(HARD[kind](seed), "system")
     norm, _ = analysis.hinf_norm(system)
     for share in (0.1, 1.0 - TOLERANCE, 1.0 + TOLERANCE, 10.0):
         assert exceeds(system, share * norm, poles(system.A)) == (share < 1.0)

@@ -11,7 +11,6 @@ import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from noise_over_a_period import continuous_rms
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget, variance_shares
 from platform_ctrl.analysis.disturbances import RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
@@ -19,10 +18,11 @@ from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.sampling import held_input, sampled, with_lag
+from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
 
 PERIOD = 0.7
-K = StateArrays(np.array([[0.5]]), np.array([[1.0]]), np.array([[-0.3]]), np.array([[-0.5]]), PERIOD)
+K = System(np.array([[0.5]]), np.array([[1.0]]), np.array([[-0.3]]), np.array([[-0.5]]), PERIOD)
 # White noise of two-sided density one behind five poles.
 SHAPE = control.tf([1.0], [1.0, 1.0, 1.0]) * control.tf([1.0], [0.25, 1.0]) * control.tf([1.0], [0.2, 1.0])
 KNOTS = np.array([0.0, 0.5, 1.0, 2.0, 5.0, 20.0, 300.0])
@@ -40,7 +40,7 @@ def oscillator(direct: float = 0.0, **changes: object) -> HybridPlant:
     D = np.zeros((3, 3))
     # The rate is the derivative of the position whatever drives it.
     D[0, 1], D[2, 2] = direct, 0.2
-    given = {"plant": StateArrays(A, B, C, D), "controls": 1, "measured": 1, "period": PERIOD, "delay": 0.25 * PERIOD}
+    given = {"plant": System(A, B, C, D), "controls": 1, "measured": 1, "period": PERIOD, "delay": 0.25 * PERIOD}
     return HybridPlant(**(given | changes))  # type: ignore[arg-type]
 
 
@@ -90,7 +90,7 @@ class Loop:
         self.A[3, 4], self.A[4, 3] = omega, -omega
         self.B = np.vstack([B[:, :1], np.zeros((2, 1))])
         self.C = np.hstack([C, np.zeros((3, 2))])
-        P = sampled(StateArrays(self.A, self.B, self.C[:1], np.zeros((1, 1))), PERIOD, plant.delay)
+        P = sampled(System(self.A, self.B, self.C[:1], np.zeros((1, 1))), PERIOD, plant.delay)
         # States [x, e, u[k-1], controller]; what noise of a sample adds.
         self.step = np.block([[P.A + P.B @ K.D @ P.C, P.B @ K.C], [K.B @ P.C, K.A]])
         self.noisy = np.vstack([P.B @ K.D, K.B])
@@ -149,9 +149,7 @@ def test_correlated_sources_are_their_sum_and_difference() -> None:
     assert 0.8 * rms(1.0) ** 2 + 0.2 * rms(-1.0) ** 2 == pytest.approx(rms(0.6) ** 2, rel=1e-9)
     # One input that does the work of both.
     A, B, C, D, _ = oscillator().plant
-    joined = StateArrays(
-        A, np.column_stack([B[:, 0], B[:, 1] + B[:, 2]]), C, np.column_stack([D[:, 0], D[:, 1] + D[:, 2]])
-    )
+    joined = System(A, np.column_stack([B[:, 0], B[:, 1] + B[:, 2]]), C, np.column_stack([D[:, 0], D[:, 1] + D[:, 2]]))
     one = JitterBudget(oscillator(plant=joined), [noise()]).of(K, 1e-9).total
     assert rms(1.0) == pytest.approx(one, rel=1e-9)
     assert np.all(np.abs(rms(0.5j) / rms(-0.5j) - 1.0) > 1e-3)
@@ -171,14 +169,14 @@ def test_sines_of_one_frequency_add_as_their_phases_say() -> None:
     assert variance_shares(apart.rms, apart.total) == pytest.approx(np.full((2, 2), 0.5), rel=1e-12)
 
 
-def stabilised(**changes: object) -> tuple[HybridPlant, StateArrays]:
+def stabilised(**changes: object) -> tuple[HybridPlant, System]:
     """A gyro holds an inertial rate; the angle against the base is an integral that nothing depends on."""
     # States: the relative angle, the inertial rate. Inputs: torque, torque disturbance, base rate.
     A, B = np.array([[0.0, 1.0], [0.0, -0.1]]), np.array([[0.0, 0.0, -1.0], [1.0, 1.0, 0.1]])
     C = np.array([[0.0, 1.0], [0.0, 1.0]])
-    given = {"plant": StateArrays(A, B, C, np.zeros((2, 3))), "controls": 1, "measured": 1, "period": 0.01}
+    given = {"plant": System(A, B, C, np.zeros((2, 3))), "controls": 1, "measured": 1, "period": 0.01}
     plant = HybridPlant(**(given | {"integrated": (True,)} | changes))  # type: ignore[arg-type]
-    return plant, StateArrays(np.eye(1), np.eye(1), np.array([[-1.0]]), np.array([[-20.0]]), 0.01)
+    return plant, System(np.eye(1), np.eye(1), np.array([[-1.0]]), np.array([[-20.0]]), 0.01)
 
 
 def test_an_angle_held_by_a_noisy_gyro_walks() -> None:
@@ -199,7 +197,7 @@ def test_an_unseen_integral_is_no_instability_and_a_seen_one_is() -> None:
     A, B, C, D, _ = plant.plant
     seen = np.array([C[0], [1.0, 0.0]])
     for unstable in (
-        dataclasses.replace(plant, plant=StateArrays(A, B, seen, D)),
+        dataclasses.replace(plant, plant=System(A, B, seen, D)),
         dataclasses.replace(plant, delay=0.1),
     ):
         with pytest.raises(ArgumentError, match="must be stable"):
@@ -246,7 +244,7 @@ def test_a_narrow_band_within_a_long_exposure_is_summed_over_frequency() -> None
     assert found.windows[0].jitter[0] == pytest.approx(found.rms[0, 0], rel=1e-4)
 
 
-def taking_turns(*controllers: control.StateSpace) -> tuple[list[StateArrays], MultiRate]:
+def taking_turns(*controllers: control.StateSpace) -> tuple[list[System], MultiRate]:
     """Controllers from position and rate to the control at every sample of their cycle, and as one."""
     signals = ["position", "rate"], ["u"], PERIOD
     return interconnected_by_sample(controllers, *signals), interconnected_at_rates(controllers, *signals)
@@ -263,7 +261,7 @@ def cascaded(**changes: object) -> HybridPlant:
     """The oscillator with both position, one sample late, and rate measured."""
     A, B, C, D, _ = oscillator().plant
     rows = [0, 2, 1, 2]
-    given = {"plant": StateArrays(A, B, C[rows], D[rows]), "measured": 2, "reading_delay": (1, 0), "cycle": 3}
+    given = {"plant": System(A, B, C[rows], D[rows]), "measured": 2, "reading_delay": (1, 0), "cycle": 3}
     return oscillator(**(given | changes))
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.singular_values import FrequencyAxis
+from platform_ctrl.analysis.system import System
 
 T = 1e-3
 
 
-def delayed(n: int, lengths: tuple[int, ...]) -> StateArrays:
+def delayed(n: int, lengths: tuple[int, ...]) -> System:
     """Return a stable system of n states some of which act on the others through chains of delays, read on the way."""
     rng = np.random.default_rng(3)
     size = n + sum(lengths)
@@ -27,7 +27,7 @@ def delayed(n: int, lengths: tuple[int, ...]) -> StateArrays:
         A[k + 1, first + length - 1] = 0.1
         C[1, first + length // 3] = 0.5
         first += length
-    return StateArrays(A, B, C, rng.normal(size=(3, 2)), T)
+    return System(A, B, C, rng.normal(size=(3, 2)), T)
 
 
 @pytest.mark.parametrize("lengths", [(60, 70), (250, 250)])
@@ -53,5 +53,5 @@ def test_norms_and_crossings_behind_long_delays_are_those_of_the_hamiltonian(mon
 
 def test_states_that_follow_each_other_in_a_ring_stay() -> None:
     A = np.roll(np.eye(60), 1, axis=0)
-    system = StateArrays(A, np.zeros((60, 1)), np.ones((1, 60)), np.ones((1, 1)), T)
+    system = System(A, np.zeros((60, 1)), np.ones((1, 60)), np.ones((1, 1)), T)
     np.testing.assert_allclose(FrequencyAxis(system).response(np.array([0.3, 700.0]))[:, 0, 0], 1.0)

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)
@@ -68,7 +68,7 @@ def test_hinf_norm_agrees_with_slycot_on_scaled_systems(seed: int, dt: float) ->
 @settings(max_examples=20, deadline=None)
 def test_the_bilinear_map_keeps_norm_and_comes_back(seed: int) -> None:
     system = random_system(seed, dt=0.05)
-    w_plane = to_w_plane(state_arrays(system, "system"))
+    w_plane = to_w_plane(System.of(system, "system"))
     assert analysis.hinf_norm(w_plane)[0] == pytest.approx(analysis.hinf_norm(system)[0], rel=1e-7)
     back = from_w_plane(w_plane, 0.05)
     w = np.linspace(0.0, 60.0, 20)
@@ -83,9 +83,9 @@ def test_the_bilinear_map_keeps_norm_and_comes_back(seed: int) -> None:
 def test_the_bilinear_map_refuses_a_pole_that_goes_to_infinity() -> None:
     one = np.eye(1)
     with pytest.raises(PlatformCtrlError, match="z = -1"):
-        to_w_plane(StateArrays(-one, one, one, 0.0 * one, 0.1))
+        to_w_plane(System(-one, one, one, 0.0 * one, 0.1))
     with pytest.raises(PlatformCtrlError, match="2/period"):
-        from_w_plane(StateArrays(20.0 * one, one, one, 0.0 * one), 0.1)
+        from_w_plane(System(20.0 * one, one, one, 0.0 * one), 0.1)
 
 
 def test_an_unstable_system_has_no_hinf_norm_but_a_peak() -> None:
@@ -118,7 +118,7 @@ def test_noise_rms_of_a_stack_marks_the_unstable_one() -> None:
     A = np.array([[[0.5]], [[1.5]]])
     B, C, D = np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))
     np.testing.assert_allclose(
-        noise_rms(StateArrays(A, B, C, D, 0.1), np.ones(1), allow_unstable=True)[:, 0],
+        noise_rms(System(A, B, C, D, 0.1), np.ones(1), allow_unstable=True)[:, 0],
         [math.sqrt(1.0 / 0.75), math.inf],
     )
 

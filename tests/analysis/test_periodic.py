@@ -8,17 +8,17 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.margins import loop_margins
 from platform_ctrl.analysis.norms import hinf_norm, noise_rms
 from platform_ctrl.analysis.periodic import PeriodicLoop, lifted, periodic_norm, pruned, transition
 from platform_ctrl.analysis.sampling import late_outputs
+from platform_ctrl.analysis.system import System
 
 T = 0.01
 # Angle and rate of a body that a torque turns, against a little friction.
-BODY = StateArrays(
+BODY = System(
     np.array([[1.0, 0.00995], [0.0, 0.99]]), np.array([[5e-5], [0.00995]]), np.eye(2), np.zeros((2, 1)), T
 )  # fmt: skip
 # A loop on the rate at every sample; around it one on the angle, with an integral, at every n-th.
@@ -35,15 +35,15 @@ def cascade(n: int, late: int = 0) -> PeriodicLoop:
     return PeriodicLoop(late_outputs(BODY, [late, 0]), by_sample, [0], [0, 1])
 
 
-def taking_turns(seed: int, N: int, n: int, m: int) -> list[StateArrays]:
+def taking_turns(seed: int, N: int, n: int, m: int) -> list[System]:
     """Stable systems of two kinds in some order, each object several times."""
     generator = np.random.default_rng(seed)
 
-    def one() -> StateArrays:
+    def one() -> System:
         A = generator.normal(size=(n, n))
         A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
         B, C, D = generator.normal(size=(n, m)), generator.normal(size=(m, n)), generator.normal(size=(m, m))
-        return StateArrays(A, B, C, D, T)
+        return System(A, B, C, D, T)
 
     kinds = [one(), one()]
     while True:
@@ -84,7 +84,7 @@ def test_a_part_that_lasts_is_not_left_out_because_no_output_shows_it() -> None:
     """A body that falls over beside the loop, and a reading of it that nobody takes."""
     A = np.zeros((4, 4))
     A[0, 0], A[1, 1], A[1, 2], A[2, 1], A[3, 2] = 0.5, 1.1, 0.1, 0.1, 1.0
-    one = StateArrays(A, np.eye(4)[:, :1], np.eye(4)[:1], np.zeros((1, 1)), T)
+    one = System(A, np.eye(4)[:, :1], np.eye(4)[:1], np.zeros((1, 1)), T)
     kept = pruned([one, one, one])
     assert np.abs(np.linalg.eigvals(transition(kept))).max() > 1.3
     np.testing.assert_allclose(lifted(kept).D, lifted([one] * 3).D, rtol=0.0, atol=1e-15)
@@ -93,7 +93,7 @@ def test_a_part_that_lasts_is_not_left_out_because_no_output_shows_it() -> None:
 def test_a_cycle_of_five_hundred_samples_is_worked_out_without_matrices_of_its_size() -> None:
     """A controller that takes no turns has its usual margin; that of a long cycle is found in a few megabytes."""
     # The body's rate alone: nothing holds its angle.
-    rate = StateArrays(BODY.A[1:, 1:], BODY.B[1:], np.eye(1), np.zeros((1, 1)), T)
+    rate = System(BODY.A[1:, 1:], BODY.B[1:], np.eye(1), np.zeros((1, 1)), T)
     (by_sample,) = interconnected_by_sample([INNER], ["rate"], ["torque"], T)
     usual = loop_margins(
         control.ss(*rate, inputs=["torque"], outputs=["rate"]),

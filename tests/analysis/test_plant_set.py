@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl.analysis import frequency_response, sampled
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import cases
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError
@@ -130,10 +130,10 @@ def test_a_weak_torquer_scales_its_own_column_alone(full):
 def test_Omega_acts_without_delay_and_lag_held_in_state_space_and_continuous_in_responses(job, gimbals):
     plants = loop_plants(job, gimbals)
     alone = state_space(linearise(job.platform), gimbals=gimbals)[list(plants.angles), list(OMEGA_NAMES)]
-    held = state_arrays(plants.system()[:, list(OMEGA_NAMES)], "test")
-    expected = frequency_response(state_arrays(sampled(alone, PERIOD, 0.0), "test"), plants.frequency, -3)
+    held = System.of(plants.system()[:, list(OMEGA_NAMES)], "test")
+    expected = frequency_response(System.of(sampled(alone, PERIOD, 0.0), "test"), plants.frequency, -3)
     np.testing.assert_allclose(frequency_response(held, plants.frequency, -3), expected, rtol=1e-8, atol=1e-12)
-    continuous = frequency_response(state_arrays(alone, "test"), plants.frequency, -3)
+    continuous = frequency_response(System.of(alone, "test"), plants.frequency, -3)
     np.testing.assert_allclose(plants.disturbed_on_grid().read[0, ..., -3:], continuous, rtol=1e-8, atol=1e-12)
 
 
@@ -153,7 +153,7 @@ def test_a_controller_is_joined_by_the_names_of_its_signals(job):
     named = control.ss([], [], [], D, PERIOD, inputs=["beta10", "alpha9"], outputs=["Q9", "Q10"])
     np.testing.assert_array_equal(plants.joined(named).D, D[:, ::-1])
     empty = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0))
-    np.testing.assert_array_equal(plants.joined(StateArrays(*empty, D, PERIOD)).D, D)
+    np.testing.assert_array_equal(plants.joined(System(*empty, D, PERIOD)).D, D)
     other = control.ss([], [], [], D, PERIOD, inputs=["alpha9", "alpha4"], outputs=["Q9", "Q10"])
     with pytest.raises(ArgumentError, match=r"must be .*alpha9.*beta10.*got .*alpha4"):
         plants.joined(other)

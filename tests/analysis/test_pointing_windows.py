@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.disturbances import RandomDisturbance, Spectrum
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.pointing_windows import motion_transfer, window_shares
+from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
 
 POINT, WEIGHT = np.polynomial.legendre.leggauss(60)
@@ -44,12 +44,12 @@ def test_windows_of_a_stationary_process_are_those_of_its_correlation(exposure: 
     # Density 4/(1 + ω²)²: correlation (1 + |τ|) exp(-|τ|)/2. No control at all: the motion is the disturbance.
     spectrum = Spectrum(knots=np.array([0.0, 0.3, 1.0, 3.0, 30.0, 3000.0]), density=lambda w: 4.0 / (1.0 + w * w) ** 2)
     plant = HybridPlant(
-        plant=StateArrays(-np.eye(1), np.array([[1.0, 0.0]]), np.array([[1.0], [0.0]]), np.array([[0, 0], [0, 1.0]])),
+        plant=System(-np.eye(1), np.array([[1.0, 0.0]]), np.array([[1.0], [0.0]]), np.array([[0, 0], [0, 1.0]])),
         controls=1,
         measured=1,
         period=0.01,
     )
-    idle = StateArrays(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1)), 0.01)
+    idle = System(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1)), 0.01)
     source = RandomDisturbance(name="motion", inputs=(0,), spectra=(spectrum,))
     window = JitterBudget(plant, [source], (exposure,)).of(idle, 1e-10).windows[0]
     # Both halves of the square of instants, the kink of the correlation on the diagonal between them.

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)
@@ -28,7 +28,7 @@ def test_a_stack_gives_what_its_systems_give_one_by_one() -> None:
     A, B = rng.normal(size=(2, 3, 5, 5)), rng.normal(size=(5, 2))
     C, D = rng.normal(size=(3, 2, 5)), rng.normal(size=(2, 2))
     w = np.geomspace(0.1, 10.0, 700)
-    out = analysis.frequency_response(StateArrays(A, B, C, D, 0.0), w, axis=-3)
+    out = analysis.frequency_response(System(A, B, C, D, 0.0), w, axis=-3)
     assert out.shape == (2, 3, 700, 2, 2)
     z = 1j * w
     truth = C[:, None] @ np.linalg.solve(z[:, None, None] * np.eye(5) - A[:, :, None], B + 0j) + D

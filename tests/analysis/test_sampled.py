@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 
 
 def random_plant(seed: int) -> control.StateSpace:
@@ -72,7 +72,7 @@ def test_the_response_has_the_phase_of_the_delay(delay: float) -> None:
 def test_a_stack_gives_what_its_plants_give_one_by_one() -> None:
     plants = [random_plant(seed) for seed in range(3)]
     A, B, C, D = (np.stack([getattr(plant, name) for plant in plants]) for name in "ABCD")
-    stacked = analysis.sampled(StateArrays(A, B, C, D, 0.0), 0.1, delay=0.14, lag=0.02)
+    stacked = analysis.sampled(System(A, B, C, D, 0.0), 0.1, delay=0.14, lag=0.02)
     for i, plant in enumerate(plants):
         single = analysis.sampled(plant, 0.1, delay=0.14, lag=0.02)
         for array, name in zip(stacked[:4], "ABCD", strict=True):

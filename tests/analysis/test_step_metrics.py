@@ -6,17 +6,17 @@ import pytest
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.direct_metrics import overshoot, ramp_error, settling_time, steady_error, step_responses
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.plants import job_signals, linear_plants, loop_cases
 from platform_ctrl.job.requirements import requirement
 
 T = 0.01
 
 
-def first_order(pole: float, gain: float = 1.0) -> StateArrays:
+def first_order(pole: float, gain: float = 1.0) -> System:
     """y[k] = gain (1 − pole^k): an integrator closed over one sample."""
-    return StateArrays(np.array([[pole]]), np.array([[1.0 - pole]]), np.array([[gain]]), np.zeros((1, 1)), T)
+    return System(np.array([[pole]]), np.array([[1.0 - pole]]), np.array([[gain]]), np.zeros((1, 1)), T)
 
 
 def test_a_first_order_loop_settles_by_its_pole_and_lags_a_ramp_by_its_time_constant():
@@ -48,7 +48,7 @@ def test_a_second_order_loop_overshoots_as_in_the_textbook(damping):
     from scipy.linalg import expm
 
     whole = expm(np.block([[A, np.array([[0.0], [w * w]])], [np.zeros((1, 3))]]) * step)
-    loop = StateArrays(whole[:2, :2], whole[:2, 2:], np.array([[1.0, 0.0]]), np.zeros((1, 1)), step)
+    loop = System(whole[:2, :2], whole[:2, 2:], np.array([[1.0, 0.0]]), np.zeros((1, 1)), step)
     expected = np.exp(-np.pi * damping / np.sqrt(1.0 - damping**2))
     assert overshoot(*step_responses(loop, damping * w)) == pytest.approx([expected], rel=1e-5)
     assert ramp_error(loop) == pytest.approx([2.0 * damping / w], abs=step)
@@ -65,7 +65,7 @@ def test_requirements_measure_every_channel_of_a_pointing_loop():
     # With integral action behind two integrals a ramp leaves no error.
     assert values["steady-state error"] == 0.0
     assert values["ramp error"] == pytest.approx(0.0, abs=1e-9)
-    time, steps = fine_steps(job, found.plants.period, state_arrays(found.controller, "K"))
+    time, steps = fine_steps(job, found.plants.period, System.of(found.controller, "K"))
     assert values["overshoot"] == pytest.approx(steps.max() - 1.0, rel=1e-3)
     settled = [time[np.flatnonzero(np.abs(y - 1.0) > 0.02)[-1]] for y in steps]
     assert values["settling time"] == pytest.approx(max(settled), abs=2.0 * time[1])
@@ -74,7 +74,7 @@ def test_requirements_measure_every_channel_of_a_pointing_loop():
     assert at_samples.max() < steps.max() - 1e-4
 
 
-def fine_steps(job, period: float, K: StateArrays) -> tuple[np.ndarray, np.ndarray]:
+def fine_steps(job, period: float, K: System) -> tuple[np.ndarray, np.ndarray]:
     """Steps of each command of u = K (y - r), held with its delay, through the continuous plant in steps of T/40."""
     from scipy.linalg import expm
 

@@ -12,9 +12,9 @@ import pytest
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from platform_ctrl import analysis, design
-from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Picture
@@ -49,7 +49,7 @@ def picture(bench: Backend, settings: Settings) -> Picture:
     return bench.picture(settings)
 
 
-def _closed(bench: Backend, settings: Settings) -> tuple[Job, LoopSpec, PlantSet, StateArrays]:
+def _closed(bench: Backend, settings: Settings) -> tuple[Job, LoopSpec, PlantSet, System]:
     """The loop as the package's own design route builds it from the settings' job."""
     job = bench.job(settings)
     spec = next(one for one in job.loops if one.name == settings.loop)
@@ -66,9 +66,9 @@ def test_bode_is_the_loop_broken_at_one_torquer_with_the_others_closed(
     # Q10 is closed first, then the loop transfer of Q9 alone is taken: no sensitivity is inverted.
     j = plants.torques.index(settings.channel)
     other = [k for k in range(len(plants.torques)) if k != j]
-    inner = named_system(StateArrays(K.A, K.B, K.C[other], K.D[other], K.dt), plants.angles, ["Q10"])
+    inner = named_system(System(K.A, K.B, K.C[other], K.D[other], K.dt), plants.angles, ["Q10"])
     closed = analysis.closed_loop(sampled_plant(plants), inner)
-    single = named_system(StateArrays(K.A, K.B, K.C[[j]], K.D[[j]], K.dt), plants.angles, ["Q9"])
+    single = named_system(System(K.A, K.B, K.C[[j]], K.D[[j]], K.dt), plants.angles, ["Q9"])
     plant = closed[list(plants.angles), ["Q9"]]
     direct = analysis.frequency_response(analysis.loop_transfer(plant, single), picture.bode.frequency)[0, 0]
     np.testing.assert_allclose(picture.bode.response, direct, rtol=1e-6, atol=1e-9)
@@ -163,7 +163,7 @@ def test_margins_of_the_channel_put_a_pole_on_the_boundary(
         if 0.0 < factor < math.inf:
             scale = np.ones(len(plants.torques))
             scale[j] = factor
-            turned = StateArrays(K.A, K.B, scale[:, None] * K.C, scale[:, None] * K.D, K.dt)
+            turned = System(K.A, K.B, scale[:, None] * K.C, scale[:, None] * K.D, K.dt)
             z = closed_loop_poles(plants.only([0]), named_system(turned, plants.angles, plants.torques))[0]
             assert np.abs(z).max() == pytest.approx(1.0, abs=2e-3)
     assert 10.0 < picture.margins.phase < 90.0

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings, with_options
@@ -23,11 +23,11 @@ def shipped() -> Backend:
     return Backend(SHIPPED)
 
 
-def _controller(bench: Backend, settings: Settings) -> StateArrays:
+def _controller(bench: Backend, settings: Settings) -> System:
     return bench._loops.caged(settings)[0].controller
 
 
-def _differ(one: StateArrays, other: StateArrays) -> bool:
+def _differ(one: System, other: System) -> bool:
     return any(a.shape != b.shape or not np.array_equal(a, b) for a, b in zip(one[:4], other[:4], strict=True))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cli.test_cli import JOB as THREE
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.saving import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings
@@ -382,7 +382,7 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path:
     assert [o.design for o in picture.bode.overlays] == ["lqg"]
     assert not picture.notes
     K = given._loops.caged(settings)[0].controller
-    assert isinstance(K, StateArrays)
+    assert isinstance(K, System)
     assert np.allclose(K.A, closed.controller.A)
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.system import named_system
 from platform_ctrl.design.cases import cases, changed
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.classical.stabilisation import platform_servo, rate_estimate

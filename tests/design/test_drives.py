@@ -8,9 +8,9 @@ import pytest
 
 from driven_gimbal import COULOMB, FRICTION, INERTIA, RATE_HZ, SECANT, VISCOUS, driven_job
 from platform_ctrl import read_job
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.job.job import manoeuvre_scenario
@@ -44,7 +44,7 @@ def test_the_coupled_check_has_the_secant_gain() -> None:
     w = np.array([1.0, 30.0, 300.0])
     zero, moved = (
         frequency_response(
-            state_arrays(coupled_plant(job, linearise(job.platform, q=np.array([0.0, q])), [K]).system, ""), w, -3
+            System.of(coupled_plant(job, linearise(job.platform, q=np.array([0.0, q])), [K]).system, ""), w, -3
         )
         for q in (0.0, 1.0)
     )
@@ -85,7 +85,7 @@ def test_what_the_base_shows_feeds_nothing_back() -> None:
 def from_base(plants: PlantSet, k: int, w: float) -> complex:
     """Return the response of the payload's rate to the base's, both about axis 3, of plant k."""
     B, D = plants.B_Omega[k, :, 2:], plants.D_Omega[k, :1, 2:]
-    arrays = StateArrays(plants.A[k], B, plants.C[k, :1], D, plants.period)
+    arrays = System(plants.A[k], B, plants.C[k, :1], D, plants.period)
     return complex(frequency_response(arrays, np.array([w]), -3)[0, 0, 0])
 
 

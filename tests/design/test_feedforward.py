@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 import platform_ctrl as pc
 from camera_job import J_AZIMUTH, J_ELEVATION, camera_job, camera_plant
 from platform_ctrl import analysis, design
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.direct_metrics import torque_noise
-from platform_ctrl.analysis.loop_set import TORQUE_SHARE, LoopSet
+from platform_ctrl.analysis.loop import TORQUE_SHARE, Loop
 from platform_ctrl.analysis.norms import noise_rms
+from platform_ctrl.analysis.system import System
 from platform_ctrl.cli import main
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops
@@ -87,7 +87,7 @@ def of(outcome: LoopOutcome, name: str) -> LoopDesign:
 
 def sight_per_base(one: LoopDesign, hz: float) -> np.ndarray:
     """Return the closed loop's response from Omega2, Omega3 to the rates across the line of sight."""
-    loops = LoopSet(one.plants, one.plants.joined(one.controller))
+    loops = Loop(one.plants, one.plants.joined(one.controller))
     A, B, C, D, dt = (item[0] if np.ndim(item) else item for item in loops.arrays)
     z = np.exp(2j * np.pi * hz * dt)
     found = C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D
@@ -176,8 +176,8 @@ def test_torque_and_noise_count_the_feedforward(outcome):
     """With the loop open the torque is F G alone; its noise that of white samples through F."""
     fed = of(outcome, "direct")
     plants = fed.plants
-    silent = StateArrays(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.zeros((2, 2)), T)
-    loops = LoopSet(plants, silent)
+    silent = System(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.zeros((2, 2)), T)
+    loops = Loop(plants, silent)
     share = requirement("torque limit", 1.0, frequency=60.0).check(plants, silent)
     w = np.linspace(0.5, 60.0, 400)
     F = analysis.frequency_response(plants.feedforward.from_rate, w)
@@ -196,9 +196,9 @@ def test_torque_and_noise_count_the_feedforward(outcome):
 def test_structured_search_sees_what_the_verdict_sees(outcome, kind):
     """Torques per platform rate and the noise in readings are those of the metrics, by another route."""
     one = of(outcome, kind)
-    K = state_arrays(one.own_controller, "controller")
+    K = System.of(one.own_controller, "controller")
     plants = one.plants.regular()
-    search, loops = ClosedLoops(plants, K), LoopSet(plants, K)
+    search, loops = ClosedLoops(plants, K), Loop(plants, K)
     w, nominal = 60.0, np.zeros(1, dtype=np.intp)
     seen = [search.edge(torque_per_Omega(k, plants), w, nominal).ratio[0] for k in range(2)]
     assert max(seen) == pytest.approx(loops.gain_at([TORQUE_SHARE], np.array([w]))[0], rel=1e-9)

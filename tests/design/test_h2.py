@@ -6,8 +6,8 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import h2_norm
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.partition import closed_loop, partition
 from platform_ctrl.design.riccati.h2 import h2
 from platform_ctrl.design.scaling import autoscale
@@ -65,7 +65,7 @@ def test_no_nearby_controller_is_better(dt, direct):
     for _ in range(40):
         K = [1e-4 * rng.normal(size=m.shape) + m for m in (getattr(result.controller, name) for name in "ABC")]
         change = 1e-4 * rng.normal(size=(2, 2)) if dt and direct else 0.0
-        loop = closed_loop(plant, StateArrays(A=K[0], B=K[1], C=K[2], D=result.controller.D + change))
+        loop = closed_loop(plant, System(A=K[0], B=K[1], C=K[2], D=result.controller.D + change))
         norms.append(h2_norm(control.ss(loop.A, loop.B, loop.C, loop.D, dt)))
     assert min(norms) > result.gamma
 

@@ -9,8 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
-from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.norms import hinf_norm
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.partition import partition, whole
 from platform_ctrl.design.riccati.hinf import _floor, _least_gamma, _normal_form, _trial
 from platform_ctrl.design.scaling import autoscale, balance, require_stabilisable
@@ -223,7 +223,7 @@ def test_what_is_missing_is_not_needed_by_the_lmi_route_and_added_where_that_is_
 def test_wrong_controllers_and_norms_below_the_least_are_not_certified():
     P, _, _ = coprime_problem(*gyro())
     good = hinf(P, 2, 2, method="riccati")
-    K = state_arrays(good.controller, "K")
+    K = System.of(good.controller, "K")
 
     def certified(controller, least=good.gamma_optimal, **more):
         options = {"least": least, "backoff": 0.02, "method": "test", "residual": {}} | more

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, expm, solve_discrete_lyapunov
 
 import three_gyro_paper as paper
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import named_system, state_arrays
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.lmi.inequalities import LinearLoop, cp, half_plane, sector, solve
 from platform_ctrl.design.lmi.shared import sharing
@@ -204,7 +204,7 @@ def test_python_control_designs_on_the_generalised_plant_and_the_loop_judges(nam
     assert closed.closed.measures.decay[0] > 0.0
     assert {one.name for one in closed.designs} == {"LMI", "mine"}
     # The generalised plant closed by K has the poles of the sampled loop, by the bilinear map.
-    w = np.linalg.eigvals(closed_loop(partition(P, k, k), state_arrays(bound.controller, "K")).A)
+    w = np.linalg.eigvals(closed_loop(partition(P, k, k), System.of(bound.controller, "K")).A)
     A, B, C = (closed.closed.plant.A, closed.closed.plant.B[:, :k], closed.closed.plant.C[:k])
     K = closed.closed.controller
     z = np.linalg.eigvals(np.block([[A + B @ K.D @ C, B @ K.C], [K.B @ C, K.A]]))

@@ -10,9 +10,9 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import analysis
-from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.poles import is_stable
+from platform_ctrl.analysis.system import named_system
 from platform_ctrl.design.measured.contour import contour, plant_integrators, unstable_poles
 from platform_ctrl.design.measured.data import measured_plants, read_measurement
 from platform_ctrl.design.measured.design import measured_pid

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.loop import LoopDesign, LoopProblem
 from platform_ctrl.design.measured.of_job import on_responses, read_responses
 from platform_ctrl.design.plants import plants_of
@@ -115,7 +115,7 @@ def test_a_file_with_the_responses_of_the_model_is_no_distance_from_it(of_file: 
     # The margin on the data by the formula of one channel, |1/(S − 1/2)| at its least.
     assert closed.plants is not None
     w = np.geomspace(0.1, 0.99 * np.pi / found.sampling.period, 120)
-    L = (closed.plants.on(w).response[0] @ frequency_response(state_arrays(closed.controller, "K"), w, -3))[:, 0, 0]
+    L = (closed.plants.on(w).response[0] @ frequency_response(System.of(closed.controller, "K"), w, -3))[:, 0, 0]
     expected = np.abs(1.0 / (1.0 / (1.0 - L) - 0.5)).min()
     assert on_data["disk margin, measured responses"].value == pytest.approx(expected, rel=1e-9)
     # The job as one text holds the file's content: it needs no other file.

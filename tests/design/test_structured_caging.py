@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from platform_ctrl import design
-from platform_ctrl.analysis import loop_set
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis import loop as closed
 from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.fixed_structure.caging import (
@@ -85,20 +85,20 @@ def whole(block):
 
 
 def parts(M, n):
-    return StateArrays(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:], 5e-4)
+    return System(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:], 5e-4)
 
 
 MAPS = {
-    "S at the output": map_of(loop_set.S_OUTPUT),
-    "S at the input": map_of(loop_set.S_INPUT),
-    "(S - T)/2 at the output": map_of(loop_set.HALF_OUTPUT),
-    "(S - T)/2 at the input": map_of(loop_set.HALF_INPUT),
-    "T at the output": map_of(loop_set.T_OUTPUT),
-    "T at the input": map_of(loop_set.T_INPUT),
-    "angle per torque": map_of(loop_set.ANGLE_PER_TORQUE),
-    "angle per Omega": map_of(loop_set.ANGLE_PER_OMEGA),
-    "torque per noise": map_of(loop_set.Transfer("noise", "torque")),
-    "torque per rate": map_of(loop_set.Transfer("Omega", "torque")),
+    "S at the output": map_of(closed.S_OUTPUT),
+    "S at the input": map_of(closed.S_INPUT),
+    "(S - T)/2 at the output": map_of(closed.HALF_OUTPUT),
+    "(S - T)/2 at the input": map_of(closed.HALF_INPUT),
+    "T at the output": map_of(closed.T_OUTPUT),
+    "T at the input": map_of(closed.T_INPUT),
+    "angle per torque": map_of(closed.ANGLE_PER_TORQUE),
+    "angle per Omega": map_of(closed.ANGLE_PER_OMEGA),
+    "torque per noise": map_of(closed.Transfer("noise", "torque")),
+    "torque per rate": map_of(closed.Transfer("Omega", "torque")),
     "controller": CONTROLLER,
     "torque per Omega": None,
 }
@@ -234,7 +234,7 @@ def test_truncation_keeps_what_matters():
     A = np.diag([0.9, 0.5, -0.3, 0.2])
     B, C, D = rng.standard_normal((4, 2)), rng.standard_normal((2, 4)), np.zeros((2, 2))
     C[:, 3] *= 1e-9
-    less = balanced_truncation(StateArrays(A, B, C, D, 0.1), 3)
+    less = balanced_truncation(System(A, B, C, D, 0.1), 3)
     assert len(less.A) == 3
     for z in np.exp(1j * np.array([0.1, 1.0, 3.0])):
         full, small = (c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d for a, b, c, d in ((A, B, C, D), less[:4]))
@@ -434,7 +434,7 @@ def test_a_resonance_between_two_points_of_the_grid_is_seen(cases):
     """Nearly no gain: the nutation rings on, in a peak far narrower than the grid."""
     plants, _, K = cases["caging 9-10"]
     plants = plants.only([0])
-    weak = StateArrays(K.A, K.B, 2e-7 * K.C, 2e-7 * K.D, K.dt)
+    weak = System(K.A, K.B, 2e-7 * K.C, 2e-7 * K.D, K.dt)
     margin = requirement("disk margin", 0.5)
     measured = measure(plants, weak, [margin]).disk_margin[0]
     assert measured < 0.01

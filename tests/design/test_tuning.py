@@ -10,7 +10,7 @@ import pytest
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop, camera_plant
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design import tuning
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
@@ -49,7 +49,7 @@ def test_options_stay_within_reach_of_their_start(direction: float, monkeypatch:
     start = starting_values({}, channel, plants.nutation, plants.period)
     tried: list[float] = []
 
-    def build(options: dict[str, float]) -> StateArrays:
+    def build(options: dict[str, float]) -> System:
         tried.append(options["crossover_hz"] / start["crossover_hz"])
         return classical_controller(options, channel, plants.period)
 
@@ -74,7 +74,7 @@ def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:
     start = starting_values(given, channel, plants.nutation, plants.period)
     required = loop_requirements(spec.limits | {"disk_margin": 0.01})
 
-    def build(options: dict[str, float]) -> StateArrays:
+    def build(options: dict[str, float]) -> System:
         return classical_controller(options, channel, plants.period)
 
     assert tuning.tune(start, list(start), build, plants, required, evaluations=5) == start

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from platform_ctrl import design, verification
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.fixed_structure.caging import pid_structure
@@ -57,13 +57,13 @@ def start(job: Job, plants: PlantSet) -> Parametrised:
 
 
 @pytest.fixture(scope="module")
-def tuned(start: Parametrised, plants: PlantSet) -> StateArrays:
+def tuned(start: Parametrised, plants: PlantSet) -> System:
     """What the search for the object makes of the start: first use, tuning."""
     found = Search(plants, [DAMPED], 0.02, 200, lambda hard, soft: None).run(start)
     return start.block(found.x)
 
 
-def test_the_tuner_works_on_its_ratio(start: Parametrised, plants: PlantSet, tuned: StateArrays) -> None:
+def test_the_tuner_works_on_its_ratio(start: Parametrised, plants: PlantSet, tuned: System) -> None:
     before = start.block(start.start)
     assert not DAMPED.check(plants, before).passed
     assert pieces(ClosedLoops(plants, before), DAMPED).ratio.max() > 1.0
@@ -71,7 +71,7 @@ def test_the_tuner_works_on_its_ratio(start: Parametrised, plants: PlantSet, tun
     assert pieces(ClosedLoops(plants, tuned), DAMPED, 0.0).ratio.max() <= 1.0
 
 
-def test_sampled_verification_names_the_worst_plant(plants: PlantSet, tuned: StateArrays) -> None:
+def test_sampled_verification_names_the_worst_plant(plants: PlantSet, tuned: System) -> None:
     result = DAMPED.check(plants, tuned)
     worst = min(
         control.StateSpace(*_closed(plants, tuned, k), plants.period).damp()[1][_fast(plants, tuned, k)].min()
@@ -81,7 +81,7 @@ def test_sampled_verification_names_the_worst_plant(plants: PlantSet, tuned: Sta
     assert result.evidence.split(";")[0] in plants.labels or result.evidence.startswith("nominal")
 
 
-def _closed(plants: PlantSet, K: StateArrays, k: int) -> tuple[np.ndarray, ...]:
+def _closed(plants: PlantSet, K: System, k: int) -> tuple[np.ndarray, ...]:
     A = np.block(
         [[plants.A[k] + plants.B[k] @ K.D @ plants.C[k], plants.B[k] @ K.C], [K.B @ plants.C[k], K.A]]
     )  # D of the sampled plants is zero
@@ -89,7 +89,7 @@ def _closed(plants: PlantSet, K: StateArrays, k: int) -> tuple[np.ndarray, ...]:
     return A, np.zeros((len(A), 1)), np.zeros((1, len(A))), np.zeros((1, 1))
 
 
-def _fast(plants: PlantSet, K: StateArrays, k: int) -> np.ndarray:
+def _fast(plants: PlantSet, K: System, k: int) -> np.ndarray:
     """Poles that count: above a tenth of the nutation frequency."""
     return control.StateSpace(*_closed(plants, K, k), plants.period).damp()[0] > plants.nutation / 10.0
 

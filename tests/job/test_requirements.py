@@ -14,8 +14,8 @@ from continuous_loop import ContinuousLoop
 from platform_ctrl import design, verification
 from platform_ctrl.analysis import closed_loop, frequency_response
 from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import gains
@@ -319,7 +319,7 @@ def test_norms_are_of_the_channel_that_is_named(plants, controller):
     rates, angles = ("Omega1", "Omega2", "Omega3"), ("alpha9", "beta10")
     channel = Channel(inputs=rates, outputs=angles)
     # A norm between named signals is that of the samples, with the platform's rate held.
-    held = gains(LoopSet(plants, plants.joined(controller)).arrays.at(0).part([2, 3], [2, 3, 4]), plants.frequency)
+    held = gains(Loop(plants, plants.joined(controller)).arrays.at(0).part([2, 3], [2, 3, 4]), plants.frequency)
     found = requirement("H-infinity norm", 1.0, channel=channel).check(plants, controller).value
     assert held.max() * (1.0 - 1e-9) <= found <= 1.01 * held.max()
     noise = Channel(inputs=("noise_alpha9", "noise_beta10"), outputs=("Q9", "Q10"), input_weight=plants.noise)

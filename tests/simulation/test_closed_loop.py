@@ -10,7 +10,7 @@ import pytest
 
 from platform_ctrl.analysis import interconnection
 from platform_ctrl.analysis.anti_windup import BackCalculation, back_calculation
-from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import PickOff, Platform, Torquer
 from platform_ctrl.simulation import HalfCosine
@@ -113,7 +113,7 @@ def test_an_integral_follows_a_limited_torque(every, monkeypatch):
     w, limit, T = 20.0, 0.1, every * PERIOD
     kp, ki, kd = 3.0 * w**2 * J, w**3 * J, 3.0 * w * J
     K = controller(-kp - kd / T, A=[[1.0, 0.0], [0.0, 0.0]], B=[[1.0], [1.0]], C=[[-ki * T, kd / T]], dt=every * PERIOD)
-    E = back_calculation(state_arrays(K, "K"), [True]).gain
+    E = back_calculation(System.of(K, "K"), [True]).gain
 
     def flown():
         return run(one_gimbal(limit=limit), [K], duration=2.0, q=[0.5])

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import noise_rms
+from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation.batch import compile_kernel
 from platform_ctrl.simulation.compilation import is_compiled
 
 W = np.array([1.0, 2.0])
-ENTRIES: dict[str, Callable[[StateArrays], Any]] = {
+ENTRIES: dict[str, Callable[[System], Any]] = {
     "frequency_response": lambda system: analysis.frequency_response(system, W),
     "hinf_norm": analysis.hinf_norm,
     "noise_rms": lambda system: noise_rms(system, np.ones(1)),
@@ -35,7 +35,7 @@ def arrays() -> list[np.ndarray]:
 @pytest.mark.parametrize("name", ENTRIES)
 def test_arrays_that_do_not_fit_one_another_or_are_not_finite_are_refused(name: str) -> None:
     function = ENTRIES[name]
-    function(StateArrays(*arrays(), dt=0.1))
+    function(System(*arrays(), dt=0.1))
     for place in range(4):
         shape = arrays()[place].shape
         misfits = [np.zeros(one) for one in ((), (2,), (3, 3), (1, 3), (3, 1), (5, 5), (0, 0), (2, 3, 3))]
@@ -43,7 +43,7 @@ def test_arrays_that_do_not_fit_one_another_or_are_not_finite_are_refused(name: 
             given: list[Any] = arrays()
             given[place] = wrong
             with pytest.raises(ArgumentError):
-                function(StateArrays(*given, dt=0.1))
+                function(System(*given, dt=0.1))
 
 
 KEPT = {

@@ -34,7 +34,7 @@ class Body(NamedTuple):
     driven: bool = False
 
 
-class Loop(NamedTuple):
+class Tree(NamedTuple):
     """A job of one loop on the driven bodies, read at the last of them: SI units, Hz; times in sample periods."""
 
     bodies: tuple[Body, ...]
@@ -141,7 +141,7 @@ class Loop(NamedTuple):
 class Truth:
     """The true values of a controller (A, B, C, D) from the readings, with feedforward from the base's gyros behind."""
 
-    def __init__(self, one: Loop, K, noise: np.ndarray) -> None:
+    def __init__(self, one: Tree, K, noise: np.ndarray) -> None:
         self.one, self.noise, T = one, np.asarray(noise), one.period
         bodies, n = one.bodies, len(one.bodies)
         M, D, K_joints, M_W = one.mechanics

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import differential_evolution
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measured
-from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.partition import first_order, notch, side_by_side
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.job.reading import read_job
@@ -49,7 +49,7 @@ def plants(delay: float) -> PlantSet:
     )
 
 
-def controller(numbers: np.ndarray) -> StateArrays:
+def controller(numbers: np.ndarray) -> System:
     """Return a PD in either axis with cross gain, behind a notch; of a depth above 1 it is a resonance."""
     zero9, rate9, zero10, rate10, cross, centre, depth, width = numbers
     leads = []
@@ -61,21 +61,21 @@ def controller(numbers: np.ndarray) -> StateArrays:
     one = notch(2.0 * np.pi * centre, depth, width, PERIOD)
     a, b, c, d, _ = side_by_side(one, one)
     both = np.block([[a, np.zeros((len(a), len(A)))], [B @ c, A]])
-    return StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
+    return System(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
 
 
-class OnGrid(LoopSet):
+class OnGrid(Loop):
     """Figures at the frequencies of the grid, and nothing else."""
 
     narrow: dict[int, np.ndarray] = {}  # type: ignore[assignment]  # noqa: RUF012
 
 
-def hidden(asked: LoopRequirement, K: StateArrays, among: PlantSet) -> float:
+def hidden(asked: LoopRequirement, K: System, among: PlantSet) -> float:
     """Return ln of how much worse a figure is next to the closed loops' poles than on the grid; −1 if not stable."""
     loops = OnGrid(among, K)
     if loops.decay.min() < 0.05:
         return -1.0
-    grid, seen = measured(loops, asked), LoopSet(among, K)
+    grid, seen = measured(loops, asked), Loop(among, K)
     s = np.abs(continuous_poles(loops.poles, among.period).imag)
     seen.narrow = {k: np.unique(s[k][np.isfinite(s[k]) & (s[k] > 0.0)]) for k in range(len(s))}  # type: ignore[misc]
     ratio = np.array([asked.ratio(float(one)) for one in (*grid, *measured(seen, asked))]).reshape(2, -1).max(axis=1)

@@ -14,13 +14,13 @@ import pytest
 
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop, camera_plant
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, Spectrum
 from platform_ctrl.analysis.dry_friction import describing_function
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.jitter_budget import JitterBudget
+from platform_ctrl.analysis.system import System
 from platform_ctrl.cli import main
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError, InputError
@@ -112,7 +112,7 @@ def by_hand(damping: float = DAMPING, coherence: np.ndarray | None = None) -> Bu
     C, D = np.array([[1.0], [1.0], [1.0]]), np.zeros((3, 4))
     D[2, 1] = -1.0
     plant = HybridPlant(
-        plant=StateArrays(np.array([[-damping / INERTIA]]), B, C, D),
+        plant=System(np.array([[-damping / INERTIA]]), B, C, D),
         controls=1,
         measured=1,
         period=PERIOD,
@@ -141,7 +141,7 @@ def by_hand(damping: float = DAMPING, coherence: np.ndarray | None = None) -> Bu
         SampleNoise(name="steps", measured=0, rms=2e-5 / math.sqrt(12.0)),
     ]
     K = controllers()[0]
-    arrays = StateArrays(K.A, K.B, K.C, K.D, PERIOD)
+    arrays = System(K.A, K.B, K.C, K.D, PERIOD)
     return JitterBudget(plant, sources, (0.02,), 2.0 * math.pi * 0.5).of(arrays, 1e-8)
 
 

@@ -14,10 +14,10 @@ import dense_peak
 import narrow_loops
 from cli.test_cli import undrawn  # noqa: F401
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import StateArrays, named_system
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measure, measured
-from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.cli import main
 from platform_ctrl.design.fixed_structure.descent import Search
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops
@@ -52,7 +52,7 @@ design = [{ name = "classical", method = "classical" }]
 WORST = "J9-10% J10+10% L11-10%"
 
 
-def narrow_loop(depth: float = 0.20796, width: float = 0.0061867) -> StateArrays:
+def narrow_loop(depth: float = 0.20796, width: float = 0.0061867) -> System:
     """A PD in either axis and cross gain, behind a notch of 0.6 % width at 75 Hz."""
     return narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, depth, width]))
 
@@ -83,7 +83,7 @@ def plants() -> PlantSet:
     return narrow_loops.plants(0.0).only(range(9))
 
 
-def worst_of(kind: str, among: PlantSet, K: StateArrays) -> float:
+def worst_of(kind: str, among: PlantSet, K: System) -> float:
     """Return the worst figure of a set by brute force."""
     true = [dense_peak.figure(kind, among, k, K, EDGE.get(kind)) for k in range(len(among.labels))]
     return min(true) if kind in ("disk margin", "bandwidth") else max(true)
@@ -115,7 +115,7 @@ def test_check_fails_a_loop_whose_sensitivity_peaks_between_all_grid_points(
     assert missed["evidence"].startswith(f"{WORST}; 9 plants")
 
 
-def _sensitivities(plants: PlantSet, K: StateArrays) -> np.ndarray:
+def _sensitivities(plants: PlantSet, K: System) -> np.ndarray:
     """Sensitivities at the pick-offs on the set's grid, (N, F, p, p)."""
     every = [dense_peak.response(dense_peak.closed(plants, k, K), "y", "n", plants.frequency) for k in range(9)]
     return np.eye(2) + np.array(every)
@@ -228,11 +228,11 @@ def test_the_tuner_goes_on_where_a_limit_is_missed_between_the_points_of_its_gri
     plants: PlantSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Without the poles' frequencies the search starts blind: its grid sees nothing wrong with the narrow loop.
-    monkeypatch.setattr(LoopSet, "narrow", {})
+    monkeypatch.setattr(Loop, "narrow", {})
     asked = [requirement("stability", 0.05, over=WORST_CASE), requirement("sensitivity peak", 3.0, over=WORST_CASE)]
     start = {"depth": 0.20796, "width": 0.0061867}
 
-    def build(options: dict[str, float]) -> StateArrays:
+    def build(options: dict[str, float]) -> System:
         return narrow_loop(**options)
 
     assert worst_ratio(build(start), plants, asked) < 0.95
@@ -258,7 +258,7 @@ def test_the_tuner_goes_on_where_a_limit_is_missed_between_the_points_of_its_gri
 def test_the_structured_search_goes_on_where_a_limit_is_missed_between_the_points_of_its_grid(
     plants: PlantSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(LoopSet, "narrow", {})
+    monkeypatch.setattr(Loop, "narrow", {})
     monkeypatch.setattr(ClosedLoops, "_hidden", lambda self, *_: self.none())
     asked = [requirement("stability", 0.05, over=WORST_CASE), requirement("sensitivity peak", 3.0, over=WORST_CASE)]
     start = {"depth": 0.3, "width": 0.003}

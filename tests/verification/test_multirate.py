@@ -20,11 +20,11 @@ from scipy.linalg import solve_discrete_lyapunov
 from commanded_gimbal import RATE_HZ, commanded_job
 from generated_c import Machine, compiled
 from platform_ctrl import read_job
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.margins import disk_margin, loop_margins
 from platform_ctrl.analysis.periodic import PeriodicLoop
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design import loops
 from platform_ctrl.design.jobs import LoopOutcome
@@ -87,7 +87,7 @@ class Computer:
     """Controllers as a computer runs them, in the words of the job file."""
 
     def __init__(self, controllers: list[control.StateSpace]) -> None:
-        self.parts = [state_arrays(K, "controller") for K in controllers]
+        self.parts = [System.of(K, "controller") for K in controllers]
         self.controllers = controllers
         self.x = [np.zeros(len(K.A)) for K in self.parts]
         self.u = [np.zeros(len(K.C)) for K in self.parts]
@@ -115,7 +115,7 @@ class Computer:
 
 def over_a_cycle(job: Job, check: CoupledCheck, controllers: list[control.StateSpace], cycle: int) -> FloatArray:
     """The transition of plant and computer over a cycle, column by column, by stepping."""
-    plant = state_arrays(check.plant, "plant")
+    plant = System.of(check.plant, "plant")
     names, torquers = list(check.plant.output_labels), list(check.plant.input_labels)
     n, size = len(plant.A), len(plant.A) + len(Computer(controllers).memory)
     columns = []
@@ -135,7 +135,7 @@ def test_the_slow_loop_is_what_the_run_does(made: tuple[LoopOutcome, ...], job: 
     assert tracking.plants is not None
     assert tracking.controller.dt == pytest.approx(SLOW * T)
     run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [one.closed.controller for one in made], period=T)
-    P, K = tracking.plants, state_arrays(tracking.controller, "controller")
+    P, K = tracking.plants, System.of(tracking.controller, "controller")
     x, x_K, expected = np.zeros(P.A.shape[-1]), np.zeros(len(K.A)), []
     for k in range(len(run.t[::SLOW])):
         y = P.C[0] @ x
@@ -154,7 +154,7 @@ def test_a_slow_torque_loop_is_what_the_run_does() -> None:
     data["loop"][0] |= {"rate_hz": RATE_HZ / 4, "limits": {"disk_margin": 0.5}}
     job = read_job(data)
     (outcome,) = loops(job)
-    P, K = outcome.closed.plants, state_arrays(outcome.closed.controller, "controller")
+    P, K = outcome.closed.plants, System.of(outcome.closed.controller, "controller")
     assert P is not None
     assert P.period == pytest.approx(4 * T)
     # Angle, momentum and one held torque: none of the samples in between is a state.
@@ -216,17 +216,17 @@ def test_rates_that_do_not_divide_one_another_repeat_after_their_common_multiple
 
 
 @pytest.fixture(scope="module")
-def square() -> tuple[StateArrays, StateArrays]:
+def square() -> tuple[System, System]:
     """A sampled plant with two torques and two angles, and a controller that stabilises it."""
     generator = np.random.default_rng(5)
     A = np.diag([0.9, 0.8, 0.7, 0.6]) + 0.05 * generator.normal(size=(4, 4))
-    P = StateArrays(A, generator.normal(size=(4, 2)), generator.normal(size=(2, 4)), np.zeros((2, 2)), T)
-    K = StateArrays(0.5 * np.eye(2), 0.05 * np.eye(2), -0.3 * np.eye(2), -0.02 * np.eye(2), T)
+    P = System(A, generator.normal(size=(4, 2)), generator.normal(size=(2, 4)), np.zeros((2, 2)), T)
+    K = System(0.5 * np.eye(2), 0.05 * np.eye(2), -0.3 * np.eye(2), -0.02 * np.eye(2), T)
     assert np.abs(np.linalg.eigvals(closed_loop(P, K).A)).max() < 1.0
     return P, K
 
 
-def test_margins_of_a_loop_that_takes_no_turns_are_the_usual_ones(square: tuple[StateArrays, StateArrays]) -> None:
+def test_margins_of_a_loop_that_takes_no_turns_are_the_usual_ones(square: tuple[System, System]) -> None:
     """Its lifted norms are those without lifting: at every image of a frequency the gain is one of the loop's own."""
     P, K = square
     plant, controller = (control.ss(*one) for one in square)
@@ -247,7 +247,7 @@ def test_no_gain_within_the_margin_destabilises(
     job: Job, check: CoupledCheck, controllers: list[control.StateSpace]
 ) -> None:
     """Gains of the torque's loop that change from sample to sample at random, inside the disk."""
-    plant = state_arrays(check.plant, "plant")
+    plant = System.of(check.plant, "plant")
     seen, torquers = list(check.plant.output_labels), list(check.plant.input_labels)
     used = [name for name in seen if name in {label for K in controllers for label in K.input_labels}]
     by_sample = interconnected_by_sample(controllers, seen, torquers, T)
@@ -271,7 +271,7 @@ def test_torque_noise_is_the_mean_of_the_periodic_covariance() -> None:
     job = read_job(data)
     controllers = [one.closed.controller for one in loops(job)]
     check = coupled_check(job, linearise(job.platform), controllers)
-    plant = state_arrays(check.plant, "plant")
+    plant = System.of(check.plant, "plant")
     seen = list(check.plant.output_labels)
     sensors = {one.name: one for one in job.platform.sensors}
     rms = np.array([sensors[name].sampled_noise(T) for name in seen])

@@ -15,7 +15,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.analysis import hinf_norm
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.errors import InputError, NotCertifiedError
@@ -58,7 +58,7 @@ def test_norm_and_decay_are_proved_above_and_refused_below_their_values(n: int, 
     rng = np.random.default_rng(n)
     A = rng.standard_normal((n, n))
     A *= 0.97 / np.abs(np.linalg.eigvals(A)).max()
-    system = StateArrays(A, rng.standard_normal((n, m)), rng.standard_normal((m, n)), rng.standard_normal((m, m)), 1.0)
+    system = System(A, rng.standard_normal((n, m)), rng.standard_normal((m, n)), rng.standard_normal((m, m)), 1.0)
     norm, _ = hinf_norm(system)
 
     def proved(factor: float) -> int:
@@ -81,7 +81,7 @@ def test_the_loop_in_balls_is_s_minus_half_at_either_end(small: tuple[Any, tuple
     design = small[1][0].closed
     assert design.plants is not None
     P = design.plants.arrays.at(0)
-    K = StateArrays(*(getattr(design.controller, name) for name in "ABCD"), dt=P.dt)
+    K = System(*(getattr(design.controller, name) for name in "ABCD"), dt=P.dt)
     z = np.exp(100.0j * P.dt)
 
     def response(system: Any) -> Any:

@@ -12,12 +12,12 @@ import pytest
 from scipy.optimize import differential_evolution
 
 import platform_ctrl as pc
-from linear_tree import Body, Loop, Truth
+from linear_tree import Body, Tree, Truth
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measured
-from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.requirements import of_readings, requirement
 
@@ -34,7 +34,7 @@ def solid(size: float, product: float = 0.0) -> list[list[float]]:
     return [[size, 0.0, 0.0], [0.0, size, product], [0.0, product, size]]
 
 
-def tree(numbers: np.ndarray) -> Loop:
+def tree(numbers: np.ndarray) -> Tree:
     """Numbers from 0 to 1 as a job: one axis or two, alone or with a passive body on a spring inside or outside."""
     x = iter(np.clip(numbers, 0.0, 1.0).tolist())
 
@@ -71,7 +71,7 @@ def tree(numbers: np.ndarray) -> Loop:
         (yaw, pitch(0, product), passive(1, tilted)),
         (yaw, passive(0, (0, 1, 0)), pitch(1, product)),
     )[shape]
-    return Loop(
+    return Tree(
         bodies,
         rate_hz=float(round(log(500.0, 4000.0))),
         delay=round(1.9 * next(x), 3),
@@ -86,7 +86,7 @@ def tree(numbers: np.ndarray) -> Loop:
     )
 
 
-def compared(one: Loop, kinds: list[str]) -> dict[str, tuple[float, float]]:
+def compared(one: Tree, kinds: list[str]) -> dict[str, tuple[float, float]]:
     """Return the true and the reported values of a job; none where its design is refused."""
     try:
         job = pc.read_job(one.job({}))
@@ -95,10 +95,10 @@ def compared(one: Loop, kinds: list[str]) -> dict[str, tuple[float, float]]:
         return {}
     plants, K = outcome.closed.plants, outcome.closed.controller
     assert plants is not None
-    truth = Truth(one, state_arrays(K, "K"), plants.noise)
+    truth = Truth(one, System.of(K, "K"), plants.noise)
     names = {kind: of_readings(METRICS[kind].name, "pointing" if one.pointing else "rate") for kind in kinds}
     true = truth.values(BAND_HZ, FROM_HZ, set(names.values()))
-    loops = LoopSet(plants, plants.joined(K))
+    loops = Loop(plants, plants.joined(K))
     out = {}
     for kind in kinds:
         more = {"frequency": 2.0 * np.pi * BAND_HZ} if METRICS[kind].needs_frequency else {}
@@ -126,15 +126,15 @@ def worse(kind: str, true: float, reported: float) -> float:
 LIGHT = Body("flap", 0, (0, 1, 0), solid(7e-8), 8.4e-8, 2.8e-9)
 SLOW = Body("flap", -1, (0, 1, 0), solid(1e-3), 4e-6, 1e-8)
 CASES = {
-    "light body": Loop(
+    "light body": Tree(
         (Body("pitch", -1, (0, 1, 0), solid(0.01), 0.005, 0.005, (0, 0, -0.02), True), LIGHT),
         583.0, 0.03, 0.1, 0.0, 1.3, 6.4, 0.03, pointing=True,
     ),
-    "slow mode": Loop(
+    "slow mode": Tree(
         (SLOW, Body("pitch", 0, (0, 1, 0), solid(0.01), 0.015, 0.016, driven=True)),
         1154.0, 1.2, 0.6, 230.0, 0.6, 3.7, 0.0355,
     ),
-    "two channels": Loop(
+    "two channels": Tree(
         (
             Body("yaw", -1, (0, 0, 1), solid(0.0106), 0.00347, 0.00526, driven=True),
             Body("flap", 0, (0, 1, 0), solid(0.00516), 1.5, 0.0431),
@@ -169,7 +169,7 @@ def test_true_values_are_those_reported_on_jobs_of_every_kind() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_search_for_the_worst_finds_no_true_value_that_is_worse(kind: str) -> None:
     wanted = int(os.environ.get("SEARCHES", "1000"))
-    found: list[tuple[float, Loop, tuple[float, float]]] = []
+    found: list[tuple[float, Tree, tuple[float, float]]] = []
 
     def score(numbers: np.ndarray) -> float:
         if len(found) >= wanted:

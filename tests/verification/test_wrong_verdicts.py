@@ -15,7 +15,7 @@ import pytest
 import platform_ctrl as pc
 from continuous_loop import ContinuousLoop
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
@@ -38,7 +38,7 @@ def test_a_rate_loop_against_a_spring_leaves_what_the_spring_takes() -> None:
     read = pc.read_job(data("steady"))
     found = results(read)
     outcome = design.loops(read)[0].closed
-    K = state_arrays(outcome.controller, "K")
+    K = System.of(outcome.controller, "K")
     # A step of the command, by the sampled loop in state space and by its value at zero frequency.
     A = np.array([[0.0, 1.0], [-40.0, -0.1]])
     plant = (A, [[0.0], [100.0]], [[-1.0], [0.1]], [[0.0, 1.0]], [[0.0, 1.0]], [[0.0]], [[0.0]])
@@ -70,7 +70,7 @@ def test_a_pointing_loop_against_a_spring_lags_a_ramp_by_k_over_its_integral_gai
     }
     read = pc.read_job(raw)
     found = results(read)
-    K = state_arrays(design.loops(read)[0].closed.controller, "K")
+    K = System.of(design.loops(read)[0].closed.controller, "K")
     z = 1.0 + 1e-7
     integral = 1e-7 / 5e-4 * abs((K.C @ np.linalg.solve(z * np.eye(len(K.A)) - K.A, K.B) + K.D)[0, 0])
     assert found["decoupled", "steady-state error"].value == 0.0
@@ -170,7 +170,7 @@ def test_a_mode_that_is_a_passive_gimbal_takes_part_in_the_loop() -> None:
     for held in (False, True):
         read = pc.read_job(with_a_mode(held))
         outcome = design.loops(read)[0].closed
-        K = state_arrays(outcome.controller, "K")
+        K = System.of(outcome.controller, "K")
         # [pitch, lens] and their rates: M q'' + D q' + k q = [Q, 0]; the gyro sees the first.
         n = 1 if held else 2
         M = np.array([[0.01 + LENS, LENS], [LENS, LENS]])[:n, :n]

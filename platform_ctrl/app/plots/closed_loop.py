@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plots.data import (
     HZ,

@@ -11,7 +11,7 @@ from bokeh.core.property.descriptors import UnsetValueError
 from bokeh.models import ColumnDataSource, Range1d
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.palette import PALETTE
 from platform_ctrl.common.values import FloatArray
 

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between, first_order, gain, notch
 from platform_ctrl.design.sections import Section, flattened
@@ -38,7 +38,7 @@ def classical_design(problem: LoopProblem) -> Designed:
     """Return the classical loop of a job, with ``tune = true`` moved until its limits are met."""
     channel, plants = problem.channel, problem.plants
 
-    def build(options: dict[str, float]) -> StateArrays:
+    def build(options: dict[str, float]) -> System:
         return classical_controller(options, channel, plants.period)
 
     start = default_options(problem.design, channel, plants.nutation, plants.period)
@@ -116,7 +116,7 @@ def _spin_hz(given: dict[str, float], channel: Channels) -> float:
     return float(channel.spins.mean() / (2.0 * np.pi))
 
 
-def classical_controller(options: dict[str, float], channel: Channels, period: float) -> StateArrays:
+def classical_controller(options: dict[str, float], channel: Channels, period: float) -> System:
     """Return the sampled controller (u = K y, positive feedback) for complete `options` (see `starting_values`).
 
     Frequencies in Hz: ``crossover_hz`` ωc; ``integral_hz`` ωi; ``damping_hz``, ``damping2_hz`` d_1 and d_2 of the

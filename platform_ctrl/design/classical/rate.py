@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.classical.caging import integrated, notch_stage
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, first_order, gain
@@ -33,7 +33,7 @@ def rate_design(problem: LoopProblem) -> Designed:
     """Return the rate loop of a job, with ``tune = true`` moved until its limits are met."""
     channel, plants = problem.channel, problem.plants
 
-    def build(options: dict[str, float]) -> StateArrays:
+    def build(options: dict[str, float]) -> System:
         return rate_controller(options, channel, plants.period)
 
     start = rate_options(problem.design, channel, plants.nutation, plants.period)
@@ -64,7 +64,7 @@ def rate_options(design: DesignSpec, channel: Channels, nutation: float, period:
     return out
 
 
-def rate_controller(options: dict[str, float], channel: Channels, period: float) -> StateArrays:
+def rate_controller(options: dict[str, float], channel: Channels, period: float) -> System:
     """Return the sampled controller (u = K y, positive feedback) of the channels for complete `options`."""
     names = [f"{name}_{k + 1}" for name in ("rate", "torque") for k in range(len(channel.inertias))]
     inputs, outputs = names[: len(channel.inertias)], names[len(channel.inertias) :]

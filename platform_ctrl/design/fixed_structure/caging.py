@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
 from platform_ctrl.design.classical.rate import rate_controller, rate_options
@@ -110,7 +110,7 @@ def tuned_controller(
     channel: Channels,
     plants: PlantSet,
     requirements: Sequence[LoopRequirement],
-    others: Sequence[Callable[[], StateArrays]],
+    others: Sequence[Callable[[], System]],
     progress: Callable[[float, float], None],
 ) -> Designed:
     """Return a controller of the given structure that meets the requirements, or comes nearest.
@@ -138,7 +138,7 @@ def tuned_controller(
 
     first = search(cross_axis, 1.0 if structure == "cross-axis" else _SHARES["cross-axis"])
     best: tuple[Found, Parametrised] = first, cross_axis
-    starts: list[Callable[[], StateArrays]] = [lambda: cross_axis.block(first.x), *others]
+    starts: list[Callable[[], System]] = [lambda: cross_axis.block(first.x), *others]
     starts = starts[: int(options["starts"])] if structure != "cross-axis" else []
     for start in starts:
         try:
@@ -190,7 +190,7 @@ def rate_structure(given: dict[str, float], channel: Channels, plants: PlantSet)
 def _named(
     tunable: Sequence[str],
     options: dict[str, float],
-    build: Callable[[dict[str, float]], StateArrays],
+    build: Callable[[dict[str, float]], System],
     largest: dict[str, float],
 ) -> Parametrised:
     """Return a controller that a function builds, over those of its options that are tunable."""
@@ -203,7 +203,7 @@ def _named(
 
 
 def pid_structure(
-    like: StateArrays, channel: Channels, period: float, nutation: float, integral: float, rolloff: float
+    like: System, channel: Channels, period: float, nutation: float, integral: float, rolloff: float
 ) -> Parametrised:
     """Return a matrix PID with a second-order low-pass, at first at `rolloff`, in every channel of the gyros.
 
@@ -227,7 +227,7 @@ def pid_structure(
     return Parametrised(structure, n, n, Units(gain=np.full((n, n), unit), rate=nutation, integral=integral))
 
 
-def _fitted(like: StateArrays, channel: Channels, period: float, nutation: float, rolloff: float) -> FloatArray:
+def _fitted(like: System, channel: Channels, period: float, nutation: float, rolloff: float) -> FloatArray:
     """Return the gains K_P, K_I, K_D of the PID whose response is nearest to a controller's, by least squares."""
     n = len(channel.basis)
     w = np.geomspace(0.1 * nutation, min(4.0 * nutation, 0.4 * np.pi / period), 40)
@@ -241,9 +241,7 @@ def _fitted(like: StateArrays, channel: Channels, period: float, nutation: float
     return np.asarray(found.reshape(3, n, n), dtype=np.float64)
 
 
-def free_structure(
-    inner: StateArrays, channel: Channels, period: float, nutation: float, integral: float
-) -> Parametrised:
+def free_structure(inner: System, channel: Channels, period: float, nutation: float, integral: float) -> Parametrised:
     """Return a controller of fixed order behind a PI, 1 + integral/s, in every channel: so integral action stays.
 
     `inner` is what is behind the PI, sampled, in the channels of the gyros (see `without_integrators`). The unit of
@@ -267,9 +265,7 @@ def free_structure(
     return Parametrised(structure, n, n, Units(gain=np.full((n, n), unit), rate=rate))
 
 
-def without_integrators(
-    controller: StateArrays, channel: Channels, integral: float, period: float
-) -> StateArrays | None:
+def without_integrators(controller: System, channel: Channels, integral: float, period: float) -> System | None:
     """Return a controller without its PI, 1 + integral/s, in the channels of the gyros; None if unstable then."""
     from scipy.linalg import schur, solve_sylvester
 
@@ -283,10 +279,10 @@ def without_integrators(
     # The integrators are no longer excited: what remains is split from them.
     X = solve_sylvester(left, -right, -triangle[:kept, kept:]) if kept < len(A) else np.zeros((kept, 0))
     B, C = vectors.T @ B, C @ vectors
-    return StateArrays(left, B[:kept] - X @ B[kept:], C[:, :kept], D, period)
+    return System(left, B[:kept] - X @ B[kept:], C[:, :kept], D, period)
 
 
-def of_order(system: StateArrays, order: int, rate: float) -> StateArrays:
+def of_order(system: System, order: int, rate: float) -> System:
     """Return a stable sampled system with `order` states: balanced truncation, or with faint modes of its own added.
 
     These lie, well damped, at `rate`, the nutation frequency times the period.
@@ -310,4 +306,4 @@ def of_order(system: StateArrays, order: int, rate: float) -> StateArrays:
     first = len(A)
     whole = np.zeros((order, order))
     whole[:first, :first], whole[first:, first:] = A, own
-    return StateArrays(whole, np.vstack([B, into]), np.hstack([C, out.T]), D, period)
+    return System(whole, np.vstack([B, into]), np.hstack([C, out.T]), D, period)

@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.bandwidths import LEVEL
 from platform_ctrl.analysis.frequency_grids import tuning_grid
+from platform_ctrl.analysis.loop import Loop, Transfer
 from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.analysis.loop_set import LoopSet, Transfer
 from platform_ctrl.analysis.measuring import ControllerGain, Peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
@@ -179,7 +179,7 @@ class Search:
         if found.hard > 1.0:
             return None
         K = family.block(found.x[: len(family.start)])
-        loops = LoopSet(self._plants, K)
+        loops = Loop(self._plants, K)
         measures = measure(self._plants, K, self._limits, loops=loops)
         met = all(np.all(limit.ratios(measures) <= 1.0) for limit in self._limits)
         return None if met else loops.peak_frequencies

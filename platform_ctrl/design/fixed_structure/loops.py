@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidths import LEVEL
 from platform_ctrl.analysis.between_samples import Disturbed, response_at
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
@@ -17,6 +16,7 @@ from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import SPLIT, continuous_poles
 from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.maps import (
     S_INPUT,
@@ -77,7 +77,7 @@ class Points:
 class ClosedLoops:
     """A sampled controller, u = K y, closed around every plant of a set: what pieces have in common."""
 
-    def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
+    def __init__(self, plants: PlantSet, controller: System) -> None:
         self.plants = plants
         self.A_K, self.B_K, self.C_K, self.D_K, _ = controller
         self.M = np.block([[self.A_K, self.B_K], [self.C_K, self.D_K]])

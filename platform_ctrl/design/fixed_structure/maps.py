@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis import loop_set
-from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.loop_set import Transfer
+from platform_ctrl.analysis import loop as closed
+from platform_ctrl.analysis.loop import Transfer
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray
 
 
@@ -136,7 +136,7 @@ def _between(source: str, target: str) -> Map:
     return Map(response, differential, True)
 
 
-S_OUTPUT, S_INPUT = map_of(loop_set.S_OUTPUT), map_of(loop_set.S_INPUT)
+S_OUTPUT, S_INPUT = map_of(closed.S_OUTPUT), map_of(closed.S_INPUT)
 
 
 def torque_per_Omega(k: int, plants: PlantSet) -> Map:

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, scaled
 from platform_ctrl.analysis.singular_values import hamiltonian_crossings
+from platform_ctrl.analysis.system import ComplexArray, scaled
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.maps import column_of, row_of, singular
 from platform_ctrl.design.fixed_structure.minimax import Evaluation

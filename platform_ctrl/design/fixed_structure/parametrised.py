@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.structures import Given, Parameter, Structure, Units, joined
@@ -61,7 +61,7 @@ class Parametrised:
         """Return all parameters by name."""
         return dict(zip(self.names, map(float, self.parameters(x)), strict=True))
 
-    def block(self, x: FloatArray) -> StateArrays:
+    def block(self, x: FloatArray) -> System:
         """Return A_K, B_K, C_K, D_K."""
         return self.structure.block(self.parameters(x), self.nmeas, self.ncon)
 

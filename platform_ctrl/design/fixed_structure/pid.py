@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.design.fixed_structure.structures import (
     Mask,
@@ -107,7 +107,7 @@ class PID(Structure):
             ]
         return tuple(out)
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the filters of all measurements, then their integrals, and the gains that read them."""
         masks, degree = self._masks(nmeas, ncon), self.filter_order
         ends = np.cumsum([mask.sum() for mask in masks])
@@ -125,9 +125,9 @@ class PID(Structure):
             A[..., own[:, None], own], B[..., own, j] = a, b[..., 0]
             rows[..., j::nmeas, own], direct[..., j::nmeas, j] = c, d[..., 0]
         gain = np.concatenate(gains, axis=-1)
-        return StateArrays(A, B, gain @ rows, gain @ direct)
+        return System(A, B, gain @ rows, gain @ direct)
 
-    def _chain(self, numbers: FloatArray, j: int, integral: bool) -> StateArrays:
+    def _chain(self, numbers: FloatArray, j: int, integral: bool) -> System:
         """Return the states behind measurement j and the rows [proportional, integral, derivative] that read them.
 
         First the filter's states, then the integral. Without a weight the filter is driven by y: P reads x, D reads x',
@@ -162,4 +162,4 @@ class PID(Structure):
         if self.filter_zero:
             zero = numbers[..., 2, None, None]
             C, D = C + C @ A / zero, C @ B / zero
-        return StateArrays(A, B, C, D)
+        return System(A, B, C, D)

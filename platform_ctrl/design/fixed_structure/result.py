@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.structures import Structure
 from platform_ctrl.design.partition import (
@@ -86,7 +86,7 @@ class StructuredDesign:
         return self.gamma / self.gamma_optimal if self.gamma_optimal > 0.0 else float("inf")
 
 
-def full_order(plant: Partition) -> tuple[float, list[StateArrays]]:
+def full_order(plant: Partition) -> tuple[float, list[System]]:
     """Return the least norm of a continuous plant, 0 where none is found, and controllers of several back-offs.
 
     By matrix inequalities where the Riccati equations have no solution; of the regularised plant where those find
@@ -100,25 +100,25 @@ def full_order(plant: Partition) -> tuple[float, list[StateArrays]]:
     least, controllers, regularise = 0.0, [], None
     try:
         found = hinf(P, nmeas, ncon, method=None if len(plant.A) <= _LMI_STATES else "riccati", backoff=_BACKOFFS[0])
-        least, controllers = found.gamma_optimal, [state_arrays(found.controller, "structured")]
+        least, controllers = found.gamma_optimal, [System.of(found.controller, "structured")]
     except DesignError:
         regularise = _REGULARISED
     for backoff in _BACKOFFS[1:]:
         with contextlib.suppress(DesignError):
             found = hinf(P, nmeas, ncon, method="riccati", backoff=backoff, regularise=regularise)
-            controllers.append(state_arrays(found.controller, "structured"))
+            controllers.append(System.of(found.controller, "structured"))
     return least, controllers
 
 
 def controller_of(M: FloatArray, P: StateSpace, part: Partition) -> StateSpace:
     """Return M = [A_K, B_K; C_K, D_K], in the w-plane where the plant is sampled, as a controller of the plant."""
     k = len(M) - part.B2.shape[1]
-    return controller_system(P, out_of_w_plane(StateArrays(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:]), part.dt))
+    return controller_system(P, out_of_w_plane(System(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:]), part.dt))
 
 
 def abscissa(part: Partition, K: StateSpace) -> float:
     """Return the largest real part, rad/s, of a loop's continuous(-equivalent) poles."""
-    loop = closed_loop(part, state_arrays(K, "controller"))
+    loop = closed_loop(part, System.of(K, "controller"))
     return float(spectral_abscissa(continuous_poles(poles(loop.A), part.dt)))
 
 
@@ -126,7 +126,7 @@ def measured(
     given: Sequence[StateSpace], parts: Sequence[Partition], controller: StateSpace, promised: float
 ) -> tuple[list[StateSpace], FloatArray]:
     """Return the loops closed with the plants as given, and their norms, which must be what the search promised."""
-    loops = [closed_loop(part, state_arrays(controller, "controller")) for part in parts]
+    loops = [closed_loop(part, System.of(controller, "controller")) for part in parts]
     for k, part in enumerate(parts, 1):
         if not abscissa(part, controller) < 0.0:
             raise NotCertifiedError(f"structured: the closed loop of plant {k} is not stable; give other starts", given)

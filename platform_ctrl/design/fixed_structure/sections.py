@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, input_value, value
 from platform_ctrl.design.fixed_structure.structures import Given, Parameter, Structure, Units, joined, zeros
 from platform_ctrl.errors import ArgumentError
@@ -42,12 +42,12 @@ class Lead(Structure):
             for j in range(nmeas)
         )
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the diagonal block."""
         zeros_at, poles_at = np.split(p, 2, axis=-1)
         pole, ratio = (number[..., None] * np.eye(nmeas) for number in (poles_at, poles_at / zeros_at))
         # (s/z + 1)/(s/q + 1) = q/z + q (1 − q/z)/(s + q)
-        return StateArrays(-pole, pole, np.eye(nmeas) - ratio, ratio)
+        return System(-pole, pole, np.eye(nmeas) - ratio, ratio)
 
 
 @input_value
@@ -76,7 +76,7 @@ class Notch(Structure):
             for j in range(nmeas)
         )
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the diagonal block, two states a signal."""
         m = nmeas
         f, depth, width = np.split(p, 3, axis=-1)
@@ -86,7 +86,7 @@ class Notch(Structure):
         # States in units of f: x1' = f x2, x2' = f (y − x1 − 2 width x2);  out = y + 2 width (depth − 1) x2.
         A[..., first, second], A[..., second, first], A[..., second, second] = f, -f, -2.0 * width * f
         B[..., second, k], C[..., k, second], D[..., k, k] = f, 2.0 * width * (depth - 1.0), 1.0
-        return StateArrays(A, B, C, D)
+        return System(A, B, C, D)
 
 
 @input_value
@@ -126,19 +126,17 @@ class Series(Structure):
             raise ArgumentError(f"Series: two parameters are called {twice[0]!r}; give the blocks different names")
         return tuple(out)
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the blocks in series."""
         units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
-        out = StateArrays(
-            zeros(p, 0, 0), zeros(p, 0, nmeas), zeros(p, nmeas, 0), zeros(p, nmeas, nmeas) + np.eye(nmeas)
-        )
+        out = System(zeros(p, 0, 0), zeros(p, 0, nmeas), zeros(p, nmeas, 0), zeros(p, nmeas, nmeas) + np.eye(nmeas))
         for k, one in enumerate(self.blocks):
             outputs = ncon if k == len(self.blocks) - 1 else nmeas
             count = len(one.parameters(nmeas, outputs, units))
             a, b, c, d, _ = one.block(p[..., :count], nmeas, outputs)
             A = np.block([[out.A, zeros(p, out.A.shape[-1], a.shape[-1])], [b @ out.C, a]])
             B, C = np.concatenate([out.B, b @ out.D], axis=-2), np.concatenate([d @ out.C, c], axis=-1)
-            out, p = StateArrays(A, B, C, d @ out.D), p[..., count:]
+            out, p = System(A, B, C, d @ out.D), p[..., count:]
         return out
 
 
@@ -166,14 +164,14 @@ class Sampled(Structure):
         """Return those of the structure inside."""
         return self.inner.parameters(nmeas, ncon, units)
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the sampled block."""
         A, B, C, D, _ = self.inner.block(p, nmeas, ncon)
         half, eye = 0.5 * self.period * (not self.forward), np.eye(A.shape[-1])
         inverse = np.linalg.inv(eye - half * A)
         into, out = inverse @ B @ self.basis, self.basis.T @ C
         direct = self.basis.T @ D @ self.basis + half * out @ into
-        return StateArrays(
+        return System(
             inverse @ (eye + (self.period - half) * A), self.period * into, out @ inverse, direct, self.period
         )
 
@@ -182,7 +180,7 @@ class Sampled(Structure):
 class Named(Structure):
     """A controller that a function builds from positive numbers with names, as the classical design does."""
 
-    build: Callable[[dict[str, float]], StateArrays]  # numbers by name → A, B, C, D; real numbers alone, smooth in them
+    build: Callable[[dict[str, float]], System]  # numbers by name → A, B, C, D; real numbers alone, smooth in them
     values: Mapping[str, float]  # all numbers; those in `fixed` do not change
     largest: Mapping[str, float]  # upper bounds of some
 
@@ -193,7 +191,7 @@ class Named(Structure):
             for name, number in self.values.items()
         )
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return what the function builds."""
         return self.build(dict(zip(self.values, map(float, p), strict=True)))
 

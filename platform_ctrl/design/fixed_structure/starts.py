@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.minimax import Effort, Minimum, minimise
 from platform_ctrl.design.fixed_structure.norm import ClosedLoop, WorstNorm
@@ -19,7 +19,7 @@ from platform_ctrl.design.partition import Partition, augmented
 _NEGLIGIBLE = 1e-7
 
 
-def balanced_truncation(system: StateArrays, order: int) -> StateArrays:
+def balanced_truncation(system: System, order: int) -> System:
     """Return the balanced truncation of a stable sampled system, by square roots (Tombs and Postlethwaite 1987).
 
     Fewer than `order` states are kept where Hankel singular values are negligible.
@@ -33,7 +33,7 @@ def balanced_truncation(system: StateArrays, order: int) -> StateArrays:
     scale = 1.0 / np.sqrt(s[:order])
     right, left = reach @ V[:order].T * scale, (show @ U[:, :order] * scale).T
     first, into, out = (np.asarray(item, dtype=np.float64) for item in (left @ A @ right, left @ B, C @ right))
-    return StateArrays(first, into, out, D, dt)
+    return System(first, into, out, D, dt)
 
 
 def _root(gramian: FloatArray) -> FloatArray:
@@ -50,7 +50,7 @@ _DECADES, _SCATTER = 1.5, 0.7
 
 
 def starting_points(
-    structured: Parametrised, plants: Sequence[Partition], known: Sequence[StateArrays], count: int, seed: int
+    structured: Parametrised, plants: Sequence[Partition], known: Sequence[System], count: int, seed: int
 ) -> list[FloatArray]:
     """Return `count` starts: the structure's own, fits to controllers `known` of single `plants`, and random ones."""
     rng = np.random.default_rng(seed)
@@ -82,7 +82,7 @@ class Fit:
     that difference over frequency.
     """
 
-    def __init__(self, plant: Partition, full: StateArrays, structured: Parametrised) -> None:
+    def __init__(self, plant: Partition, full: System, structured: Parametrised) -> None:
         self.structured = structured
         order = len(full.A)
         loop = ClosedLoop(augmented(plant, order), np.block([[full.A, full.B], [full.C, full.D]]))
@@ -91,14 +91,14 @@ class Fit:
         self.frequency = np.geomspace(speeds.min() / _BEYOND, _BEYOND * np.median(speeds), _POINTS)
         _, left, right = loop.responses(self.frequency)
         self.left, self.right = left[:, :, order:], right[:, order:]
-        self.wanted = frequency_response(StateArrays(full.A, full.B, full.C, full.D, 0.0), self.frequency, -3)
+        self.wanted = frequency_response(System(full.A, full.B, full.C, full.D, 0.0), self.frequency, -3)
         self._order = structured.structure.order(structured.nmeas, structured.ncon)
 
     def difference(self, x: FloatArray) -> FloatArray:
         """Return real and imaginary parts of the closed loops' difference."""
         M, k = self.structured.matrix(x), self._order
         try:
-            K = frequency_response(StateArrays(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:], 0.0), self.frequency, -3)
+            K = frequency_response(System(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:], 0.0), self.frequency, -3)
             error = (self.left @ (K - self.wanted) @ self.right).ravel()
         except (np.linalg.LinAlgError, ArithmeticError):
             error = np.full(self.left.shape[0] * self.left.shape[1] * self.right.shape[2], np.inf, dtype=complex)

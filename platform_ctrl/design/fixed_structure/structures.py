@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, input_value, value
 from platform_ctrl.errors import ArgumentError
 
@@ -119,7 +119,7 @@ class Structure:
         """
         raise NotImplementedError
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the controller for given values of the parameters.
 
         Parameters
@@ -131,7 +131,7 @@ class Structure:
 
         Returns
         -------
-        StateArrays
+        System
             In continuous time, or in the w-plane of a sampled plant, with the leading axes of p.
 
         Raises
@@ -170,7 +170,7 @@ class Structure:
         return Given(dict(self.start), dict(self.bounds), dict(self.fixed), tuple(self.tied))
 
 
-def joined(system: StateArrays) -> FloatArray:
+def joined(system: System) -> FloatArray:
     """Return [A, B; C, D]."""
     A, B, C, D, _ = system
     return np.block([[A, B], [C, D]])
@@ -230,10 +230,10 @@ class Static(Structure):
         """Return the gains."""
         return tuple(gains_of("k", mask_of("Static: pattern", self.pattern, (ncon, nmeas)), units.gain))
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the static block."""
         D = filled(mask_of("Static: pattern", self.pattern, (ncon, nmeas)), p)
-        return StateArrays(zeros(p, 0, 0), zeros(p, 0, nmeas), zeros(p, ncon, 0), D)
+        return System(zeros(p, 0, 0), zeros(p, 0, nmeas), zeros(p, ncon, 0), D)
 
 
 @input_value
@@ -283,7 +283,7 @@ class StateSpaceOrder(Structure):
         starts = {f"a{i + 1}{i + 1}": -rate * 2.0 ** (i - 0.5 * (k - 1)) for i in range(k)}
         return tuple(Parameter(name=one.name, start=starts.get(one.name, 0.0), size=one.size) for one in everything)
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the matrices."""
         k = self.states
         if self.strictly_proper:
@@ -291,7 +291,7 @@ class StateSpaceOrder(Structure):
         shapes = ((k, k), (k, nmeas), (ncon, k), (ncon, nmeas))
         parts = np.split(p, np.cumsum([r * c for r, c in shapes[:3]]), axis=-1)
         A, B, C, D = (part.reshape(*p.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True))
-        return StateArrays(A, B, C, D)
+        return System(A, B, C, D)
 
     def order(self, nmeas: int, ncon: int) -> int:
         """Return the number of states."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.lmi.inequalities import LinearLoop, balancing, cp, in_states, solve
 from platform_ctrl.design.partition import Partition, closed_loop
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, weakest_mode
@@ -33,7 +33,7 @@ STRICTNESS = (5e-3, 5e-4, 5e-5)
 
 def hinf_lmi(
     plant: Partition, backoff: float, time_limit: float, P: StateSpace
-) -> tuple[StateArrays, float, dict[str, float]]:
+) -> tuple[System, float, dict[str, float]]:
     """Return the controller in the units of `plant`, the least gamma, and figures of merit (scaled)."""
 
     def minimised(p: Partition, tolerance: float) -> tuple[LinearLoop, float]:

@@ -43,7 +43,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.errors import InfeasibleError, TimeLimitError, UnscalableError
@@ -101,7 +101,7 @@ class LinearLoop:
         """Return the mean of the eigenvalues of X and Y."""
         return (cp.trace(self.X) + cp.trace(self.Y)) / (2 * self.X.shape[0])
 
-    def controller(self) -> StateArrays:
+    def controller(self) -> System:
         """Return the controller of the values that the unknowns have: (1) solved for it."""
         p, X, Y, A, B, C, D = (
             self.plant,
@@ -112,7 +112,7 @@ class LinearLoop:
         B_K = np.linalg.solve(N, B - Y @ p.B2 @ D)
         C_K = np.linalg.solve(M, (C - D @ p.C2 @ X).T).T
         rest = A - N @ B_K @ p.C2 @ X - Y @ p.B2 @ C_K @ M.T - Y @ (p.A + p.B2 @ D @ p.C2) @ X
-        return StateArrays(np.linalg.solve(M, np.linalg.solve(N, rest).T).T, B_K, C_K, np.asarray(D))
+        return System(np.linalg.solve(M, np.linalg.solve(N, rest).T).T, B_K, C_K, np.asarray(D))
 
 
 def _negative(blocks: list[list[Any]], margin: float = 0.0) -> Any:

@@ -29,12 +29,12 @@ import numpy as np
 from scipy.linalg import block_diag, solve_continuous_are
 from scipy.sparse.csgraph import connected_components
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.feedback import series
-from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.inequalities import LinearLoop, balancing, cp, half_plane, in_states, sector, solve
 from platform_ctrl.design.lmi.shared import sharing
@@ -78,7 +78,7 @@ def lmi_design(problem: LoopProblem) -> Designed:
     channel, plants = problem.channel, problem.plants.regular()
     options = lmi_options(problem.design, channel, plants.nutation, plants.period)
 
-    def synthesis(numbers: dict[str, float]) -> tuple[StateArrays, dict[str, float]]:
+    def synthesis(numbers: dict[str, float]) -> tuple[System, dict[str, float]]:
         return _synthesis(problem, numbers, channel, plants)
 
     controller, claims = synthesis(options)
@@ -93,7 +93,7 @@ def lmi_design(problem: LoopProblem) -> Designed:
             evaluations=EVALUATIONS,
         )
         controller, claims = synthesis(options)
-    loops = LoopSet(plants, controller._replace(dt=plants.period))
+    loops = Loop(plants, controller._replace(dt=plants.period))
     if loops.decay[0] > 0.0:
         shared = sharing(loops.own_arrays.A, options["time_limit"])
         claims |= {"plants with one Lyapunov matrix": float(shared), "plants": float(len(plants.labels))}
@@ -102,7 +102,7 @@ def lmi_design(problem: LoopProblem) -> Designed:
 
 def _synthesis(
     problem: LoopProblem, options: dict[str, float], channel: Channels, plants: PlantSet
-) -> tuple[StateArrays, dict[str, float]]:
+) -> tuple[System, dict[str, float]]:
     """Return the sampled controller of the plants, and claims."""
     unit = torque_units(channel, plants.nutation)
     flat = _flat(channel, plants, unit)
@@ -117,7 +117,7 @@ def _synthesis(
     back = np.argsort([k for part in parts for k in part.channels])
     A, B, C, D = (block_diag(*(K[k] for K, _, _ in found)) for k in range(4))
     W_e = error_weight(*(np.concatenate([part.weight[k] for part in parts])[back] for k in (0, 1)))
-    K = series(W_e, StateArrays(A, B[:, back], C[back], D[np.ix_(back, back)]))
+    K = series(W_e, System(A, B[:, back], C[back], D[np.ix_(back, back)]))
     claims = {
         "gamma": max(_gamma(part, made) for part, (made, _, _) in zip(parts, found, strict=True)),
         "gamma_optimal": max(gamma for _, gamma, _ in found),
@@ -126,15 +126,15 @@ def _synthesis(
     return between(channel.basis, from_w_plane(K, plants.period), channel.basis.T * unit), claims
 
 
-def _flat(channel: Channels, plants: PlantSet, unit: FloatArray) -> StateArrays:
+def _flat(channel: Channels, plants: PlantSet, unit: FloatArray) -> System:
     """Return the nominal plant in the w-plane, from the channels' torques in their units and Omega to the channels."""
     A, B, C, D, period = plants.of_torques()
     into = channel.basis.T * unit
     B, D = np.hstack([B @ into, plants.B_Omega[0, : len(A)]]), np.hstack([D @ into, plants.D_Omega[0]])
-    return to_w_plane(StateArrays(A, B, channel.basis @ C, channel.basis @ D, period))
+    return to_w_plane(System(A, B, channel.basis @ C, channel.basis @ D, period))
 
 
-def _uncoupled(flat: StateArrays, size: int) -> list[list[int]]:
+def _uncoupled(flat: System, size: int) -> list[list[int]]:
     """Return the channels in groups that the plant does not couple."""
     rate, X = np.linalg.norm(flat.A, 2), flat.B[:, :size]
     coupling = np.abs(flat.D[:, :size])
@@ -146,7 +146,7 @@ def _uncoupled(flat: StateArrays, size: int) -> list[list[int]]:
     return [[int(k) for k in np.flatnonzero(label == one)] for one in np.unique(label)]
 
 
-def _seen(flat: StateArrays, rows: list[int]) -> StateArrays:
+def _seen(flat: System, rows: list[int]) -> System:
     """Return some of a system's outputs, with the states that they see alone."""
     rate = np.linalg.norm(flat.A, 2)
     d = balance(flat.A / rate, flat.B / rate, flat.C)
@@ -156,7 +156,7 @@ def _seen(flat: StateArrays, rows: list[int]) -> StateArrays:
         blocks.append(blocks[-1] @ A / np.linalg.norm(blocks[-1] @ A))
     _, sigma, Vt = np.linalg.svd(np.vstack(blocks))
     V = Vt[: int(np.sum(sigma > UNSEEN * sigma[0]))].T
-    return StateArrays(V.T @ A @ V, V.T @ B, C @ V, flat.D[rows])
+    return System(V.T @ A @ V, V.T @ B, C @ V, flat.D[rows])
 
 
 @value
@@ -185,9 +185,7 @@ def _ranges(sizes: list[int]) -> list[list[int]]:
     return [list(range(end - size, end)) for size, end in zip(sizes, itertools.accumulate(sizes), strict=True)]
 
 
-def _weighted(
-    flat: StateArrays, rows: list[int], pairs: int, noise: FloatArray, options: dict[str, float]
-) -> _Weighted:
+def _weighted(flat: System, rows: list[int], pairs: int, noise: FloatArray, options: dict[str, float]) -> _Weighted:
     """Return the weighted plant of the channels `rows`; the first `pairs` of all channels are gyroscopic."""
     gains, rates, disturbance, torque = (
         np.array([options[name if k < pairs or name == "sensitivity_peak" else f"inertial_{name}"] for k in rows])
@@ -216,7 +214,7 @@ def _weighted(
     B_w = np.vstack([np.hstack([tall, B_x]), error[1]])
     return _Weighted(
         channels=rows,
-        plant=split(StateArrays(A_w, B_w, C_w, D_w), len(C_w) - k, B_w.shape[1] - k),
+        plant=split(System(A_w, B_w, C_w, D_w), len(C_w) - k, B_w.shape[1] - k),
         weight=(gains, rates),
         unit=unit,
     )
@@ -253,7 +251,7 @@ def _norms(
     return out
 
 
-def _designed(problem: LoopProblem, part: _Weighted, options: dict[str, float]) -> tuple[StateArrays, float, float]:
+def _designed(problem: LoopProblem, part: _Weighted, options: dict[str, float]) -> tuple[System, float, float]:
     """Return the controller of a weighted plant, the least γ, and the bound ν, N m."""
     where, scaled = f"{problem.spec.name}, {problem.design.name}", autoscale(part.plant)
     p, gamma = in_states(scaled.plant, _first_states(scaled.plant, part)), _least(part)
@@ -313,7 +311,7 @@ def _least(part: _Weighted) -> float:
     return found.level / (1.0 + found.backoff)
 
 
-def _gamma(part: _Weighted, controller: StateArrays) -> float:
+def _gamma(part: _Weighted, controller: System) -> float:
     """Return γ of the performance with a controller; infinite where it does not stabilise."""
     loop = closed_loop(_performance(part), controller)
     return float(hinf_norm(loop)[0]) if np.linalg.eigvals(loop.A).real.max() < 0.0 else float("inf")

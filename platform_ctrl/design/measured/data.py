@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.units import column_unit
 from platform_ctrl.common.values import FloatArray, value

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, named_system
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
+from platform_ctrl.analysis.system import ComplexArray, named_system
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.measured.contour import Contour

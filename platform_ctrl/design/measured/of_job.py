@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.units import column_unit
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Designed, LoopDesign, LoopProblem, completed, requirements_of
@@ -104,7 +104,7 @@ def measured_design(problem: LoopProblem) -> Designed:
         "plants": float(len(view)),
         "steps": float(len(found.history) - 1),
     }
-    return Designed(controller=state_arrays(found.controller, "measured"), options=options, claims=claims)
+    return Designed(controller=System.of(found.controller, "measured"), options=options, claims=claims)
 
 
 def _strictest(requirements: Sequence[LoopRequirement]) -> dict[str, LoopRequirement]:
@@ -155,7 +155,7 @@ def _searched(problem: LoopProblem, settings: dict[str, float]) -> tuple[Measure
     view: list[int] = [0]
     found = pid(view, settings)
     for _ in range(_MOST_ADDED + _MOST_BOUNDED):
-        measures = measure(plants, state_arrays(found.controller, "measured"), requirements)
+        measures = measure(plants, System.of(found.controller, "measured"), requirements)
         wider, tighter = _widened(view, measures, requirements, counts), settings
         if of_file is not None or wider == view:
             wider, tighter = view, settings | _bounded(found, measures, requirements, settings)
@@ -340,7 +340,7 @@ def _judged(problem: LoopProblem, design: LoopDesign, data: Responses, plants: P
     return out
 
 
-def _at(K: StateArrays, s: ComplexArray) -> ComplexArray:
+def _at(K: System, s: ComplexArray) -> ComplexArray:
     """Return the response of a sampled controller at points s, complex (F, m, p)."""
     z = np.exp(s * K.dt)
     found = K.C @ np.linalg.solve(z[:, None, None] * np.eye(len(K.A)) - K.A, K.B.astype(np.complex128)[None]) + K.D

@@ -28,10 +28,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.sampling import from_w_plane
 from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import one_of, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.pid import PID
@@ -65,7 +65,7 @@ def controller_response(gains: FloatArray, actions: ComplexArray) -> ComplexArra
     return np.asarray(np.einsum("kb,bij->kij", actions, gains), dtype=np.complex128)
 
 
-def realisation(gains: FloatArray, filter_time: float, period: float) -> StateArrays:
+def realisation(gains: FloatArray, filter_time: float, period: float) -> System:
     """Return the controller's state-space arrays: two states for each pick-off."""
     n = gains.shape[-1]
     # The gains and the bandwidth of each pick-off's filter, as `PID` orders its parameters.

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.measured.pid import CENTRES, OF_ANGLE, Limit, controller_response, ratios
 from platform_ctrl.errors import TimeLimitError, UnscalableError

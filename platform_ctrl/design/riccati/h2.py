@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition, partition
 from platform_ctrl.design.riccati.equations import Equation, Solution, riccati_solution
@@ -90,7 +90,7 @@ def h2(
     )
 
 
-def _optimal(plant: Partition, direct: bool, P: StateSpace) -> tuple[StateArrays, float, dict[str, float]]:
+def _optimal(plant: Partition, direct: bool, P: StateSpace) -> tuple[System, float, dict[str, float]]:
     """Return the controller in the units of `plant`, the least norm, and the residuals (scaled).
 
     Of a sampled plant present state and disturbance are estimated as x̂ + Y C2' S⁻¹ e and D21' S⁻¹ e, with S the
@@ -117,7 +117,7 @@ def _optimal(plant: Partition, direct: bool, P: StateSpace) -> tuple[StateArrays
         square -= float(np.trace(W @ present @ S @ present.T))
     # u = F x̂ + present (y − C2 x̂). The gain that cancels D11 is outside the estimator, which counts it as plant.
     into = p.B2 @ present + L
-    made = StateArrays(p.A + p.B2 @ F - into @ p.C2, into, F - present @ p.C2, present + gain)
+    made = System(p.A + p.B2 @ F - into @ p.C2, into, F - present @ p.C2, present + gain)
     # The norm of a slower system: time is counted in units of 1/rate.
     least = scaled.gain * float(np.sqrt(max(square, 0.0) * scaled.rate))
     residual = {

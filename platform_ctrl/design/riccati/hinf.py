@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.riccati.equations import SOLUTION_ROUNDING, Equation, refined, stabilising
@@ -40,7 +40,7 @@ SHARES, LARGEST_LOOP_CONDITION = (0.0, 0.3, -0.3), 1e8
 Sides = tuple[Partition, Partition]
 
 
-def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[StateArrays, float, dict[str, float]]:
+def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[System, float, dict[str, float]]:
     """Return the controller in the units of a continuous `plant`, the least gamma, and the residuals (scaled)."""
     scaled = autoscaled_with_gain(plant)
     require_assumptions(scaled, P, WHERE)
@@ -176,7 +176,7 @@ def _least_gamma(sides: Sides, P: StateSpace) -> float:
     return math.exp(brentq(slack, low, high, xtol=ACCURACY, rtol=ACCURACY))
 
 
-def _central(p: Partition, gamma: float, X: FloatArray, Y: FloatArray, share: float) -> StateArrays:
+def _central(p: Partition, gamma: float, X: FloatArray, Y: FloatArray, share: float) -> System:
     """Return the controller with the free parameter Q = `share` gamma I of theorem 17.1; |Q| < gamma keeps gamma."""
     nw, nz, nu, ny = p.B1.shape[1], p.C1.shape[0], p.B2.shape[1], p.C2.shape[0]
     w, z = nw - ny, nz - nu
@@ -203,4 +203,4 @@ def _central(p: Partition, gamma: float, X: FloatArray, Y: FloatArray, share: fl
     C1 = F2 + D11 @ np.linalg.solve(D21, C2)
     A = p.A + B @ F + B1 @ np.linalg.solve(D21, C2)
     Q = share * gamma * np.eye(nu, ny)
-    return StateArrays(A=A + B2 @ Q @ C2, B=B1 + B2 @ Q @ D21, C=C1 + D12 @ Q @ C2, D=D11 + D12 @ Q @ D21)
+    return System(A=A + B2 @ Q @ C2, B=B1 + B2 @ Q @ D21, C=C1 + D12 @ Q @ C2, D=D11 + D12 @ Q @ D21)

@@ -25,10 +25,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
+from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between
@@ -40,18 +40,18 @@ from platform_ctrl.job.job import DesignSpec
 class WeightedPlant:
     """The plant of the synthesis and what leads back."""
 
-    arrays: StateArrays  # w-plane arrays with inputs [n, d, u] and outputs [z1, z2, z3, measurement]
+    arrays: System  # w-plane arrays with inputs [n, d, u] and outputs [z1, z2, z3, measurement]
     size: int  # number of channels
     # weight_gain, weight_rate: (size,): W_e = weight_gain + weight_rate/s, channel by channel.
     weight_gain: FloatArray
     weight_rate: FloatArray
     torque_unit: FloatArray  # (size,): N m
 
-    def weight(self) -> StateArrays:
+    def weight(self) -> System:
         """Return W_e in the w-plane. Its integrator belongs to the controller: W_e is in series before K."""
         return error_weight(self.weight_gain, self.weight_rate)
 
-    def at_gimbals(self, controller: StateArrays, channel: Channels) -> StateArrays:
+    def at_gimbals(self, controller: System, channel: Channels) -> System:
         """Return a controller of the channels, in units of torque, as one from angles to torques in N m."""
         return between(channel.basis, controller, channel.basis.T * self.torque_unit)
 
@@ -63,10 +63,10 @@ def signal_names(size: int) -> tuple[list[str], list[str]]:
     return inputs, outputs
 
 
-def error_weight(gain: FloatArray, rate: FloatArray) -> StateArrays:
+def error_weight(gain: FloatArray, rate: FloatArray) -> System:
     """Return W_e = gain + rate/s, channel by channel, (size,) each."""
     size = len(rate)
-    return StateArrays(np.zeros((size, size)), np.eye(size), np.diag(rate), np.diag(gain))
+    return System(np.zeros((size, size)), np.eye(size), np.diag(rate), np.diag(gain))
 
 
 def torque_units(channel: Channels, nutation: float) -> FloatArray:
@@ -80,8 +80,8 @@ def torque_units(channel: Channels, nutation: float) -> FloatArray:
 
 
 def mixed_sensitivity(
-    plant: StateArrays, disturbed: StateArrays, gain: FloatArray, rate: FloatArray, constant: tuple[FloatArray, ...]
-) -> StateArrays:
+    plant: System, disturbed: System, gain: FloatArray, rate: FloatArray, constant: tuple[FloatArray, ...]
+) -> System:
     """Return the weighted plant from [n, d, u] to [z1, z2, z3, measurement], states those of the plant and of W_e.
 
     `plant` leads from u to the angles, `disturbed`, with the same states, from d; `constant` are W_t and W_u.
@@ -96,7 +96,7 @@ def mixed_sensitivity(
     error, error_direct = np.hstack([gain[:, None] * C, np.diag(rate)]), gain[:, None] * np.hstack([eye, D_d, D])
     C_w = np.vstack([error, angle @ np.hstack([C, none]), np.zeros((size, n + size)), error])
     D_w = np.vstack([error_direct, angle @ np.hstack([none, D_d, D]), np.hstack([none, none, torque]), error_direct])
-    return StateArrays(A_w, B_w, C_w, D_w, 0.0)
+    return System(A_w, B_w, C_w, D_w, 0.0)
 
 
 def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:
@@ -139,6 +139,6 @@ def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Desig
     weighted = weighted_plant(options, channel, plants)
     P = named_system(weighted.arrays, *signal_names(weighted.size))
     found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])
-    sampled = from_w_plane(series(weighted.weight(), state_arrays(found.controller, "controller")), plants.period)
+    sampled = from_w_plane(series(weighted.weight(), System.of(found.controller, "controller")), plants.period)
     claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
     return Designed(controller=weighted.at_gimbals(sampled, channel), options=options, claims=claims)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.anti_windup import back_calculation
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.text import at_most
@@ -163,9 +163,9 @@ def float_error(one: Controller) -> float:
     if not max(largest, *one.limits[np.isfinite(one.limits)], 0.0) <= float(np.finfo(np.float32).max):
         raise UnscalableError(f"{one.name}: the number {largest:.3g} does not fit a float; use double", one)
 
-    def single(block: StateArrays) -> StateArrays:
+    def single(block: System) -> System:
         A, B, C, D = (item.astype(np.float32).astype(np.float64) for item in block[:4])
-        return StateArrays(A, B, C, D, block.dt)
+        return System(A, B, C, D, block.dt)
 
     sections = [section._replace(block=single(section.block)) for section in one.sections]
     rounded = flattened(sections, one.inputs, one.outputs)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import Section, flattened
@@ -40,7 +40,7 @@ class Controller:
     name: str
     design: str
     method: str
-    arrays: StateArrays  # x⁺ = A x + B y, u = C x + D y; its states are those of the sections
+    arrays: System  # x⁺ = A x + B y, u = C x + D y; its states are those of the sections
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     sections: tuple[Section, ...]  # In the order in which they are evaluated
@@ -66,7 +66,7 @@ def controllers_of(job: Job, entries: Sequence[Mapping[str, Any] | control.State
     limits = {t.name: np.inf if t.limit is None else float(t.limit) for t in job.platform.torquers}
     out = []
     for record, K in zip(records, checked, strict=True):
-        arrays = state_arrays(K, "controller")
+        arrays = System.of(K, "controller")
         inputs, outputs = tuple(map(str, K.input_labels)), tuple(map(str, K.output_labels))
         sections, note = _sections(record, arrays, inputs, outputs)
         out.append(
@@ -88,7 +88,7 @@ def controllers_of(job: Job, entries: Sequence[Mapping[str, Any] | control.State
 
 
 def _sections(
-    record: Mapping[str, Any], K: StateArrays, inputs: tuple[str, ...], outputs: tuple[str, ...]
+    record: Mapping[str, Any], K: System, inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> tuple[tuple[Section, ...], str]:
     """Return the sections of a controller, or its matrices as one, and why."""
     whole = Section("states", "states", "state equations of the controller", K, inputs, outputs)
@@ -119,7 +119,7 @@ def _sections(
 
 
 def _record(K: control.StateSpace, job: Job) -> dict[str, Any]:
-    arrays = state_arrays(K, "controller")
+    arrays = System.of(K, "controller")
     loop, _, design = str(K.name).partition(", ")
     matrices = {name: item.tolist() for name, item in zip("ABCD", arrays[:4], strict=True)}
     signals = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import sampled
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
@@ -266,7 +266,7 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
         free[outputs, signals], job.sampling.period, job.sampling.delay, [t.lag for t in job.platform.torquers]
     )
     P = _response(driven, frequency)
-    K = state_arrays(check.controller, "all loops")
+    K = System.of(check.controller, "all loops")
     rows = [outputs.index(name) for name in check.controller.input_labels]
     columns = [[t.name for t in job.platform.torquers].index(name) for name in check.controller.output_labels]
     K_response = frequency_response(K, frequency, -3)
@@ -278,4 +278,4 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
 
 
 def _response(system: control.StateSpace, frequency: FloatArray) -> ComplexArray:
-    return frequency_response(state_arrays(system, "coupled system"), frequency, -3)
+    return frequency_response(System.of(system, "coupled system"), frequency, -3)

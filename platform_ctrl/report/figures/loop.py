@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.loop_set import FOLLOWING, S_OUTPUT
+from platform_ctrl.analysis.loop import FOLLOWING, S_OUTPUT
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.arguments import short

@@ -16,12 +16,12 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, MultipleLocator, NullFormatter, NullLocator
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import LinearSystem
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.text import at_least, at_most, greek
 from platform_ctrl.common.values import FloatArray, value

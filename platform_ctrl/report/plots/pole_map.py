@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.quantities import HZ
 from platform_ctrl.report.plots.label_placement import LabelPlacer

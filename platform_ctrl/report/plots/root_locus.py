@@ -11,11 +11,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.poles import Poles, continuous_poles, damping_ratio, pole_branches, refined_values
 from platform_ctrl.analysis.response import NamedSystem, linear_arrays
 from platform_ctrl.analysis.sampling import sampled, with_lag
+from platform_ctrl.analysis.system import ComplexArray, System, scaled
 from platform_ctrl.common.arguments import instance, known_names, positive, real_numbers, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
@@ -136,7 +136,7 @@ def root_locus_over_spin(
     def poles(k: FloatArray) -> ComplexArray:
         share = k[:, None, None]
         A, B, C, D = (now + share * more for now, more in zip(still[:4], change[:4], strict=True))
-        plant = StateArrays(A, B, C, D, 0.0)
+        plant = System(A, B, C, D, 0.0)
         P = with_lag(plant, lags) if period is None else sampled(plant, dt, late, lags)
         return np.asarray(np.linalg.eigvals(closed_loop(P, K).A), dtype=np.complex128)
 
@@ -281,7 +281,7 @@ class Locus:
 def gain_locus(plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | None) -> Locus:
     """Return the poles of the closed loop while all of the controller is multiplied by one factor."""
     factors = increasing("gains", gains, np.linspace(0.0, 2.5, 101))
-    L = state_arrays(loop_transfer(plant, controller), "root_locus")
+    L = System.of(loop_transfer(plant, controller), "root_locus")
     A, B, C = scaled(L.A, L.B, L.C)
     if not len(A):
         raise ArgumentError("root_locus: neither the plant nor the controller has a state; there are no poles to draw")
@@ -323,7 +323,7 @@ def _affine_plant(
     rotors: Sequence[str] | None,
     Omega: ArrayLike,
     controller: control.StateSpace | control.TransferFunction,
-) -> tuple[StateArrays, StateArrays, FloatArray]:
+) -> tuple[System, System, FloatArray]:
     """Return the plant with the rotors at rest, what full speed adds to it, and the lags of its torquers."""
     stopped, _ = with_rotors_at_rest(platform, rotors)
     turning, resting = linearise(platform, Omega=Omega), linearise(stopped, Omega=Omega)
@@ -339,8 +339,8 @@ def _affine_plant(
             f"root_locus_over_spin: the controller must use angles {angles} and torquers {torques}, or as many, "
             f"got inputs {list(controller.input_labels)} and outputs {list(controller.output_labels)}"
         )
-    P, P0 = (state_arrays(system[angles, torques], "gimbals") for system in (full, none))
-    change = StateArrays(P.A - P0.A, P.B - P0.B, P.C - P0.C, P.D - P0.D, 0.0)
+    P, P0 = (System.of(system[angles, torques], "gimbals") for system in (full, none))
+    change = System(P.A - P0.A, P.B - P0.B, P.C - P0.C, P.D - P0.D, 0.0)
     lag = {torquer.name: torquer.lag for torquer in platform.torquers}
     return P0, change, np.array([lag[name] for name in torques])
 

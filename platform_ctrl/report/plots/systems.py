@@ -14,11 +14,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.frequency_grids import around_resonances
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.response import LinearSystem, frequency_response, linear_arrays
+from platform_ctrl.analysis.system import ComplexArray, System, frequencies, scaled
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -44,7 +44,7 @@ class DrawnSystem:
     label: str  # What the legend calls it; empty for a single system without a name
     source: Any  # What was given
     dt: float  # Sample period, s; 0: continuous
-    arrays: StateArrays | None  # None for data
+    arrays: System | None  # None for data
     corners: ComplexArray  # Poles, and zeros of every entry, in the s-plane, rad/s; none of data
 
     @property
@@ -118,7 +118,7 @@ def _drawn(name: str, system: Any, label: str, loop: bool) -> DrawnSystem:
     return DrawnSystem(label=label, source=system, dt=dt, arrays=arrays, corners=s[np.isfinite(s)])
 
 
-def _corners(arrays: StateArrays) -> ComplexArray:
+def _corners(arrays: System) -> ComplexArray:
     """Return poles, and transmission zeros of every entry, s-plane."""
     from scipy.linalg import eigvals
 
@@ -135,15 +135,15 @@ def _corners(arrays: StateArrays) -> ComplexArray:
     return continuous_poles(np.concatenate(found), arrays.dt)
 
 
-def _closed(L: StateArrays, share: FloatArray) -> StateArrays:
+def _closed(L: System, share: FloatArray) -> System:
     """Return the loop L, some channels closed with negative feedback: from a disturbance at its input to that input."""
     m = len(L.D)
-    K = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), -np.diag(share), L.dt)
+    K = System(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), -np.diag(share), L.dt)
     closed = closed_loop(L, K).part(range(m), range(m))
     return closed._replace(D=closed.D + np.eye(m))
 
 
-def sensitivity(L: StateArrays) -> StateArrays:
+def sensitivity(L: System) -> System:
     """Return S = (I + L)^-1, with every state of L."""
     return _closed(L, np.ones(len(L.D)))
 

@@ -9,7 +9,7 @@ have inputs for commands, behind those for what is measured: "command" enters th
 them as noise.
 
 The largest gain over frequency is taken on the set's grid and at the closed-loop poles that are narrower than the
-grid's spacing (`LoopSet.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`norms.peak`).
+grid's spacing (`Loop.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`norms.peak`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.between_samples import Disturbed
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.drift import Drift, unseen_equilibria, without_drift
@@ -36,6 +35,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import ArgumentError
 
@@ -71,13 +71,13 @@ Indices = NDArray[np.intp]
 Parts = Sequence[Transfer] | Channel
 
 
-class LoopSet:
+class Loop:
     """A controller closed around every plant of a set, each part computed when it is first needed.
 
     `controller` is u = K y, or u = K y + H r with twice as many inputs: see `analysis.following`.
     """
 
-    def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
+    def __init__(self, plants: PlantSet, controller: System) -> None:
         self.plants = plants
         self.controller = plants.feedback(controller)
         self.two_degrees = None if self.controller is controller else controller
@@ -90,7 +90,7 @@ class LoopSet:
         self.of_steps: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     @cached_property
-    def arrays(self) -> StateArrays:
+    def arrays(self) -> System:
         """Closed loops (N, ...): inputs torque disturbance, Omega, noise; outputs torques, angles, readings, sight."""
         m, p = self.m, self.p
         whole = self.plants.whole.part(slice(p + len(self.plants.sight)), slice(None))
@@ -106,7 +106,7 @@ class LoopSet:
             n, f = self.plants.A.shape[-1], len(fed.A)
             C[..., :m, n - f : n] += fed.C
             D[..., :m, m : m + 3] += fed.D
-        return StateArrays(A, B, C, D, self.plants.period)
+        return System(A, B, C, D, self.plants.period)
 
     @property
     def _feeds_torque(self) -> bool:
@@ -114,7 +114,7 @@ class LoopSet:
         return self.plants.feedforward is not None and self.plants.feedforward.into == "torque"
 
     @cached_property
-    def own_arrays(self) -> StateArrays:
+    def own_arrays(self) -> System:
         """Closed loops (N, ...) without Omega: inputs torque disturbance and noise; outputs torques and angles."""
         return closed_loop(self.plants.arrays, self.controller)
 
@@ -126,7 +126,7 @@ class LoopSet:
         A, B, C, D, dt = self.own_arrays
         read = slice(self.m, None)
         every = range(len(A))
-        return tuple(unseen_equilibria(StateArrays(A[k], B[k], C[k, read], D[k, read], dt)) for k in every)
+        return tuple(unseen_equilibria(System(A[k], B[k], C[k, read], D[k, read], dt)) for k in every)
 
     @property
     def free_angles(self) -> tuple[str, ...]:
@@ -138,12 +138,12 @@ class LoopSet:
             name for name, at in zip(self.plants.states, moved, strict=False) if at and name in self.plants.drifting
         )
 
-    def settled(self, system: StateArrays) -> StateArrays:
+    def settled(self, system: System) -> System:
         """Return one of the closed loops, or a part, without poles of equilibria that its response does not have."""
         return without_drift(system) if self.plants.drifting else system
 
     @cached_property
-    def following(self) -> StateArrays:
+    def following(self) -> System:
         """Closed loops (N, ...) from commands to what is measured, at the samples, then at the instants between."""
         plants, m, p = self.plants, self.m, self.p
         arrays = plants.arrays
@@ -195,10 +195,10 @@ class LoopSet:
     def _sensitivities(self) -> tuple[ComplexArray, ComplexArray]:
         return sensitivities_of_plants(self.plants.response, self.K)
 
-    def only(self, chosen: Sequence[int]) -> LoopSet:
+    def only(self, chosen: Sequence[int]) -> Loop:
         """Return the loops of some of the plants (indices): what is computed here is taken over."""
         index = np.asarray(chosen, dtype=np.intp)
-        out = LoopSet(self.plants.only(chosen), self._given)
+        out = Loop(self.plants.only(chosen), self._given)
         out.K, out.poles, out.decay = self.K, self.poles[index], self.decay[index]
         out.S_output, out.S_input = self.S_output[index], self.S_input[index]
         out.arrays, out.own_arrays = self.arrays.at(index), self.own_arrays.at(index)
@@ -210,17 +210,17 @@ class LoopSet:
         w = np.array([at for _, at in self.exact_values.values()])
         return np.unique(w[np.isfinite(w) & (w > 0.0)])
 
-    def channel(self, channel: Channel | None) -> StateArrays:
+    def channel(self, channel: Channel | None) -> System:
         """Return the weighted parts of the closed loops between named signals, (N, ...)."""
         return (channel or Channel()).of(self.arrays, self.inputs, self.outputs)
 
-    def parts(self, parts: Parts, k: int) -> list[StateArrays]:
+    def parts(self, parts: Parts, k: int) -> list[System]:
         """Return the systems of plant `k` whose gains count."""
         if isinstance(parts, Channel):
             return [self.settled(self.channel(parts).at(k))]
         return [self.settled(self._system(transfer, k)) for transfer in parts]
 
-    def _system(self, transfer: Transfer, k: int) -> StateArrays:
+    def _system(self, transfer: Transfer, k: int) -> System:
         if transfer.source == "command":
             loop = self.following.at(k).part(slice(self.p), slice(None))
             return loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.p) - loop.D)
@@ -259,13 +259,13 @@ class LoopSet:
         sampled = parts if isinstance(parts, Channel) else [one for one in parts if not self.between(one)]
         found = [gains(one, frequency) for one in (self.parts(sampled, k) if sampled else ())]
         if continuous:
-            alone = LoopSet(replaced(self.plants.only([k]), {"disturbed": None}).on(frequency), self._given)
+            alone = Loop(replaced(self.plants.only([k]), {"disturbed": None}).on(frequency), self._given)
             first = np.zeros(1, dtype=np.intp)
             found += [largest_singular_values(one[0]) for part in continuous for one in alone.responses(part, first)]
         return np.asarray(np.max(found, axis=0))
 
     @property
-    def _given(self) -> StateArrays:
+    def _given(self) -> System:
         return self.controller if self.two_degrees is None else self.two_degrees
 
     def responses(self, transfer: Transfer, members: Indices) -> list[ComplexArray]:

@@ -21,7 +21,7 @@ ComplexArray = NDArray[np.complex128]
 Index = Sequence[int] | NDArray[np.intp] | np.integer[Any] | slice | int | None
 
 
-class StateArrays(NamedTuple):
+class System(NamedTuple):
     """A, B, C, D (each may carry leading batch axes) and the sample period `dt` (0: continuous).
 
     Attributes
@@ -39,44 +39,44 @@ class StateArrays(NamedTuple):
     D: FloatArray
     dt: float = 0.0
 
-    def at(self, index: Index) -> StateArrays:
-        """Return a system of a stack, or a stack of some of its systems."""
-        return StateArrays(self.A[index], self.B[index], self.C[index], self.D[index], self.dt)
+    @classmethod
+    def of(cls, system: control.StateSpace, where: str) -> System:
+        """Return the arrays of a `control.StateSpace`; one without a time base (``dt=None``) counts as continuous.
 
-    def part(self, outputs: Index, inputs: Index) -> StateArrays:
+        `where` is what messages call it. Data, a system that is not finite or has ``dt=True`` raise an `ArgumentError`.
+        """
+        portable(system)
+        try:
+            A, B, C, D, dt = system.A, system.B, system.C, system.D, system.dt
+        except AttributeError:
+            raise ArgumentError(
+                f"{where}: must be a control.StateSpace, got {type(system).__name__}; convert it with control.ss"
+            ) from None
+        if dt is True:
+            raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
+        out = cls(
+            np.asarray(A, dtype=np.float64),
+            np.asarray(B, dtype=np.float64),
+            np.asarray(C, dtype=np.float64),
+            np.asarray(D, dtype=np.float64),
+            0.0 if dt is None else float(dt),
+        )
+        for name, item in zip("ABCD", out[:4], strict=True):
+            if not all_finite(item):
+                raise ArgumentError(f"{where}: {name} of the system is not finite; check how the system was made")
+        return out
+
+    def at(self, index: Index) -> System:
+        """Return a system of a stack, or a stack of some of its systems."""
+        return System(self.A[index], self.B[index], self.C[index], self.D[index], self.dt)
+
+    def part(self, outputs: Index, inputs: Index) -> System:
         """Return the systems from some inputs to some outputs, with all states."""
         D = self.D[..., outputs, :][..., inputs]
-        return StateArrays(self.A, self.B[..., inputs], self.C[..., outputs, :], D, self.dt)
+        return System(self.A, self.B[..., inputs], self.C[..., outputs, :], D, self.dt)
 
 
-def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
-    """Return the arrays of `system`; one without a time base (``dt=None``) counts as continuous.
-
-    `where` is what messages call it. Data, a system that is not finite or has ``dt=True`` raise an `ArgumentError`.
-    """
-    portable(system)
-    try:
-        A, B, C, D, dt = system.A, system.B, system.C, system.D, system.dt
-    except AttributeError:
-        raise ArgumentError(
-            f"{where}: must be a control.StateSpace, got {type(system).__name__}; convert it with control.ss"
-        ) from None
-    if dt is True:
-        raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
-    out = StateArrays(
-        np.asarray(A, dtype=np.float64),
-        np.asarray(B, dtype=np.float64),
-        np.asarray(C, dtype=np.float64),
-        np.asarray(D, dtype=np.float64),
-        0.0 if dt is None else float(dt),
-    )
-    for name, item in zip("ABCD", out[:4], strict=True):
-        if not all_finite(item):
-            raise ArgumentError(f"{where}: {name} of the system is not finite; check how the system was made")
-    return out
-
-
-def system_arrays(where: str, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, dt: float = 0.0) -> StateArrays:
+def system_arrays(where: str, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, dt: float = 0.0) -> System:
     """Return the arrays of a system, or of stacks of systems, whose shapes fit and that are finite."""
     out = [np.asarray(real_numbers(f"{where}: {name}", item)) for name, item in zip("ABCD", (A, B, C, D), strict=True)]
     for name, item in zip("ABCD", out, strict=True):
@@ -93,7 +93,7 @@ def system_arrays(where: str, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: Array
         batches = ", ".join(str(item.shape[:-2]) for item in out)
         raise ArgumentError(f"{where}: the leading axes must broadcast, got {batches}") from None
     A, B, C, D = out
-    return StateArrays(A, B, C, D, positive(f"{where}: dt", dt, zero=True))
+    return System(A, B, C, D, positive(f"{where}: dt", dt, zero=True))
 
 
 def all_finite(array: FloatArray) -> bool:
@@ -103,7 +103,7 @@ def all_finite(array: FloatArray) -> bool:
 
 
 def named_system(
-    arrays: StateArrays,
+    arrays: System,
     inputs: Sequence[str],
     outputs: Sequence[str],
     states: Sequence[str] | None = None,
@@ -137,9 +137,7 @@ def selected(system: control.StateSpace, outputs: Sequence[str], inputs: Sequenc
     """Return `system` from some inputs to some outputs; with the names of its states, which ``system[...]`` loses."""
     rows = [list(system.output_labels).index(name) for name in outputs]
     columns = [list(system.input_labels).index(name) for name in inputs]
-    return named_system(
-        state_arrays(system, "selected").part(rows, columns), inputs, outputs, list(system.state_labels)
-    )
+    return named_system(System.of(system, "selected").part(rows, columns), inputs, outputs, list(system.state_labels))
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
