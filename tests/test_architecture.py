@@ -68,7 +68,7 @@ def test_the_readme_gives_two_commands_and_the_verdict_runs_the_second() -> None
 
 
 def test_the_table_of_where_to_look_names_files_that_exist() -> None:
-    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "architecture.md").read_text(encoding="utf-8")
     table = page.partition("| to find | look in |")[2].partition("\n\n")[0]
     named = set(re.findall(r"`([a-z0-9_]+/[\w/.]*)`", table))
     assert len(named) > 30

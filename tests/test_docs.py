@@ -28,7 +28,7 @@ from public_modules import names
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FORMATS = {"plant-file.md": PLANT_FILE, "job-file.md": JOB_FILE}
+FORMATS = {"reference/plant-file.md": PLANT_FILE, "reference/job-file.md": JOB_FILE}
 
 
 def named(page: Path) -> str:
@@ -118,7 +118,7 @@ def test_code_on_a_page_runs_and_prints_what_the_page_says(
 
 
 # What developers read and run: recipes register what is not public; pictures and measurements look inside.
-FOR_DEVELOPERS = ("docs/architecture.md", "docs/draw_", "docs/site/")
+FOR_DEVELOPERS = ("docs/reference/architecture.md", "docs/draw_", "docs/site/")
 
 
 def code_for_users() -> Iterator[tuple[str, str]]:
@@ -211,14 +211,16 @@ def limit_rows() -> list[str]:
 
 
 def test_the_table_of_limits_is_that_of_the_metrics() -> None:
-    section = (ROOT / "docs" / "job-file.md").read_text(encoding="utf-8").partition("### `[loop.limits]`\n")[2]
+    section = (
+        (ROOT / "docs" / "reference" / "job-file.md").read_text(encoding="utf-8").partition("### `[loop.limits]`\n")[2]
+    )
     table = section.partition("| --- | --- | --- |\n")[2].partition("\n\n")[0]
     assert table.splitlines() == limit_rows()
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))
 def test_every_option_stands_in_the_table_of_its_method_and_no_other(method: str) -> None:
-    text = (ROOT / "docs" / "job-file.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "job-file.md").read_text(encoding="utf-8")
     section = re.search(rf"^## Method `{method}`\n(.*?)^## ", text, re.MULTILINE | re.DOTALL)
     assert section is not None
     assert first_cells(section[1]) == set(METHODS[method].options)
@@ -238,7 +240,7 @@ def test_the_result_page_names_every_key_that_is_written() -> None:
     from platform_ctrl import design, verification
     from platform_ctrl.verification.result_file import result_record
 
-    examples = [tomllib.loads(block) for block in blocks(ROOT / "docs" / "job-file.md", "toml")]
+    examples = [tomllib.loads(block) for block in blocks(ROOT / "docs" / "reference" / "job-file.md", "toml")]
     data = next(example for example in examples if "schema" in example)
     data |= {"operation": {"Omega": [1.0, 0.0, 0.0]}}
     data["uncertainty"] = {"spin": 0.1}
@@ -250,7 +252,7 @@ def test_the_result_page_names_every_key_that_is_written() -> None:
     data["manoeuvre"][0] |= {"rise": 0.001, "hold": 0.0, "duration": 0.01}
     job = read_job(data)
     written = keys(result_record(verification.check_job(job, design.loops(job))))
-    text = (ROOT / "docs" / "result-file.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "result-file.md").read_text(encoding="utf-8")
     assert {"alternatives", "loop_by_loop", "stop_contacts"} <= written
     assert not written - set(re.findall(r"`([^`\n]+)`", text))
 

@@ -36,7 +36,7 @@ def page(name: str) -> str:
 )
 def test_every_entry_is_in_the_documentation(registry: dict[str, Any], name: str, text: str) -> None:
     assert name in registry
-    assert text in page("plant-file.md" if registry is PARTS else "job-file.md")
+    assert text in page("reference/plant-file.md" if registry is PARTS else "reference/job-file.md")
 
 
 def test_every_sensor_is_in_linear_models_and_in_simulations() -> None:

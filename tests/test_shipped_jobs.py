@@ -76,7 +76,11 @@ def test_the_structured_loops_reach_their_goals_at_the_same_limits(result, name,
 
 @pytest.mark.parametrize("name", ["caging 4-5-7", "caging 9-10"])
 def test_the_page_on_five_methods_has_the_values_of_their_designs(result, name):
-    text = Path("docs/five-methods.md").read_text(encoding="utf-8").split(f"## Loop {name.removeprefix('caging ')}")[1]
+    text = (
+        Path("docs/methods/five-methods.md")
+        .read_text(encoding="utf-8")
+        .split(f"## Loop {name.removeprefix('caging ')}")[1]
+    )
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.split("\n## ")[0].splitlines()]
     shown = {row[0]: [float(cell) for cell in row[1:9]] for row in rows if len(row) == 10 and row[1][:1].isdigit()}
     outcome = next(o for o in result.loops if o.spec.name == name)

@@ -119,7 +119,7 @@ def test_nothing_that_a_page_needs_comes_from_elsewhere(site: Path, pages: dict[
 
 
 def test_every_public_name_is_in_the_reference(site: Path) -> None:
-    reference = "".join(path.read_text(encoding="utf-8") for path in (site / "reference").glob("*.html"))
+    reference = "".join(path.read_text(encoding="utf-8") for path in (site / "reference" / "python").glob("*.html"))
     listed = inventory(site)
     for path, item in described().items():
         entry = f"{item.__module__}.{item.__qualname__}"
@@ -129,7 +129,7 @@ def test_every_public_name_is_in_the_reference(site: Path) -> None:
 
 
 def test_every_plot_for_scripts_is_in_the_gallery(site: Path) -> None:
-    page = (site / "gallery.html").read_text(encoding="utf-8")
+    page = (site / "start" / "gallery.html").read_text(encoding="utf-8")
     scripts = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "examples" / "gallery").glob("*.py")}
     drawn = set()
     for name, text in scripts.items():
@@ -137,7 +137,7 @@ def test_every_plot_for_scripts_is_in_the_gallery(site: Path) -> None:
         for theme in ("light", "dark"):
             picture = site / "pictures" / "gallery" / f"{name}-{theme}.svg"
             assert len(picture.read_bytes()) > 2000
-            assert page.count(f'src="pictures/gallery/{picture.name}"') == 2  # in the overview and above its code
+            assert page.count(f'src="../pictures/gallery/{picture.name}"') == 2  # in the overview and above its code
         drawn |= {node.attr for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Attribute)}
     # What shows windows draws nothing; the axes of every shipped plant are drawn on the page of models.
     plots = set(figures.__all__) - {"show", "axes_picture"}

@@ -1,4 +1,4 @@
-"""docs/the-paper.md: every equation has its row, whatever a row names is there, and so are its tests."""
+"""docs/theory/the-paper.md: every equation has its row, whatever a row names is there, and so are its tests."""
 
 import ast
 import functools
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TEXT = (ROOT / "docs" / "the-paper.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "theory" / "the-paper.md").read_text(encoding="utf-8")
 ROWS = re.findall(r"^\| \((\d+)\) \|(.*)\|$", TEXT, re.MULTILINE)
 TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?`")
 row = pytest.mark.parametrize(("number", "cells"), ROWS, ids=[number for number, _ in ROWS])

@@ -54,12 +54,12 @@ def figure(name: str, description: str, caption: bool = False) -> str:
 
 def _card(script: Script) -> str:
     images = "".join(
-        f'<img class="only-{theme}" src="pictures/gallery/{script.name}-{theme}.svg" alt="" loading="lazy">'
+        f'<img class="only-{theme}" src="../pictures/gallery/{script.name}-{theme}.svg" alt="" loading="lazy">'
         for theme in ("light", "dark")
     )
     return f'<a class="gallery-card" href="#{script.name}">{images}<span>{html.escape(script.title)}</span></a>'
 
 
 def _section(script: Script) -> str:
-    picture = figure(f"pictures/gallery/{script.name}", script.title)
+    picture = figure(f"../pictures/gallery/{script.name}", script.title)
     return f"## {script.title} {{#{script.name}}}\n\n{script.text}\n\n{picture}\n\n```python\n{script.code}\n```"

@@ -68,7 +68,7 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     """Make formulas fit to be shown, and lead names of the package to the reference."""
     up = "../" * page.file.src_uri.count("/")
     shown = names.pages_linked(formulas.shown(html), up)
-    return names.linked(shown, reference=page.file.src_uri.startswith("reference/"))
+    return names.linked(shown, reference=page.file.src_uri.startswith("reference/python/"))
 
 
 def _shown(folder: str) -> list[Path]:
@@ -82,7 +82,8 @@ def _page(path: Path) -> str:
 
 
 def _list(folder: str) -> str:
-    rows = "\n".join(f"| [{path.name}]({_page(path)}) | {_told(path)} |" for path in _shown(folder))
+    shown = [(path, path.relative_to(ROOT).as_posix()) for path in _shown(folder)]
+    rows = "\n".join(f"| [{path.name}](../../{where}) | {_told(path)} |" for path, where in shown)
     return f"| file | holds |\n| --- | --- |\n{rows}\n"
 
 
@@ -118,8 +119,8 @@ def _page_of(link: str, uri: str, up: str) -> str:
     """Return the page in the site of a file of the repository that a page of docs/ links to."""
     target = posixpath.normpath(posixpath.join("docs", posixpath.dirname(uri), link))
     if target in SHOWN:
-        return f"{up}examples.md#{target}"
+        return f"{up}start/examples.md#{target}"
     stem, _, suffix = target.rpartition(".")
     if posixpath.dirname(stem) == "examples/gallery":
-        return f"{up}gallery.md#{posixpath.basename(stem)}"
+        return f"{up}start/gallery.md#{posixpath.basename(stem)}"
     return f"{up}{stem}-{suffix}.md"

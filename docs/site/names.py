@@ -1,6 +1,6 @@
 """Public names: tables of them, the reference's entries, and links to these from wherever a name is set as code.
 
-A page of docs/reference/ asks for the names of a public module with ``<!-- names of MODULE -->``: those of its
+A page of docs/reference/python/ asks for the names of a public module with ``<!-- names of MODULE -->``: those of its
 `__all__`, or all that it defines itself. ``<!-- entries of MODULE -->`` asks for what is defined in a module that is
 not public itself. Every public class and function, and every class that one of them returns, has one entry: on the
 page of the module nearest to where it is defined.
@@ -20,7 +20,7 @@ from types import ModuleType
 from typing import Any
 
 MARK = re.compile(r"^<!-- (names|entries) of ([\w.]+) -->$", re.MULTILINE)
-_PAGES = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parents[1].glob("reference/*.md"))]
+_PAGES = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parents[1].glob("reference/python/*.md"))]
 _MARKS = [mark for page in _PAGES for mark in MARK.findall(page)]
 # The public modules.
 MODULES = sorted(module for kind, module in _MARKS if kind == "names")
@@ -28,7 +28,7 @@ MODULES = sorted(module for kind, module in _MARKS if kind == "names")
 _FIXTURES = ("closed_loop",)
 # Functions of one word are called like parameters and everyday words: only what is pointed to is led there.
 _SEE = re.compile(r"\b((?:[Aa]s(?: in)?|[Ss]ee) )(?=<code>(\w+)</code>)(<code>\w+</code>)")
-_PAGE = re.compile(r"(?<=<p>See )docs/([\w-]+)\.md")
+_PAGE = re.compile(r"(?<=<p>See )docs/([\w/-]+)\.md")
 _CODE = re.compile(
     r"<pre.*?</pre>|<h[1-6].*?</h[1-6]>|<a [^>]*>.*?</a>|<autoref.*?</autoref>|<code>([\w.]+)(?:\(\))?</code>",
     re.DOTALL,

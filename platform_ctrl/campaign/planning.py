@@ -269,7 +269,7 @@ def plan(
 
     J. K. Salmon et al., SC 2011.
 
-    See docs/campaign.md.
+    See docs/theory/campaign.md.
     """
     campaign = job.campaign or Campaign(seed=job.seed)
     if not job.manoeuvres:

@@ -171,7 +171,7 @@ def hinf(
 
     K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, theorem 17.1.
 
-    See docs/full-order.md.
+    See docs/methods/full-order.md.
 
     Examples
     --------

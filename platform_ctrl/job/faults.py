@@ -1,7 +1,7 @@
 """Faults of simulated runs: the value, and a registry with one entry for each kind.
 
 The job's reader, campaigns, reports, the simulation and the documentation are made from the registry; "Add a fault" in
-docs/architecture.md shows a new entry.
+docs/reference/architecture.md shows a new entry.
 """
 
 from __future__ import annotations

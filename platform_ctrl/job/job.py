@@ -248,8 +248,8 @@ class LoopSpec:
     designs, use
         By which methods, and the name of the design that is closed.
     limits
-        What it has to reach, by the keys and in the units of ``[loop.limits]`` (see docs/job-file.md): the verdict
-        rests on it.
+        What it has to reach, by the keys and in the units of ``[loop.limits]`` (see docs/reference/job-file.md):
+        the verdict rests on it.
     soft
         Goals, by the same keys and in the same units: a method that optimises makes their largest ratio small within
         the limits. No part of the verdict.

@@ -279,8 +279,8 @@ def requirement(
     Parameters
     ----------
     kind
-        A key of `platform_ctrl.analysis.metrics.METRICS`, such as ``"disk margin"``; docs/job-file.md lists them with
-        units, senses and meanings.
+        A key of `platform_ctrl.analysis.metrics.METRICS`, such as ``"disk margin"``; docs/reference/job-file.md lists
+        them with units, senses and meanings.
     limit
         Above 0, in the unit of the metric.
     over

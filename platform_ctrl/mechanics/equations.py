@@ -76,7 +76,7 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (11).
 
-    See docs/theory.md.
+    See docs/theory/mechanics.md.
 
     Examples
     --------

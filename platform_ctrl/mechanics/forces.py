@@ -52,7 +52,7 @@ def element_forces(
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (11).
 
-    See docs/theory.md.
+    See docs/theory/mechanics.md.
     """
     tree = topology(platform)
     n = len(tree.parents)

@@ -146,7 +146,7 @@ def linearise(
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
 
-    See docs/the-paper.md.
+    See docs/theory/the-paper.md.
 
     Examples
     --------

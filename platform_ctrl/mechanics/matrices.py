@@ -39,7 +39,7 @@ class MagnusMatrices:
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (1) to (4), (8), (11) to (14).
 
-    See docs/the-paper.md.
+    See docs/theory/the-paper.md.
     """
 
     A: FloatArray
@@ -129,7 +129,7 @@ def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (3), (11) to (14).
 
-    See docs/theory.md.
+    See docs/theory/mechanics.md.
 
     Examples
     --------

@@ -366,7 +366,7 @@ def parameter_varying(
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (27).
 
-    See docs/parameter-varying.md.
+    See docs/theory/parameter-varying.md.
 
     Examples
     --------

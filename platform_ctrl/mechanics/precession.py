@@ -102,7 +102,7 @@ class PrecessionPart:
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (15), (19).
 
-    See docs/precession.md.
+    See docs/theory/precession.md.
     """
 
     model: LinearModel
@@ -209,7 +209,7 @@ class Precession:
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (15).
 
-    See docs/precession.md.
+    See docs/theory/precession.md.
     """
 
     model: LinearModel
@@ -379,7 +379,7 @@ def precession(
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (15).
 
-    See docs/precession.md.
+    See docs/theory/precession.md.
 
     Examples
     --------

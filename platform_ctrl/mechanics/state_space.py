@@ -173,7 +173,7 @@ def state_space(
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
 
-    See docs/theory.md.
+    See docs/theory/mechanics.md.
 
     Examples
     --------

@@ -32,7 +32,7 @@ class Term:
     label
         The term as in (27).
     kind
-        What it is: docs/terms.md says how to read it.
+        What it is: docs/theory/terms.md says how to read it.
     factor
         Its coefficient with the platform's rate in it: of the coordinate or, of a forcing term, the term, SI.
     column, derivative
@@ -77,7 +77,7 @@ class TermTable:
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (27).
 
-    See docs/terms.md.
+    See docs/theory/terms.md.
     """
 
     platform: Platform
@@ -167,7 +167,7 @@ def terms(
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (27).
 
-    See docs/terms.md.
+    See docs/theory/terms.md.
 
     Examples
     --------

@@ -68,7 +68,7 @@ class Gimbal:
     ----------
     K. Magnus, Ingenieur-Archiv 1976, section 2.
 
-    See docs/plant-file.md.
+    See docs/reference/plant-file.md.
     """
 
     name: fields.Text
@@ -118,7 +118,7 @@ class Rotor:
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
 
-    See docs/plant-file.md.
+    See docs/reference/plant-file.md.
     """
 
     name: fields.Text
@@ -222,7 +222,7 @@ class Platform:
     ----------
     K. Magnus, Ingenieur-Archiv 1976, section 2.
 
-    See docs/plant-file.md.
+    See docs/reference/plant-file.md.
     """
 
     name: fields.Text

@@ -154,7 +154,7 @@ def simulate_batch(
     ----------
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7.
 
-    See docs/simulation.md.
+    See docs/theory/simulation.md.
     """
     period, longest = steps(period, step)
     threads = whole("threads", threads, 1)

@@ -162,7 +162,7 @@ def simulate(
     ----------
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7.
 
-    See docs/simulation.md.
+    See docs/theory/simulation.md.
     """
     period, step = steps(period, step)
     expect_several("controllers", controllers)

@@ -111,7 +111,7 @@ def rollout(  # noqa: PLR0913 - options by keyword
     ----------
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7.
 
-    See docs/simulation.md.
+    See docs/theory/simulation.md.
 
     Examples
     --------

@@ -83,7 +83,7 @@ class CoupledCheck:
     ----------
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
 
-    See docs/job-file.md.
+    See docs/reference/job-file.md.
     """
 
     plant: control.StateSpace
@@ -141,7 +141,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     ----------
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
 
-    See docs/job-file.md.
+    See docs/reference/job-file.md.
     """
     plant = coupled_plant(job, model, controllers)
     together = _Together(job, controllers, plant)

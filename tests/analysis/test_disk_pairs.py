@@ -25,7 +25,7 @@ ALONE = r"(?:×|x) ([\d.]+) to ([\d.]+) alone, (?:phase )?(?:±|\+-)([\d.]+)"
 
 @pytest.fixture(scope="module")
 def channels():
-    """The two channels of docs/first-loop.md, each with the other closed: loop transfer and disk margin."""
+    """The two channels of docs/start/first-loop.md, each with the other closed: loop transfer and disk margin."""
     job, by_hand = tomllib.loads(JOB), {"damping_hz": 43.4, "damping2_hz": 53.0, "lead_hz": 7}
     job["loop"][0]["design"][0] |= by_hand
     loop = pc.design.loops(job)[0].closed
@@ -89,7 +89,7 @@ def test_the_gain_and_the_phase_that_a_disk_allows_alone_are_too_much_together(c
 
 
 def test_every_pair_on_the_page_of_the_first_loop_is_stable(channels) -> None:
-    page = (ROOT / "docs" / "first-loop.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "start" / "first-loop.md").read_text(encoding="utf-8")
     printed = re.findall(rf"^(Q\d+): gain {ALONE}° alone,\n    or both inside the disk: gain {PAIR}°", page, re.M)
     assert [name for name, *_ in printed] == ["Q9", "Q10"]
     for name, *numbers in printed:
@@ -117,4 +117,4 @@ def test_what_a_report_says_of_a_disk_margin_lies_inside_its_disk(alpha: float) 
 
 
 def test_what_the_page_on_job_files_says_lies_inside_the_disk() -> None:
-    assert inside((ROOT / "docs" / "job-file.md").read_text(encoding="utf-8"), 0.5) == 4
+    assert inside((ROOT / "docs" / "reference" / "job-file.md").read_text(encoding="utf-8"), 0.5) == 4

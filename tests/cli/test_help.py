@@ -13,7 +13,7 @@ import typer
 from platform_ctrl.cli import main
 from platform_ctrl.cli.commands import app
 
-PAGE = Path(__file__).parents[2] / "docs" / "command-line.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "command-line.md"
 GROUP: Any = typer.main.get_command(app)
 COMMANDS: dict[str, Any] = GROUP.commands
 # They do not depend on where they are looked up, and stand in tables of their own.
@@ -32,7 +32,7 @@ def names(command: Any) -> list[list[str]]:
 
 def section(command: str) -> str:
     found = re.search(rf"^## `{command}`\n(.*?)^## ", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    assert found is not None, f"docs/command-line.md has no section on {command}"
+    assert found is not None, f"docs/reference/command-line.md has no section on {command}"
     return found[1]
 
 

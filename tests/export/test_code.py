@@ -187,7 +187,7 @@ def test_an_input_that_is_not_finite_holds_everything(
 
 
 def test_the_page_shows_what_is_written_and_code_that_compiles(job: Job, tmp_path: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "generated-code.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "generated-code.md").read_text()
     *shown, calls = re.findall(r"^```c\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
     files = write_c(job, [classical_entry(job, ("9", "10"))], tmp_path).files
     code = (tmp_path / "caging_9_10.c").read_text()

@@ -142,7 +142,9 @@ def test_the_micro_vibration_of_olympus_is_16_microradians_of_angle() -> None:
 
 
 def test_the_page_lists_the_profiles() -> None:
-    rows = [line for line in (DOCS / "disturbances.md").read_text(encoding="utf-8").splitlines() if "| " in line]
+    rows = [
+        line for line in (DOCS / "how-to" / "line-of-sight.md").read_text(encoding="utf-8").splitlines() if "| " in line
+    ]
     listed = [row for row in rows if row.split("|")[1].strip().strip("`") in PROFILES]
     expected = []
     for profile in PROFILES.values():
@@ -157,14 +159,14 @@ def test_the_page_lists_the_profiles() -> None:
 
 
 def test_the_page_says_of_the_limits_what_their_metrics_say() -> None:
-    page = (DOCS / "job-file.md").read_text(encoding="utf-8")
+    page = (DOCS / "reference" / "job-file.md").read_text(encoding="utf-8")
     for field in dataclasses.fields(BudgetLimits):
         metric = BUDGET_METRICS[field.name]
         assert f"| `{field.name}` | number > 0, rad | no limit | {metric.sense}: {metric.meaning} |" in page
 
 
 def test_every_description_and_every_unit_is_on_the_page() -> None:
-    page = (DOCS / "job-file.md").read_text(encoding="utf-8").partition("### `[[budget.source]]`")[2]
+    page = (DOCS / "reference" / "job-file.md").read_text(encoding="utf-8").partition("### `[[budget.source]]`")[2]
     assert all(f"`{key}`" in page for key in SPECTRA)
     assert all(f'`"{unit}"`' in page for kind in SOURCE_KINDS.values() for unit in kind.units)
 

@@ -146,7 +146,7 @@ def test_every_kind_of_fault_is_an_action_of_the_kernel_and_a_row_of_the_documen
     part = {"pick-off": "sensor", "gimbal": "gimbal with stops", None: "none"}.get(kind.part, kind.part)
     cells = (f'"{kind.name}"', part, ", ".join(kind.needed), ", ".join(kind.optional), kind.effect)
     row = "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
-    assert row in (ROOT / "docs" / "job-file.md").read_text(encoding="utf-8").splitlines()
+    assert row in (ROOT / "docs" / "reference" / "job-file.md").read_text(encoding="utf-8").splitlines()
     assert kind.action in ACTIONS
 
 

@@ -151,6 +151,6 @@ def test_mistakes_are_one_line(platform, table):
 
 
 def test_the_page_shows_what_is_printed(table):
-    page = (Path(__file__).parents[2] / "docs" / "terms.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "theory" / "terms.md").read_text(encoding="utf-8")
     shown = page.split("```text\n")[1].split("\n```")[0]
     assert shown == table.text(gimbals=("9",))

@@ -212,9 +212,9 @@ def test_the_picture_in_docs_is_the_one_that_is_drawn(model):
 
 
 def section(model):
-    page = (ROOT / "docs" / "models.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "start" / "models.md").read_text(encoding="utf-8")
     found = re.findall(rf"^## {model}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
-    assert len(found) == 1, f"docs/models.md has {len(found)} sections {model}"
+    assert len(found) == 1, f"docs/start/models.md has {len(found)} sections {model}"
     return found[0]
 
 
@@ -230,5 +230,5 @@ def test_the_page_of_models_has_a_section_with_picture_and_axes_of_every_model(m
 
 
 def test_the_page_of_models_has_the_shipped_models_in_order():
-    page = (ROOT / "docs" / "models.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "start" / "models.md").read_text(encoding="utf-8")
     assert re.findall(r"^## (.*)$", page, re.MULTILINE) == list(shipped_models())

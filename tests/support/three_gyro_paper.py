@@ -1,4 +1,4 @@
-"""Magnus's (20) to (27) for the three-gyro platform, corrected as docs/the-paper.md says, in SymPy.
+"""Magnus's (20) to (27) for the three-gyro platform, corrected as docs/theory/the-paper.md says, in SymPy.
 
 The one table of them: tests/mechanics/test_the_paper.py holds it against the energy of the nine bodies, and
 tests/mechanics/test_symbolic.py holds the package against it. Symbols have the names that

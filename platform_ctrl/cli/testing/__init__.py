@@ -1,6 +1,6 @@
 """Regression tests of control loops: what tests assert, beside the fixture ``closed_loop``.
 
-With the package installed pytest finds the fixture by itself. See docs/regression-tests.md.
+With the package installed pytest finds the fixture by itself. See docs/how-to/regression-tests.md.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ class Structure:
     ----------
     P. Apkarian, D. Noll, IEEE Trans. Automatic Control 51, 2006.
 
-    See docs/structured.md.
+    See docs/methods/structured.md.
     """
 
     start: Mapping[str, float] = field(default_factory=dict)

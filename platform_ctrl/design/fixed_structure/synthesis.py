@@ -85,7 +85,7 @@ def structured(
     ----------
     P. Apkarian, D. Noll, IEEE Trans. Automatic Control 51, 2006.
 
-    See docs/structured.md.
+    See docs/methods/structured.md.
     """
     given = tuple(plants) if isinstance(plants, list | tuple) else (plants,)
     if not isinstance(structure, Structure):

@@ -189,7 +189,7 @@ def measured_pid(  # noqa: PLR0913 - options by keyword
     ----------
     S. Boyd, M. Hast, K. J. Åström, Int. J. Robust and Nonlinear Control 26, 2016.
 
-    See docs/measured.md.
+    See docs/methods/measured.md.
     """
     plants = measured_plants(measurement, dead_time, period, hold)
     n = len(plants.torques)

@@ -57,7 +57,7 @@ def equations(
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (15), (19), (21) to (27).
 
-    See docs/the-paper.md.
+    See docs/theory/the-paper.md.
     """
     one_of("form", form, get_args(Form))
     one_of("terms", terms, TERMS)

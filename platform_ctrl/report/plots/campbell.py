@@ -98,7 +98,7 @@ def campbell(
     ----------
     W. Campbell, Trans. ASME 46, 1924.
 
-    See docs/precession.md.
+    See docs/theory/precession.md.
     """
     factors = increasing("spins", spins, np.array([0.0, 1.5]))
     if factors[0] < 0.0:

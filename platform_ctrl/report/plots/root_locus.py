@@ -121,7 +121,7 @@ def root_locus_over_spin(
     ----------
     W. R. Evans, Trans. AIEE 67, 1948.
 
-    See docs/theory.md.
+    See docs/theory/mechanics.md.
     """
     factors = increasing("spins", spins, np.linspace(0.2, 1.8, 101))
     K = linear_arrays(controller, "root_locus_over_spin: controller")
