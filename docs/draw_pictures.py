@@ -6,7 +6,7 @@ from pathlib import Path
 
 from platform_ctrl import read_platform, shipped_models
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.report.axes.picture import axes_picture
+from platform_ctrl.report.figures.axes_picture import axes_picture
 
 PICTURES = Path(__file__).parent / "pictures"
 

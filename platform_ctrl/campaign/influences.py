@@ -7,7 +7,17 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.campaign.probability import CONFIDENCE, SIGNIFICANCE, Probability, clopper_pearson, holm
+from platform_ctrl.campaign.statistics import (
+    CONFIDENCE,
+    SIGNIFICANCE,
+    Limits,
+    Probability,
+    answer_columns,
+    clopper_pearson,
+    holm,
+    in_order,
+    over_limits,
+)
 from platform_ctrl.campaign.table import (
     ENDED,
     MANOEUVRE,
@@ -18,7 +28,6 @@ from platform_ctrl.campaign.table import (
     read_columns,
     was_simulated,
 )
-from platform_ctrl.campaign.table_statistics import Limits, answer_columns, in_order, over_limits
 from platform_ctrl.common.values import FloatArray, value
 
 # A number with more values than this, or with about one for each run, is divided into thirds.

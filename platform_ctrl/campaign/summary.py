@@ -7,9 +7,14 @@ from typing import Any
 
 from platform_ctrl.campaign.influences import Influence, influences
 from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.probability import CONFIDENCE, Probability
+from platform_ctrl.campaign.statistics import (
+    CONFIDENCE,
+    CampaignStatistics,
+    Probability,
+    RequirementStatistics,
+    statistics,
+)
 from platform_ctrl.campaign.table import Table
-from platform_ctrl.campaign.table_statistics import CampaignStatistics, RequirementStatistics, statistics
 from platform_ctrl.common.json_text import plain_types
 from platform_ctrl.common.values import value
 

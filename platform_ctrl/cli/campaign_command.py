@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.job.variation import Points
-    from platform_ctrl.report.page.campaign_tables import ProbabilityRow
+    from platform_ctrl.report.campaign_tables import ProbabilityRow
 
 PAGE = "campaign.html"
 # Groups of options in the help.
@@ -118,7 +118,7 @@ def campaign(
 
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
         if scheduler is not None:
-            from platform_ctrl.campaign.workers import client_of
+            from platform_ctrl.campaign.engine import client_of
 
             client_of(scheduler).close()  # a wrong address leaves no folder behind
         prepare_folder(out, ("campaign.json", PAGE))
@@ -153,7 +153,7 @@ def campaign(
 
 
 def _show_files(result: CampaignResult, page: Path | None) -> None:
-    from platform_ctrl.report.page.campaign_tables import count_words
+    from platform_ctrl.report.campaign_tables import count_words
 
     counts: dict[str, Any] = result.counts
     typer.echo(f"{count_words(result.record['runs'])}: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
@@ -175,7 +175,7 @@ def write_campaign(
     from platform_ctrl.campaign.summary import summarise, summary_record
 
     def page(path: Path) -> None:
-        from platform_ctrl.report.page.campaign_page import write_campaign_page
+        from platform_ctrl.report.campaign_page import write_campaign_page
 
         write_campaign_page(summary, path, command=shlex.join(command), again=shlex.join(again))
 
@@ -193,7 +193,7 @@ _WORST = 3
 def show_campaign(summary: Summary) -> None:
     """Print every requirement with its probability and bounds, what drives them, the worst runs, and the verdict."""
     from platform_ctrl.cli.terminal import screen, show_words
-    from platform_ctrl.report.page import campaign_tables as tables
+    from platform_ctrl.report import campaign_tables as tables
 
     console = screen()
     console.print(summary.plan.job.name, style="bold", markup=False)
@@ -210,7 +210,7 @@ def show_campaign(summary: Summary) -> None:
 def _show_rows(console: Console, rows: tuple[ProbabilityRow, ...], confidence: float) -> None:
     """Print probabilities by manoeuvre, the likeliest first."""
     from platform_ctrl.cli.terminal import show_table
-    from platform_ctrl.report.page.campaign_tables import ALL_MANOEUVRES
+    from platform_ctrl.report.campaign_tables import ALL_MANOEUVRES
 
     heads = ("requirement", "limit", "violations", "probability", f"{100.0 * confidence:g} % bounds")
     cells, styles = [], []
@@ -225,7 +225,7 @@ def _show_rows(console: Console, rows: tuple[ProbabilityRow, ...], confidence: f
 
 def _show_drivers(console: Console, summary: Summary) -> None:
     from platform_ctrl.cli.terminal import show_words
-    from platform_ctrl.report.page import campaign_tables as tables
+    from platform_ctrl.report import campaign_tables as tables
 
     for requirement, found in tables.drivers(summary).items():
         show_words(console, tables.driver_words(requirement, found), indent="  ")
@@ -235,7 +235,7 @@ def _show_drivers(console: Console, summary: Summary) -> None:
 
 def _show_worst(console: Console, summary: Summary) -> None:
     from platform_ctrl.cli.terminal import show_words
-    from platform_ctrl.report.page import campaign_tables as tables
+    from platform_ctrl.report import campaign_tables as tables
 
     for one, words in tables.worst_rows(summary, summary.statistics.worst[:_WORST], tables.all_drivers(summary)):
         shown = f"{words[0]} {words[1]} ({words[2]})"

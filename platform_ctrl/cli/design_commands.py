@@ -261,8 +261,8 @@ def _drawn(
 
     def page(path: Path) -> None:
         from platform_ctrl.report import write_page
-        from platform_ctrl.report.page.blocks import missing
-        from platform_ctrl.report.page.job_page import prepared
+        from platform_ctrl.report.blocks import missing
+        from platform_ctrl.report.job_page import prepared
 
         content = prepared(result, command=shlex.join(["platform-ctrl", *command]), **about)
         lines.extend(f"{path}: {words}" for words in missing(content))

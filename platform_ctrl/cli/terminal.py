@@ -160,7 +160,7 @@ def show_requirements(
     from rich.table import Table
     from rich.text import Text
 
-    from platform_ctrl.report.page.tables import requirement_row
+    from platform_ctrl.report.tables import requirement_row
 
     shown = [(one, requirement_row(one, of)) for one in results if not _as_good_as_can_be(one)]
     heads = ("value", "limit", "margin")
@@ -201,7 +201,7 @@ def _show_verdict(
 ) -> None:
     passed, words = all(one.passed for one in results), summary_words(results, added)
     if campaign is not None:
-        from platform_ctrl.report.page.campaign_tables import campaign_words
+        from platform_ctrl.report.campaign_tables import campaign_words
 
         passed, words = passed and campaign.passed, f"{words}; {campaign_words(campaign)}"
     verdict, style = ("PASSED", "green") if passed else ("FAILED", "bold red")

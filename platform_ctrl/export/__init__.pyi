@@ -1,9 +1,9 @@
 from .c99.c_files import write_c as write_c
 from .job_systems import write_responses as write_responses
-from .matlab import read_mat as read_mat
-from .matlab import write_mat as write_mat
 from .mujoco.mjcf_reader import read_mjcf as read_mjcf
 from .mujoco.mjcf_writer import write_mjcf as write_mjcf
+from .systems import read_mat as read_mat
 from .systems import read_systems as read_systems
 from .systems import write_controllers as write_controllers
+from .systems import write_mat as write_mat
 from .systems import write_systems as write_systems

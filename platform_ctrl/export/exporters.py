@@ -94,7 +94,7 @@ def _write_c(export: Export, path: Path, target: Path) -> None:
 
 
 def _write_mat(export: Export, path: Path, target: Path) -> None:
-    from platform_ctrl.export.matlab import write_mat
+    from platform_ctrl.export.systems import write_mat
 
     write_mat([one.system for one in export.systems(target)], path)
 

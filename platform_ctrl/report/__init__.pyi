@@ -1,2 +1,2 @@
 from . import figures as figures
-from .page.job_page import write_page as write_page
+from .job_page import write_page as write_page

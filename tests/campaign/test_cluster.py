@@ -104,8 +104,8 @@ def test_a_run_that_kills_workers_is_found_and_those_beside_it_are_simulated(tmp
 
 
 def test_a_worker_with_other_versions_is_refused(tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from platform_ctrl.campaign.identity import versions
+    from platform_ctrl.campaign.store import versions
 
-    monkeypatch.setattr("platform_ctrl.campaign.workers.versions", lambda: versions() | {"numba": "0.1"})
+    monkeypatch.setattr("platform_ctrl.campaign.engine.versions", lambda: versions() | {"numba": "0.1"})
     with pytest.raises(InputError, match=r"a worker of the cluster has numba [\d.]+, here it is 0.1"):
         carried_out(tmp_path, address)

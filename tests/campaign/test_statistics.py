@@ -9,8 +9,7 @@ import pytest
 from scipy import stats
 
 from platform_ctrl.campaign.influences import influences
-from platform_ctrl.campaign.probability import clopper_pearson
-from platform_ctrl.campaign.table_statistics import statistics
+from platform_ctrl.campaign.statistics import clopper_pearson, statistics
 
 LIMITS = {"turn": {"angle": 0.003, "torque_share": 1.0}, "push": {"angle": 0.002, "attitude": 0.01}}
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import control
 
 from driven_gimbal import COULOMB, FRICTION, driven_job
-from platform_ctrl.campaign.identity import identity
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.single_run import simulate_runs
+from platform_ctrl.campaign.store import identity
 from platform_ctrl.common.values import replaced
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job

@@ -211,7 +211,7 @@ def test_a_scheduler_that_is_not_there_leaves_no_folder_behind(
     there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("platform_ctrl.campaign.workers._TIMEOUT", 0.5)
+    monkeypatch.setattr("platform_ctrl.campaign.engine._TIMEOUT", 0.5)
     given = ["campaign", "job.toml", "-o", "nowhere", "--scheduler", "tcp://127.0.0.1:9", "-q"]
     assert "--scheduler tcp://127.0.0.1:9: " in refused(capsys, *given)
     assert not (there / "nowhere").exists()

@@ -75,7 +75,7 @@ def there(designed: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def leave_out_figures(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("platform_ctrl.report.page.job_page.prepared", lambda result, **about: result)
+    patch.setattr("platform_ctrl.report.job_page.prepared", lambda result, **about: result)
     patch.setattr("platform_ctrl.report.write_page", lambda result, path: Path(path).touch())
 
 

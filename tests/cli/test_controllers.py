@@ -45,7 +45,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("designed")
     write(folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("platform_ctrl.report.page.job_page.prepared", lambda result, **about: None)
+        patch.setattr("platform_ctrl.report.job_page.prepared", lambda result, **about: None)
         patch.setattr("platform_ctrl.report.write_page", lambda content, path: path.touch())
         assert main(["design", str(folder / "job.toml"), "-o", str(folder / "out"), "-q"]) == 0
     record: dict[str, Any] = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))

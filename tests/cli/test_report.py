@@ -48,7 +48,7 @@ def pages(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
 def undrawn(patch: pytest.MonkeyPatch, about: list[dict[str, Any]]) -> None:
     """Write pages without content; the options that they were prepared with go to `about`."""
-    drawn = "platform_ctrl.report.page.job_page.prepared"
+    drawn = "platform_ctrl.report.job_page.prepared"
     patch.setattr(drawn, lambda result, **options: about.append(options))
     patch.setattr("platform_ctrl.report.write_page", lambda content, path: path.touch())
 
@@ -110,8 +110,8 @@ def test_a_folder_without_a_finished_campaign_of_the_job_is_refused_before_the_w
 @pytest.mark.parametrize(
     ("lost", "words", "job", "code"),
     [
-        ("platform_ctrl.report.page.job_page.nichols_figure", "Nichols plot: not drawn", JOB, 0),
-        ("platform_ctrl.report.page.job_page.prepared", "not written", TOO_MUCH, 1),
+        ("platform_ctrl.report.job_page.nichols_figure", "Nichols plot: not drawn", JOB, 0),
+        ("platform_ctrl.report.job_page.prepared", "not written", TOO_MUCH, 1),
     ],
 )
 def test_a_failure_while_drawing_costs_neither_result_nor_verdict(

@@ -24,7 +24,7 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("terminal")
     assert main(["new", "gyro", "-o", str(folder)]) == 0
     with pytest.MonkeyPatch.context() as patch:  # the figures are seconds of work
-        patch.setattr("platform_ctrl.report.page.job_page.prepared", lambda result, **about: result)
+        patch.setattr("platform_ctrl.report.job_page.prepared", lambda result, **about: result)
         patch.setattr("platform_ctrl.report.write_page", lambda result, path: path.touch())
         assert main(["design", str(folder / "gyro.toml"), "-o", str(folder / "out"), "-q"]) == 0
     return folder

@@ -14,7 +14,7 @@ from platform_ctrl.design.caging_claims import largest_Omega_name, with_largest_
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.report.page import captions
+from platform_ctrl.report import captions
 from platform_ctrl.verification.controllers import outcomes_from
 from platform_ctrl.verification.simulated import simulate_manoeuvre
 

@@ -21,7 +21,7 @@ from platform_ctrl.design.sections import flattened
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
 from platform_ctrl.export import write_c
 from platform_ctrl.export.c99.c_text import FILES, Names, comment, identifier
-from platform_ctrl.export.c99.controller import Controller, controllers_of
+from platform_ctrl.export.c99.code import Controller, controllers_of
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
 

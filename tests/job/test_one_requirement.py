@@ -24,8 +24,8 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import WORST_CASE, loop_requirements, requirement
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.report.page import tables
-from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.report import tables
+from platform_ctrl.report.job_page import page_html
 from platform_ctrl.verification.result_file import result_record
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"

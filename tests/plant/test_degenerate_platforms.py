@@ -11,7 +11,7 @@ from platform_ctrl.errors import InputError, MechanicsError, PlatformCtrlError
 from platform_ctrl.mechanics.rotors import rotor_momenta
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor, Torquer
 from platform_ctrl.plant.source import platform_source
-from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation import rollout
 
 X, Y, Z = np.eye(3)

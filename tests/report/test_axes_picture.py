@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from platform_ctrl import read_platform
 from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report.axes.picture import axes_picture
-from platform_ctrl.report.axes.view import direction_text
+from platform_ctrl.report.figures.axes_picture import axes_picture
+from platform_ctrl.report.figures.axes_view import direction_text
 from tree_cases import platforms
 
 ROOT = Path(__file__).parents[2]

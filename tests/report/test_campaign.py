@@ -11,15 +11,15 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.campaign.planning import plan
-from platform_ctrl.campaign.probability import clopper_pearson
 from platform_ctrl.campaign.single_run import simulate_runs
+from platform_ctrl.campaign.statistics import clopper_pearson
 from platform_ctrl.campaign.summary import summarise
 from platform_ctrl.cli.campaign_command import show_campaign
+from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report import style
-from platform_ctrl.report.page import campaign_tables as tables
-from platform_ctrl.report.page.blocks import html as as_html
-from platform_ctrl.report.page.campaign_page import campaign_document
-from platform_ctrl.report.plots import campaign as campaign_figures
+from platform_ctrl.report.blocks import html as as_html
+from platform_ctrl.report.campaign_page import campaign_document
+from platform_ctrl.report.figures import campaign as campaign_figures
 from report_jobs import caging, job, turn
 
 TURN = {"rise": 0.5, "hold": 1.0, "duration": 2.5}

@@ -11,11 +11,10 @@ from camera_job import camera_job
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.job.quantities import compared
-from platform_ctrl.report import style
-from platform_ctrl.report.page import first_screen, tables
-from platform_ctrl.report.page.blocks import Cell, Columns, Document, Part, Plate, Table
-from platform_ctrl.report.page.first_screen import worst_plant, worst_plant_figure
-from platform_ctrl.report.page.job_page import page_html, prepared
+from platform_ctrl.report import first_screen, style, tables
+from platform_ctrl.report.blocks import Cell, Columns, Document, Part, Plate, Table
+from platform_ctrl.report.first_screen import worst_plant, worst_plant_figure
+from platform_ctrl.report.job_page import page_html, prepared
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.verdict import JobResult
 from report_jobs import caging, checked, classical, job, turn

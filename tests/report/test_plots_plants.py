@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 
 import platform_ctrl as pc
 from platform_ctrl import simulation
-from platform_ctrl.campaign.table_statistics import statistics
+from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Manoeuvre
 from platform_ctrl.plant.force_elements import Spring

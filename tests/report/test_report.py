@@ -38,7 +38,9 @@ from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report import modes, style
+from platform_ctrl.report import blocks, captions, comparison, modes, style, tables
+from platform_ctrl.report import job_page as document
+from platform_ctrl.report.campaign_tables import chances
 from platform_ctrl.report.failures import value_and_limit
 from platform_ctrl.report.figures import coupled as coupled_figures
 from platform_ctrl.report.figures.loop import (
@@ -47,11 +49,8 @@ from platform_ctrl.report.figures.loop import (
     root_locus_plot,
     sensitivity_figure,
 )
+from platform_ctrl.report.job_page import page_html
 from platform_ctrl.report.loop_responses import LoopResponses, loop_responses
-from platform_ctrl.report.page import blocks, captions, comparison, tables
-from platform_ctrl.report.page import job_page as document
-from platform_ctrl.report.page.campaign_tables import chances
-from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.proofs import Claim, Proofs, with_proofs
 from platform_ctrl.verification.verdict import JobResult

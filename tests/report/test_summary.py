@@ -12,11 +12,11 @@ import pytest
 
 from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.summary import Summary, summarise
-from platform_ctrl.report.page import blocks, campaign_tables, job_page
-from platform_ctrl.report.page.blocks import html as as_html
-from platform_ctrl.report.page.campaign_page import campaign_document
-from platform_ctrl.report.page.captions import opening, tightest
-from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.report import blocks, campaign_tables, job_page
+from platform_ctrl.report.blocks import html as as_html
+from platform_ctrl.report.campaign_page import campaign_document
+from platform_ctrl.report.captions import opening, tightest
+from platform_ctrl.report.job_page import page_html
 from platform_ctrl.verification.verdict import JobResult
 from report_jobs import caging, checked, classical, job, turn
 

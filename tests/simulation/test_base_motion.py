@@ -14,7 +14,7 @@ from commanded_gimbal import commanded_job
 from platform_ctrl import design, read_job, read_platform
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.single_run import metric_of, simulate_runs
-from platform_ctrl.campaign.table_statistics import statistics
+from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.scenario import Scenario, Sine, Vibration

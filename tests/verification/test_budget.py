@@ -28,7 +28,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Scenario, TimeTable
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.force_elements import Friction
-from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import PreparedBudget, line_of_sight_budget

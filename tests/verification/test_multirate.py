@@ -33,7 +33,7 @@ from platform_ctrl.export.c99.c_files import write_c
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation import simulate, simulate_batch
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers

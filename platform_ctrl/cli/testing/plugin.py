@@ -27,7 +27,7 @@ def closed_loop() -> Callable[..., JobResult]:
 
     def closed(job: Any, controllers: Any = None, *, baseline: str | os.PathLike[str] | None = None) -> JobResult:
         __tracebackhide__ = True
-        from platform_ctrl.campaign.identity import source_hashes
+        from platform_ctrl.campaign.store import source_hashes
         from platform_ctrl.design import loops
         from platform_ctrl.job.job import Job
         from platform_ctrl.job.reading import read_job

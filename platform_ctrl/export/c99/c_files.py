@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,11 +19,10 @@ from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import flattened
 from platform_ctrl.errors import InputError, UnscalableError
-from platform_ctrl.export.c99.c_text import FILES, Names, field_names
-from platform_ctrl.export.c99.code import Code, Number
-from platform_ctrl.export.c99.controller import Controller, controllers_of
-from platform_ctrl.export.c99.job_files import drive_inputs, job_files
+from platform_ctrl.export.c99.c_text import FILES, Names, field, field_names, rendered
+from platform_ctrl.export.c99.code import Code, Controller, Number, controllers_of, literal, total
 from platform_ctrl.export.systems import signal_units
+from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import Job
 
 if TYPE_CHECKING:
@@ -179,3 +179,90 @@ def float_error(one: Controller) -> float:
     # Gains far below the median are not compared.
     size = np.maximum(size, 1e-3 * np.median(size))
     return float((np.linalg.norm(after - before, axis=(1, 2)) / np.where(size > 0.0, size, 1.0)).max())
+
+
+def job_files(job: Job, prefix: str, units: Sequence[Code]) -> dict[str, str]:
+    """Return the texts of the two files by their names."""
+    readers: dict[str, Code] = {}  # Signals that no earlier controller computes, by their first reader
+    made: dict[str, str] = {}
+    steps = []
+    every = {unit.prefix: max(round(unit.period / job.sampling.period), 1) for unit in units}
+    results = {
+        unit.prefix: f"out_{k}" if every[unit.prefix] == 1 else f"state->{unit.prefix}_last"
+        for k, unit in enumerate(units, 1)
+    }
+    for unit in units:
+        for name in unit.controller.inputs:
+            if name not in made:
+                readers[name], made[name] = unit, f"in->{unit.signals[name]}"
+        taken = [(unit.signals[name], made[name]) for name in unit.controller.inputs]
+        given = {name: f"{results[unit.prefix]}.{unit.signals[name]}" for name in unit.controller.outputs}
+        made |= {name: f"{result}_commanded" for name, result in given.items()}
+        driven = {law.torquer for law in job.drive_laws}
+        shown = [(unit.signals[name], result) for name, result in given.items() if name not in driven]
+        steps.append((unit.prefix, taken, shown, every[unit.prefix], results[unit.prefix]))
+    held = [one for one, n in every.items() if n > 1]
+    cycle = math.lcm(*every.values())
+    states = [f"    {one}_state {one};" for one in every]
+    states += [f"    {one}_out {one}_last; /* held */\n    unsigned int {one}_status;" for one in held]
+    states += [f"    unsigned int {prefix}_sample; /* 0 to {cycle - 1} */"] if held else []
+    outputs = [unit.output_field(name) for unit in units for name in unit.controller.outputs]
+    number, signals, what = units[0].number, units[0].signals, signal_units(job.platform)
+    inputs = [unit.input_field(name) for name, unit in readers.items()]
+    inputs += [field(number, signals[name], what[name]) for name in drive_inputs(job, list(made))]
+    laws = sorted(job.drive_laws, key=lambda law: [t.name for t in job.platform.torquers].index(law.torquer))
+    words = {
+        "p": prefix,
+        "units": units,
+        "every": every,
+        "held": held,
+        "cycle": cycle,
+        "period": job.sampling.period,
+        "origin": units[0].origin,
+        "operations": np.sum([unit.operations for unit in units], axis=0),
+        "drives": [_drive(job, prefix, law, units, results) for law in laws],
+        "number": number,
+        "cosine": "cos" if number == "double" else "cosf",
+        "largest": "DBL_MAX" if number == "double" else "FLT_MAX",
+        "unity": literal(1.0, number),
+        "steps": steps,
+        "structs": {
+            "in": inputs,
+            "out": [*outputs, *(f"    unsigned int {one}_status; /* what {one}_step returned */" for one in every)],
+            "state": states,
+        },
+    }
+    return {f"{prefix}.{end}": rendered(f"job.{end}.j2", **words) for end in "hc"}
+
+
+def drive_inputs(job: Job, named: Sequence[str]) -> list[str]:
+    """Return the sensors that the drives of a job read beside what is `named`, in the plant's order."""
+    used = {name for law in job.drive_laws for name in (*law.weights, law.secant_of)} - set(named)
+    return [sensor.name for sensor in job.platform.sensors if sensor.name in used]
+
+
+def _drive(job: Job, prefix: str, law: DriveLaw, units: Sequence[Code], results: dict[str, str]) -> dict[str, Any]:
+    """Return expressions and constants of the statements of a drive, for the template."""
+    number: Number = units[0].number
+    own = [unit for unit in units if law.torquer in unit.controller.outputs]
+    if not own:
+        raise InputError(
+            f"drive of {law.torquer!r}: none of these controllers sets this torquer; export them with the one that does"
+        )
+    unit = own[-1]
+    limit = unit.controller.limits[unit.controller.outputs.index(law.torquer)]
+    names = [sensor.name for sensor in job.platform.sensors if sensor.name in law.weights]
+    reads = [f"in->{unit.signals[name]}" for name in names]
+    angle = "" if law.secant_of is None else f"in->{unit.signals[law.secant_of]}"
+    return {
+        "torquer": law.torquer,
+        "output": unit.signals[law.torquer],
+        "command": f"{results[unit.prefix]}.{unit.signals[law.torquer]}_commanded",
+        "limit": literal(limit, number) if np.isfinite(limit) else "",
+        "angle": angle,
+        "secant_limit": literal(law.secant_limit, number),
+        "friction": literal(law.friction, number) if law.friction else "",
+        "per_rate": literal(1.0 / law.friction_rate, number),
+        "products": total([law.weights[name] for name in names], reads, number),
+        "tests": [f"{prefix}_usable({one})" for one in dict.fromkeys([*([angle] if angle else []), *reads])],
+    }

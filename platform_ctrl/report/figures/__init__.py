@@ -6,14 +6,14 @@ python-control; the others have the report's look. Figures of a report are made 
 `style.settings`.
 """
 
-from platform_ctrl.report.axes.picture import axes_picture
-from platform_ctrl.report.plots.campaign import campaign_histograms
-from platform_ctrl.report.plots.campbell import campbell
-from platform_ctrl.report.plots.nichols import disk_margin_region, nichols
-from platform_ctrl.report.plots.panels import show
-from platform_ctrl.report.plots.root_locus import root_locus, root_locus_over_spin
-from platform_ctrl.report.plots.standard import bode, nyquist, singular_values
-from platform_ctrl.report.plots.time_run import time_run
+from platform_ctrl.report.figures.axes_picture import axes_picture
+from platform_ctrl.report.figures.campaign import campaign_histograms
+from platform_ctrl.report.figures.campbell import campbell
+from platform_ctrl.report.figures.nichols import disk_margin_region, nichols
+from platform_ctrl.report.figures.panels import show
+from platform_ctrl.report.figures.root_locus import root_locus, root_locus_over_spin
+from platform_ctrl.report.figures.systems import bode, nyquist, singular_values
+from platform_ctrl.report.figures.time_run import time_run
 
 __all__ = [
     "axes_picture",

@@ -21,12 +21,12 @@ from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
 from platform_ctrl.plant.drawing import root_series, signal_series
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.report.captions import bandwidth_hz
+from platform_ctrl.report.figures.campbell import campbell
 from platform_ctrl.report.figures.loop import half_plane_axes
+from platform_ctrl.report.figures.panels import loop_phase, phase_panel
+from platform_ctrl.report.figures.pole_map import upper_half_plane
 from platform_ctrl.report.modes import nutates
-from platform_ctrl.report.page.captions import bandwidth_hz
-from platform_ctrl.report.plots.campbell import campbell
-from platform_ctrl.report.plots.panels import loop_phase, phase_panel
-from platform_ctrl.report.plots.pole_map import upper_half_plane
 from platform_ctrl.report.style import (
     BAND,
     DOTTED,

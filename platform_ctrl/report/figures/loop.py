@@ -19,11 +19,11 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.quantities import HZ
 from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings
+from platform_ctrl.report.figures.nichols import LoopCurve, closest, nichols_plot
+from platform_ctrl.report.figures.panels import loop_phase, phase_panel
+from platform_ctrl.report.figures.pole_map import upper_half_plane
+from platform_ctrl.report.figures.root_locus import root_locus
 from platform_ctrl.report.loop_responses import DesignResponses, LoopResponses, peak_metrics
-from platform_ctrl.report.plots.nichols import LoopCurve, closest, nichols_plot
-from platform_ctrl.report.plots.panels import loop_phase, phase_panel
-from platform_ctrl.report.plots.pole_map import upper_half_plane
-from platform_ctrl.report.plots.root_locus import root_locus
 from platform_ctrl.report.style import (
     BAND,
     BEYOND,

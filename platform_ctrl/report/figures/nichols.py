@@ -27,9 +27,8 @@ from platform_ctrl.common.text import at_least, at_most, greek
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, disk_gain_or_phase, plain
-from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.panels import control_plot, curve_style, decibels, loop_phase
-from platform_ctrl.report.plots.systems import (
+from platform_ctrl.report.figures.panels import LabelPlacer, control_plot, curve_style, decibels, loop_phase
+from platform_ctrl.report.figures.systems import (
     DrawnSystem,
     Systems,
     channels,

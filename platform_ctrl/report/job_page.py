@@ -14,8 +14,29 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import coupled_while_changing
-from platform_ctrl.report import style
-from platform_ctrl.report.axes.picture import axes_picture
+from platform_ctrl.report import captions, comparison, style, tables
+from platform_ctrl.report.blocks import (
+    Block,
+    Document,
+    Facts,
+    Fold,
+    Listing,
+    Missing,
+    Paragraph,
+    Part,
+    Plate,
+    Section,
+    attempted,
+    drawn,
+    html,
+    plate,
+    sentence,
+)
+from platform_ctrl.report.budget_page import budget_blocks
+from platform_ctrl.report.campaign_page import as_section, digests
+from platform_ctrl.report.campaign_tables import campaign_words
+from platform_ctrl.report.captions import compared_with_alternatives, opening, sentences
+from platform_ctrl.report.figures.axes_picture import axes_picture
 from platform_ctrl.report.figures.coupled import (
     coupled_pole_figure,
     margin_bars_figure,
@@ -34,38 +55,16 @@ from platform_ctrl.report.figures.loop import (
     root_locus_plot,
     sensitivity_figure,
 )
-from platform_ctrl.report.loop_responses import loop_responses, palette_of
-from platform_ctrl.report.modes import nutates
-from platform_ctrl.report.page import captions, comparison, tables
-from platform_ctrl.report.page.blocks import (
-    Block,
-    Document,
-    Facts,
-    Fold,
-    Listing,
-    Missing,
-    Paragraph,
-    Part,
-    Plate,
-    Section,
-    attempted,
-    drawn,
-    html,
-    plate,
-    sentence,
-)
-from platform_ctrl.report.page.budget_page import budget_blocks
-from platform_ctrl.report.page.campaign_page import as_section, digests
-from platform_ctrl.report.page.campaign_tables import campaign_words
-from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
-from platform_ctrl.report.page.first_screen import (
+from platform_ctrl.report.figures.time_run import time_run
+from platform_ctrl.report.first_screen import (
     change_part,
     first_screen,
     own_results,
     section_verdict,
     with_campaign,
 )
-from platform_ctrl.report.plots.time_run import time_run
+from platform_ctrl.report.loop_responses import loop_responses, palette_of
+from platform_ctrl.report.modes import nutates
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
 from platform_ctrl.verification.simulated import Run

@@ -27,7 +27,7 @@ from platform_ctrl.job.quantities import (
     quantity,
 )
 from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES, of_readings, requirement
-from platform_ctrl.report.page.blocks import Cell, Column, Group, Row, Table, cells
+from platform_ctrl.report.blocks import Cell, Column, Group, Row, Table, cells
 from platform_ctrl.verification.proofs import Proofs
 from platform_ctrl.verification.verdict import JobResult
 

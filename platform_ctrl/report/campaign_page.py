@@ -7,18 +7,18 @@ import os
 from pathlib import Path
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.campaign.identity import identity, source_hashes
 from platform_ctrl.campaign.influences import Influence
-from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.single_run import ROUNDING, rerun
+from platform_ctrl.campaign.statistics import Probability
+from platform_ctrl.campaign.store import identity, source_hashes
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.quantities import listed, plain, power_of_ten
+from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report import style
-from platform_ctrl.report.page import campaign_tables as tables
-from platform_ctrl.report.page.blocks import (
+from platform_ctrl.report.blocks import (
     Block,
     Cell,
     Column,
@@ -43,10 +43,10 @@ from platform_ctrl.report.page.blocks import (
     sentence,
     table,
 )
-from platform_ctrl.report.page.captions import sentences
-from platform_ctrl.report.page.tables import record_part, versions
-from platform_ctrl.report.plots.campaign import exceedance_figure, histogram_figure
-from platform_ctrl.report.plots.time_run import time_run
+from platform_ctrl.report.captions import sentences
+from platform_ctrl.report.figures.campaign import exceedance_figure, histogram_figure
+from platform_ctrl.report.figures.time_run import time_run
+from platform_ctrl.report.tables import record_part, versions
 from platform_ctrl.verification.verdict import JobResult
 
 RERUN_COMMAND = "platform-ctrl simulate job.toml --run"

@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.quantities import plain, quantity
 from platform_ctrl.plant.sensors import LOS_ANGLES
-from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Table, drawn, sentence, table
-from platform_ctrl.report.page.captions import sentences
+from platform_ctrl.report.blocks import Block, Paragraph, Part, Table, drawn, sentence, table
+from platform_ctrl.report.captions import sentences
 from platform_ctrl.report.style import (
     DASHED,
     INK,

@@ -28,9 +28,8 @@ from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.platform import Torquer
 from platform_ctrl.plant.sensors import PickOff
 from platform_ctrl.plant.writing import toml
-from platform_ctrl.report.modes import Mode, modes_at
-from platform_ctrl.report.page import comparison
-from platform_ctrl.report.page.blocks import (
+from platform_ctrl.report import comparison
+from platform_ctrl.report.blocks import (
     Cell,
     Column,
     Fold,
@@ -43,6 +42,7 @@ from platform_ctrl.report.page.blocks import (
     Table,
     table,
 )
+from platform_ctrl.report.modes import Mode, modes_at
 from platform_ctrl.verification import result_file
 from platform_ctrl.verification.proofs import PROVED
 from platform_ctrl.verification.verdict import JobResult

@@ -15,7 +15,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import count, listed
 from platform_ctrl.plant.drawing import camera, signs, spin_direction
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
-from platform_ctrl.report.axes.view import (
+from platform_ctrl.report.figures.axes_view import (
     SIGNS,
     arrow_head,
     attribute,

@@ -18,9 +18,9 @@ from platform_ctrl.job.quantities import HZ, RPM, plain
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.state_space import state_space, subsystems, whole_subsystems
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.report.figures.panels import LabelPlacer
+from platform_ctrl.report.figures.root_locus import increasing, with_rotors_at_rest
 from platform_ctrl.report.modes import poles_and_kinds
-from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.root_locus import increasing, with_rotors_at_rest
 from platform_ctrl.report.style import (
     LIMIT,
     MARKERS,

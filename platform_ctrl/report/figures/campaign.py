@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.campaign.engine import CampaignResult
+from platform_ctrl.campaign.statistics import CampaignStatistics, Limits, RequirementStatistics, statistics
 from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import Table
-from platform_ctrl.campaign.table_statistics import CampaignStatistics, Limits, RequirementStatistics, statistics
 from platform_ctrl.common.arguments import one_of, short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError

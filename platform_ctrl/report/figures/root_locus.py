@@ -25,9 +25,8 @@ from platform_ctrl.job.quantities import plain as number
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.panels import control_plot
-from platform_ctrl.report.plots.pole_map import View, s_plane, upper_half_plane, view_of
+from platform_ctrl.report.figures.panels import LabelPlacer, control_plot
+from platform_ctrl.report.figures.pole_map import View, s_plane, upper_half_plane, view_of
 from platform_ctrl.report.style import INK, LIMIT, SERIES, panels, standalone
 
 if TYPE_CHECKING:

@@ -25,12 +25,12 @@ from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.job.quantities import BOUND, HZ, compared, count, disk_words, listed, percent, plain, quantity
 from platform_ctrl.job.requirements import FAULTS, WORST_CASE, of_readings
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.report import campaign_tables
+from platform_ctrl.report.campaign_tables import all_drivers, causes, value_name
+from platform_ctrl.report.comparison import plants_in_words
 from platform_ctrl.report.figures.loop import SENSITIVITIES, damping_rays, limited
 from platform_ctrl.report.loop_responses import LoopResponses
-from platform_ctrl.report.page import campaign_tables
-from platform_ctrl.report.page.campaign_tables import all_drivers, causes, value_name
-from platform_ctrl.report.page.comparison import plants_in_words
-from platform_ctrl.report.page.tables import verdict
+from platform_ctrl.report.tables import verdict
 from platform_ctrl.verification.proofs import PROVED, Proofs
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult

@@ -22,8 +22,8 @@ from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_pla
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.quantities import BOUND, DASH, compared, count, listed, percent, plain
-from platform_ctrl.report.page import tables
-from platform_ctrl.report.page.blocks import (
+from platform_ctrl.report import tables
+from platform_ctrl.report.blocks import (
     Block,
     Cell,
     Column,
@@ -41,10 +41,10 @@ from platform_ctrl.report.page.blocks import (
     plate,
     sentence,
 )
-from platform_ctrl.report.page.campaign_tables import campaign_words
-from platform_ctrl.report.page.captions import sentences, tightest
-from platform_ctrl.report.plots.nichols import draw_region
-from platform_ctrl.report.plots.panels import decibels, loop_phase
+from platform_ctrl.report.campaign_tables import campaign_words
+from platform_ctrl.report.captions import sentences, tightest
+from platform_ctrl.report.figures.nichols import draw_region
+from platform_ctrl.report.figures.panels import decibels, loop_phase
 from platform_ctrl.report.style import LIMIT, REFERENCE, legend, line_style, panels
 from platform_ctrl.verification.changes import Change
 from platform_ctrl.verification.verdict import JobResult

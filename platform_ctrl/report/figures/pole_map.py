@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.quantities import HZ
-from platform_ctrl.report.plots.label_placement import LabelPlacer
+from platform_ctrl.report.figures.panels import LabelPlacer
 from platform_ctrl.report.style import BAND, FRAME, REFERENCE, linear_axis
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8)

@@ -1,1 +1,0 @@
-"""Plots for scripts: of systems, loops, plants, runs and campaigns; each file draws one kind."""
