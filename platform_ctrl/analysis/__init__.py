@@ -7,7 +7,7 @@ which may have leading batch axes in the functions that a tuner calls. Systems a
 
 from __future__ import annotations
 
-from platform_ctrl.analysis.bandwidths import bandwidth
+from platform_ctrl.analysis.classical_margins import bandwidth
 from platform_ctrl.analysis.feedback import (
     closed_loop,
     loop_transfer,

@@ -36,11 +36,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.drift import over_a_cycle
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.periodic import pruned
-from platform_ctrl.analysis.poles import poles
+from platform_ctrl.analysis.poles import over_a_cycle, poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import energy_rows, late_outputs, sampled, with_lag
 from platform_ctrl.analysis.system import ComplexArray, System, scaled

@@ -14,61 +14,53 @@ grid's spacing (`Loop.grid_peaks`): quick enough for a search. Over all frequenc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable
 from functools import cached_property
-from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.between_samples import Disturbed
-from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.drift import Drift, unseen_equilibria, without_drift
+from platform_ctrl.analysis.classical_margins import bandwidth_of_sensitivity
 from platform_ctrl.analysis.feedback import (
     closed_loop,
     commanded_loop,
     sensitivities_of_plants,
     with_error_alone,
 )
-from platform_ctrl.analysis.norms import Band, gains
+from platform_ctrl.analysis.norms import PEAK_TOLERANCE, Band, exceeds, gains, peak, refined_peak
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.poles import (
+    Drift,
+    continuous_poles,
+    poles,
+    resonances,
+    spectral_abscissa,
+    unseen_equilibria,
+    without_drift,
+)
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.time_responses import step_responses
+from platform_ctrl.analysis.transfers import S_INPUT, S_OUTPUT, Channel, Parts, Transfer
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import ArgumentError
 
 # Half-width of a resonance over the grid's spacing, up to which it may hide between two points of the grid.
 _NARROW = 0.5
+# Share of the slowest pole's frequency at which a response is at its limit for zero frequency.
+_LIMIT = 1e-2
+# Below this share of the sample rate a response of sampled plants is rounding.
+_ROUNDING = 1e-8
+# A gain that is larger by this factor at a tenth of that grows without bound towards zero.
+_GROWING = 5.0
+# Relative distance above a bandwidth at which S is seen to reach its level.
+_ABOVE = 1e-7
+SENSITIVITIES = (S_OUTPUT, S_INPUT)
 
-
-class Transfer(NamedTuple):
-    """A part of the closed loop: from `source` to `target`, and `direct` times the identity.
-
-    From torque to torque the closed loop is −T = S − I at the plants' input, from noise to angle at their output.
-    With `of_limit` every torque is taken by itself, over its torquer's limit, for platform rates over the set's Omega.
-    """
-
-    source: Literal["torque", "Omega", "noise", "command"]
-    target: Literal["torque", "angle", "sight"]
-    direct: float = 0.0
-    of_limit: bool = False
-
-
-S_OUTPUT, S_INPUT = Transfer("noise", "angle", 1.0), Transfer("torque", "torque", 1.0)
-FOLLOWING = Transfer("command", "angle", 1.0)  # from a command to its error
-T_OUTPUT, T_INPUT = Transfer("noise", "angle"), Transfer("torque", "torque")
-# (S − T)/2 = S − I/2
-HALF_OUTPUT, HALF_INPUT = Transfer("noise", "angle", 0.5), Transfer("torque", "torque", 0.5)
-ANGLE_PER_OMEGA, ANGLE_PER_TORQUE = Transfer("Omega", "angle"), Transfer("torque", "angle")
-SIGHT_PER_OMEGA = Transfer("Omega", "sight")
-TORQUE_SHARE = Transfer("Omega", "torque", of_limit=True)
 
 Indices = NDArray[np.intp]
-
-# Where a peak is looked for: parts of the closed loop, or one between named signals.
-Parts = Sequence[Transfer] | Channel
 
 
 class Loop:
@@ -83,11 +75,10 @@ class Loop:
         self.two_degrees = None if self.controller is controller else controller
         self.m, self.p = plants.B.shape[-1], plants.C.shape[-2]
         self.period, self.slow = plants.period, plants.nutation / 10.0
-        # By metric and plant: exact values with their frequencies, rad/s, and values that a plant is no worse than.
-        self.exact_values: dict[tuple[object, int], tuple[float, float]] = {}
-        self.proved: dict[tuple[object, int], float] = {}
-        # By plant: overshoot and settling time of each channel, (p,).
-        self.of_steps: dict[int, tuple[FloatArray, FloatArray]] = {}
+        # By what they are of: exact values with their frequencies, rad/s, and levels that are shown not to be exceeded.
+        self._exact: dict[Hashable, tuple[float, float]] = {}
+        self._below: dict[Hashable, float] = {}
+        self._steps: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     @cached_property
     def arrays(self) -> System:
@@ -146,11 +137,7 @@ class Loop:
     def following(self) -> System:
         """Closed loops (N, ...) from commands to what is measured, at the samples, then at the instants between."""
         plants, m, p = self.plants, self.m, self.p
-        arrays = plants.arrays
-        seen = arrays._replace(
-            C=np.concatenate([arrays.C, plants.C_between], axis=-2),
-            D=np.concatenate([arrays.D, plants.D_between[..., :m]], axis=-2),
-        )
+        seen = plants.whole.part([*range(p), *range(p + len(plants.sight), plants.whole.C.shape[-2])], slice(m))
         K = with_error_alone(self.controller) if self.two_degrees is None else self.two_degrees
         return commanded_loop(seen, K, range(m), range(p)).part(slice(m, None), slice(m, None))
 
@@ -195,19 +182,66 @@ class Loop:
     def _sensitivities(self) -> tuple[ComplexArray, ComplexArray]:
         return sensitivities_of_plants(self.plants.response, self.K)
 
-    def only(self, chosen: Sequence[int]) -> Loop:
-        """Return the loops of some of the plants (indices): what is computed here is taken over."""
-        index = np.asarray(chosen, dtype=np.intp)
-        out = Loop(self.plants.only(chosen), self._given)
-        out.K, out.poles, out.decay = self.K, self.poles[index], self.decay[index]
-        out.S_output, out.S_input = self.S_output[index], self.S_input[index]
-        out.arrays, out.own_arrays = self.arrays.at(index), self.own_arrays.at(index)
-        return out
+    def peak(self, parts: Parts, band: Band, k: int) -> tuple[float, float]:
+        """Return the largest gain of parts of plant `k`'s loop in a band, to 1e-9 from above, and its frequency, rad/s.
+
+        Infinite of an unstable loop. Of continuous disturbances it is that of a grid, refined around its tops.
+        """
+
+        def found() -> tuple[float, float]:
+            if not self.decay[k] > 0.0:
+                return np.inf, 0.0
+            if self._of_continuous(parts):
+                return self._refined(parts, band, k)
+            known = None if isinstance(parts, Channel) else self.poles[k]
+            return max(peak(part, band, known) for part in self.parts(parts, k))
+
+        return self._once(("peak", parts, band, k), found)
+
+    def bandwidth(self, k: int) -> float:
+        """Return the frequency, rad/s, from below, up to which plant `k`'s sensitivities stay below 1/√2."""
+
+        def found() -> tuple[float, float]:
+            if not self.decay[k] > 0.0:
+                return 0.0, 0.0
+            at = min(bandwidth_of_sensitivity(part, self.poles[k]) for part in self.parts(SENSITIVITIES, k))
+            return (1.0 - PEAK_TOLERANCE) * at, (1.0 + _ABOVE) * at
+
+        return self._once(("bandwidth", k), found)[0]
+
+    def controller_peak(self, lowest: float) -> float:
+        """Return the largest gain of the controller from a frequency, rad/s, on, to 1e-9 from above."""
+        return self._once(("controller", lowest), lambda: peak(self.controller, (lowest, np.inf)))[0]
+
+    def _once(self, of: Hashable, found: Callable[[], tuple[float, float]]) -> tuple[float, float]:
+        if of not in self._exact:
+            self._exact[of] = found()
+        return self._exact[of]
+
+    def below(self, parts: Parts, band: Band, k: int, level: float) -> bool:
+        """Return whether the gains of parts of plant `k`'s stable loop are shown not to exceed a level in a band."""
+        of = (parts, band, k)
+        if self._below.get(of, np.inf) <= level:
+            return True
+        if self._of_continuous(parts):
+            exceeded = self._refined(parts, band, k)[0] > level
+        else:
+            exceeded = any(exceeds(part, level, self.poles[k], band) for part in self.parts(parts, k))
+        if not exceeded:
+            self._below[of] = level
+        return not exceeded
+
+    def steps(self, k: int) -> tuple[FloatArray, FloatArray]:
+        """Return times (N,), s, and the responses (p, N) of plant `k`'s stable loop to steps of its commands."""
+        if k not in self._steps:
+            loop = self.settled(self.following.at(k))
+            self._steps[k] = step_responses(loop, float(self.decay[k]), self.plants.between)
+        return self._steps[k]
 
     @property
     def peak_frequencies(self) -> FloatArray:
         """Frequencies, rad/s, at which the exact values computed so far are reached."""
-        w = np.array([at for _, at in self.exact_values.values()])
+        w = np.array([at for _, at in self._exact.values()])
         return np.unique(w[np.isfinite(w) & (w > 0.0)])
 
     def channel(self, channel: Channel | None) -> System:
@@ -253,20 +287,42 @@ class Loop:
     def _shares(self) -> FloatArray:
         return np.asarray(self.plants.Omega / self.plants.torque_limit[:, None])
 
+    def _of_continuous(self, parts: Parts) -> bool:
+        return not isinstance(parts, Channel) and any(self.between(one) for one in parts)
+
+    def _refined(self, parts: Parts, band: Band, k: int) -> tuple[float, float]:
+        """Return the largest gain of parts from continuous disturbances, and its frequency, rad/s.
+
+        Infinite where it grows without bound towards zero frequency.
+        """
+        grid, s = self.plants.frequency, continuous_poles(self.poles[k], self.period)
+        s = s[np.isfinite(s)]
+        own = resonances(s)
+        slowest = np.abs(s[s != 0.0]).min(initial=grid[0])
+        low = max(min(_LIMIT * float(slowest), grid[0]), _ROUNDING / self.period)
+        w = np.concatenate([np.geomspace(low, grid[0], 20), grid, own[own >= low]])
+        sampling = 2.0 * np.pi / self.period
+        # A disturbance may be faster than what is sampled.
+        w = np.concatenate([w, *(abs(n * sampling + sign * w) for n in (1, 2) for sign in (-1.0, 1.0))])
+        edges = [edge for edge in band if 0.0 < edge < np.inf]
+        w = np.unique(np.concatenate([w[(w >= band[0]) & (w <= band[1]) & (w >= low)], edges]))
+        if band[0] == 0.0:
+            slow, slower = self.gain_at(parts, w[0] * np.array([1.0, 0.1]), k)
+            if slower > _GROWING * slow:
+                return np.inf, 0.0
+        return refined_peak(lambda at: self.gain_at(parts, at, k), w)
+
     def gain_at(self, parts: Parts, frequency: FloatArray, k: int = 0) -> FloatArray:
         """Return the largest gain (F,) of parts of the closed loop with plant `k` at any frequencies (F,), rad/s."""
         continuous = () if isinstance(parts, Channel) else [one for one in parts if self.between(one)]
-        sampled = parts if isinstance(parts, Channel) else [one for one in parts if not self.between(one)]
+        sampled = parts if isinstance(parts, Channel) else tuple(one for one in parts if not self.between(one))
         found = [gains(one, frequency) for one in (self.parts(sampled, k) if sampled else ())]
         if continuous:
-            alone = Loop(replaced(self.plants.only([k]), {"disturbed": None}).on(frequency), self._given)
+            controller = self.controller if self.two_degrees is None else self.two_degrees
+            alone = Loop(replaced(self.plants.only([k]), {"disturbed": None}).on(frequency), controller)
             first = np.zeros(1, dtype=np.intp)
             found += [largest_singular_values(one[0]) for part in continuous for one in alone.responses(part, first)]
         return np.asarray(np.max(found, axis=0))
-
-    @property
-    def _given(self) -> System:
-        return self.controller if self.two_degrees is None else self.two_degrees
 
     def responses(self, transfer: Transfer, members: Indices) -> list[ComplexArray]:
         """Return the responses of a part of some closed loops on the grid, (k, F, ...), which may be several."""

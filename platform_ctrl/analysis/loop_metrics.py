@@ -8,13 +8,12 @@ from typing import get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.direct_metrics import torque_noise
 from platform_ctrl.analysis.loop import Indices, Loop
-from platform_ctrl.analysis.measuring import Direct, MetricRequest, Request
+from platform_ctrl.analysis.measuring import MetricRequest, Request, torque_noise
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
 from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.transfers import Channel
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -104,7 +103,7 @@ def measure(
         if not (_is_of_nominal(request) or request.kind in _OF_ALL or key in requested):
             requested[key] = measured(loops, request, exact=exact)
     return LoopMetrics(
-        bandwidth=exact_value(loops, _BANDWIDTH) if exact else float(bandwidth.values(loops, _BANDWIDTH, _FIRST)[0]),
+        bandwidth=loops.bandwidth(0) if exact else float(bandwidth.values(loops, _BANDWIDTH, _FIRST)[0]),
         disk_margin=margin,
         damping=damping,
         decay=loops.decay,
@@ -137,17 +136,6 @@ def _is_of_nominal(request: Request) -> bool:
     return request.kind in _OF_NOMINAL and tuple(request.over) == ("nominal",)
 
 
-def exact_value(loops: Loop, request: Request, k: int = 0) -> float:
-    """Return the value of plant `k` over all frequencies, to 1e-9 from the worse side, in SI units."""
-    measure = METRICS[request.kind].measure
-    if isinstance(measure, Direct):
-        return float(measure.values(loops, request, np.array([k]))[0])
-    place = (_place(request), k)
-    if place not in loops.exact_values:
-        loops.exact_values[place] = measure.exact(loops, request, k)
-    return loops.exact_values[place][0]
-
-
 def worst_exact(loops: Loop, request: Request, values: FloatArray, members: Indices) -> FloatArray:
     """Return values on the grid (k,) with the worst of them exact: none of the plants is worse than that.
 
@@ -158,7 +146,7 @@ def worst_exact(loops: Loop, request: Request, values: FloatArray, members: Indi
     if not metric.searched:
         return out
     if metric.of == "controller":
-        out[0] = exact_value(loops, request)
+        out[0] = metric.measure.exact(loops, request, 0)
         return out
     if not np.all(loops.decay[members] > 0.0):
         # Nothing is worse than a loop that is not stable.
@@ -166,26 +154,9 @@ def worst_exact(loops: Loop, request: Request, values: FloatArray, members: Indi
     at_least = metric.sense == "at least"
     level: float | None = None
     for i in map(int, np.argsort(values if at_least else -values, kind="stable")):
-        if level is None or not _no_worse(loops, request, int(members[i]), level):
-            out[i] = exact_value(loops, request, int(members[i]))
+        k = int(members[i])
+        shown = level is not None and ((at_least and level <= 0.0) or metric.measure.holds(loops, request, k, level))
+        if not shown:
+            out[i] = metric.measure.exact(loops, request, k)
             level = out[i] if level is None else (min if at_least else max)(level, out[i])
     return out
-
-
-def _no_worse(loops: Loop, request: Request, k: int, bound: float) -> bool:
-    metric, place = METRICS[request.kind], (_place(request), k)
-    at_least = metric.sense == "at least"
-    if at_least and bound <= 0.0:
-        return True
-    shown = loops.proved.get(place)
-    if shown is not None and (shown >= bound if at_least else shown <= bound):
-        return True
-    if not metric.measure.holds(loops, request, k, bound):  # type: ignore[union-attr]
-        return False
-    loops.proved[place] = bound
-    return True
-
-
-def _place(request: Request) -> tuple[str, float, float | None, Channel | None]:
-    """Return the key of a value: its request without the plants."""
-    return request.kind, request.lowest, request.frequency, request.channel

@@ -12,22 +12,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from platform_ctrl.analysis.bandwidths import LEVEL, bandwidth_of_response, bandwidth_of_sensitivity
-from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop import S_INPUT, S_OUTPUT, Indices, Loop, Transfer
-from platform_ctrl.analysis.norms import PEAK_TOLERANCE, WHOLE, Band, exceeds, gains, peak, refined_peak
-from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
+from platform_ctrl.analysis.classical_margins import LEVEL, bandwidth_of_response, margins_of_channel
+from platform_ctrl.analysis.loop import SENSITIVITIES, Indices, Loop
+from platform_ctrl.analysis.norms import WHOLE, Band, gains, noise_rms
+from platform_ctrl.analysis.poles import continuous_poles, drifting_rms, poles, resonances
+from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.transfers import Channel, Parts, Transfer
 from platform_ctrl.common.values import FloatArray, value
-
-# Share of the slowest pole's frequency at which a response is at its limit for zero frequency.
-_LIMIT = 1e-2
-# Below this share of the sample rate a response of sampled plants is rounding.
-_ROUNDING = 1e-8
-# A gain that is larger by this factor at a tenth of that grows without bound towards zero.
-_GROWING = 5.0
-# Relative distance above a bandwidth at which S is seen to reach its level.
-_ABOVE = 1e-7
-_SENSITIVITIES = (S_OUTPUT, S_INPUT)
 
 
 class Request(Protocol):
@@ -70,8 +61,24 @@ class MetricRequest:
 Gradient = Callable[[Any, float, float, Any], Any]
 
 
+class Measure:
+    """How a metric is measured."""
+
+    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
+        """Return the values of some plants, (k,), in SI units, or of the controller alone, (1,), for a search."""
+        raise NotImplementedError
+
+    def exact(self, loops: Loop, request: Request, k: int) -> float:
+        """Return the value of plant `k` over all frequencies, to 1e-9 from the worse side, in SI units."""
+        return float(self.values(loops, request, np.array([k]))[0])
+
+    def holds(self, loops: Loop, request: Request, k: int, bound: float) -> bool:
+        """Return whether the value of the stable plant `k` is shown to be no worse than a bound."""
+        return False
+
+
 @value
-class Direct:
+class Direct(Measure):
     """Measured in one step, of poles or covariances."""
 
     # return the value of every plant, (N,), or of the controller, (1,), in SI units
@@ -86,7 +93,7 @@ class Direct:
 
 
 @value
-class Peak:
+class Peak(Measure):
     """The largest gain over frequency of some parts of the closed loop."""
 
     transfers: tuple[Transfer, ...] = ()  # the parts; none: the channel of the request
@@ -95,35 +102,19 @@ class Peak:
 
     def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
         """Return the values of some plants on the grid, (k,): never worse than they are."""
-        return self._of_peak(loops.grid_peaks(self._parts(request), self._band(request), members))
+        return self._of_peak(loops.grid_peaks(*self._of(request), members))
 
-    def exact(self, loops: Loop, request: Request, k: int) -> tuple[float, float]:
-        """Return the value of plant `k`, to 1e-9 from the worse side, and its frequency, rad/s."""
-        if not loops.decay[k] > 0.0:
-            return float(self._of_peak(np.array([np.inf]))[0]), 0.0
-        if self.refined(loops):
-            found, at = _refined(loops, self.transfers, k, self._band(request))
-        else:
-            parts, known = self._parts(request), loops.poles[k] if self.transfers else None
-            found, at = max(peak(part, self._band(request), known) for part in loops.parts(parts, k))
-        return float(self._of_peak(np.array([found]))[0]), at
-
-    def refined(self, loops: Loop) -> bool:
-        """Return whether the value is from continuous disturbances: of a grid that is refined, not exact."""
-        return any(loops.between(one) for one in self.transfers)
+    def exact(self, loops: Loop, request: Request, k: int) -> float:
+        """Return the value of plant `k` over all frequencies."""
+        return float(self._of_peak(np.array([loops.peak(*self._of(request), k)[0]]))[0])
 
     def holds(self, loops: Loop, request: Request, k: int, bound: float) -> bool:
-        """Return whether the value of the stable plant `k` is shown to be no worse than `bound`."""
-        level = 1.0 / bound if self.reciprocal else bound
-        if self.refined(loops):
-            return _refined(loops, self.transfers, k, self._band(request))[0] <= level
-        return _below(loops, self._parts(request), k, level, self._band(request))
+        """Return whether the value of the stable plant `k` is shown to be no worse than a bound."""
+        return loops.below(*self._of(request), k, 1.0 / bound if self.reciprocal else bound)
 
-    def _parts(self, request: Request) -> Sequence[Transfer] | Channel:
-        return self.transfers or request.channel or Channel()
-
-    def _band(self, request: Request) -> Band:
-        return (request.lowest, request.frequency) if self.banded and request.frequency is not None else WHOLE
+    def _of(self, request: Request) -> tuple[Parts, Band]:
+        band = (request.lowest, request.frequency) if self.banded and request.frequency is not None else WHOLE
+        return self.transfers or request.channel or Channel(), band
 
     def _of_peak(self, peaks: FloatArray) -> FloatArray:
         if not self.reciprocal:
@@ -133,7 +124,7 @@ class Peak:
 
 
 @value
-class Bandwidth:
+class Bandwidth(Measure):
     """The lowest frequency, rad/s, at which the largest singular value of S reaches 1/√2; 0 of an unstable loop."""
 
     gradient: Gradient
@@ -142,16 +133,13 @@ class Bandwidth:
         """Return the values of some plants on the grid, rad/s, (k,)."""
         return np.array([self._on_grid(loops, int(k)) for k in members])
 
-    def exact(self, loops: Loop, request: Request, k: int) -> tuple[float, float]:
-        """Return the value of plant `k`, rad/s, from below, and a frequency at which S is seen to be that large."""
-        if not loops.decay[k] > 0.0:
-            return 0.0, 0.0
-        at = min(bandwidth_of_sensitivity(part, loops.poles[k]) for part in loops.parts(_SENSITIVITIES, k))
-        return (1.0 - PEAK_TOLERANCE) * at, (1.0 + _ABOVE) * at
+    def exact(self, loops: Loop, request: Request, k: int) -> float:
+        """Return the value of plant `k`, rad/s, from below."""
+        return loops.bandwidth(k)
 
     def holds(self, loops: Loop, request: Request, k: int, bound: float) -> bool:
         """Return whether S of the stable plant `k` is shown to stay below the level up to `bound`."""
-        return _below(loops, _SENSITIVITIES, k, LEVEL, (0.0, bound))
+        return loops.below(SENSITIVITIES, (0.0, bound), k, LEVEL)
 
     def _on_grid(self, loops: Loop, k: int) -> float:
         if not loops.decay[k] > 0.0:
@@ -159,57 +147,87 @@ class Bandwidth:
         frequency = loops.plants.frequency
         found = min(float(bandwidth_of_response(frequency, S[k])) for S in (loops.S_output, loops.S_input))
         w = loops.narrow.get(k, np.zeros(0))
-        high = [w[gains(part, w) >= LEVEL] for part in loops.parts(_SENSITIVITIES, k)] if w.size else []
+        high = [w[gains(part, w) >= LEVEL] for part in loops.parts(SENSITIVITIES, k)] if w.size else []
         return min([found, *(float(part.min(initial=np.inf)) for part in high)])
 
 
 @value
-class ControllerGain:
+class ControllerGain(Measure):
     """The largest gain of the controller from a frequency on."""
 
     def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
         """Return the value on the grid, (1,)."""
-        K, start = loops.controller, _start(loops, request)
+        K, start = loops.controller, self._start(loops, request)
         own = resonances(continuous_poles(poles(K.A), K.dt))
-        grid = loops.plants.frequency
-        w = np.concatenate([grid, own, [start, np.pi / K.dt]])
+        w = np.concatenate([loops.plants.frequency, own, [start, np.pi / K.dt]])
         return np.array([gains(K, w[(w >= start) & (w <= np.pi / K.dt)]).max(initial=0.0)])
 
-    def exact(self, loops: Loop, request: Request, k: int) -> tuple[float, float]:
-        """Return the value, to 1e-9 from above, and its frequency, rad/s."""
-        return peak(loops.controller, (_start(loops, request), np.inf))
+    def exact(self, loops: Loop, request: Request, k: int) -> float:
+        """Return the value over all frequencies."""
+        return loops.controller_peak(self._start(loops, request))
+
+    def _start(self, loops: Loop, request: Request) -> float:
+        return loops.slow if request.frequency is None else request.frequency
 
 
-def _refined(loops: Loop, parts: Sequence[Transfer], k: int, band: Band) -> tuple[float, float]:
-    """Return the largest gain of parts of a loop from continuous disturbances, and its frequency, rad/s.
-
-    Infinite where it grows without bound towards zero frequency.
-    """
-    period, grid = loops.period, loops.plants.frequency
-    s = continuous_poles(loops.poles[k], period)
-    own = resonances(s[np.isfinite(s)])
-    slowest = np.abs(s[np.isfinite(s) & (s != 0.0)]).min(initial=grid[0])
-    low = max(min(_LIMIT * float(slowest), grid[0]), _ROUNDING / period)
-    w = np.concatenate([np.geomspace(low, grid[0], 20), grid, own[own >= low]])
-    sampling = 2.0 * np.pi / period
-    # A disturbance may be faster than what is sampled.
-    w = np.concatenate([w, *(abs(n * sampling + sign * w) for n in (1, 2) for sign in (-1.0, 1.0))])
-    edges = [edge for edge in band if 0.0 < edge < np.inf]
-    w = np.unique(np.concatenate([w[(w >= band[0]) & (w <= band[1]) & (w >= low)], edges]))
-
-    def gain(at: FloatArray) -> FloatArray:
-        return loops.gain_at(parts, at, k)
-
-    if band[0] == 0.0:
-        slow, slower = gain(w[0] * np.array([1.0, 0.1]))
-        if slower > _GROWING * slow:
-            return np.inf, 0.0
-    return refined_peak(gain, w)
+# Time after which the noise of a loop that drifts counts, s: a random walk has no rms.
+DRIFT_TIME = 3600.0
 
 
-def _start(loops: Loop, request: Request) -> float:
-    return loops.slow if request.frequency is None else request.frequency
+def of_following(function: Callable[[System], FloatArray]) -> Callable[[Loop, Request], FloatArray]:
+    """Return the measure of the worst channel of each plant; infinite of an unstable loop."""
+    return _worst(lambda loops, k: function(loops.settled(loops.following.at(k).part(slice(loops.p), slice(None)))))
 
 
-def _below(loops: Loop, parts: Sequence[Transfer] | Channel, k: int, level: float, band: Band) -> bool:
-    return not any(exceeds(part, level, loops.poles[k], band) for part in loops.parts(parts, k))
+def of_steps(function: Callable[[FloatArray, FloatArray], FloatArray]) -> Callable[[Loop, Request], FloatArray]:
+    """Return the same of a function of the responses to steps: times (N,) and responses (p, N)."""
+    return _worst(lambda loops, k: function(*loops.steps(k)))
+
+
+def _worst(measured: Callable[[Loop, int], FloatArray]) -> Callable[[Loop, Request], FloatArray]:
+    def worst(loops: Loop, request: Request) -> FloatArray:
+        out = np.full(len(loops.plants.labels), np.inf)
+        for k in np.flatnonzero(loops.decay > 0.0):
+            out[k] = float(measured(loops, int(k)).max(initial=0.0))
+        return out
+
+    return worst
+
+
+def of_margins(which: int) -> Callable[[Loop, Request], FloatArray]:
+    """Return the measure of the gain margin, a factor (0), or of the phase margin, rad (1), of the worst channel."""
+
+    def measured(loops: Loop, request: Request) -> FloatArray:
+        out = np.full(len(loops.plants.labels), 1.0 - which)
+        for k in np.flatnonzero(loops.decay > 0.0):
+            alone = [loops.settled(loops.own_arrays.at(k).part([i], [i])) for i in range(loops.m)]
+            out[k] = min(margins_of_channel(one._replace(D=one.D + 1.0))[which] for one in alone)
+        return out
+
+    return measured
+
+
+def torque_noise(loops: Loop, plants: slice = slice(None)) -> FloatArray:
+    """Return the rms of every torque from the noise of the sensors, N m, (k, m); infinite of an unstable loop."""
+    m, everything = loops.m, slice(None)
+    to_torque = loops.own_arrays.at(plants).part(slice(m), everything)
+    out = _rms(loops, to_torque.part(everything, slice(m, None)), loops.plants.noise)
+    fed = loops.plants.feedforward
+    if fed is not None:
+        out = np.hypot(out, _rms(loops, fed.noise_of_torques(to_torque), np.ones(len(fed.sensors))))
+    return out
+
+
+def _rms(loops: Loop, systems: System, rms: FloatArray) -> FloatArray:
+    """Return the rms (k, m) of outputs from white samples, of a loop that drifts after an hour."""
+    if not loops.plants.drifting:
+        return noise_rms(systems, rms, allow_unstable=True)
+    return np.array([drifting_rms(systems.at(k), rms, DRIFT_TIME) for k in range(len(systems.A))])
+
+
+def channel_h2_norm(loops: Loop, request: Request) -> FloatArray:
+    """Return the H2 norm between the signals of the request's channel, of each plant."""
+    part = loops.channel(request.channel)
+    rms = noise_rms(part, np.ones(part.B.shape[-1]), allow_unstable=True)
+    with np.errstate(over="ignore"):
+        return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)

@@ -11,18 +11,22 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.direct_metrics import (
+from platform_ctrl.analysis.measuring import (
     DRIFT_TIME,
+    Bandwidth,
+    ControllerGain,
+    Direct,
+    Peak,
     channel_h2_norm,
     of_following,
     of_margins,
     of_steps,
-    ramp_error,
-    steady_error,
     torque_noise,
 )
-from platform_ctrl.analysis.drift import drifting_rms
-from platform_ctrl.analysis.loop import (
+from platform_ctrl.analysis.poles import drifting_rms, fastest_pole, minimum_damping, poles
+from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.time_responses import overshoot, ramp_error, settling_time, steady_error
+from platform_ctrl.analysis.transfers import (
     ANGLE_PER_OMEGA,
     ANGLE_PER_TORQUE,
     FOLLOWING,
@@ -35,9 +39,6 @@ from platform_ctrl.analysis.loop import (
     T_OUTPUT,
     TORQUE_SHARE,
 )
-from platform_ctrl.analysis.measuring import Bandwidth, ControllerGain, Direct, Peak
-from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
-from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 
 Sense = Literal["at least", "at most"]
@@ -224,7 +225,7 @@ METRICS: dict[str, Metric] = {
         key="overshoot",
         sense="at most",
         meaning="of what is measured, over a step of its reference, u = K (y − reference), relative; worst channel",
-        measure=Direct(function=of_steps(0)),
+        measure=Direct(function=of_steps(overshoot)),
         scopes=("", "worst_case"),
     ),
     "settling time": Metric(
@@ -233,7 +234,7 @@ METRICS: dict[str, Metric] = {
         unit="s",
         sense="at most",
         meaning="until what is measured stays within 2 % of a step of its reference; worst channel",
-        measure=Direct(function=of_steps(1)),
+        measure=Direct(function=of_steps(settling_time)),
         scopes=("", "worst_case"),
     ),
     "steady-state error": Metric(

@@ -22,12 +22,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.drift import unseen_equilibria, without_drift_over_a_cycle
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.margins import DiskMargin, no_margin
 from platform_ctrl.analysis.mu import search_grid
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.poles import (
+    continuous_poles,
+    poles,
+    spectral_abscissa,
+    unseen_equilibria,
+    without_drift_over_a_cycle,
+)
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import factor
 from platform_ctrl.analysis.singular_values import largest_singular_values

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from platform_ctrl.analysis.between_samples import (
 )
 from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.feedforward import RateFeedforward
-from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, System, named_system
 from platform_ctrl.common.arguments import whole
@@ -35,7 +34,6 @@ BoolArray = NDArray[np.bool_]
 _ALIKE = 1e-9
 # Rate at which drifting angles decay in plants for a synthesis, 1/s: slow beside any loop.
 _REGULAR = 5e-3
-_NO_INSTANTS = np.zeros(0)
 # Ending of the name of a command: what a loop holds a reading at.
 COMMAND = "_command"
 
@@ -44,51 +42,35 @@ COMMAND = "_command"
 Group = Literal["nominal", "uncertainty", "Omega", "angles", "friction", "faults"]
 
 
-# Fields with an entry for each plant, beside what it is called.
-_MATRICES = ("A", "B", "C", "D", "B_Omega", "D_Omega", "C_sight", "D_sight", "C_between", "D_between")
-_OF_EACH = (*_MATRICES, "response")
-
-
 @value
 class PlantSet:
     """Sampled plants of one loop: the nominal one first, then the others that the controller must stabilise."""
 
-    # A, B, C, D: state equations, torques in N m → what is measured: angles in rad, of rate loops rates in rad/s.
-    # Shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m).
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-    period: float  # of the samples, s
+    # All plants, (N, ...). Inputs: m torques, N m, and the rate of the platform, rad/s, (3,), held between samples and
+    # not delayed. Outputs: p that are measured, angles in rad, of rate loops rates in rad/s; q rates of the line of
+    # sight, rad/s; and the measured signals at the instants `between`, one after another.
+    whole: System
     # labels, groups: what each plant is, and what it represents: ``"nominal"``, ``"uncertainty"``, ``"Omega"``,
     # ``"angles"``, ``"friction"`` or ``"faults"``.
     labels: tuple[str, ...]
     groups: tuple[Group, ...]
-    # torques, angles: names of the m inputs and p measured outputs.
+    # torques, angles, sight, states: names of the m inputs, the p measured outputs, those of the line of sight, and the
+    # n states.
     torques: tuple[str, ...]
     angles: tuple[str, ...]
-    # B_Omega, D_Omega: input of the platform's rate in rad/s, held between samples and not delayed, (N, n, 3) in units
-    # of the states; and how it is measured at once, (N, p, 3): by a gyro that turns with the platform.
-    B_Omega: FloatArray
+    sight: tuple[str, ...]
+    states: tuple[str, ...]
     Omega: FloatArray  # (3,): largest platform rate about each axis, rad/s
     torque_limit: FloatArray  # (m,): of each torquer, N m; infinite for one without a limit
     # Nutation frequency of the nominal plant, rad/s: its fastest open-loop motion without torquers. Where it hardly
     # moves by itself, the frequency that is used instead.
     nutation: float
     noise: FloatArray  # (p,): rms of one sample of each pick-off, rad
-    frequency: FloatArray  # (F,): the grid that a tuner measures on, rad/s, up to the Nyquist frequency
-    response: ComplexArray  # complex (N, F, p, m): of the plants on `frequency`, torques → angles, rad/(N m)
-    states: tuple[str, ...]  # names of the n states
-    D_Omega: FloatArray
-    sight: tuple[str, ...]  # names of the q outputs of the line of sight, rad/s
-    # C_sight, D_sight: of these outputs: (N, q, n), and directly from torques and Omega, (N, q, m + 3).
-    C_sight: FloatArray
-    D_sight: FloatArray
-    # C_between, D_between: of the measured signals at instants after a sample, one after another, (N, k p, n) and
-    # (N, k p, m + 3); `between`: these instants, s, (k,).
-    C_between: FloatArray
-    D_between: FloatArray
-    between: FloatArray
+    between: FloatArray  # (k,): instants after a sample, s
+    # The grid that a tuner measures on, (F,), rad/s, up to the Nyquist frequency: see `on`.
+    frequency: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    # complex (N, F, p, m): of the plants on `frequency`, torques → measured outputs.
+    response: ComplexArray = dataclasses.field(default_factory=lambda: np.zeros((0, 0, 0, 0), dtype=np.complex128))
     # What continuous disturbances do; None: the platform's rate and torques that add are held like the torquers'.
     disturbances: LoopResponses | None = None
     # The same on `frequency`; None: not computed yet.
@@ -102,20 +84,44 @@ class PlantSet:
     feedforward: RateFeedforward | None = None
 
     @property
-    def arrays(self) -> System:
-        """All plants, (N, ...), from torques to what is measured."""
-        return System(self.A, self.B, self.C, self.D, self.period)
+    def period(self) -> float:
+        """Sample period, s."""
+        return self.whole.dt
 
     @property
-    def whole(self) -> System:
-        """All plants, (N, ...), from torques and Omega to what is measured, the line of sight and `between`."""
-        return System(
-            self.A,
-            np.concatenate([self.B, self.B_Omega], axis=-1),
-            np.concatenate([self.C, self.C_sight, self.C_between], axis=-2),
-            np.concatenate([np.concatenate([self.D, self.D_Omega], axis=-1), self.D_sight, self.D_between], axis=-2),
-            self.period,
-        )
+    def arrays(self) -> System:
+        """All plants, (N, ...), from torques to what is measured."""
+        return self.whole.part(slice(len(self.angles)), slice(len(self.torques)))
+
+    @property
+    def A(self) -> FloatArray:
+        """State matrices, (N, n, n)."""
+        return self.whole.A
+
+    @property
+    def B(self) -> FloatArray:
+        """Of the torques, (N, n, m)."""
+        return self.arrays.B
+
+    @property
+    def C(self) -> FloatArray:
+        """Of what is measured, (N, p, n)."""
+        return self.arrays.C
+
+    @property
+    def D(self) -> FloatArray:
+        """From torques directly to what is measured, (N, p, m)."""
+        return self.arrays.D
+
+    @property
+    def B_Omega(self) -> FloatArray:
+        """Of the platform's rate, (N, n, 3)."""
+        return self.whole.B[..., len(self.torques) :]
+
+    @property
+    def D_Omega(self) -> FloatArray:
+        """From the platform's rate directly to what is measured, (N, p, 3): by a gyro that turns with the platform."""
+        return self.whole.D[:, : len(self.angles), len(self.torques) :]
 
     def fed_forward(self, feedforward: RateFeedforward) -> PlantSet:
         """Return the plants with feedforward of the platform's rate, its states behind theirs.
@@ -123,14 +129,12 @@ class PlantSet:
         Gains from the platform's rate change, those of the loop do not. The torque that feedforward adds counts in
         what the platform's rate does to the torques, its sensors' noise in what noise does.
         """
-        m, p = len(self.torques), len(self.angles)
-        whole = feedforward.taken_up(self.whole, m, p)
+        whole = feedforward.taken_up(self.whole, len(self.torques), len(self.angles))
         added = whole.A.shape[-1] - len(self.states)
-        states = (*self.states, *(f"feedforward_{k + 1}" for k in range(added)))
         return dataclasses.replace(
             self,
-            **_matrices(whole, m, p, len(self.sight)),
-            states=states,
+            whole=whole,
+            states=(*self.states, *(f"feedforward_{k + 1}" for k in range(added))),
             feedforward=feedforward,
             disturbances=None if self.disturbances is None else feedforward.responses(self.disturbances),
             disturbed=None,
@@ -198,8 +202,9 @@ class PlantSet:
         if not self.drifting:
             return self
         decay = np.where(np.isin(self.states, self.drifting), np.exp(-_REGULAR * self.period), 1.0)[:, None]
-        out = replaced(self, {"A": decay * self.A, "B": decay * self.B, "drifting": ()})
-        return out.on(self.frequency)
+        B = np.concatenate([decay * self.B, self.B_Omega], axis=-1)
+        regular = self.whole._replace(A=decay * self.A, B=B)
+        return replaced(self, {"whole": regular, "drifting": ()}).on(self.frequency)
 
     def system(self, k: int = 0) -> control.StateSpace:
         """Return plant `k` with its signals by name; 0 is the nominal one.
@@ -209,8 +214,7 @@ class PlantSet:
         loop of a controller u = K y.
         """
         k = whole("PlantSet.system: k", k, 0, len(self.labels) - 1)
-        B, D = np.hstack([self.B[k], self.B_Omega[k]]), np.hstack([self.D[k], self.D_Omega[k]])
-        arrays = self.arrays.at(k)._replace(B=B, D=D)
+        arrays = self.whole.at(k).part(slice(len(self.angles)), slice(None))
         return named_system(arrays, [*self.torques, *OMEGA_NAMES], self.angles, self.states)
 
     def joined(self, controller: control.StateSpace | System) -> System:
@@ -269,16 +273,13 @@ class PlantSet:
 
     def in_directions(self, sense: FloatArray) -> PlantSet:
         """Return the set with combinations of its measured outputs, the rows of `sense` (k, p), in their place."""
-        k = len(self.between)
-        seen = np.kron(np.eye(k), sense)
+        from scipy.linalg import block_diag
+
+        seen = block_diag(sense, np.eye(len(self.sight)), np.kron(np.eye(len(self.between)), sense))
         responses = self.disturbances
         return dataclasses.replace(
             self,
-            C=sense @ self.C,
-            D=sense @ self.D,
-            D_Omega=sense @ self.D_Omega,
-            C_between=seen @ self.C_between,
-            D_between=seen @ self.D_between,
+            whole=self.whole._replace(C=seen @ self.whole.C, D=seen @ self.whole.D),
             angles=tuple(f"direction_{k + 1}" for k in range(len(sense))),
             noise=np.sqrt(sense**2 @ self.noise**2),
             response=sense @ self.response,
@@ -314,11 +315,12 @@ class PlantSet:
         index = np.asarray(chosen, dtype=np.intp)
         return dataclasses.replace(
             self,
+            whole=self.whole.at(index),
+            response=self.response[index],
             labels=tuple(self.labels[k] for k in index),
             groups=tuple(self.groups[k] for k in index),
             disturbances=None if self.disturbances is None else self.disturbances.only(index),
             disturbed=None if self.disturbed is None else Disturbed(*(one[index] for one in self.disturbed)),
-            **{name: getattr(self, name)[index] for name in _OF_EACH},
         )
 
 
@@ -333,55 +335,3 @@ def _alike(one: System, other: System) -> bool:
 def members(groups: Sequence[str], of: Sequence[str]) -> BoolArray:
     """Return which entries of `groups` are among `of`."""
     return np.array([group in of for group in groups], dtype=np.bool_)
-
-
-def plant_set(  # noqa: PLR0913 - what a set is made of, by keyword
-    whole: System,
-    *,
-    labels: tuple[str, ...],
-    groups: tuple[Group, ...],
-    torques: tuple[str, ...],
-    angles: tuple[str, ...],
-    sight: tuple[str, ...],
-    states: Sequence[str],
-    Omega: FloatArray,
-    torque_limit: FloatArray,
-    nutation: float,
-    noise: FloatArray,
-    between: FloatArray = _NO_INSTANTS,
-    disturbances: LoopResponses | None = None,
-    drifting: tuple[str, ...] = (),
-    held: tuple[str, ...] = (),
-    dry_friction: bool = False,
-) -> PlantSet:
-    """Return the set of the plants `whole`, as `PlantSet.whole` has them, its responses computed on `tuning_grid`."""
-    out = PlantSet(
-        **_matrices(whole, len(torques), len(angles), len(sight)),
-        period=whole.dt,
-        labels=labels,
-        groups=groups,
-        torques=torques,
-        angles=angles,
-        Omega=Omega,
-        torque_limit=torque_limit,
-        nutation=nutation,
-        noise=noise,
-        frequency=np.zeros(0),
-        response=np.zeros((len(labels), 0, 0, 0), dtype=np.complex128),
-        states=tuple(states),
-        sight=sight,
-        between=between,
-        disturbances=disturbances,
-        drifting=drifting,
-        held=held,
-        dry_friction=dry_friction,
-    )
-    return out.on(tuning_grid(nutation, whole.dt))
-
-
-def _matrices(whole: System, m: int, p: int, q: int) -> dict[str, Any]:
-    """Return the matrices of plants with m torques, p measured outputs and q of the line of sight by field."""
-    A, B, C, D, _ = whole
-    at, of = slice(p, p + q), slice(p + q, None)
-    parts = A, B[..., :m], C[:, :p], D[:, :p, :m], B[..., m:], D[:, :p, m:], C[:, at], D[:, at], C[:, of], D[:, of]
-    return dict(zip(_MATRICES, parts, strict=True))

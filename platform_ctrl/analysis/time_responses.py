@@ -1,8 +1,13 @@
-"""Responses over time, exact for inputs that are held or linear between the samples."""
+"""Responses over time, exact for inputs that are held or linear between the samples, and what steps show of a loop.
+
+Overshoot, settling and errors behind commands are of the samples.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -18,6 +23,14 @@ Hold = Literal["zoh", "foh"]
 
 # Steps that differ by less than this are equal: of the step, and of the times, which are rounded.
 EQUAL, ROUNDING = 1e-9, 1e-15
+
+# Band about the final value that a response has to stay in.
+SETTLED = 0.02
+# Decay times of the slowest pole over which a response is followed; samples after which every second one is left out.
+_DECAYS, _SAMPLES = 12.0, 2**14
+_NO_INSTANTS = np.zeros(0)
+# An error below this share of a step is rounding.
+_NO_ERROR = 1e-8
 
 
 def time_response(
@@ -146,10 +159,101 @@ def _at_samples(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray
 ) -> FloatArray:
     """Return y[k] = C x[k] + D u[k] with x[k+1] = A x[k] + B u[k], (p, N)."""
-    from platform_ctrl.analysis.recurrence import states
-
     x = np.empty((u.shape[1], len(A)))
     x[0] = x0
     x[1:] = (B @ u[:, :-1]).T
-    states(np.ascontiguousarray(A.T), x)
+    compiled_recurrence()(np.ascontiguousarray(A.T), x)
     return C @ x.T + D @ u
+
+
+@cache
+def compiled_recurrence() -> Callable[[FloatArray, FloatArray], None]:
+    """Return the recurrence of states, compiled: it cannot be written as operations on whole arrays."""
+    import numba
+
+    @numba.njit(cache=True, fastmath={"contract"})  # type: ignore[untyped-decorator]
+    def states(transposed: FloatArray, x: FloatArray) -> None:
+        """Turn what drives each step, x[1:] (N - 1, n), into x[k+1] = A x[k] + x[k+1], A transposed (n, n)."""
+        n = x.shape[1]
+        for k in range(1, len(x)):
+            for j in range(n):
+                factor = x[k - 1, j]
+                for i in range(n):
+                    x[k, i] += factor * transposed[j, i]
+
+    return states  # type: ignore[no-any-return]
+
+
+def step_responses(loop: System, decay: float, between: FloatArray = _NO_INSTANTS) -> tuple[FloatArray, FloatArray]:
+    """Return the times (N,), s, and the response (p, N) of each channel to a step of its own reference.
+
+    `decay`: of the slowest pole, 1/s. The loop's outputs are p signals at the samples, then, if there are some, at
+    instants `between` (k,), s, after them; the first of these is the sample itself.
+    """
+    count, p, dt = max(math.ceil(_DECAYS / (decay * loop.dt)), 100), loop.B.shape[-1], loop.dt
+    times, out = [], list[list[FloatArray]]([[] for _ in range(p)])
+    first, stride = 0, 1
+    while True:
+        k = np.arange(min(math.ceil(count / stride), _SAMPLES))
+        times.append(stride * dt * k[first:])
+        for i in range(p):
+            rows = [i] if not len(between) else [p + j * p + i for j in range(len(between))]
+            one = loop.part(rows, [i])._replace(dt=1.0)
+            out[i].append(time_response(one, k, np.ones((1, len(k))), squeeze=False).T[first:].ravel())
+        if stride * _SAMPLES >= count:
+            break
+        # The same response at every second of these samples, on from where they end.
+        loop = loop._replace(A=loop.A @ loop.A, B=loop.A @ loop.B + loop.B)
+        first, stride = _SAMPLES // 2, 2 * stride
+    time = np.add.outer(np.concatenate(times), between if len(between) else np.zeros(1)).ravel()
+    return time, np.array([np.concatenate(one) for one in out])
+
+
+def overshoot(time: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return by how much the step response of each channel exceeds its step, relative: between samples by parabolas."""
+    out = []
+    for one in steps:
+        k = int(np.clip(one.argmax(), 1, len(one) - 2))
+        x, y = time[k - 1 : k + 2] - time[k], one[k - 1 : k + 2]
+        bend, slope, _ = np.polyfit(x, y, 2)
+        top = -0.5 * slope / bend if bend < 0.0 else np.inf
+        out.append(max(float(y.max()), float(y[1] + 0.5 * slope * top) if x[0] < top < x[2] else 0.0))
+    return np.maximum(np.array(out) - 1.0, 0.0)
+
+
+def settling_time(time: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return after which time each channel's step response stays within 2 % of the step, s; infinite: never."""
+    error = np.abs(steps - 1.0)
+    outside = error > SETTLED
+    last = outside.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1)
+    out = []
+    for one, i, moved in zip(error, last, np.any(outside, axis=1), strict=True):
+        if not moved:
+            out.append(0.0)
+        elif i == len(time) - 1:
+            out.append(np.inf)
+        else:
+            share = (one[i] - SETTLED) / (one[i] - one[i + 1])
+            out.append(float(time[i] + share * (time[i + 1] - time[i])))
+    return np.array(out)
+
+
+def steady_error(loop: System) -> FloatArray:
+    """Return the error of each channel that a step leaves, relative."""
+    A, B, C, D, _ = loop
+    left = np.abs(1.0 - np.diag(D + C @ _solved(A, B)))
+    return np.where(left > _NO_ERROR, left, 0.0)
+
+
+def ramp_error(loop: System) -> FloatArray:
+    """Return the error of each channel behind a ramp, over its slope, s; infinite where it grows."""
+    A, B, C, _, dt = loop
+    # With y = G(z) r the error behind r = k dt tends to dt G'(1), G' = −C (zI − A)⁻² B, where G(1) = 1.
+    behind = dt * np.abs(np.diag(C @ _solved(A, _solved(A, B))))
+    return np.where(steady_error(loop) > 0.0, np.inf, behind)
+
+
+def _solved(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Return (I − A)⁻¹ B, in balanced states."""
+    s = state_scaling(A, B, np.zeros((0, len(A))))
+    return np.asarray(np.linalg.solve(np.eye(len(A)) - A * s / s[:, None], B / s[:, None]) * s[:, None])

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from platform_ctrl.analysis.bandwidths import bandwidth_of_response
+from platform_ctrl.analysis.classical_margins import bandwidth_of_response
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.norms import peak

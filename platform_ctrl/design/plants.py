@@ -16,10 +16,11 @@ from platform_ctrl.analysis.between_samples import (
     instants,
     rows_between,
 )
-from platform_ctrl.analysis.drift import without_drift
 from platform_ctrl.analysis.feedback import commanded_loop, with_error_alone
 from platform_ctrl.analysis.feedforward import RateFeedforward
-from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
+from platform_ctrl.analysis.frequency_grids import tuning_grid
+from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.poles import without_drift
 from platform_ctrl.analysis.sampling import every_nth, held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.analysis.system import System, seen_states
 from platform_ctrl.common.values import FloatArray, value
@@ -203,24 +204,25 @@ def sampled_plants(
         times = np.add.outer(sampling.period * np.arange(every), times).ravel()
         states = [states[k] for k in kept]
         responses = SlowerResponses(plain=responses, every=every)
-    return plant_set(
-        whole._replace(dt=period),
+    nutation = loop_reference(linear, period)
+    return PlantSet(
+        whole=whole._replace(dt=period),
         labels=tuple(one.label for one in linear.cases),
         torques=torques,
         angles=names,
-        nutation=loop_reference(linear, period),
+        nutation=nutation,
         noise=np.array([s.sampled_noise(sampling.period, often[s.name]) for s in linear.sensors]),
         groups=tuple(one.group for one in linear.cases),
         Omega=Omega,
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),
-        states=states,
+        states=tuple(states),
         sight=linear.signals.sight,
         between=times,
         disturbances=responses,
         drifting=linear.drifting,
         held=linear.held,
         dry_friction=any(max(one.breakaway) > 0.0 for one in linear.cases[0].platform.frictions),
-    )
+    ).on(tuning_grid(nutation, period))
 
 
 def _responses(
@@ -307,23 +309,24 @@ def around(
         responses = SlowerResponses(plain=responses, every=slower)
     inner = without_drift(inner)
     commands = tuple(f"{name}{COMMAND}" for name in plants.angles[:p])
-    found = plant_set(
-        inner,
+    nutation = tracking_reference(job, spec, plants.nutation, inner.dt / job.every(spec))
+    found = PlantSet(
+        whole=inner,
         labels=plants.labels,
         torques=commands,
         angles=spec.sensors,
-        nutation=tracking_reference(job, spec, plants.nutation, inner.dt / job.every(spec)),
+        nutation=nutation,
         noise=plants.noise[p:],
         groups=plants.groups,
         Omega=job.Omega,
         torque_limit=np.full(p, np.inf),
         sight=plants.sight,
-        states=[f"x{k}" for k in range(inner.A.shape[-1])],
+        states=tuple(f"x{k}" for k in range(inner.A.shape[-1])),
         between=times,
         disturbances=responses,
         held=plants.held,
         dry_friction=plants.dry_friction,
-    )
+    ).on(tuning_grid(nutation, inner.dt))
     z = np.exp(1j * (w := 0.1 * found.nutation) * inner.dt)
     states = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
     effect = np.real(1j * w * (found.C[0] @ states + found.D[0]))

@@ -148,7 +148,7 @@ def percent(share: float) -> str:
 
 def disk_words(alpha: float) -> str:
     """Return what a disk margin allows: gain alone, phase alone, and, as an example, the phase that a gain leaves."""
-    from platform_ctrl.analysis.disks import disk_phase
+    from platform_ctrl.analysis.margins import disk_phase
 
     gain, phase = disk_gain_or_phase(alpha)
     high = (2.0 + alpha) / (2.0 - alpha) if alpha < 2.0 else 4.0
@@ -161,7 +161,7 @@ def disk_words(alpha: float) -> str:
 
 def disk_gain_or_phase(alpha: float) -> tuple[str, str]:
     """Return the gain factors that a disk margin allows by themselves, and the phases."""
-    from platform_ctrl.analysis.disks import disk_to_gain_phase
+    from platform_ctrl.analysis.margins import disk_to_gain_phase
 
     low, high, phase = disk_to_gain_phase(min(alpha, 1e9))
     upper = f"to {at_least(high, 3)}" if math.isfinite(high) else "upwards"

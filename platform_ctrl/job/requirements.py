@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.transfers import Channel
 from platform_ctrl.common.arguments import known_name, one_of, positive
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError

@@ -10,7 +10,6 @@ import numpy as np
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop import Loop
-from platform_ctrl.analysis.loop_metrics import exact_value
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import gains
@@ -122,7 +121,7 @@ def loop_responses(
             of_sight = Loop(rubbing, rubbing.joined(one.controller))
             shown[one.name] |= {kind: of_sight for kind in kinds if _is_of_sight(kind)}
     peaks = {
-        name: {kind: exact_value(loop, MetricRequest(kind=kind)) for kind, loop in of.items()}
+        name: {kind: METRICS[kind].measure.exact(loop, MetricRequest(kind=kind), 0) for kind, loop in of.items()}
         for name, of in shown.items()
     }
     at_peaks = np.concatenate([loop.peak_frequencies for of in shown.values() for loop in of.values()])

@@ -335,7 +335,7 @@ def compile_kernel() -> None:
 
 def compile_ahead() -> None:
     """Compile the largest functions in the order in which they are needed; those in use elsewhere are waited for."""
-    from platform_ctrl.analysis.recurrence import states
+    from platform_ctrl.analysis.time_responses import compiled_recurrence
 
     compile_kernel()
-    states(np.ones((1, 1)), np.ones((1, 1)))
+    compiled_recurrence()(np.ones((1, 1)), np.ones((1, 1)))

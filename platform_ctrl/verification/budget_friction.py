@@ -13,8 +13,13 @@ import numpy as np
 
 from platform_ctrl.analysis.budget_result import Budget as Found
 from platform_ctrl.analysis.disturbances import RandomDisturbance, Spectrum
-from platform_ctrl.analysis.dry_friction import FedFriction, FrictionBalance, friction_balance
-from platform_ctrl.analysis.friction_noise import FoundRate, friction_noise
+from platform_ctrl.analysis.dry_friction import (
+    FedFriction,
+    FoundRate,
+    FrictionBalance,
+    friction_balance,
+    friction_noise,
+)
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.jitter_budget import most_of_sources

@@ -17,14 +17,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.drift import unseen_equilibria, without_drift
 from platform_ctrl.analysis.feedback import closed_loop, loop_of_sensitivity
 from platform_ctrl.analysis.interconnection import interconnect_controllers, interconnected_by_sample
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.periodic import PeriodicLoop
-from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, unseen_equilibria, without_drift
 from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.analysis.system import ComplexArray, System, named_system, seen_states, state_scaling
 from platform_ctrl.common.text import at_most

@@ -9,7 +9,7 @@ import pytest
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from platform_ctrl import design
-from platform_ctrl.analysis.direct_metrics import margins_of_channel
+from platform_ctrl.analysis.classical_margins import margins_of_channel
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.system import System
 from platform_ctrl.job.requirements import requirement

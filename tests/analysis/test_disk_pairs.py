@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 import platform_ctrl as pc
 from one_gyro_job import JOB
 from platform_ctrl import analysis
-from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
+from platform_ctrl.analysis.margins import disk_phase, disk_to_gain_phase
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import disk_words
 from random_loops import stable_loop

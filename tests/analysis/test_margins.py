@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.disks import disk_to_gain_phase
+from platform_ctrl.analysis.margins import disk_to_gain_phase
 from platform_ctrl.analysis.mu import best_mu_bounds
 from random_loops import stable_loop
 

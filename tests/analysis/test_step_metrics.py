@@ -6,8 +6,8 @@ import pytest
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from platform_ctrl import design
-from platform_ctrl.analysis.direct_metrics import overshoot, ramp_error, settling_time, steady_error, step_responses
 from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.time_responses import overshoot, ramp_error, settling_time, steady_error, step_responses
 from platform_ctrl.design.plants import job_signals, linear_plants, loop_cases
 from platform_ctrl.job.requirements import requirement
 

@@ -15,7 +15,7 @@ import pytest
 
 from generated_c import Machine, classical_entry, compiled, compiler, entry, flat, gyro_entry, state_space
 from platform_ctrl import simulation
-from platform_ctrl.analysis.anti_windup import BackCalculation, back_calculation
+from platform_ctrl.analysis.interconnection import BackCalculation, back_calculation
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.sections import flattened
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError

@@ -13,13 +13,13 @@ import platform_ctrl as pc
 from continuous_loop import ContinuousLoop
 from platform_ctrl import design, verification
 from platform_ctrl.analysis import closed_loop, frequency_response
-from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import gains
 from platform_ctrl.analysis.plant_set import Group
+from platform_ctrl.analysis.transfers import Channel
 from platform_ctrl.design.loop import remeasured
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError

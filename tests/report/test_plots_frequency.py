@@ -10,7 +10,7 @@ import pytest
 
 from legend_entries import without_a_curve
 from platform_ctrl import analysis
-from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
+from platform_ctrl.analysis.margins import disk_phase, disk_to_gain_phase
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report import figures
 

@@ -23,10 +23,10 @@ import platform_ctrl as pc
 from legend_entries import without_a_curve
 from passive_gimbal import passive_job
 from platform_ctrl import report
-from platform_ctrl.analysis.loop import Transfer
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.system import named_system
+from platform_ctrl.analysis.transfers import Transfer
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured

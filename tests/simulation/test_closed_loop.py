@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl.analysis import interconnection
-from platform_ctrl.analysis.anti_windup import BackCalculation, back_calculation
+from platform_ctrl.analysis.interconnection import BackCalculation, back_calculation
 from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import PickOff, Platform, Torquer

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.bandwidths import LEVEL
 from platform_ctrl.analysis.between_samples import Disturbed, response_at
+from platform_ctrl.analysis.classical_margins import LEVEL
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet

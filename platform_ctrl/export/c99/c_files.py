@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.anti_windup import back_calculation
+from platform_ctrl.analysis.interconnection import back_calculation
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import one_of

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.loop import FOLLOWING, S_OUTPUT
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.analysis.transfers import FOLLOWING, S_OUTPUT
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign, sampled_plant

@@ -16,8 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, MultipleLocator, NullFormatter, NullLocator
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
-from platform_ctrl.analysis.margins import DiskMargin, disk_margin
+from platform_ctrl.analysis.margins import DiskMargin, disk_margin, disk_phase, disk_to_gain_phase
 from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import LinearSystem

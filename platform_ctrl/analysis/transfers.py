@@ -1,9 +1,9 @@
-"""A performance channel: a part of a closed loop between named signals, with weights on both sides."""
+"""What of a closed loop is measured: a part between places in it, or one between named signals, with weights."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,6 +15,29 @@ from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
     import control
+
+
+class Transfer(NamedTuple):
+    """A part of the closed loop: from `source` to `target`, and `direct` times the identity.
+
+    From torque to torque the closed loop is −T = S − I at the plants' input, from noise to angle at their output.
+    With `of_limit` every torque is taken by itself, over its torquer's limit, for platform rates over the set's Omega.
+    """
+
+    source: Literal["torque", "Omega", "noise", "command"]
+    target: Literal["torque", "angle", "sight"]
+    direct: float = 0.0
+    of_limit: bool = False
+
+
+S_OUTPUT, S_INPUT = Transfer("noise", "angle", 1.0), Transfer("torque", "torque", 1.0)
+FOLLOWING = Transfer("command", "angle", 1.0)  # from a command to its error
+T_OUTPUT, T_INPUT = Transfer("noise", "angle"), Transfer("torque", "torque")
+# (S − T)/2 = S − I/2
+HALF_OUTPUT, HALF_INPUT = Transfer("noise", "angle", 0.5), Transfer("torque", "torque", 0.5)
+ANGLE_PER_OMEGA, ANGLE_PER_TORQUE = Transfer("Omega", "angle"), Transfer("torque", "angle")
+SIGHT_PER_OMEGA = Transfer("Omega", "sight")
+TORQUE_SHARE = Transfer("Omega", "torque", of_limit=True)
 
 Weight: TypeAlias = "float | FloatArray | control.StateSpace | None"
 
@@ -62,19 +85,19 @@ class Channel:
         rows = [known_name("outputs", name, outputs) for name in self.outputs] or list(range(len(outputs)))
         out, dt = system.part(rows, columns), system.dt
         if self.input_weight is not None:
-            weight = weight_arrays(self.input_weight, len(columns), dt, "input_weight")
+            weight = _weight(self.input_weight, len(columns), dt, "input_weight")
             if weight.D.shape[0] != len(columns):
                 raise ArgumentError(f"input_weight: must have {len(columns)} outputs, got {weight.D.shape[0]}")
             out = series(weight, out)
         if self.output_weight is not None:
-            weight = weight_arrays(self.output_weight, len(rows), dt, "output_weight")
+            weight = _weight(self.output_weight, len(rows), dt, "output_weight")
             if weight.D.shape[1] != len(rows):
                 raise ArgumentError(f"output_weight: must have {len(rows)} inputs, got {weight.D.shape[1]}")
             out = series(out, weight)
         return out
 
 
-def weight_arrays(weight: Any, size: int, dt: float, where: str) -> System:
+def _weight(weight: Any, size: int, dt: float, where: str) -> System:
     """Return a weight on `size` signals as arrays, with no states where it is constant."""
     if hasattr(weight, "nstates"):
         own = System.of(weight, where)
@@ -97,3 +120,7 @@ def weight_arrays(weight: Any, size: int, dt: float, where: str) -> System:
         )
     rows, columns = gain.shape
     return System(np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0)), gain, dt)
+
+
+# Where a peak is looked for: parts of the closed loop, or one between named signals.
+Parts = tuple[Transfer, ...] | Channel
