@@ -94,3 +94,16 @@ class NotCertifiedError(DesignError):
 
 class SimulationError(PlatformCtrlError):
     """A simulated run could not be carried out (it diverged, or its set-up is inconsistent)."""
+
+
+def began_with_interrupt(error: BaseException | None) -> bool:
+    """Return whether Ctrl-C caused an error: libraries that are interrupted may raise their own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def reason(error: BaseException) -> str:
+    """Return what is wrong as one line: the message of an error of this package, with its kind of any other."""
+    kind = "" if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: "
+    return f"{kind}{' '.join(str(error).split())}".removesuffix(": ")

@@ -20,8 +20,7 @@ import numpy as np
 
 from platform_ctrl import __version__
 from platform_ctrl.campaign.table import COMPLETED, DIVERGED, ENDED, NOT_SIMULATED, PASSED, Columns, Kind, arrow
-from platform_ctrl.common.files import remove_unfinished, replaced_file
-from platform_ctrl.common.json_text import write_json
+from platform_ctrl.common.files import remove_unfinished, replaced_file, write_json
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.writing import data_hash, job_data, job_hashes
 

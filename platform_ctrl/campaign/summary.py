@@ -15,7 +15,7 @@ from platform_ctrl.campaign.statistics import (
     statistics,
 )
 from platform_ctrl.campaign.table import Table
-from platform_ctrl.common.json_text import plain_types
+from platform_ctrl.common.files import plain_types
 from platform_ctrl.common.values import value
 
 Record = dict[str, Any]

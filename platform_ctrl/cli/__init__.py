@@ -14,7 +14,7 @@ from typing import Any
 
 from platform_ctrl.cli.error_lines import failed, reported
 from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.errors import PlatformCtrlError, began_with_interrupt
 
 __all__ = ["main"]
 
@@ -61,8 +61,6 @@ def _guarded(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = failed(f"standard output: {error.strerror or error}", 1)
     except BaseException as error:
-        from platform_ctrl.common.reasons import began_with_interrupt
-
         if not began_with_interrupt(error):
             raise
         code = INTERRUPTED
@@ -90,8 +88,6 @@ def _run(arguments: list[str]) -> int:
     except typer.Abort:
         return INTERRUPTED
     except PlatformCtrlError as error:
-        from platform_ctrl.common.reasons import began_with_interrupt
-
         if began_with_interrupt(error):
             return INTERRUPTED
         return reported(error)

@@ -9,8 +9,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from platform_ctrl.cli.interrupts import interrupts_deferred
-from platform_ctrl.common.files import UNFINISHED, unfinished_folder
-from platform_ctrl.common.json_text import write_json
+from platform_ctrl.common.files import UNFINISHED, unfinished_folder, write_json
 from platform_ctrl.errors import InputError
 from platform_ctrl.plant.source import read_json
 

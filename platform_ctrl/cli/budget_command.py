@@ -86,7 +86,7 @@ def budget(
             found = replaced(found, {"results": by_simulation(found.results, runs)})
     noted(used)
     if as_json:
-        from platform_ctrl.common.json_text import json_text
+        from platform_ctrl.common.files import json_text
         from platform_ctrl.verification.result_file import budget_record
 
         typer.echo(json_text(budget_record(read, found, runs, others)))

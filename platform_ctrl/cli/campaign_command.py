@@ -142,7 +142,7 @@ def campaign(
         )
     noted(used)
     if as_json:
-        from platform_ctrl.common.json_text import json_text
+        from platform_ctrl.common.files import json_text
 
         typer.echo(json_text(record))
     else:

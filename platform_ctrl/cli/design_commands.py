@@ -284,7 +284,7 @@ def _show(
 ) -> int:
     """Print the result; return the exit code, that of the verdict."""
     from platform_ctrl.cli.terminal import show_result
-    from platform_ctrl.common.json_text import json_text
+    from platform_ctrl.common.files import json_text
 
     there, missing = drawn
     if as_json:

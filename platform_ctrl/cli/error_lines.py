@@ -8,13 +8,11 @@ import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
-from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError
+from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError, began_with_interrupt, reason
 
 
 def not_drawn(path: Path, draw: Callable[[Path], object]) -> str:
     """Write a picture or a page; where that fails return a line that says why, for the result does not depend on it."""
-    from platform_ctrl.common.reasons import began_with_interrupt, reason
-
     try:
         draw(path)
     except Exception as error:

@@ -95,7 +95,7 @@ def export(
     """  # noqa: D301
     from platform_ctrl.cli.atomic_output import own_files, sha256
     from platform_ctrl.cli.terminal import progress
-    from platform_ctrl.common.json_text import json_text
+    from platform_ctrl.common.files import json_text
 
     targets = {"c": c, "mat": mat, "models": models, "csv": csv, "mjcf": mjcf}
     # Files first.

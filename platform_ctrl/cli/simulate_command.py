@@ -115,7 +115,7 @@ def _list(path: Path, as_json: bool) -> int:
     """Print the manoeuvres of a job, and how to choose one."""
     job = job_of(path)
     if as_json:
-        from platform_ctrl.common.json_text import json_text
+        from platform_ctrl.common.files import json_text
 
         listed = [{"number": k, "name": one.name, "mode": one.mode} for k, one in enumerate(job.manoeuvres, 1)]
         typer.echo(json_text({"schema": 1, "job": job.name, "manoeuvres": listed}))
@@ -182,7 +182,7 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool) -> Show
 
 def _show(job: Job, run: Run, more: dict[str, Any] | None = None) -> None:
     """Print a run; with `more` as JSON beside it."""
-    from platform_ctrl.common.json_text import json_text
+    from platform_ctrl.common.files import json_text
     from platform_ctrl.verification.result_file import run_record
     from platform_ctrl.verification.simulated import largest
 

@@ -65,8 +65,7 @@ def new(
     platform-ctrl new eye --kind camera-gimbal
         by what you have
     """  # noqa: D301
-    from platform_ctrl.common.files import write_whole
-    from platform_ctrl.common.json_text import json_text
+    from platform_ctrl.common.files import json_text, write_whole
 
     title, known = _title(name), one_of("--kind", kind, tuple(KINDS))
     files = (f"{title}_plant.toml", f"{title}.toml")
@@ -118,7 +117,7 @@ def models(as_json: Json = False) -> None:
     import tomllib
 
     from platform_ctrl.cli.terminal import screen, show_pairs
-    from platform_ctrl.common.json_text import json_text
+    from platform_ctrl.common.files import json_text
     from platform_ctrl.job.quantities import count
     from platform_ctrl.plant.source import platform_source, shipped_models
 
@@ -192,7 +191,7 @@ def equations(
     if as_json:
         chosen_form = "json"
     with progress(quiet or as_json, f"deriving the equations of {plant}"):
-        from platform_ctrl.common.json_text import json_text
+        from platform_ctrl.common.files import json_text
         from platform_ctrl.mechanics.symbolic.equations import equations as found
         from platform_ctrl.plant.reading import read_platform
 
@@ -216,7 +215,7 @@ def warm_up(as_json: Json = False, quiet: Quiet = False) -> None:
         in a Dockerfile: RUN platform-ctrl warm-up --quiet
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
-    from platform_ctrl.common.json_text import json_text
+    from platform_ctrl.common.files import json_text
 
     start = time.monotonic()
     with progress(quiet or as_json, "compiling the simulation"):

@@ -12,8 +12,7 @@ from typing import NoReturn
 
 from platform_ctrl.cli.error_lines import noted, reported
 from platform_ctrl.cli.job_arguments import files_read
-from platform_ctrl.common.reasons import began_with_interrupt
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.errors import PlatformCtrlError, began_with_interrupt
 
 # Between two looks at the files, s; large files are looked at for a tenth of the time.
 _PAUSE, _SHARE = 0.1, 0.1

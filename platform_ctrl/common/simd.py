@@ -1,4 +1,4 @@
-"""Eight numbers in one register: the number type of compiled functions, and how these are compiled.
+"""Eight numbers in one register: the number type of the kernel.
 
 A memory of the kernel is an array (slots, LANES): a slot holds one quantity of LANES scenarios side by side. `load`
 takes a slot of it in one piece as a `lane`, a number like any other in the code that computes with it: LLVM's vector of
@@ -13,10 +13,8 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
@@ -25,12 +23,9 @@ from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, models, overload, register_model
 
-from platform_ctrl.common import parts
 from platform_ctrl.common.values import FloatArray
 
 LANES = 8
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 # A number of the kernel: one float, or LANES of them; a mask likewise. For readers and type checkers.
 Number = Any
@@ -61,55 +56,6 @@ class _LaneModel(models.PrimitiveModel):
 class _LaneMaskModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, _BITS)
-
-
-def _stamp(source: str) -> tuple[float, int]:
-    """Newest change and total size of the files beside a source file, and of those that say how it is compiled."""
-    files = [path.stat() for path in (Path(__file__), Path(parts.__file__), *sorted(Path(source).parent.glob("*.py")))]
-    return max(file.st_mtime for file in files), sum(file.st_size for file in files)
-
-
-_njit: Any = numba.njit  # its types know nothing of the switches for wrappers
-
-# error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
-
-
-# Without wrappers for Python and C, which take as long as a small function.
-_PART: dict[str, Any] = _OPTIONS | {
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-    "pipeline_class": parts.PartCompiler,
-}
-
-
-def compiled(function: F) -> F:
-    """Compile a function that Python calls, and keep the result until any file beside it changes."""
-    try:
-        dispatcher = _njit(cache=True, **_OPTIONS)(function)
-    except RuntimeError:  # nowhere to keep a cache: compile in every process
-        return cast(F, _njit(**_OPTIONS)(function))
-    if hasattr(dispatcher, "_cache"):
-        parts.compile_in_one_process(dispatcher)
-    return cast(F, kept(dispatcher))
-
-
-def kept(dispatcher: Any) -> Any:
-    """A function that is cached, with all files that it is made of deciding whether that is old."""
-    if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT, where it is the plain function
-        # What was compiled by another "version" is not even unpickled: its types may have been in another module.
-        dispatcher._cache._cache_file._version += f" {_stamp(dispatcher.py_func.__code__.co_filename)}"
-    return dispatcher
-
-
-def internal(function: F) -> F:
-    """Compile for compiled callers alone, within which it is kept."""
-    return cast(F, _njit(**_PART)(function))
-
-
-def inlined(function: F) -> F:
-    """Compile into every caller."""
-    return cast(F, _njit(forceinline=True, **_PART)(function))
 
 
 # Said of functions below, which compiled ones alone call: a wrapper for C takes longer than what is in it.
@@ -167,18 +113,6 @@ for _name, _emit in (
     (operator.truediv, lambda builder, a, b: builder.fdiv(a, b)),
 ):
     _binary(_name, _lane, _emit)
-for _name, _in_place, _emit in (
-    (operator.iadd, operator.add, lambda builder, a, b: builder.fadd(a, b, flags=_FLAGS)),
-    (operator.isub, operator.sub, lambda builder, a, b: builder.fsub(a, b, flags=_FLAGS)),
-    (operator.imul, operator.mul, lambda builder, a, b: builder.fmul(a, b, flags=_FLAGS)),
-):
-    _binary(_name, _lane, _emit)
-
-
-def _comparison(name: Any, sign: str) -> None:
-    _binary(name, _mask, lambda builder, a, b: builder.fcmp_ordered(sign, a, b))
-
-
 for _name, _sign in (
     (operator.lt, "<"),
     (operator.le, "<="),
@@ -187,7 +121,7 @@ for _name, _sign in (
     (operator.eq, "=="),
     (operator.ne, "!="),
 ):
-    _comparison(_name, _sign)
+    _binary(_name, _mask, lambda builder, a, b, sign=_sign: builder.fcmp_ordered(sign, a, b))
 
 
 @infer_global(operator.neg)

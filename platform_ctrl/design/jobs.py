@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.progress import Local, Progress, shown
-from platform_ctrl.common.reasons import reason
 from platform_ctrl.common.values import value
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, instability, with_commands
@@ -17,7 +16,7 @@ from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.design.reduced_jobs import design_job, plant_job
 from platform_ctrl.design.side_by_side import made_of
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import DesignError, reason
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise

@@ -10,10 +10,9 @@ from concurrent.futures import BrokenExecutor, as_completed
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.processes import processes
 from platform_ctrl.common.progress import Progress
-from platform_ctrl.common.reasons import began_with_interrupt
 from platform_ctrl.design.caging_claims import with_largest_rates
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, evaluated
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import DesignError, began_with_interrupt
 from platform_ctrl.job.methods import known_method, resolved
 
 Made = LoopDesign | Exception

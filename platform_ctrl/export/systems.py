@@ -18,8 +18,7 @@ import numpy as np
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.system import System, named_system
 from platform_ctrl.common.arguments import positive, short
-from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.json_text import write_json
+from platform_ctrl.common.files import write_json, write_whole
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant.mistakes import one_line
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from platform_ctrl.analysis.logs import G, Quantity, Unit, column_unit
 from platform_ctrl.common.arguments import real_numbers
-from platform_ctrl.common.units import G, Quantity, Unit, column_unit
 from platform_ctrl.common.values import FloatArray, input_value, value
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.spectra import SPECTRA, Lines, LogSpectrum, Spectrum

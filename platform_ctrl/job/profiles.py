@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.common.units import G
+from platform_ctrl.analysis.logs import G
 from platform_ctrl.common.values import FloatArray, value
 
 _PER_DECADE = 40  # points of a formula's table: between them it is off by less than 0.05 %

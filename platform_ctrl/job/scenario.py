@@ -11,9 +11,8 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.logs import pieces, read_log
+from platform_ctrl.analysis.logs import column_unit, pieces, read_log
 from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, short, whole
-from platform_ctrl.common.units import column_unit
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.budget import SOURCE_KINDS

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from platform_ctrl.common.json_text import plain_types
+from platform_ctrl.common.files import plain_types
 from platform_ctrl.common.values import replaced
 from platform_ctrl.job.budget import Source
 from platform_ctrl.job.job import MOTION, Job

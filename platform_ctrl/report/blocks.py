@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from platform_ctrl.common.palette import PALETTE, declarations
-from platform_ctrl.common.reasons import began_with_interrupt, reason
 from platform_ctrl.common.values import value
+from platform_ctrl.errors import began_with_interrupt, reason
 from platform_ctrl.report import style
 
 if TYPE_CHECKING:

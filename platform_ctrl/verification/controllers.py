@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
-from platform_ctrl.common.reasons import began_with_interrupt
 from platform_ctrl.design.caging_claims import with_largest_rates
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.jobs import FailedDesign, LoopOutcome, in_order
@@ -20,7 +19,7 @@ from platform_ctrl.design.loop import LoopDesign, LoopProblem, remeasured, with_
 from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
-from platform_ctrl.errors import InputError
+from platform_ctrl.errors import InputError, began_with_interrupt
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.writing import job_hashes
 from platform_ctrl.mechanics.linearisation import linearise

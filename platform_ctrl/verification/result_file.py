@@ -17,7 +17,7 @@ import numpy as np
 from platform_ctrl import __version__
 from platform_ctrl.analysis.dry_friction import FrictionBalance
 from platform_ctrl.analysis.system import System
-from platform_ctrl.common.json_text import plain_types, write_json
+from platform_ctrl.common.files import plain_types, write_json
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.errors import InputError

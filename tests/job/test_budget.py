@@ -16,9 +16,8 @@ from scipy import integrate
 
 from every_key import HERE, every_job_key
 from platform_ctrl import read_job
-from platform_ctrl.analysis.logs import read_log
+from platform_ctrl.analysis.logs import G, read_log
 from platform_ctrl.analysis.metrics import BUDGET_METRICS
-from platform_ctrl.common.units import G
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job import budget_checks
 from platform_ctrl.job.budget import SOURCE_KINDS, BudgetLimits, Source

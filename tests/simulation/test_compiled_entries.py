@@ -47,9 +47,11 @@ def test_arrays_that_do_not_fit_one_another_or_are_not_finite_are_refused(name: 
 
 
 KEPT = {
-    "inner.py": ("from platform_ctrl.common.simd import internal\n@internal\ndef inner(x):\n    return {factor} * x\n"),
+    "inner.py": (
+        "from platform_ctrl.common.compiling import internal\n@internal\ndef inner(x):\n    return {factor} * x\n"
+    ),
     "outer.py": (
-        "from inner import inner\nfrom platform_ctrl.common.simd import compiled\n"
+        "from inner import inner\nfrom platform_ctrl.common.compiling import compiled\n"
         "@compiled\ndef outer(x):\n    return inner(x) + 1.0\n"
     ),
 }

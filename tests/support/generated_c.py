@@ -15,7 +15,7 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl.common.json_text import json_text
+from platform_ctrl.common.files import json_text
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
-from platform_ctrl.common.json_text import json_text
+from platform_ctrl.common.files import json_text
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job

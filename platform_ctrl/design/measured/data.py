@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
+from platform_ctrl.analysis.logs import column_unit
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, short
-from platform_ctrl.common.units import column_unit
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant.mistakes import given, one_line, suggestion

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from platform_ctrl.common.simd import LANES, compiled, internal, load, store
+from platform_ctrl.common.compiling import compiled, internal
+from platform_ctrl.common.simd import LANES, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import RATE, SERVO, WORK, At, Links
 from platform_ctrl.simulation.kernel.dynamics import joint_momenta, runge_kutta

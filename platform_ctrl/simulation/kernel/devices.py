@@ -7,50 +7,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.common.simd import (
-    Mask,
-    Number,
-    choose,
-    columns,
-    greater,
-    inlined,
-    internal,
-    lesser,
-    load,
-    root,
-    store,
-)
+from platform_ctrl.common.compiling import inlined, internal
+from platform_ctrl.common.simd import Mask, Number, choose, columns, greater, lesser, load, root, store
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import (
-    AT_ONCE,
-    BEGIN,
-    BEHIND,
-    DECAY,
-    EQUILIBRIUM,
-    FAULT,
-    FIRST,
-    HELD,
-    LIMIT,
-    SECOND,
-    SLEW,
-    SLEWED,
-    STUCK,
-    TORQUE,
-    TORQUER,
-    TORQUER_DEAD,
-    TORQUER_WEAK,
-    UNTIL,
-    At,
-    Layout,
-    Shared,
-)
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arrays import At, Layout, Shared
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine, logarithm
 
 
 @inlined
 def acts(mem: FloatArray, lane: int, fault: int, t: Number) -> Mask:
     """Return whether the fault at a slot has begun at t and the part is not sound again."""
-    return (load(mem, fault + BEGIN, lane) <= t) & (load(mem, fault + UNTIL, lane) > t)
+    return (load(mem, fault + arrays.BEGIN, lane) <= t) & (load(mem, fault + arrays.UNTIL, lane) > t)
 
 
 @internal
@@ -58,12 +26,12 @@ def ready_torquers(shared: Shared, mem: FloatArray, lane: int, layout: Layout) -
     """Find how far the lags stay behind a torque that slews."""
     for i in range(shared.targets.shape[0]):
         for segment in range(2):
-            slot = layout.torquer + i * TORQUER + segment
-            decay = load(mem, slot + DECAY, lane)
+            slot = layout.torquer + i * arrays.TORQUER + segment
+            decay = load(mem, slot + arrays.DECAY, lane)
             zero = 0.0 * decay
             lagging = (decay > 0.0) & (decay < 1.0)
             behind = (decay - 1.0) / logarithm(choose(lagging, decay, zero + 0.5))
-            store(mem, slot + BEHIND, lane, choose(lagging, behind, choose(decay > 0.0, zero + 1.0, zero)))
+            store(mem, slot + arrays.BEHIND, lane, choose(lagging, behind, choose(decay > 0.0, zero + 1.0, zero)))
 
 
 @internal
@@ -71,12 +39,12 @@ def hold_equilibrium(shared: Shared, mem: FloatArray, lane: int, layout: Layout)
     """Let torquers have had the torque that holds the gimbals, within their limits, before t = 0."""
     nu = shared.targets.shape[0]
     for i in range(nu):
-        slot = layout.torquer + i * TORQUER
-        wanted, limit = load(mem, slot + EQUILIBRIUM, lane), load(mem, slot + LIMIT, lane)
+        slot = layout.torquer + i * arrays.TORQUER
+        wanted, limit = load(mem, slot + arrays.EQUILIBRIUM, lane), load(mem, slot + arrays.LIMIT, lane)
         torque = lesser(greater(wanted, -limit), limit)
         store(mem, layout.command + i, lane, wanted)
-        store(mem, slot + SLEWED, lane, torque)
-        store(mem, slot + TORQUE, lane, torque)
+        store(mem, slot + arrays.SLEWED, lane, torque)
+        store(mem, slot + arrays.TORQUE, lane, torque)
         for k in range(layout.whole + 2):
             store(mem, layout.ring + k * nu + i, lane, torque)
 
@@ -86,7 +54,7 @@ def torquers_fail(shared: Shared) -> bool:
     """Whether any torquer of any scenario fails."""
     failing = False
     for f in range(shared.faults.shape[0]):
-        failing = failing or TORQUER_WEAK <= shared.faults[f, 0] <= TORQUER_DEAD
+        failing = failing or arrays.TORQUER_WEAK <= shared.faults[f, 0] <= arrays.TORQUER_DEAD
     return failing
 
 
@@ -102,37 +70,42 @@ def new_torque(
     """What the torquers work towards from t on: the limited command of sample `source`, and what fails of it."""
     nu = shared.targets.shape[0]
     for i in range(nu):
-        slot = layout.torquer + i * TORQUER
+        slot = layout.torquer + i * arrays.TORQUER
         fixed, level = 0.0 * t, 0.0 * t
         held = load(mem, layout.ring + source % (layout.whole + 2) * nu + i, lane)
-        torque = load(mem, slot + TORQUE, lane)
+        torque = load(mem, slot + arrays.TORQUE, lane)
         for f in range(shared.faults.shape[0]):
             kind = shared.faults[f, 0]
-            if kind < TORQUER_WEAK or kind > TORQUER_DEAD or shared.faults[f, 1] != i:
+            if kind < arrays.TORQUER_WEAK or kind > arrays.TORQUER_DEAD or shared.faults[f, 1] != i:
                 continue
-            fault = layout.fault + f * FAULT
+            fault = layout.fault + f * arrays.FAULT
             on = acts(mem, lane, fault, t)
-            if kind == TORQUER_WEAK:
-                held = choose(on, load(mem, fault + FIRST, lane) * held, held)
+            if kind == arrays.TORQUER_WEAK:
+                held = choose(on, load(mem, fault + arrays.FIRST, lane) * held, held)
                 continue
             fixed = choose(on, 0.0 * t + 1.0, fixed)
-            if kind == TORQUER_DEAD:
+            if kind == arrays.TORQUER_DEAD:
                 level = choose(on, 0.0 * t, level)
             else:
                 # SECOND: whether it is stuck already.
-                fresh = on & (load(mem, fault + SECOND, lane) < 0.5)
-                stuck = choose(fresh, torque, load(mem, fault + STUCK, lane))
-                store(mem, fault + STUCK, lane, stuck)
-                store(mem, fault + SECOND, lane, choose(fresh, 0.0 * t + 1.0, load(mem, fault + SECOND, lane)))
+                fresh = on & (load(mem, fault + arrays.SECOND, lane) < 0.5)
+                stuck = choose(fresh, torque, load(mem, fault + arrays.STUCK, lane))
+                store(mem, fault + arrays.STUCK, lane, stuck)
+                store(
+                    mem,
+                    fault + arrays.SECOND,
+                    lane,
+                    choose(fresh, 0.0 * t + 1.0, load(mem, fault + arrays.SECOND, lane)),
+                )
                 level = choose(on, stuck, level)
         sound = fixed < 0.5
         held = choose(sound, held, level)
-        store(mem, slot + HELD, lane, held)
-        slewed = _toward(held, load(mem, slot + SLEWED, lane), load(mem, slot + AT_ONCE, lane))
+        store(mem, slot + arrays.HELD, lane, held)
+        slewed = _toward(held, load(mem, slot + arrays.SLEWED, lane), load(mem, slot + arrays.AT_ONCE, lane))
         slewed = choose(sound, slewed, level)
-        store(mem, slot + SLEWED, lane, slewed)
-        lagging = sound & (load(mem, slot + DECAY + segment, lane) > 0.0)
-        store(mem, slot + TORQUE, lane, choose(lagging, torque, slewed))
+        store(mem, slot + arrays.SLEWED, lane, slewed)
+        lagging = sound & (load(mem, slot + arrays.DECAY + segment, lane) > 0.0)
+        store(mem, slot + arrays.TORQUE, lane, choose(lagging, torque, slewed))
 
 
 @inlined
@@ -146,7 +119,7 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
         store(mem, T + i, lane, load(mem, layout.steady + i, lane) + load(mem, pushed + i, lane))
     for i in range(shared.targets.shape[0]):
         target = T + shared.targets[i]
-        torque = load(mem, layout.torquer + i * TORQUER + TORQUE, lane)
+        torque = load(mem, layout.torquer + i * arrays.TORQUER + arrays.TORQUE, lane)
         store(mem, target, lane, load(mem, target, lane) + torque)
 
 
@@ -154,13 +127,13 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
 def work_on(shared: Shared, mem: FloatArray, lane: int, layout: Layout, segment: int) -> None:
     """Let the torquers go on by half a substep of the segment: a lag follows a torque that slews evenly exactly."""
     for i in range(shared.targets.shape[0]):
-        slot = layout.torquer + i * TORQUER
-        before = load(mem, slot + SLEWED, lane)
-        decay, behind = load(mem, slot + DECAY + segment, lane), load(mem, slot + BEHIND + segment, lane)
-        after = _toward(load(mem, slot + HELD, lane), before, load(mem, slot + SLEW + segment, lane))
-        store(mem, slot + SLEWED, lane, after)
-        torque = after + (load(mem, slot + TORQUE, lane) - before) * decay - (after - before) * behind
-        store(mem, slot + TORQUE, lane, torque)
+        slot = layout.torquer + i * arrays.TORQUER
+        before = load(mem, slot + arrays.SLEWED, lane)
+        decay, behind = load(mem, slot + arrays.DECAY + segment, lane), load(mem, slot + arrays.BEHIND + segment, lane)
+        after = _toward(load(mem, slot + arrays.HELD, lane), before, load(mem, slot + arrays.SLEW + segment, lane))
+        store(mem, slot + arrays.SLEWED, lane, after)
+        torque = after + (load(mem, slot + arrays.TORQUE, lane) - before) * decay - (after - before) * behind
+        store(mem, slot + arrays.TORQUE, lane, torque)
 
 
 # What a count is used for: the upper half of its channel.

@@ -30,33 +30,11 @@ Non-positive pivots give NaN, which the callers take as divergence.
 
 from __future__ import annotations
 
-from platform_ctrl.common.simd import Number, choose, inlined, internal, load, root, store
+from platform_ctrl.common.compiling import inlined, internal
+from platform_ctrl.common.simd import Number, choose, load, root, store
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import (
-    ACCELERATION,
-    BODY,
-    COS,
-    DRIVE,
-    FORCE,
-    GAIN_X,
-    GAIN_Y,
-    GIMBAL,
-    INERTIA,
-    JOINT,
-    LOCKED,
-    MOMENT,
-    PARENT,
-    PRODUCT,
-    RATE,
-    SIN,
-    SKEW,
-    WORK,
-    XX,
-    XY,
-    YY,
-    At,
-    Links,
-)
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arrays import At, Links
 from platform_ctrl.simulation.kernel.elements import (
     erection_torques,
     joint_torque,
@@ -83,50 +61,50 @@ def _outward(links: Links, mem: FloatArray, lane: int, at: At, free: bool, bare:
     n = at.n
     momenta = around + n + 9
     for b in range(n + 1):
-        slot = at.work + b * WORK
+        slot = at.work + b * arrays.WORK
         for i in range(6):
-            store(mem, slot + INERTIA + i, lane, load(mem, at.body + b * BODY + i, lane))
+            store(mem, slot + arrays.INERTIA + i, lane, load(mem, at.body + b * arrays.BODY + i, lane))
     w0, w1, w2 = vector(mem, lane, y + n)
-    put(mem, lane, at.work + RATE, w0, w1, w2)
+    put(mem, lane, at.work + arrays.RATE, w0, w1, w2)
     if at.weight != 0:
         f0, f1, f2 = vector(mem, lane, around + n + 6)
-        put(mem, lane, at.work + FORCE, f0, f1, f2)
+        put(mem, lane, at.work + arrays.FORCE, f0, f1, f2)
     for m in range(n):
-        k, up = links.tree[m, GIMBAL], at.work + links.tree[m, PARENT] * WORK
-        slot = at.work + (k + 1) * WORK
+        k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
+        slot = at.work + (k + 1) * arrays.WORK
         c, s = cosine_and_sine(load(mem, y + k, lane))
-        store(mem, slot + COS, lane, c)
-        store(mem, slot + SIN, lane, s)
+        store(mem, slot + arrays.COS, lane, c)
+        store(mem, slot + arrays.SIN, lane, s)
         if free:
-            x, v, z = from_parent(links, mem, lane, m, up + RATE)
+            x, v, z = from_parent(links, mem, lane, m, up + arrays.RATE)
             rate = load(mem, y + n + 3 + k, lane)
             x, v, z = c * x + s * v, c * v - s * x, z + rate
-            put(mem, lane, slot + RATE, x, v, z)
-            store(mem, slot + PRODUCT, lane, v * rate)
-            store(mem, slot + PRODUCT + 1, lane, -x * rate)
+            put(mem, lane, slot + arrays.RATE, x, v, z)
+            store(mem, slot + arrays.PRODUCT, lane, v * rate)
+            store(mem, slot + arrays.PRODUCT + 1, lane, -x * rate)
         if at.weight != 0:
-            x, v, z = from_parent(links, mem, lane, m, up + FORCE)
-            put(mem, lane, slot + FORCE, c * x + s * v, c * v - s * x, z)
+            x, v, z = from_parent(links, mem, lane, m, up + arrays.FORCE)
+            put(mem, lane, slot + arrays.FORCE, c * x + s * v, c * v - s * x, z)
     for b in range(n + 1):
-        slot = at.work + b * WORK
+        slot = at.work + b * arrays.WORK
         h0, h1, h2 = vector(mem, lane, momenta + 3 * b)
         if bare:
             h0, h1, h2 = 0.0 * h0, 0.0 * h1, 0.0 * h2
-        put(mem, lane, slot + MOMENT, h0, h1, h2)
+        put(mem, lane, slot + arrays.MOMENT, h0, h1, h2)
     if not bare:
-        servo_momenta(links, mem, lane, at, y, MOMENT)
+        servo_momenta(links, mem, lane, at, y, arrays.MOMENT)
     if free:
         for b in range(n + 1):
-            slot = at.work + b * WORK
-            w0, w1, w2 = vector(mem, lane, slot + RATE)
-            H0, H1, H2 = times(mem, lane, at.body + b * BODY, w0, w1, w2)
-            h0, h1, h2 = vector(mem, lane, slot + MOMENT)
+            slot = at.work + b * arrays.WORK
+            w0, w1, w2 = vector(mem, lane, slot + arrays.RATE)
+            H0, H1, H2 = times(mem, lane, at.body + b * arrays.BODY, w0, w1, w2)
+            h0, h1, h2 = vector(mem, lane, slot + arrays.MOMENT)
             H0, H1, H2 = H0 + h0, H1 + h1, H2 + h2
             N0, N1, N2 = w1 * H2 - w2 * H1, w2 * H0 - w0 * H2, w0 * H1 - w1 * H0
             if at.course != 0 and not bare:
                 h0, h1, h2 = vector(mem, lane, momenta + 3 * (n + 1 + b))
                 N0, N1, N2 = N0 + h0, N1 + h1, N2 + h2
-            put(mem, lane, slot + MOMENT, N0, N1, N2)
+            put(mem, lane, slot + arrays.MOMENT, N0, N1, N2)
 
 
 @inlined
@@ -134,48 +112,48 @@ def _inward(links: Links, mem: FloatArray, lane: int, at: At, moving: bool, lock
     """From the tips to the root: articulated inertias and moments; `torque` holds the joints' torques (or momenta)."""
     n = at.n
     for m in range(n - 1, -1, -1):
-        k, up = links.tree[m, GIMBAL], at.work + links.tree[m, PARENT] * WORK
-        slot = at.work + (k + 1) * WORK
-        c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
-        xx, yy, D = vector(mem, lane, slot + INERTIA)
-        xy, ux, uy = vector(mem, lane, slot + INERTIA + 3)
-        p0, p1, p2 = vector(mem, lane, slot + MOMENT)
+        k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
+        slot = at.work + (k + 1) * arrays.WORK
+        c, s = load(mem, slot + arrays.COS, lane), load(mem, slot + arrays.SIN, lane)
+        xx, yy, D = vector(mem, lane, slot + arrays.INERTIA)
+        xy, ux, uy = vector(mem, lane, slot + arrays.INERTIA + 3)
+        p0, p1, p2 = vector(mem, lane, slot + arrays.MOMENT)
         tau = load(mem, torque + k, lane)
         ease = choose(D > 0.0, 1.0 / D, float("nan") * D)
         if locking:
-            ease = ease * (1.0 - load(mem, slot + LOCKED, lane))
+            ease = ease * (1.0 - load(mem, slot + arrays.LOCKED, lane))
         gx, gy, drive = ux * ease, uy * ease, (tau - p2) * ease
-        store(mem, slot + GAIN_X, lane, gx)
-        store(mem, slot + GAIN_Y, lane, gy)
-        store(mem, slot + DRIVE, lane, drive)
+        store(mem, slot + arrays.GAIN_X, lane, gx)
+        store(mem, slot + arrays.GAIN_Y, lane, gy)
+        store(mem, slot + arrays.DRIVE, lane, drive)
         xx, xy, yy = xx - ux * gx, xy - ux * gy, yy - uy * gy
         p0, p1, p2 = p0 + ux * drive, p1 + uy * drive, p2 + D * drive
         if moving:
-            cx, cy = load(mem, slot + PRODUCT, lane), load(mem, slot + PRODUCT + 1, lane)
+            cx, cy = load(mem, slot + arrays.PRODUCT, lane), load(mem, slot + arrays.PRODUCT + 1, lane)
             p0, p1 = p0 + xx * cx + xy * cy, p1 + xy * cx + yy * cy
-        if locking or links.tree[m, SKEW] != 0:
+        if locking or links.tree[m, arrays.SKEW] != 0:
             kept = 1.0 - D * ease  # 0, or 1 where the joint is locked
             if moving:
                 p2 = p2 + kept * (ux * cx + uy * cy)
-            put(mem, lane, slot + INERTIA, xx, yy, kept * D)
-            put(mem, lane, slot + INERTIA + 3, xy, kept * ux, kept * uy)
-            whole_inertia_to_parent(links, mem, lane, at, m, slot + INERTIA)
+            put(mem, lane, slot + arrays.INERTIA, xx, yy, kept * D)
+            put(mem, lane, slot + arrays.INERTIA + 3, xy, kept * ux, kept * uy)
+            whole_inertia_to_parent(links, mem, lane, at, m, slot + arrays.INERTIA)
         else:
             a, b = c * xx - s * xy, c * xy - s * yy
             turned = c * a - s * b
-            add(mem, lane, up + INERTIA + links.tree[m, XX], turned)
-            add(mem, lane, up + INERTIA + links.tree[m, YY], xx + yy - turned)
-            add(mem, lane, up + INERTIA + links.tree[m, XY], s * a + c * b)
-        to_parent(links, mem, lane, m, up + MOMENT, c, s, p0, p1, p2)
+            add(mem, lane, up + arrays.INERTIA + links.tree[m, arrays.XX], turned)
+            add(mem, lane, up + arrays.INERTIA + links.tree[m, arrays.YY], xx + yy - turned)
+            add(mem, lane, up + arrays.INERTIA + links.tree[m, arrays.XY], s * a + c * b)
+        to_parent(links, mem, lane, m, up + arrays.MOMENT, c, s, p0, p1, p2)
 
 
 @inlined
 def _root_acceleration(mem: FloatArray, lane: int, at: At, around: int) -> Vector:
     """Solve the root's three equations: articulated inertia times acceleration = M − moment."""
-    xx, yy, zz = vector(mem, lane, at.work + INERTIA)
-    xy, xz, yz = vector(mem, lane, at.work + INERTIA + 3)
+    xx, yy, zz = vector(mem, lane, at.work + arrays.INERTIA)
+    xy, xz, yz = vector(mem, lane, at.work + arrays.INERTIA + 3)
     b0, b1, b2 = vector(mem, lane, around)
-    p0, p1, p2 = vector(mem, lane, at.work + MOMENT)
+    p0, p1, p2 = vector(mem, lane, at.work + arrays.MOMENT)
     b0, b1, b2 = b0 - p0, b1 - p1, b2 - p2
     d0 = choose(xx > 0.0, 1.0 / xx, float("nan") * xx)
     l10, l20 = xy * d0, xz * d0
@@ -199,17 +177,21 @@ def _accelerate(
     """From the root to the tips: the joints' accelerations (or rates) into `result`, the bodies' into `field`."""
     n = at.n
     for m in range(n):
-        k, up = links.tree[m, GIMBAL], at.work + links.tree[m, PARENT] * WORK
-        slot = at.work + (k + 1) * WORK
-        c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
+        k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
+        slot = at.work + (k + 1) * arrays.WORK
+        c, s = load(mem, slot + arrays.COS, lane), load(mem, slot + arrays.SIN, lane)
         x, y, z = from_parent(links, mem, lane, m, up + field)
         x, y = c * x + s * y, c * y - s * x
         if moving:
-            x, y = x + load(mem, slot + PRODUCT, lane), y + load(mem, slot + PRODUCT + 1, lane)
+            x, y = x + load(mem, slot + arrays.PRODUCT, lane), y + load(mem, slot + arrays.PRODUCT + 1, lane)
         along = z
         if locking:
-            along = z * (1.0 - load(mem, slot + LOCKED, lane))
-        own = load(mem, slot + DRIVE, lane) - load(mem, slot + GAIN_X, lane) * x - load(mem, slot + GAIN_Y, lane) * y
+            along = z * (1.0 - load(mem, slot + arrays.LOCKED, lane))
+        own = (
+            load(mem, slot + arrays.DRIVE, lane)
+            - load(mem, slot + arrays.GAIN_X, lane) * x
+            - load(mem, slot + arrays.GAIN_Y, lane) * y
+        )
         own = own - along
         store(mem, result + k, lane, own)
         put(mem, lane, slot + field, x, y, z + own)
@@ -220,17 +202,17 @@ def _momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: i
     """Angular momenta of the subtrees into MOMENT, from the bodies' rates."""
     n = at.n
     for b in range(n + 1):
-        slot = at.work + b * WORK
+        slot = at.work + b * arrays.WORK
         h0, h1, h2 = vector(mem, lane, around + n + 9 + 3 * b)
-        w0, w1, w2 = vector(mem, lane, slot + RATE)
-        H0, H1, H2 = times(mem, lane, at.body + b * BODY, w0, w1, w2)
-        put(mem, lane, slot + MOMENT, H0 + h0, H1 + h1, H2 + h2)
-    servo_momenta(links, mem, lane, at, y, MOMENT)
+        w0, w1, w2 = vector(mem, lane, slot + arrays.RATE)
+        H0, H1, H2 = times(mem, lane, at.body + b * arrays.BODY, w0, w1, w2)
+        put(mem, lane, slot + arrays.MOMENT, H0 + h0, H1 + h1, H2 + h2)
+    servo_momenta(links, mem, lane, at, y, arrays.MOMENT)
     for m in range(n - 1, -1, -1):
-        slot = at.work + (links.tree[m, GIMBAL] + 1) * WORK
-        H0, H1, H2 = vector(mem, lane, slot + MOMENT)
-        c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
-        up = at.work + links.tree[m, PARENT] * WORK + MOMENT
+        slot = at.work + (links.tree[m, arrays.GIMBAL] + 1) * arrays.WORK
+        H0, H1, H2 = vector(mem, lane, slot + arrays.MOMENT)
+        c, s = load(mem, slot + arrays.COS, lane), load(mem, slot + arrays.SIN, lane)
+        up = at.work + links.tree[m, arrays.PARENT] * arrays.WORK + arrays.MOMENT
         to_parent(links, mem, lane, m, up, c, s, H0, H1, H2)
 
 
@@ -273,11 +255,11 @@ def derivative(
         for k in range(n):
             rate = load(mem, y + n + 3 + k, lane)
             if locking:
-                rate = rate * (1.0 - load(mem, at.work + (k + 1) * WORK + LOCKED, lane))
+                rate = rate * (1.0 - load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, lane))
             store(mem, dy + k, lane, rate)
             Q = load(mem, around + 3 + k, lane)
             if at.joints != 0 and not bare:
-                Q = Q + joint_torque(mem, lane, at, at.joint + k * JOINT, load(mem, y + k, lane), rate)
+                Q = Q + joint_torque(mem, lane, at, at.joint + k * arrays.JOINT, load(mem, y + k, lane), rate)
             store(mem, torque + k, lane, Q)
         if at.weight != 0 and not bare:
             unbalance_moments(mem, lane, at)
@@ -287,43 +269,54 @@ def derivative(
         _inward(links, mem, lane, at, at.yes, locking, torque)
         x, v, z = _root_acceleration(mem, lane, at, around)
         put(mem, lane, dy + n, x, v, z)
-        put(mem, lane, at.work + ACCELERATION, x, v, z)
-        _accelerate(links, mem, lane, at, at.yes, locking, ACCELERATION, torque)
+        put(mem, lane, at.work + arrays.ACCELERATION, x, v, z)
+        _accelerate(links, mem, lane, at, at.yes, locking, arrays.ACCELERATION, torque)
     else:
         _inward(links, mem, lane, at, at.no, locking, y + n + 3)
-        _accelerate(links, mem, lane, at, at.no, locking, RATE, dy)
+        _accelerate(links, mem, lane, at, at.no, locking, arrays.RATE, dy)
         _momenta(links, mem, lane, at, y, around)
         for m in range(n):
-            k = links.tree[m, GIMBAL]
-            slot = at.work + (k + 1) * WORK
+            k = links.tree[m, arrays.GIMBAL]
+            slot = at.work + (k + 1) * arrays.WORK
             Q = load(mem, around + 3 + k, lane)
             if at.joints != 0:
                 rate = load(mem, dy + k, lane)
-                Q = Q + joint_torque(mem, lane, at, at.joint + k * JOINT, load(mem, y + k, lane), rate)
-            H0, H1 = load(mem, slot + MOMENT, lane), load(mem, slot + MOMENT + 1, lane)
-            w0, w1 = load(mem, slot + RATE, lane), load(mem, slot + RATE + 1, lane)
+                Q = Q + joint_torque(mem, lane, at, at.joint + k * arrays.JOINT, load(mem, y + k, lane), rate)
+            H0, H1 = load(mem, slot + arrays.MOMENT, lane), load(mem, slot + arrays.MOMENT + 1, lane)
+            w0, w1 = load(mem, slot + arrays.RATE, lane), load(mem, slot + arrays.RATE + 1, lane)
             store(mem, torque + k, lane, Q + H0 * w1 - H1 * w0)
         if at.weight != 0:
             # The same recursion once more, for moments that act on the carriers.
             for b in range(n + 1):
-                slot = at.work + b * WORK
-                H0, H1, H2 = vector(mem, lane, slot + MOMENT)
-                put(mem, lane, slot + ACCELERATION, H0, H1, H2)
+                slot = at.work + b * arrays.WORK
+                H0, H1, H2 = vector(mem, lane, slot + arrays.MOMENT)
+                put(mem, lane, slot + arrays.ACCELERATION, H0, H1, H2)
                 zero = 0.0 * H0
-                put(mem, lane, slot + MOMENT, zero, zero, zero)
+                put(mem, lane, slot + arrays.MOMENT, zero, zero, zero)
             unbalance_moments(mem, lane, at)
             for m in range(n - 1, -1, -1):
-                k = links.tree[m, GIMBAL]
-                slot = at.work + (k + 1) * WORK
-                N0, N1, N2 = vector(mem, lane, slot + MOMENT)
+                k = links.tree[m, arrays.GIMBAL]
+                slot = at.work + (k + 1) * arrays.WORK
+                N0, N1, N2 = vector(mem, lane, slot + arrays.MOMENT)
                 add(mem, lane, torque + k, -N2)
-                c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
-                to_parent(links, mem, lane, m, at.work + links.tree[m, PARENT] * WORK + MOMENT, c, s, N0, N1, N2)
+                c, s = load(mem, slot + arrays.COS, lane), load(mem, slot + arrays.SIN, lane)
+                to_parent(
+                    links,
+                    mem,
+                    lane,
+                    m,
+                    at.work + links.tree[m, arrays.PARENT] * arrays.WORK + arrays.MOMENT,
+                    c,
+                    s,
+                    N0,
+                    N1,
+                    N2,
+                )
             erection_torques(links, mem, lane, at, torque)
             for b in range(n + 1):
-                slot = at.work + b * WORK
-                H0, H1, H2 = vector(mem, lane, slot + ACCELERATION)
-                put(mem, lane, slot + MOMENT, H0, H1, H2)
+                slot = at.work + b * arrays.WORK
+                H0, H1, H2 = vector(mem, lane, slot + arrays.ACCELERATION)
+                put(mem, lane, slot + arrays.MOMENT, H0, H1, H2)
         if at.servos != 0:
             servo_drives(links, mem, lane, at, at.no, y, dy)
         for i in range(3):
@@ -337,7 +330,7 @@ def joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, arou
     _outward(links, mem, lane, at, at.yes, at.no, y, around)
     _momenta(links, mem, lane, at, y, around)
     for k in range(at.n):
-        store(mem, result + k, lane, load(mem, at.work + (k + 1) * WORK + MOMENT + 2, lane))
+        store(mem, result + k, lane, load(mem, at.work + (k + 1) * arrays.WORK + arrays.MOMENT + 2, lane))
 
 
 @internal

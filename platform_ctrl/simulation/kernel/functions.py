@@ -6,7 +6,8 @@ there Taylor's series in the nested form, long enough for a double.
 
 from __future__ import annotations
 
-from platform_ctrl.common.simd import Number, choose, inlined, mantissa_and_exponent, power_of_two, whole
+from platform_ctrl.common.compiling import inlined
+from platform_ctrl.common.simd import Number, choose, mantissa_and_exponent, power_of_two, whole
 
 # pi/2 and ln 2 in parts; the first ones have zeros at their ends, so that a multiple of them is exact.
 _HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)

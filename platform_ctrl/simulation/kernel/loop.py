@@ -4,50 +4,11 @@ from __future__ import annotations
 
 import math
 
-from platform_ctrl.common.simd import (
-    Number,
-    anywhere,
-    choose,
-    compiled,
-    greater,
-    inlined,
-    internal,
-    lesser,
-    load,
-    store,
-)
+from platform_ctrl.common.compiling import compiled, inlined, internal
+from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser, load, store
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import (
-    DRIVE_FRICTION,
-    DRIVEN,
-    EQUILIBRIUM,
-    FAULT,
-    FIRST,
-    GAIN,
-    INTEGRAL,
-    LAST,
-    LIMIT,
-    LINE,
-    OVERRUN,
-    PATH,
-    PER_DRIVE_RATE,
-    PHASE,
-    RATE,
-    SECANT_LIMIT,
-    SENSOR,
-    SERVO,
-    SPIN,
-    STOP,
-    TORQUE,
-    TORQUE_LIMIT,
-    TORQUER,
-    WORK,
-    At,
-    C,
-    Layout,
-    Links,
-    Shared,
-)
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.devices import (
     LOSS,
     PHASE_OF_LINE,
@@ -83,21 +44,21 @@ def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, layout: L
         record[3 * n + 3 + i] = load(mem, at.state + 2 * n + 3 + i, 0)
     column = 3 * n + 7
     for i in range(layout.sensors):
-        record[column + i] = load(mem, layout.sensor + i * SENSOR + LAST, 0)
+        record[column + i] = load(mem, layout.sensor + i * arrays.SENSOR + arrays.LAST, 0)
     column += layout.sensors
     for i in range(nu):
         record[column + i] = load(mem, layout.command + i, 0)
     column += 2 * nu
     # The workspace holds the carriers' rates at this sample.
     for r in range(at.servos):
-        row, work = at.servo + r * SERVO, at.work + links.servo_carrier[r] * WORK + RATE
-        spin = load(mem, at.state + 2 * n + 7 + r, 0) / load(mem, row + C, 0)
+        row, work = at.servo + r * arrays.SERVO, at.work + links.servo_carrier[r] * arrays.WORK + arrays.RATE
+        spin = load(mem, at.state + 2 * n + 7 + r, 0) / load(mem, row + arrays.C, 0)
         for i in range(3):
             spin -= load(mem, row + i, 0) * load(mem, work + i, 0)
-        wanted = -load(mem, row + GAIN, 0) * (spin - load(mem, row + SPIN, 0))
-        wanted -= load(mem, row + INTEGRAL, 0) * load(mem, at.state + 2 * n + 7 + at.servos + r, 0)
+        wanted = -load(mem, row + arrays.GAIN, 0) * (spin - load(mem, row + arrays.SPIN, 0))
+        wanted -= load(mem, row + arrays.INTEGRAL, 0) * load(mem, at.state + 2 * n + 7 + at.servos + r, 0)
         record[column + r] = spin
-        limit = load(mem, row + TORQUE_LIMIT, 0)
+        limit = load(mem, row + arrays.TORQUE_LIMIT, 0)
         record[column + at.servos + r] = min(max(wanted, -limit), limit)
     column += 2 * at.servos
     for i in range(shared.sensors.shape[0] - layout.sensors):
@@ -111,7 +72,7 @@ def note_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, record
         nu = shared.targets.shape[0]
         for i in range(nu):
             column = 3 * at.n + 7 + layout.sensors + nu + i
-            record[k, column] = load(mem, layout.torquer + i * TORQUER + TORQUE, 0)
+            record[k, column] = load(mem, layout.torquer + i * arrays.TORQUER + arrays.TORQUE, 0)
 
 
 @inlined
@@ -120,10 +81,10 @@ def _command(shared: Shared, mem: FloatArray, lane: int, layout: Layout, row: in
     end = layout.states + shared.targets.shape[0] + layout.drives
     zero = 0.0 * load(mem, layout.start, lane)
     for j in range(layout.commands):
-        slot = layout.sensor + (layout.sensors + j) * SENSOR
+        slot = layout.sensor + (layout.sensors + j) * arrays.SENSOR
         place = shared.first[end] + 2 * row * layout.commands + j
-        store(mem, slot + PATH, lane, zero + shared.number[place])
-        store(mem, slot + LAST, lane, zero + shared.number[place + layout.commands])
+        store(mem, slot + arrays.PATH, lane, zero + shared.number[place])
+        store(mem, slot + arrays.LAST, lane, zero + shared.number[place + layout.commands])
 
 
 @internal
@@ -134,19 +95,19 @@ def _driven(shared: Shared, mem: FloatArray, lane: int, layout: Layout, torquer:
     for d in range(layout.drives):
         if shared.first[parts + 2 * d] != torquer:
             continue
-        slot, one = layout.drive + d * DRIVEN, 0.0 * total + 1.0
+        slot, one = layout.drive + d * arrays.DRIVEN, 0.0 * total + 1.0
         angle = shared.first[parts + 2 * d + 1]
         if angle >= 0:
-            cosine, _ = cosine_and_sine(load(mem, layout.sensor + angle * SENSOR + LAST, lane))
-            most = load(mem, slot + SECANT_LIMIT, lane)
+            cosine, _ = cosine_and_sine(load(mem, layout.sensor + angle * arrays.SENSOR + arrays.LAST, lane))
+            most = load(mem, slot + arrays.SECANT_LIMIT, lane)
             within = cosine * most > 1.0
             total = total * choose(within, 1.0 / choose(within, cosine, one), most)
         rate = 0.0 * total
         for j in range(shared.first[row + d], shared.first[row + d + 1]):
-            reading = layout.sensor + (shared.column[j] - layout.states) * SENSOR + LAST
+            reading = layout.sensor + (shared.column[j] - layout.states) * arrays.SENSOR + arrays.LAST
             rate = rate + shared.number[j] * load(mem, reading, lane)
-        share = lesser(greater(rate * load(mem, slot + PER_DRIVE_RATE, lane), -one), one)
-        total = total + load(mem, slot + DRIVE_FRICTION, lane) * share
+        share = lesser(greater(rate * load(mem, slot + arrays.PER_DRIVE_RATE, lane), -one), one)
+        total = total + load(mem, slot + arrays.DRIVE_FRICTION, lane) * share
     return total
 
 
@@ -157,10 +118,12 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
     zero = 0.0 * load(mem, at.state, lane)
     missed = zero
     for f in range(shared.faults.shape[0]):
-        if shared.faults[f, 0] == OVERRUN:
-            fault = layout.fault + f * FAULT
+        if shared.faults[f, 0] == arrays.OVERRUN:
+            fault = layout.fault + f * arrays.FAULT
             uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], layout.random + 2)
-            late = acts(mem, lane, fault, t) & (load(mem, layout.random + 2, lane) < load(mem, fault + FIRST, lane))
+            late = acts(mem, lane, fault, t) & (
+                load(mem, layout.random + 2, lane) < load(mem, fault + arrays.FIRST, lane)
+            )
             missed = choose(late, zero + 1.0, missed)
     lost = missed > 0.5
     rows = 0
@@ -172,19 +135,26 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
         total = zero
         for j in range(shared.first[rows + row], shared.first[rows + row + 1]):
             column = shared.column[j]
-            slot = layout.controller + column if column < nx else layout.sensor + (column - nx) * SENSOR + LAST
+            slot = (
+                layout.controller + column
+                if column < nx
+                else layout.sensor + (column - nx) * arrays.SENSOR + arrays.LAST
+            )
             total = total + shared.number[j] * load(mem, slot, lane)
         if row < nx:
             store(
                 mem, layout.controller + nx + row, lane, choose(lost, load(mem, layout.controller + row, lane), total)
             )
         else:
-            command, limit = layout.command + row - nx, load(mem, layout.torquer + (row - nx) * TORQUER + LIMIT, lane)
-            excess = layout.sensor + (layout.sensors + layout.commands + row - nx) * SENSOR + LAST
+            command, limit = (
+                layout.command + row - nx,
+                load(mem, layout.torquer + (row - nx) * arrays.TORQUER + arrays.LIMIT, lane),
+            )
+            excess = layout.sensor + (layout.sensors + layout.commands + row - nx) * arrays.SENSOR + arrays.LAST
             store(mem, excess, lane, lesser(greater(total, -limit), limit) - total)
             if layout.drives > 0:
                 total = _driven(shared, mem, lane, layout, row - nx, total)
-            total = total + load(mem, layout.torquer + (row - nx) * TORQUER + EQUILIBRIUM, lane)
+            total = total + load(mem, layout.torquer + (row - nx) * arrays.TORQUER + arrays.EQUILIBRIUM, lane)
             store(mem, command, lane, choose(lost, load(mem, command, lane), total))
     for i in range(nx):
         store(mem, layout.controller + i, lane, load(mem, layout.controller + nx + i, lane))
@@ -252,7 +222,7 @@ def _segment(
             past = contact
             if not past:
                 for k in range(at.n):
-                    q, stop = load(mem, at.state + k, lane), layout.stop + k * STOP
+                    q, stop = load(mem, at.state + k, lane), layout.stop + k * arrays.STOP
                     past = past or anywhere((q < load(mem, stop, lane)) | (q > load(mem, stop + 1, lane)))
             if past:
                 end = start + (m + 1.0) * step
@@ -279,8 +249,8 @@ def _begin(
             continue
         uniforms(keys, mem, lane, j, PHASE_OF_LINE + j, layout.random)
         c, s = cosine_and_sine(2.0 * math.pi * load(mem, layout.random, lane))
-        store(mem, layout.line + j * LINE + PHASE, lane, c)
-        store(mem, layout.line + j * LINE + PHASE + 1, lane, s)
+        store(mem, layout.line + j * arrays.LINE + arrays.PHASE, lane, c)
+        store(mem, layout.line + j * arrays.LINE + arrays.PHASE + 1, lane, s)
     for row in range(2, 3):  # the end of the step before the first; no literal: see `At`
         surround(shared, mem, lane, at, layout, free, row, row, at.no, zero)
     if at.course != 0:
@@ -325,8 +295,8 @@ def _sample(
     going = judge(mem, lane, at, layout, shared)
     update_metrics(shared, mem, lane, at, layout, k)
     for i in range(nu):
-        slot = layout.torquer + i * TORQUER
-        limit = load(mem, slot + LIMIT, lane)
+        slot = layout.torquer + i * arrays.TORQUER
+        limit = load(mem, slot + arrays.LIMIT, lane)
         command = lesser(greater(load(mem, layout.command + i, lane), -limit), limit)
         ring = layout.ring + k % (layout.whole + 2) * nu + i
         store(mem, ring, lane, command)

@@ -2,32 +2,11 @@
 
 from __future__ import annotations
 
-from platform_ctrl.common.simd import (
-    Mask,
-    Number,
-    anywhere,
-    choose,
-    greater,
-    inlined,
-    internal,
-    load,
-    root,
-    store,
-)
+from platform_ctrl.common.compiling import inlined, internal
+from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, load, root, store
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import (
-    BIAS,
-    LAST,
-    LIMIT,
-    PATH,
-    SENSOR,
-    SENSOR_SCALE,
-    TORQUE,
-    TORQUER,
-    At,
-    Layout,
-    Shared,
-)
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arrays import At, Layout, Shared
 
 
 @inlined
@@ -63,7 +42,7 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
         part = choose(part < 0.0, -part, part)
         store(mem, slot, lane, choose(going, greater(load(mem, slot, lane), part), load(mem, slot, lane)))
     for i in range(nu):
-        limit = load(mem, layout.torquer + i * TORQUER + LIMIT, lane)
+        limit = load(mem, layout.torquer + i * arrays.TORQUER + arrays.LIMIT, lane)
         command, slot = load(mem, layout.command + i, lane), layout.metrics + n + 3 + i
         command = choose(command < 0.0, -command, command)
         share = command / limit
@@ -85,12 +64,12 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
         _spread(mem, lane, settled, share, layout.sight, sight, rates + 2 * n + 4, n + 3 + sight)
     end = layout.states + nu + layout.drives + 1
     for j in range(layout.commands):
-        slot, sensor = layout.following + j, layout.sensor + shared.first[end + j] * SENSOR
+        slot, sensor = layout.following + j, layout.sensor + shared.first[end + j] * arrays.SENSOR
         # What the sensor shows wrongly is no part of what the loop does.
-        scale = load(mem, sensor + SENSOR_SCALE, lane)
+        scale = load(mem, sensor + arrays.SENSOR_SCALE, lane)
         scale = choose((scale < 0.0) | (scale > 0.0), scale, 0.0 * scale + 1.0)
-        error = (load(mem, sensor + LAST, lane) - load(mem, sensor + BIAS, lane)) / scale
-        error = error - load(mem, layout.sensor + (layout.sensors + j) * SENSOR + PATH, lane)
+        error = (load(mem, sensor + arrays.LAST, lane) - load(mem, sensor + arrays.BIAS, lane)) / scale
+        error = error - load(mem, layout.sensor + (layout.sensors + j) * arrays.SENSOR + arrays.PATH, lane)
         error = choose(error < 0.0, -error, error)
         store(mem, slot, lane, choose(settled, greater(load(mem, slot, lane), error), load(mem, slot, lane)))
 
@@ -141,7 +120,7 @@ def judge(mem: FloatArray, lane: int, at: At, layout: Layout, shared: Shared) ->
         for i in range(shared.targets.shape[0]):
             slot = layout.command + i
             store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
-            slot = layout.torquer + i * TORQUER + TORQUE
+            slot = layout.torquer + i * arrays.TORQUER + arrays.TORQUE
             store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
     alive = choose(sound, alive, 0.0 * alive)
     store(mem, layout.alive, lane, alive)

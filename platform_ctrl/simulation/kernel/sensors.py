@@ -2,45 +2,11 @@
 
 from __future__ import annotations
 
-from platform_ctrl.common.simd import Number, anywhere, choose, inlined, internal, load, store, whole
+from platform_ctrl.common.compiling import inlined, internal
+from platform_ctrl.common.simd import Number, anywhere, choose, load, store, whole
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import (
-    BEFORE,
-    BEGIN,
-    BEGIN_TERMS,
-    BIAS,
-    COS,
-    END_TERMS,
-    EVERY,
-    FAULT,
-    FILTERED,
-    FIRST,
-    GIMBAL,
-    INPUT,
-    KEPT,
-    LAGGING,
-    LAST,
-    LATE,
-    LOWPASS,
-    NOW,
-    PARENT,
-    PICKOFF_DEAD,
-    PICKOFF_DRIFT,
-    PICKOFF_DROPOUT,
-    PICKOFF_STUCK,
-    QUANTISATION,
-    RATE,
-    RMS,
-    SENSOR,
-    SENSOR_SCALE,
-    SIN,
-    TRANSITION,
-    WORK,
-    At,
-    Layout,
-    Links,
-    Shared,
-)
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.devices import LOSS, PICKOFF, Keys, acts, normals, uniforms
 from platform_ctrl.simulation.kernel.vectors import from_parent, put, vector
 
@@ -59,8 +25,11 @@ def turn_bodies(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout
     put(mem, lane, axes + 3, 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x))
     put(mem, lane, axes + 6, 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
     for m in range(at.n):
-        body, up = links.tree[m, GIMBAL] + 1, axes + 9 * links.tree[m, PARENT]
-        c, s = load(mem, at.work + body * WORK + COS, lane), load(mem, at.work + body * WORK + SIN, lane)
+        body, up = links.tree[m, arrays.GIMBAL] + 1, axes + 9 * links.tree[m, arrays.PARENT]
+        c, s = (
+            load(mem, at.work + body * arrays.WORK + arrays.COS, lane),
+            load(mem, at.work + body * arrays.WORK + arrays.SIN, lane),
+        )
         for j in range(3):
             x, y, z = from_parent(links, mem, lane, m, up + 3 * j)
             put(mem, lane, axes + 9 * body + 3 * j, c * x + s * y, c * y - s * x, z)
@@ -88,7 +57,7 @@ def _signal(at: At, layout: Layout, index: int) -> int:
         return layout.velocity + index - n
     if index < 5 * n + 6:
         body, axis = (index - 2 * n - 3) // 3, (index - 2 * n - 3) % 3
-        return at.work + body * WORK + RATE + axis
+        return at.work + body * arrays.WORK + arrays.RATE + axis
     return layout.turns + index - 5 * n - 6
 
 
@@ -104,26 +73,28 @@ def _sum(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, fir
 def look(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
     """Put the rates and angles of the line of sight into SIGHT."""
     for i in range(layout.sensors, shared.sensors.shape[0]):
-        value = _sum(shared, mem, lane, at, layout, shared.sensors[i, BEGIN_TERMS], shared.sensors[i, END_TERMS])
+        value = _sum(
+            shared, mem, lane, at, layout, shared.sensors[i, arrays.BEGIN_TERMS], shared.sensors[i, arrays.END_TERMS]
+        )
         store(mem, layout.sight + i - layout.sensors, lane, value)
 
 
 @internal
 def _lagging(mem: FloatArray, lane: int, slot: int, k: int, value: Number) -> Number:
     """What the low-pass at a slot makes of a value that runs straight from sample to sample; settled at t = 0."""
-    before = load(mem, slot + INPUT, lane)
-    store(mem, slot + INPUT, lane, value)
+    before = load(mem, slot + arrays.INPUT, lane)
+    store(mem, slot + arrays.INPUT, lane, value)
     if k == 0:
-        store(mem, slot + LAGGING, lane, value)
-        store(mem, slot + LAGGING + 1, lane, 0.0 * value)
+        store(mem, slot + arrays.LAGGING, lane, value)
+        store(mem, slot + arrays.LAGGING + 1, lane, 0.0 * value)
         return value
-    x, v = load(mem, slot + LAGGING, lane), load(mem, slot + LAGGING + 1, lane)
+    x, v = load(mem, slot + arrays.LAGGING, lane), load(mem, slot + arrays.LAGGING + 1, lane)
     for i in range(2):
-        turn = slot + TRANSITION + 2 * i
+        turn = slot + arrays.TRANSITION + 2 * i
         new = load(mem, turn, lane) * x + load(mem, turn + 1, lane) * v
-        new = new + load(mem, slot + BEFORE + i, lane) * before + load(mem, slot + NOW + i, lane) * value
-        store(mem, slot + LAGGING + i, lane, new)
-    return load(mem, slot + LAGGING, lane)
+        new = new + load(mem, slot + arrays.BEFORE + i, lane) * before + load(mem, slot + arrays.NOW + i, lane) * value
+        store(mem, slot + arrays.LAGGING + i, lane, new)
+    return load(mem, slot + arrays.LAGGING, lane)
 
 
 @internal
@@ -142,20 +113,20 @@ def _faulty(
     shared: Shared, keys: Keys, mem: FloatArray, lane: int, layout: Layout, i: int, k: int, t: float, value: Number
 ) -> Number:
     """What a sensor that fails delivers in place of its reading."""
-    last = layout.sensor + i * SENSOR + LAST
+    last = layout.sensor + i * arrays.SENSOR + arrays.LAST
     for f in range(shared.faults.shape[0]):
         failing = shared.faults[f, 0]
-        if failing < PICKOFF_DROPOUT or failing > PICKOFF_DEAD or shared.faults[f, 1] != i:
+        if failing < arrays.PICKOFF_DROPOUT or failing > arrays.PICKOFF_DEAD or shared.faults[f, 1] != i:
             continue
-        fault = layout.fault + f * FAULT
+        fault = layout.fault + f * arrays.FAULT
         on = acts(mem, lane, fault, t)
-        if failing == PICKOFF_DEAD:
+        if failing == arrays.PICKOFF_DEAD:
             value = choose(on, 0.0 * value, value)
-        elif failing == PICKOFF_STUCK:
+        elif failing == arrays.PICKOFF_STUCK:
             value = choose(on, load(mem, last, lane), value)
-        elif failing == PICKOFF_DROPOUT:
+        elif failing == arrays.PICKOFF_DROPOUT:
             uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], layout.random + 2)
-            lost = on & (load(mem, layout.random + 2, lane) < load(mem, fault + FIRST, lane))
+            lost = on & (load(mem, layout.random + 2, lane) < load(mem, fault + arrays.FIRST, lane))
             value = choose(lost, load(mem, last, lane), value)
     return value
 
@@ -165,28 +136,32 @@ def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout:
     """Put what every sensor says at sample k into its LAST."""
     drawn = -1  # the last sensor for which a pair of normal numbers was drawn
     for i in range(layout.sensors):
-        slot = layout.sensor + i * SENSOR
-        value = _sum(shared, mem, lane, at, layout, shared.sensors[i, BEGIN_TERMS], shared.sensors[i, END_TERMS])
-        if shared.sensors[i, FILTERED] >= 0:
-            value = _lagging(mem, lane, layout.lowpass + shared.sensors[i, FILTERED] * LOWPASS, k, value)
-        if shared.sensors[i, LATE] > 0:
-            value = _late(mem, lane, layout.late + shared.sensors[i, KEPT], shared.sensors[i, LATE], k, value)
-        if shared.sensors[i, EVERY] > 1 and k % shared.sensors[i, EVERY] != 0:
+        slot = layout.sensor + i * arrays.SENSOR
+        value = _sum(
+            shared, mem, lane, at, layout, shared.sensors[i, arrays.BEGIN_TERMS], shared.sensors[i, arrays.END_TERMS]
+        )
+        if shared.sensors[i, arrays.FILTERED] >= 0:
+            value = _lagging(mem, lane, layout.lowpass + shared.sensors[i, arrays.FILTERED] * arrays.LOWPASS, k, value)
+        if shared.sensors[i, arrays.LATE] > 0:
+            value = _late(
+                mem, lane, layout.late + shared.sensors[i, arrays.KEPT], shared.sensors[i, arrays.LATE], k, value
+            )
+        if shared.sensors[i, arrays.EVERY] > 1 and k % shared.sensors[i, arrays.EVERY] != 0:
             continue
-        value = load(mem, slot + SENSOR_SCALE, lane) * value + load(mem, slot + BIAS, lane)
-        rms = load(mem, slot + RMS, lane)
+        value = load(mem, slot + arrays.SENSOR_SCALE, lane) * value + load(mem, slot + arrays.BIAS, lane)
+        rms = load(mem, slot + arrays.RMS, lane)
         if anywhere(rms > 0.0):
             if i % 2 == 0 or drawn != i - 1:
                 normals(keys, mem, lane, k, PICKOFF + i // 2, layout.random)
                 drawn = i
             value = value + rms * load(mem, layout.random + i % 2, lane)
         for f in range(shared.faults.shape[0]):
-            if shared.faults[f, 0] == PICKOFF_DRIFT and shared.faults[f, 1] == i:
-                fault = layout.fault + f * FAULT
-                drift = load(mem, fault + FIRST, lane) * (t - load(mem, fault + BEGIN, lane))
+            if shared.faults[f, 0] == arrays.PICKOFF_DRIFT and shared.faults[f, 1] == i:
+                fault = layout.fault + f * arrays.FAULT
+                drift = load(mem, fault + arrays.FIRST, lane) * (t - load(mem, fault + arrays.BEGIN, lane))
                 value = choose(acts(mem, lane, fault, t), value + drift, value)
-        step = load(mem, slot + QUANTISATION, lane)
+        step = load(mem, slot + arrays.QUANTISATION, lane)
         fine = step > 0.0
         unit = choose(fine, step, 0.0 * step + 1.0)
         value = choose(fine, unit * whole(value / unit + 0.5), value)
-        store(mem, slot + LAST, lane, _faulty(shared, keys, mem, lane, layout, i, k, t, value))
+        store(mem, slot + arrays.LAST, lane, _faulty(shared, keys, mem, lane, layout, i, k, t, value))

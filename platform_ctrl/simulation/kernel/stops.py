@@ -2,39 +2,11 @@
 
 from __future__ import annotations
 
-from platform_ctrl.common.simd import (
-    Mask,
-    Number,
-    anywhere,
-    choose,
-    greater,
-    inlined,
-    internal,
-    lesser,
-    load,
-    store,
-)
+from platform_ctrl.common.compiling import inlined, internal
+from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, lesser, load, store
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import (
-    AWAY,
-    BEGIN,
-    CONTACT,
-    FAULT,
-    FIRST,
-    HIGH,
-    LOCKED,
-    LOW,
-    MOMENT,
-    RESTITUTION,
-    STOP,
-    TOUCHING,
-    WHEN,
-    WORK,
-    At,
-    Layout,
-    Links,
-    Shared,
-)
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
 
 # A run of fewer steps than these from a stop back to it ends at most as fast as it began.
@@ -43,8 +15,8 @@ _SHORT = 20.0
 
 @inlined
 def _past(mem: FloatArray, lane: int, at: At, layout: Layout, k: int) -> Mask:
-    q, stop = load(mem, at.state + k, lane), layout.stop + k * STOP
-    return (q < load(mem, stop + LOW, lane)) | (q > load(mem, stop + HIGH, lane))
+    q, stop = load(mem, at.state + k, lane), layout.stop + k * arrays.STOP
+    return (q < load(mem, stop + arrays.LOW, lane)) | (q > load(mem, stop + arrays.HIGH, lane))
 
 
 @inlined
@@ -82,11 +54,11 @@ def _come_anew(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout,
     n, dy = at.n, at.stages
     derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
     for k in range(n):
-        stop, rate = layout.stop + k * STOP, load(mem, dy + k, lane)
-        above = load(mem, at.state + k, lane) >= load(mem, stop + HIGH, lane)
+        stop, rate = layout.stop + k * arrays.STOP, load(mem, dy + k, lane)
+        above = load(mem, at.state + k, lane) >= load(mem, stop + arrays.HIGH, lane)
         outward = blown & (choose(above, rate, -rate) > 1e-12)
-        touching = load(mem, stop + TOUCHING, lane)
-        store(mem, stop + TOUCHING, lane, choose(outward, 0.0 * rate, touching))
+        touching = load(mem, stop + arrays.TOUCHING, lane)
+        store(mem, stop + arrays.TOUCHING, lane, choose(outward, 0.0 * rate, touching))
 
 
 @internal
@@ -96,10 +68,10 @@ def strike(
     """Throw gimbals towards their stops: the blows that are due since the last sample."""
     n = at.n
     for f in range(shared.faults.shape[0]):
-        if shared.faults[f, 0] != CONTACT:
+        if shared.faults[f, 0] != arrays.CONTACT:
             continue
-        k, fault = shared.faults[f, 1], layout.fault + f * FAULT
-        begin, impulse = load(mem, fault + BEGIN, lane), load(mem, fault + FIRST, lane)
+        k, fault = shared.faults[f, 1], layout.fault + f * arrays.FAULT
+        begin, impulse = load(mem, fault + arrays.BEGIN, lane), load(mem, fault + arrays.FIRST, lane)
         due = (begin <= sample * shared.period) & (begin > (sample - 1) * shared.period)
         if not anywhere(due):
             continue
@@ -124,7 +96,7 @@ def _brake(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, fre
         settled = True
         for k in range(n):
             rate = load(mem, at.state + n + 3 + k, lane)
-            locked = load(mem, at.work + (k + 1) * WORK + LOCKED, lane) > 0.5
+            locked = load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, lane) > 0.5
             turning = locked & ((rate > 1e-12) | (rate < -1e-12))
             if not anywhere(turning):
                 continue
@@ -150,9 +122,9 @@ def hold(
     zero = 0.0 * step
     pressed = zero
     for k in range(n):
-        touching = load(mem, layout.stop + k * STOP + TOUCHING, lane) > 0.5
+        touching = load(mem, layout.stop + k * arrays.STOP + arrays.TOUCHING, lane) > 0.5
         locked = choose(_past(mem, lane, at, layout, k) & touching, zero + 1.0, zero)
-        store(mem, at.work + (k + 1) * WORK + LOCKED, lane, locked)
+        store(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, lane, locked)
         pressed = greater(pressed, locked)
     if not anywhere(pressed > 0.5):
         return at.no
@@ -167,9 +139,9 @@ def hold(
         end = at.surroundings + 2 * at.block
         derivative(links, mem, lane, at, free, at.yes, at.no, at.state, end, at.stages)
         for k in range(n):
-            body, p = at.work + (k + 1) * WORK, at.state + n + 3 + k
-            locked = load(mem, body + LOCKED, lane) > 0.5
-            store(mem, p, lane, choose(locked, load(mem, body + MOMENT + 2, lane), load(mem, p, lane)))
+            body, p = at.work + (k + 1) * arrays.WORK, at.state + n + 3 + k
+            locked = load(mem, body + arrays.LOCKED, lane) > 0.5
+            store(mem, p, lane, choose(locked, load(mem, body + arrays.MOMENT + 2, lane), load(mem, p, lane)))
     for i in range(at.size):
         here = at.state + i
         store(mem, here, lane, choose(pressed > 0.5, load(mem, here, lane), load(mem, begin + i, lane)))
@@ -180,14 +152,14 @@ def hold(
 def _put_back(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, hit: Mask) -> None:
     """Put gimbals past their stops back on them; the momenta of the joints and of the platform stay as they are."""
     n, end = at.n, at.surroundings + 2 * at.block
-    before, after, root = layout.velocity + n, at.stages, at.work + MOMENT
+    before, after, root = layout.velocity + n, at.stages, at.work + arrays.MOMENT
     if free:
         joint_momenta(links, mem, lane, at, at.state, end, before + 3)
         for i in range(3):
             store(mem, before + i, lane, load(mem, root + i, lane))
     for k in range(n):
-        stop, q = layout.stop + k * STOP, load(mem, at.state + k, lane)
-        inside = lesser(greater(q, load(mem, stop + LOW, lane)), load(mem, stop + HIGH, lane))
+        stop, q = layout.stop + k * arrays.STOP, load(mem, at.state + k, lane)
+        inside = lesser(greater(q, load(mem, stop + arrays.LOW, lane)), load(mem, stop + arrays.HIGH, lane))
         store(mem, at.state + k, lane, choose(hit, inside, q))
     if not free:  # the momenta are the state
         return
@@ -228,17 +200,17 @@ def meet_stops(
     zero = 0.0 * load(mem, layout.alive, lane)  # which is a number even where the state is none any more
     hit, lying = zero, zero
     for k in range(n):
-        stop = layout.stop + k * STOP
+        stop = layout.stop + k * arrays.STOP
         past = _past(mem, lane, at, layout, k)
-        touched = load(mem, stop + TOUCHING, lane) > 0.5
+        touched = load(mem, stop + arrays.TOUCHING, lane) > 0.5
         fresh = choose(past, choose(touched, zero, zero + 1.0), zero)
         counted = fresh * load(mem, layout.alive, lane)
         store(mem, contacts + k, lane, load(mem, contacts + k, lane) + counted)
         touching = choose(past, zero + 1.0, zero)
         if held:
-            touching = greater(touching, load(mem, at.work + (k + 1) * WORK + LOCKED, lane))
+            touching = greater(touching, load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, lane))
         # 2: it has just come, and bounces.
-        store(mem, stop + TOUCHING, lane, touching + fresh)
+        store(mem, stop + arrays.TOUCHING, lane, touching + fresh)
         hit = choose(past, zero + 1.0, hit)
         lying = greater(lying, touching)
     if anywhere(hit > 0.5):
@@ -250,19 +222,19 @@ def meet_stops(
         for _ in range(100):
             settled = True
             for k in range(n):
-                stop = layout.stop + k * STOP
-                rate, touching = load(mem, layout.velocity + k, lane), load(mem, stop + TOUCHING, lane)
-                above = load(mem, at.state + k, lane) >= load(mem, stop + HIGH, lane)
+                stop = layout.stop + k * arrays.STOP
+                rate, touching = load(mem, layout.velocity + k, lane), load(mem, stop + arrays.TOUCHING, lane)
+                above = load(mem, at.state + k, lane) >= load(mem, stop + arrays.HIGH, lane)
                 outward = choose(above, rate, -rate)
                 struck = (hit > 0.5) & (touching > 0.5) & (outward > 1e-12)
                 if not anywhere(struck):
                     continue
                 settled = False
                 _response(links, mem, lane, at, layout, free, k, dy)
-                away = load(mem, stop + AWAY, lane)
-                again = (away > 0.0) & (t - load(mem, stop + WHEN, lane) < _SHORT * step)
+                away = load(mem, stop + arrays.AWAY, lane)
+                again = (away > 0.0) & (t - load(mem, stop + arrays.WHEN, lane) < _SHORT * step)
                 coming = choose(again, lesser(outward, away), outward)
-                back = choose(touching > 1.5, load(mem, stop + RESTITUTION, lane) * coming, zero)
+                back = choose(touching > 1.5, load(mem, stop + arrays.RESTITUTION, lane) * coming, zero)
                 change = choose(above, -outward - back, outward + back)
                 impulse = choose(struck, change / load(mem, dy + k, lane), zero)
                 for j in range(n):
@@ -278,10 +250,15 @@ def meet_stops(
             if settled:
                 break
     for k in range(n):
-        stop = layout.stop + k * STOP
+        stop = layout.stop + k * arrays.STOP
         rate = load(mem, layout.velocity + k, lane)
-        bounced = load(mem, stop + TOUCHING, lane) > 1.5
-        store(mem, stop + WHEN, lane, choose(bounced, t, load(mem, stop + WHEN, lane)))
-        store(mem, stop + AWAY, lane, choose(bounced, choose(rate < 0.0, -rate, rate), load(mem, stop + AWAY, lane)))
-        store(mem, stop + TOUCHING, lane, lesser(load(mem, stop + TOUCHING, lane), zero + 1.0))
+        bounced = load(mem, stop + arrays.TOUCHING, lane) > 1.5
+        store(mem, stop + arrays.WHEN, lane, choose(bounced, t, load(mem, stop + arrays.WHEN, lane)))
+        store(
+            mem,
+            stop + arrays.AWAY,
+            lane,
+            choose(bounced, choose(rate < 0.0, -rate, rate), load(mem, stop + arrays.AWAY, lane)),
+        )
+        store(mem, stop + arrays.TOUCHING, lane, lesser(load(mem, stop + arrays.TOUCHING, lane), zero + 1.0))
     return anywhere(lying > 0.5)

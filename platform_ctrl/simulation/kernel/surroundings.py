@@ -4,43 +4,11 @@ from __future__ import annotations
 
 import math
 
-from platform_ctrl.common.simd import (
-    Number,
-    choose,
-    columns,
-    greater,
-    inlined,
-    internal,
-    lesser,
-    load,
-    store,
-)
+from platform_ctrl.common.compiling import inlined, internal
+from platform_ctrl.common.simd import Number, choose, columns, greater, lesser, load, store
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import (
-    AMPLITUDE,
-    BEGIN,
-    FADE,
-    FAULT,
-    FIRST,
-    HOLD,
-    LAST_SHARE,
-    LINE,
-    PHASE,
-    RIPPLE,
-    RISE,
-    ROTOR,
-    RUN_UP,
-    SCALE,
-    SECOND,
-    SERVO,
-    SHARE,
-    SPIN,
-    TURN,
-    UNTIL,
-    At,
-    Layout,
-    Shared,
-)
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arrays import At, Layout, Shared
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine, exponential
 
 
@@ -68,7 +36,7 @@ def _look_up(shared: Shared, mem: FloatArray, lane: int, t: int, scale: int, res
 @inlined
 def _half_cosine(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Number:
     """How much of the half-cosine's rate is there."""
-    rise, hold = load(mem, layout.rate + RISE, lane), load(mem, layout.rate + HOLD, lane)
+    rise, hold = load(mem, layout.rate + arrays.RISE, lane), load(mem, layout.rate + arrays.HOLD, lane)
     zero = 0.0 * t
     inside = lesser(t, 2.0 * rise + hold - t)
     slow = rise > 0.0
@@ -81,7 +49,7 @@ def _half_cosine(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Numbe
 @inlined
 def _faded(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Number:
     """How much of the vibrations and sines is there."""
-    fade, zero = load(mem, layout.rate + FADE, lane), 0.0 * t
+    fade, zero = load(mem, layout.rate + arrays.FADE, lane), 0.0 * t
     slow = fade > 0.0
     part = choose(slow, lesser(t / choose(slow, fade, zero + 1.0), zero + 1.0), zero + 1.0)
     c, _ = cosine_and_sine(math.pi * part)
@@ -92,24 +60,24 @@ def _faded(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Number:
 def _shares(shared: Shared, mem: FloatArray, lane: int, layout: Layout, t: Number) -> None:
     """How much of their speed the failing rotors have at t; LAST_SHARE takes what SHARE was."""
     for r in range(shared.rotors.shape[0]):
-        slot = layout.rotor + r * ROTOR
-        store(mem, slot + LAST_SHARE, lane, load(mem, slot + SHARE, lane))
-        store(mem, slot + SHARE, lane, 0.0 * t + 1.0)
+        slot = layout.rotor + r * arrays.ROTOR
+        store(mem, slot + arrays.LAST_SHARE, lane, load(mem, slot + arrays.SHARE, lane))
+        store(mem, slot + arrays.SHARE, lane, 0.0 * t + 1.0)
     for f in range(shared.faults.shape[0]):
         kind = shared.faults[f, 0]
-        if kind > RIPPLE:
+        if kind > arrays.RIPPLE:
             continue
-        row, slot = layout.fault + f * FAULT, layout.rotor + shared.faults[f, 1] * ROTOR + SHARE
-        begin, until = load(mem, row + BEGIN, lane), load(mem, row + UNTIL, lane)
-        a, b = load(mem, row + FIRST, lane), load(mem, row + SECOND, lane)
+        row, slot = layout.fault + f * arrays.FAULT, layout.rotor + shared.faults[f, 1] * arrays.ROTOR + arrays.SHARE
+        begin, until = load(mem, row + arrays.BEGIN, lane), load(mem, row + arrays.UNTIL, lane)
+        a, b = load(mem, row + arrays.FIRST, lane), load(mem, row + arrays.SECOND, lane)
         begun = t >= begin
         since = choose(begun, t - begin, 0.0 * t)
-        if kind == RIPPLE:
+        if kind == arrays.RIPPLE:
             _, s = cosine_and_sine(b * since)
             share = choose(begun & (t < until), 1.0 + a * s, 0.0 * t + 1.0)
         else:
             left = (1.0 - a) * exponential(-since / b)
-            before, after = (a, 1.0 - left) if kind == RUN_UP else (0.0 * a + 1.0, a + left)
+            before, after = (a, 1.0 - left) if kind == arrays.RUN_UP else (0.0 * a + 1.0, a + left)
             share = choose(begun, after, before)
         store(mem, slot, lane, load(mem, slot, lane) * share)
 
@@ -127,11 +95,11 @@ def follow_rotors(shared: Shared, mem: FloatArray, lane: int, at: At, layout: La
     for i in range(3 * (n + 1)):
         store(mem, first + 2 * block + i, lane, load(mem, layout.steady + n + 9 + i, lane))
     for r in range(shared.rotors.shape[0]):
-        rotor, body, servo = layout.rotor + r * ROTOR, shared.rotors[r, 0], shared.rotors[r, 1]
-        share = load(mem, rotor + SHARE, lane)
+        rotor, body, servo = layout.rotor + r * arrays.ROTOR, shared.rotors[r, 0], shared.rotors[r, 1]
+        share = load(mem, rotor + arrays.SHARE, lane)
         if servo >= 0:
-            mean = 0.5 * (load(mem, rotor + LAST_SHARE, lane) + share)
-            store(mem, at.servo + servo * SERVO + SPIN, lane, mean * load(mem, rotor, lane))
+            mean = 0.5 * (load(mem, rotor + arrays.LAST_SHARE, lane) + share)
+            store(mem, at.servo + servo * arrays.SERVO + arrays.SPIN, lane, mean * load(mem, rotor, lane))
             continue
         for i in range(3):
             h = first + 2 * block + 3 * body + i
@@ -201,7 +169,7 @@ def surround(
                 store(mem, Omega + i, lane, zero)
     if shared.pieces.shape[0] > 0:
         store(mem, layout.random, lane, t)
-        _look_up(shared, mem, lane, layout.random, layout.rate + SCALE, layout.random + 1)
+        _look_up(shared, mem, lane, layout.random, layout.rate + arrays.SCALE, layout.random + 1)
         for i in range(3):
             value = load(mem, layout.random + 1 + i, lane)
             if free:
@@ -217,17 +185,17 @@ def surround(
         if layout.fade != 0:
             there = _faded(mem, lane, layout, t)
         for j in range(shared.lines.shape[0]):
-            slot = layout.line + j * LINE
-            c, s = load(mem, slot + PHASE, lane), load(mem, slot + PHASE + 1, lane)
+            slot = layout.line + j * arrays.LINE
+            c, s = load(mem, slot + arrays.PHASE, lane), load(mem, slot + arrays.PHASE + 1, lane)
             if turning:
-                turn = slot + TURN + 2 * segment
+                turn = slot + arrays.TURN + 2 * segment
                 c_turn, s_turn = load(mem, turn, lane), load(mem, turn + 1, lane)
                 c, s = c * c_turn - s * s_turn, s * c_turn + c * s_turn
-                store(mem, slot + PHASE, lane, c)
-                store(mem, slot + PHASE + 1, lane, s)
+                store(mem, slot + arrays.PHASE, lane, c)
+                store(mem, slot + arrays.PHASE + 1, lane, s)
             component = shared.lines[j] % (n + 6)
             if component >= 3 or not free:
                 target = Omega + component  # the slots of the specific force follow those of Omega
                 if component >= 6:
                     target = layout.pushed + row * n + component - 6
-                store(mem, target, lane, load(mem, target, lane) + there * load(mem, slot + AMPLITUDE, lane) * c)
+                store(mem, target, lane, load(mem, target, lane) + there * load(mem, slot + arrays.AMPLITUDE, lane) * c)

@@ -12,7 +12,7 @@ from typing import Any
 import numba
 import pytest
 
-from platform_ctrl.common.parts import PartCompiler
+from platform_ctrl.common.compiling import internal
 
 njit: Any = numba.njit
 
@@ -24,7 +24,7 @@ def part() -> Any:
     def area(radius: float) -> float:
         return math.pi * radius * radius
 
-    return njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler)(area)
+    return internal(area)
 
 
 def test_a_part_has_no_machine_code_of_its_own(part: Any) -> None:
@@ -35,7 +35,7 @@ def test_a_part_has_no_machine_code_of_its_own(part: Any) -> None:
 
 
 def test_a_function_computes_what_its_parts_do(part: Any) -> None:
-    @njit(pipeline_class=PartCompiler, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    @internal
     def volume(radius: float, height: float) -> float:
         return part(radius) * height
 
@@ -48,7 +48,7 @@ def test_a_function_computes_what_its_parts_do(part: Any) -> None:
 
 
 COMPILED = """
-from platform_ctrl.common.simd import compiled
+from platform_ctrl.common.compiling import compiled
 
 @compiled
 def square(x):

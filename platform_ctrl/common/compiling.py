@@ -1,19 +1,23 @@
-"""What numba compiles once: functions that compiled ones alone call, as parts of these; any function, in one process.
+"""How the functions of the kernel are compiled: those that Python calls are kept, the others are parts of these.
 
-By itself it optimises every function together with all that it calls, and makes machine code of them: what lies n calls
-deep n times. A part is typed and translated alone; the costly optimisations and machine code are for what Python calls.
+By itself numba optimises every function together with all that it calls, and makes machine code of them: what lies n
+calls deep n times. A part is typed and translated alone; the costly optimisations and machine code are for what Python
+calls.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
+import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 class _NoMachineCode:
@@ -58,7 +62,45 @@ class PartCompiler(Compiler):
         return super().define_pipelines()
 
 
-def compile_in_one_process(dispatcher: Any) -> None:
+_njit: Any = numba.njit  # its types know nothing of the switches for wrappers
+
+# error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+# Without wrappers for Python and C, which take as long as a small function.
+_PART = _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
+
+
+def internal(function: F) -> F:
+    """Compile for compiled callers alone, within which it is kept."""
+    return cast(F, _njit(**_PART)(function))
+
+
+def inlined(function: F) -> F:
+    """Compile into every caller."""
+    return cast(F, _njit(forceinline=True, **_PART)(function))
+
+
+def compiled(function: F) -> F:
+    """Compile a function that Python calls, and keep the result until any file beside it changes."""
+    try:
+        dispatcher = _njit(cache=True, **_OPTIONS)(function)
+    except RuntimeError:  # nowhere to keep a cache: compile in every process
+        return cast(F, _njit(**_OPTIONS)(function))
+    if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT, where it is the plain function
+        # What was compiled by another "version" is not even unpickled: its types may have been in another module.
+        dispatcher._cache._cache_file._version += f" {_stamp(Path(function.__code__.co_filename))}"
+        _compile_in_one_process(dispatcher)
+    return cast(F, dispatcher)
+
+
+def _stamp(source: Path) -> tuple[float, int]:
+    """Newest change and total size of the files beside a source file, and of those that say how it is compiled."""
+    own = Path(__file__)
+    files = [file.stat() for file in (own, own.with_name("simd.py"), *sorted(source.parent.glob("*.py")))]
+    return max(file.st_mtime for file in files), sum(file.st_size for file in files)
+
+
+def _compile_in_one_process(dispatcher: Any) -> None:
     """Let other processes that need a cached function wait for the first, and take what that keeps."""
     compile_or_load, held = dispatcher.compile, False
 
