@@ -72,7 +72,7 @@ def seconds(expression: str) -> tuple[float, int]:
     """Return how long an expression takes in a fresh process, s, and how many characters it prints."""
     code = (
         "import sys, time; sys.path.insert(0, sys.argv[1]); start = time.perf_counter()\n"
-        "from platform_ctrl import read_platform; from platform_ctrl.mechanics.symbolic.equations import equations\n"
+        "from platform_ctrl import read_platform; from platform_ctrl.mechanics.symbolic import equations\n"
         "from symbolic import tree\n"
         f"text = {expression}; print(time.perf_counter() - start, len(text))"
     )

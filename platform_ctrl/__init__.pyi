@@ -18,7 +18,7 @@ from .mechanics.rotors import with_free_rotors as with_free_rotors
 from .mechanics.rotors import with_regulated_rotors as with_regulated_rotors
 from .mechanics.state_space import state_space as state_space
 from .mechanics.state_space import subsystems as subsystems
-from .mechanics.symbolic.equations import equations as equations
+from .mechanics.symbolic import equations as equations
 from .mechanics.terms import terms as terms
 from .plant.platform import Platform as Platform
 from .plant.reading import read_platform as read_platform

@@ -13,7 +13,7 @@ import typer
 
 from platform_ctrl.cli.job_arguments import Json, Quiet, one_of, option, prepare_folder
 from platform_ctrl.errors import InputError
-from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
+from platform_ctrl.mechanics.symbolic import HIGHEST_ORDER, TERMS, WRITTEN
 
 # Valid as a file name on all systems and, unquoted, in a text.
 _NAME = re.compile(r"\w[\w.-]*")
@@ -192,7 +192,7 @@ def equations(
         chosen_form = "json"
     with progress(quiet or as_json, f"deriving the equations of {plant}"):
         from platform_ctrl.common.files import json_text
-        from platform_ctrl.mechanics.symbolic.equations import equations as found
+        from platform_ctrl.mechanics.symbolic import equations as found
         from platform_ctrl.plant.reading import read_platform
 
         written = found(read_platform(plant), chosen_form, chosen_order, chosen_terms)

@@ -113,6 +113,12 @@ for _name, _emit in (
     (operator.truediv, lambda builder, a, b: builder.fdiv(a, b)),
 ):
     _binary(_name, _lane, _emit)
+
+
+def _compare(sign: str) -> Callable[[Any, Any, Any], Any]:
+    return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
+
+
 for _name, _sign in (
     (operator.lt, "<"),
     (operator.le, "<="),
@@ -121,7 +127,7 @@ for _name, _sign in (
     (operator.eq, "=="),
     (operator.ne, "!="),
 ):
-    _binary(_name, _mask, lambda builder, a, b, sign=_sign: builder.fcmp_ordered(sign, a, b))
+    _binary(_name, _mask, _compare(_sign))
 
 
 @infer_global(operator.neg)

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import itertools
 import math
-import numbers
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import known_names, one_of, real_array, short
+from platform_ctrl.common.arguments import known_names, one_of, real_array, short, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.affine import AffineModel, FrozenSystem, affine_model, momentum_slope
 from platform_ctrl.mechanics.linearisation import Terms, linearise
 from platform_ctrl.mechanics.polynomials import (
+    AffineModel,
+    FrozenSystem,
     MatrixPolynomial,
     acceleration_part,
+    affine_model,
     inertia_part,
+    momentum_slope,
     monomial_values,
     polynomial,
     rotor_part,
@@ -211,14 +213,14 @@ class ParameterVaryingModel(_WithDictionary):
                 "Omega_dot: is needed where Omega is a function of time; give it, or take form='momenta'"
             )
         k, affine = len(self.M), self._affine
-        rate = _now(Omega, t)
-        change = np.zeros(3) if Omega_dot is None else _now(Omega_dot, t)
+        rate = Omega(t) if callable(Omega) else Omega
+        change = Omega_dot(t) if callable(Omega_dot) else Omega_dot
         A = affine.state_matrix(monomial_values(affine.parameters, rate, change))
         out: FloatArray = A @ real_array("x", x, (2 * k,))
         forcing = self.forcing(rate, change)
         out[2 * k - len(forcing) :] += forcing
         if Q is not None:
-            out[k:] += real_array("Q", _now(Q, t), (k,))
+            out[k:] += real_array("Q", Q(t) if callable(Q) else Q, (k,))
         return out
 
     def vertices(self, Omega_max: ArrayLike, Omega_dot_max: ArrayLike | None = None) -> list[FrozenSystem]:
@@ -248,7 +250,7 @@ class ParameterVaryingModel(_WithDictionary):
 
     def grid(
         self,
-        points: int | Sequence[int] | NDArray[np.integer[Any]],
+        points: int | Sequence[int],
         Omega_max: ArrayLike,
         Omega_dot_max: ArrayLike | None = None,
     ) -> list[FrozenSystem]:
@@ -292,12 +294,6 @@ class ParameterVaryingModel(_WithDictionary):
         return out
 
 
-def _now(signal: Signal, t: float) -> ArrayLike:
-    if hasattr(signal, "ninputs"):
-        raise ArgumentError(f"rhs: a signal must be numbers or a function of time, got {short(signal)}")
-    return signal(t) if callable(signal) else signal
-
-
 def _limits(name: str, given: ArrayLike | None) -> FloatArray:
     limits = real_array(name, given, (3,), 0.0)
     if np.any(limits < 0.0):
@@ -305,21 +301,12 @@ def _limits(name: str, given: ArrayLike | None) -> FloatArray:
     return limits
 
 
-def _points(points: int | Sequence[int] | NDArray[np.integer[Any]]) -> list[int]:
-    given: list[Any]
-    if isinstance(points, Sequence) or (isinstance(points, np.ndarray) and points.ndim > 0):
-        given = list(points)
-    else:  # a number, or an array that is one
-        given = [points.item() if isinstance(points, np.ndarray) else points] * 6
-    if len(given) == 3:
-        given += [1] * 3
-    if len(given) != 6 or not all(_is_count(number) for number in given):
+def _points(points: int | Sequence[int]) -> list[int]:
+    given = [points] * 6 if np.ndim(points) == 0 else list(points)  # type: ignore[arg-type]
+    given += [1] * 3 if len(given) == 3 else []
+    if len(given) != 6:
         raise ArgumentError(f"points: must be a whole number >= 1, or three, or six of them, got {short(points)}")
-    return [int(number) for number in given]
-
-
-def _is_count(number: object) -> bool:
-    return isinstance(number, numbers.Integral) and not isinstance(number, bool) and int(number) >= 1
+    return [whole("points", number, 1) for number in given]
 
 
 def parameter_varying(

@@ -127,31 +127,6 @@ class PrecessionPart:
         return tuple(self.model.angle_names[k] for k in self._rows)
 
     @property
-    def M(self) -> FloatArray:
-        """Inertia, (n, n), kg m²."""
-        return _part(self.model.M, self._rows)
-
-    @property
-    def G(self) -> FloatArray:
-        """G of (19), (n, n), N m s."""
-        return _part(self.model.G, self._rows)
-
-    @property
-    def damping(self) -> FloatArray:
-        """G − ∂Q/∂q̇, (n, n), N m s: what the test was made with."""
-        return _part(self.model.damping, self._rows)
-
-    @property
-    def stiffness(self) -> FloatArray:
-        """K − ∂Q/∂q, (n, n), N m/rad."""
-        return _part(self.model.stiffness, self._rows)
-
-    @property
-    def rank(self) -> int:
-        """Rank of G: how many singular values are not 0."""
-        return len(self.gimbals) - int(self.null_directions.shape[1])
-
-    @property
     def admissible(self) -> bool:
         """Whether precession theory may be used without changes."""
         return not self.reasons
@@ -162,11 +137,12 @@ class PrecessionPart:
         omega = real_array("frequency", omega, (omega.size,))
         if np.any(omega <= 0.0) or np.any(omega > _HIGHEST):
             raise ArgumentError(f"frequency: must be above 0 and up to {_HIGHEST:g} rad/s, got {short(frequency)}")
-        T = np.linalg.inv(np.linalg.cholesky(self.M).T)
+        M, D, S = (_part(item, self._rows) for item in (self.model.M, self.model.damping, self.model.stiffness))
+        T = np.linalg.inv(np.linalg.cholesky(M).T)
         V = np.linalg.inv(T) @ self._kept(momentum_states)
         inertia = V @ np.linalg.pinv(V)
         s = 1j * omega[:, None, None]
-        rest = s * (T.T @ self.damping @ T) + T.T @ self.stiffness @ T
+        rest = s * (T.T @ D @ T) + T.T @ S @ T
         reduced = s**2 * inertia + rest
         # On a root of the reduction its response, and so the error, is infinite.
         regular = np.linalg.cond(reduced) < 1.0 / np.finfo(float).eps

@@ -18,9 +18,14 @@ from numpy.typing import NDArray
 from platform_ctrl.common.arguments import distinct, instance, known_names, one_of
 from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding, momentum_rounding
 from platform_ctrl.mechanics.kinematics import cross_matrix, topology
-from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.linearisation import (
+    LinearModel,
+    connected,
+    force_rounding,
+    inertia_rounding,
+    momentum_rounding,
+)
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
 

@@ -12,9 +12,9 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.simulation.batch import merged_controller, recorded
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
+from platform_ctrl.simulation.packing import servo_rotors
 from platform_ctrl.simulation.run_plan import prepared
 from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, sampled_commands, steps
-from platform_ctrl.simulation.servo_rotors import servo_rotors
 
 if TYPE_CHECKING:
     import control

@@ -13,10 +13,9 @@ from platform_ctrl.common.processes import processors
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation.packing import pack
+from platform_ctrl.simulation.packing import initial_spins, pack, servo_rotors, spins_of, with_rotor_states
 from platform_ctrl.simulation.scenarios import unit_quaternions
-from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
-from platform_ctrl.simulation.step_limit import check_elements
+from platform_ctrl.simulation.step_limit import check_steps
 
 
 @value
@@ -136,8 +135,7 @@ def rollout(  # noqa: PLR0913 - options by keyword
     every = None if every is None else whole("every", every, 1)
     threads = processors() if threads is None else whole("threads", threads, 1)
     spins = initial_spins(platform, spin, (runs, len(servo_rotors(platform))))
-    check_step([platform], step, free=True)
-    check_elements([platform], step, free=True)
+    check_steps([platform], step, free=True)
 
     from platform_ctrl.common.simd import LANES, memory
     from platform_ctrl.simulation.kernel.advance import advance

@@ -39,8 +39,7 @@ from platform_ctrl.simulation.scenarios import (
     rows_of_sensors,
     states,
 )
-from platform_ctrl.simulation.servo_rotors import check_step
-from platform_ctrl.simulation.step_limit import check_elements
+from platform_ctrl.simulation.step_limit import check_steps
 
 # Which random numbers an action draws: the upper digits of its channel.
 _STREAM = {arrays.PICKOFF_DROPOUT: 3, arrays.OVERRUN: 4}
@@ -172,8 +171,7 @@ def batch(members: Sequence[Prepared], controller: Controller, period: float, no
     lengths = np.array([member.timing.steps for member in members])
     longest = np.zeros(len(plants.made))
     np.maximum.at(longest, plants.which, lengths.max(axis=1))
-    check_step(plants.made, longest, free)
-    check_elements(plants.made, longest, free)
+    check_steps(plants.made, longest, free)
     constants, around = numbers(shape, plants.made)
 
     order = sorted({key for member in members for key in member.faults})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,13 +13,12 @@ from platform_ctrl.common.arguments import positive, real_array, short, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
-from platform_ctrl.job.scenario import Command, Scenario, Sine, Start, Vibration
+from platform_ctrl.job.scenario import Command, Scenario, Sine, Vibration
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.packing import Packed, Skeleton
-from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors, with_rotor_states
+from platform_ctrl.simulation.packing import Packed, Skeleton, initial_spins, servo_rotors, with_rotor_states
 
 # What a run may take of memory and time.
 _SAMPLES, _PERIODS, _SUBSTEPS = 1e8, 1e3, 1e8
@@ -42,7 +41,6 @@ def expect_scenario(scenario: object, period: float) -> None:
     _start(scenario)
     _motion(scenario)
     _commands(scenario)
-    _drives(scenario)
     for fault in scenario.faults:
         part_of(scenario.platform, fault)
 
@@ -92,8 +90,6 @@ def _motion(scenario: Scenario) -> None:
     for name, there in given.items():
         if there:
             raise ArgumentError(f"{name}: has no effect in mode {scenario.mode!r}, {why}")
-    if scenario.start not in get_args(Start):
-        raise ArgumentError(f"start must be 'rest' or 'equilibrium', got {short(scenario.start)}")
     moving: tuple[Vibration | Sine, ...] = (*scenario.vibrations, *scenario.sines)
     if scenario.mode == "stabilised" and any(vibration.kind == "rate" for vibration in moving):
         raise ArgumentError(
@@ -163,21 +159,6 @@ def _commands(scenario: Scenario) -> None:
     for command in scenario.commands:
         if command.reading not in known:
             raise ArgumentError(f"commands: there is no sensor {command.reading!r}, only {', '.join(known) or 'none'}")
-
-
-def _drives(scenario: Scenario) -> None:
-    platform = scenario.platform
-    sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
-    driven = [law.torquer for law in scenario.drives]
-    for law in scenario.drives:
-        read = [*law.weights, *([law.secant_of] if law.secant_of is not None else [])]
-        for what, names, known in (("torquer", [law.torquer], torquers), ("sensor", read, sensors)):
-            unknown = [name for name in names if name not in known]
-            if unknown:
-                words = f"there is no {what} {unknown[0]!r}, only {', '.join(known) or 'none'}"
-                raise ArgumentError(f"drives: {words}")
-        if driven.count(law.torquer) > 1:
-            raise ArgumentError(f"drives: torquer {law.torquer!r} has several; a torquer has one")
 
 
 def drive_parts(scenario: Scenario) -> list[int]:

@@ -1,4 +1,4 @@
-"""How long a step springs, cages and friction allow: too long a one gives numbers, and wrong ones."""
+"""How long a step springs, cages, friction and speed loops allow: too long a one gives numbers, and wrong ones."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics
+from platform_ctrl.mechanics.matrices import directions
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.packing import Skeleton, inertias, skeleton
 
 
-def masses(shape: Skeleton, platforms: Sequence[Platform], at: Kinematics, locked: Collection[str]) -> FloatArray:
+def _masses(shape: Skeleton, platforms: Sequence[Platform], at: Kinematics, locked: Collection[str]) -> FloatArray:
     """Return the mass matrices (N, 3 + n, 3 + n) of plants of one skeleton; rotors of the kinds `locked` add C."""
     bodies = inertias(shape, platforms)
     for k, (b, axis, control) in enumerate(zip(shape.carriers, shape.spin_axes, shape.controls, strict=True)):
@@ -31,8 +32,9 @@ def masses(shape: Skeleton, platforms: Sequence[Platform], at: Kinematics, locke
 _DECAY, _PHASE, _CONTACT = 2.7, 1.0, 0.3
 
 
-def check_elements(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:
-    """Refuse steps that are too long for an element: one for each of several plants of one skeleton."""
+def check_steps(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:
+    """Refuse steps that are too long for a speed loop or an element: one for each of several plants of one skeleton."""
+    _check_speed_loops(platforms, steps, free)
     found = _longest(platforms, free)
     if not found:
         return
@@ -81,9 +83,42 @@ def _eases(shape: Skeleton, platforms: Sequence[Platform], free: bool) -> FloatA
     """How easily each gimbal gives way, (N, n): the diagonal of A*'s inverse; a singular A* is for the run to find."""
     low = 0 if free else 3
     at = kinematics(platforms[0], np.zeros(len(platforms[0].gimbals)))
-    mass = masses(shape, platforms, at, ("regulated", "servo"))[:, low:, low:]
+    mass = _masses(shape, platforms, at, ("regulated", "servo"))[:, low:, low:]
     level, modes = np.linalg.eigh(mass)
     regular = level > 1e-15 * level[:, -1:]
     inverse = np.where(regular, 1.0 / np.where(regular, level, 1.0), 0.0)
     eases: FloatArray = np.einsum("nij,nj->ni", modes**2, inverse)
     return eases[:, 3 - low :]
+
+
+def _check_speed_loops(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:
+    """Refuse steps at which a speed loop would diverge.
+
+    The loop's faster pole is checked, with the inertia that the motor turns: C against what carries the rotor, all
+    gimbals at zero.
+    """
+    shape = skeleton(platforms[0])
+    if not shape.servos:
+        return
+    at, servos = kinematics(platforms[0], np.zeros(len(platforms[0].gimbals))), list(shape.servos)
+    low = 0 if free else 3
+    A = _masses(shape, platforms, at, ("regulated",))[:, low:, low:]
+    B = directions(at)[servos, low:]
+    C, gain, integral = np.array(
+        [
+            [(p.rotors[k].axial_inertia, p.rotors[k].speed_gain, p.rotors[k].speed_integral) for k in servos]
+            for p in platforms
+        ]
+    ).transpose(2, 0, 1)
+    # Spin per momentum that the motor exchanges. A joint that moves nothing (a singular A) is for the run to find.
+    compliance = 1.0 / C + np.einsum("ri,nij,rj->nr", B, np.linalg.pinv(A, hermitian=True), B)
+    half, product = 0.5 * gain * compliance, integral * compliance
+    square = half**2 - product
+    fastest = np.where(square >= 0.0, np.abs(half) + np.sqrt(np.abs(square)), np.sqrt(np.abs(product)))
+    given = np.broadcast_to(np.asarray(steps)[..., None], fastest.shape)
+    for place, k in np.argwhere(given * fastest > _DECAY)[:1]:
+        pole, rotor = fastest[place, k], platforms[place].rotors[servos[k]]
+        raise ArgumentError(
+            f"step: {given[place, k]:.3g} s is too long for the speed loop of rotor {rotor.name!r}, which decays at "
+            f"{pole:.4g} 1/s; take at most {_DECAY / pole:.3g} s"
+        )

@@ -21,8 +21,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import Budget, Source
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import Job
-from platform_ctrl.mechanics.coupling import connected
-from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.linearisation import connected, linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform

@@ -17,8 +17,7 @@ from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import derivatives, matrices
 from platform_ctrl.mechanics.state_space import subsystems
-from platform_ctrl.mechanics.symbolic.equations import equations
-from platform_ctrl.mechanics.symbolic.options import TERMS
+from platform_ctrl.mechanics.symbolic import TERMS, equations
 from platform_ctrl.plant.platform import Platform, Rotor
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.source import shipped_models

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import known_name, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.coupling import connected
 from platform_ctrl.mechanics.kinematics import Topology, topology
-from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, Terms
+from platform_ctrl.mechanics.linearisation import connected
+from platform_ctrl.mechanics.symbolic import HIGHEST_ORDER, Terms
 from platform_ctrl.mechanics.symbolic.polynomials import Array, Expression, Polynomial, Polynomials
 from platform_ctrl.mechanics.symbolic.symbols import (
     NamedSymbol,
@@ -274,10 +274,14 @@ class _Derivation:
         core = _Core(self, self._algebra(None), False) if order is None else linear
         algebra, m = core.algebra, len(self.platform.rotors)
         full = [self._row(linear, j) for j in range(n)]
+        select, first = linear.algebra.select, len(self.known)
+        kept = [k for k, s in enumerate(self.known) if s.kind in ("momentum", "element")]
         rows = {
             "partially_linear": full,
-            "linear": [{at: self._slow(linear, at, p) for at, p in row.items()} for row in full],
-            "precession": [{at: self._massless(linear, p) for at, p in row.items()} for row in full],
+            # (19): linear in the angles and in Omega and Omega' together.
+            "linear": [select(row, lambda at, powers: sum(powers[first : first + 6]) <= (at is None)) for row in full],
+            # (15): only what contains a momentum or the strength of a force element.
+            "precession": [select(row, lambda at, powers: any(powers[k] for k in kept)) for row in full],
         }
         coupled = np.zeros((n, n), dtype=bool)
         for j, row in enumerate(full):
@@ -371,16 +375,6 @@ class _Derivation:
                 )
         row = algebra.split(algebra.cut(np.array([out], dtype=object))[0], range(first + 6, first + 6 + 3 * n))
         return {at: row[at] for at in sorted(row, key=lambda at: (at is None, at)) if row[at]}
-
-    def _slow(self, core: _Core, at: int | None, polynomial: Polynomial) -> Polynomial:
-        """(19): linear in the angles and in Omega and Omega' together."""
-        first = len(self.known)
-        return core.algebra.select(polynomial, lambda powers: sum(powers[first : first + 6]) <= (at is None))
-
-    def _massless(self, core: _Core, polynomial: Polynomial) -> Polynomial:
-        """(15): only what contains a momentum or the strength of a force element."""
-        kept = [k for k, s in enumerate(self.known) if s.kind in ("momentum", "element")]
-        return core.algebra.select(polynomial, lambda powers: any(powers[k] for k in kept))
 
     def _singular(self, groups: tuple[tuple[int, ...], ...]) -> list[str]:
         """Say where G_R, which is skew, cannot be inverted: (15) without dampers does not determine the rates."""

@@ -5,7 +5,7 @@ Vectors and matrices are object arrays of elements of SymPy's sparse polynomial 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -134,9 +134,14 @@ class Polynomials:
                 out.setdefault(at, {})[rest] = c
         return {at: self._ring.from_dict(terms) for at, terms in out.items()}
 
-    def select(self, polynomial: Polynomial, wanted: Any) -> Polynomial:
-        """Return the terms whose powers of the symbols are wanted."""
-        return self._ring.from_dict({m: c for m, c in polynomial.items() if wanted(m)})
+    def select(
+        self, row: dict[int | None, Polynomial], wanted: Callable[[int | None, tuple[int, ...]], bool]
+    ) -> dict[int | None, Polynomial]:
+        """Return the terms of a split polynomial that are wanted, by their places and powers of the symbols."""
+        return {
+            at: self._ring.from_dict({m: c for m, c in polynomial.items() if wanted(at, m)})
+            for at, polynomial in row.items()
+        }
 
     def written(self, polynomial: Polynomial) -> Expression:
         """Return the polynomial in SymPy's symbols: parameters collected before what moves."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import builtins
 import keyword
-import math
 import unicodedata
 from typing import Literal, NamedTuple
 
@@ -12,7 +11,7 @@ import numpy as np
 import sympy
 
 from platform_ctrl.common.text import dotted
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.mechanics.forces import ForceElements
 from platform_ctrl.mechanics.kinematics import Topology, kinematics
 from platform_ctrl.mechanics.polynomials import without_elements
@@ -167,12 +166,7 @@ class Element(NamedTuple):
 def elements(platform: Platform, names: Names) -> tuple[list[Element], list[str]]:
     """Return the force elements about zero angles, under the platform's specific force, and notes."""
     n, f = len(platform.gimbals), platform.specific_force
-    none, out, notes = np.zeros((n, n)), list[Element](), list[str]()
-
-    def add(head: str, label: str, meaning: str, unit: str, size: float, *parts: FloatArray) -> None:
-        symbol = names.symbol(joined(head, label), "element", meaning, unit, size)
-        out.append(Element(symbol, *(part / size for part in parts)))
-
+    out, notes = list[Element](), list[str]()
     for friction in platform.frictions:
         if any(friction.breakaway):
             notes.append(f"dry friction of gimbal {friction.gimbal} is left out: it has no slope at rest")
@@ -189,31 +183,18 @@ def elements(platform: Platform, names: Names) -> tuple[list[Element], list[str]
         ("unbalances", "body", "m", "size of the mass moment of {}", "kg m", "moment"),
         ("erections", "gimbal", "e", "gain of the erection of gimbal {}", "N m", "gain"),
     )
-    at = kinematics(platform, np.zeros(n))
+    at, alone, still = kinematics(platform, np.zeros(n)), without_elements(platform), np.zeros(n)
     for field, where, head, meaning, unit, strength in families:
         for element in getattr(platform, field):
-            size = float(np.linalg.norm(getattr(element, strength)))
-            alone = without_elements(platform)
-            acting = ForceElements(_with(alone, field, element), at, f)
-            slopes, force = acting.slopes(np.zeros(n)), -acting.forces(np.zeros(n), np.zeros(n))[3:]
-            angle, rate = -slopes.angle[3:], -slopes.rate
-            if head in ("k", "kc", "m", "e"):
-                rate = none
+            acting = ForceElements(replaced(alone, {field: (element,)}), at, f)
+            slopes = acting.slopes(still)
+            if head in ("d", "dc"):
+                parts = np.zeros((n, n)), -slopes.rate, still
             else:
-                angle, force = none, np.zeros(n)
-            if size and (angle.any() or rate.any() or force.any()):
-                label = getattr(element, where)
-                signed = (
-                    math.copysign(size, getattr(element, strength))
-                    if np.ndim(getattr(element, strength)) == 0
-                    else size
-                )
-                add(head, label, meaning.format(label), unit, signed, angle, rate, force)
+                parts = -slopes.angle[3:], np.zeros((n, n)), -acting.forces(still, still)[3:]
+            number, label = getattr(element, strength), getattr(element, where)
+            size = float(np.linalg.norm(number) if np.ndim(number) else number)
+            if size and any(part.any() for part in parts):
+                symbol = names.symbol(joined(head, label), "element", meaning.format(label), unit, size)
+                out.append(Element(symbol, *(part / size for part in parts)))
     return out, notes
-
-
-def _with(platform: Platform, field: str, element: object) -> Platform:
-    import dataclasses
-
-    only: dict[str, tuple[object, ...]] = {field: (element,)}
-    return dataclasses.replace(platform, **only)  # type: ignore[arg-type]

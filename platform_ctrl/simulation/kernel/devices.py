@@ -11,8 +11,8 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Mask, Number, choose, columns, greater, lesser, load, root, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine, logarithm
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Shared
-from platform_ctrl.simulation.kernel.functions import cosine_and_sine, logarithm
 
 
 @inlined

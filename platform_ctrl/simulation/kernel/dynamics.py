@@ -34,6 +34,17 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Number, choose, load, root, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arithmetic import (
+    Vector,
+    add,
+    cosine_and_sine,
+    from_parent,
+    put,
+    times,
+    to_parent,
+    vector,
+    whole_inertia_to_parent,
+)
 from platform_ctrl.simulation.kernel.arrays import At, Links
 from platform_ctrl.simulation.kernel.elements import (
     erection_torques,
@@ -41,17 +52,6 @@ from platform_ctrl.simulation.kernel.elements import (
     servo_drives,
     servo_momenta,
     unbalance_moments,
-)
-from platform_ctrl.simulation.kernel.functions import cosine_and_sine
-from platform_ctrl.simulation.kernel.vectors import (
-    Vector,
-    add,
-    from_parent,
-    put,
-    times,
-    to_parent,
-    vector,
-    whole_inertia_to_parent,
 )
 
 

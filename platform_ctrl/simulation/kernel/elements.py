@@ -6,9 +6,8 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Number, choose, greater, lesser, load, root, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arithmetic import add, exponential, hyperbolic_tangent, vector
 from platform_ctrl.simulation.kernel.arrays import At, Links
-from platform_ctrl.simulation.kernel.functions import exponential, hyperbolic_tangent
-from platform_ctrl.simulation.kernel.vectors import add, vector
 
 
 @internal

@@ -8,6 +8,7 @@ from platform_ctrl.common.compiling import compiled, inlined, internal
 from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.devices import (
     LOSS,
@@ -23,7 +24,6 @@ from platform_ctrl.simulation.kernel.devices import (
     work_on,
 )
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
-from platform_ctrl.simulation.kernel.functions import cosine_and_sine
 from platform_ctrl.simulation.kernel.metrics import judge, update_metrics
 from platform_ctrl.simulation.kernel.sensors import look, read, turn_bodies
 from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike

@@ -6,9 +6,9 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Number, anywhere, choose, load, store, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arithmetic import from_parent, put, vector
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.devices import LOSS, PICKOFF, Keys, acts, normals, uniforms
-from platform_ctrl.simulation.kernel.vectors import from_parent, put, vector
 
 
 @internal
