@@ -12,7 +12,6 @@ import pytest
 from driven_gimbal import COULOMB, COULOMB_RATE, FRICTION, INERTIA, RATE_HZ, SECANT, VISCOUS, driven_job
 from platform_ctrl import read_job
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.scenario import Scenario
@@ -100,16 +99,3 @@ def test_the_equilibrium_is_no_command_that_the_gain_multiplies() -> None:
     read = read_job(job)
     run = simulate(manoeuvre_scenario(read, read.manoeuvres[0]), [damping(0.5)], period=PERIOD)
     assert np.abs(run.rate).max() < 1e-12
-
-
-def test_a_drive_names_parts_of_the_plant() -> None:
-    one = scenario_of(FRICTION)
-    law = one.drives[0]
-    for wrong, words in (
-        ((dataclasses.replace(law, torquer="motor"),), "no torquer 'motor'"),
-        ((dataclasses.replace(law, weights={"giro": 1.0}),), "no sensor 'giro'"),
-        ((dataclasses.replace(law, secant_of="roll"),), "no sensor 'roll'"),
-        ((law, law), "has several"),
-    ):
-        with pytest.raises(ArgumentError, match=words):
-            simulate(dataclasses.replace(one, drives=wrong), [damping(0.5)], period=PERIOD)

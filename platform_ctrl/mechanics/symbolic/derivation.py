@@ -12,8 +12,7 @@ from platform_ctrl.common.arguments import known_name, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Topology, topology
-from platform_ctrl.mechanics.linearisation import connected
-from platform_ctrl.mechanics.symbolic import HIGHEST_ORDER, Terms
+from platform_ctrl.mechanics.linearisation import Terms, connected
 from platform_ctrl.mechanics.symbolic.polynomials import Array, Expression, Polynomial, Polynomials
 from platform_ctrl.mechanics.symbolic.symbols import (
     NamedSymbol,
@@ -404,5 +403,5 @@ def _not_too_large(platform: Platform, tree: Topology) -> None:
     if n > _MOST_GIMBALS or depth > _DEEPEST:
         raise ArgumentError(
             f"order: None is possible up to {_MOST_GIMBALS} gimbals, {_DEEPEST} deep, not for {n}, {depth} deep; "
-            f"take an order from 0 to {HIGHEST_ORDER}"
+            f"take an order from 0 to 3"
         )
