@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 import shlex
 import sys
@@ -14,27 +13,27 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 
 from platform_ctrl import read_job, read_platform
-from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.cli import main
+from platform_ctrl.cli.commands import app
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import JOB_FILE
-from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.plant.reading import PLANT_FILE
-from platform_ctrl.plant.tables import Shape
 from platform_ctrl.plant.tables import tables as tables_within
 from public_modules import names
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FORMATS = {"reference/plant-file.md": PLANT_FILE, "reference/job-file.md": JOB_FILE}
 
 
 def named(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
+PROGRAM: Any = typer.main.get_command(app)
+COMMANDS: dict[str, Any] = PROGRAM.commands
 PAGE = pytest.mark.parametrize("page", PAGES, ids=named)
 # Commands of a page's console that are not ours: they install, or stay until they are stopped.
 NOT_RUN = ("python3 -m venv", ".venv/bin/pip install", "pip install", "dask ", "mkdocs ", "pytest")
@@ -42,34 +41,13 @@ NOT_RUN = ("python3 -m venv", ".venv/bin/pip install", "pip install", "dask ", "
 # Pages that need a package which not every Python has wheels of.
 NEEDS = {"campaign.md": "pyarrow", "cluster.md": "distributed"}
 
-spec = importlib.util.spec_from_file_location("blocks", ROOT / "docs" / "site" / "blocks.py")
-assert spec is not None
-assert spec.loader is not None
-site_blocks = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(site_blocks)
+sys.path.insert(0, str(ROOT / "docs" / "site"))
+import blocks as site_blocks  # noqa: E402  beside the hooks of the site
+import tables as site_tables  # noqa: E402
 
 
 def blocks(page: Path, language: str) -> list[str]:
     return list(site_blocks.blocks(page.read_text(encoding="utf-8"), language))
-
-
-def tables(file: Shape) -> Iterator[tuple[str, set[str]]]:
-    """Walk the headings of a format's tables with their keys."""
-    for path, table in tables_within(file):
-        parent = dict(tables_within(file))[path[:-1]]
-        name = ".".join(path)
-        if path[:1] == ("manoeuvre",) and len(path) == 2 and parent.keys[path[-1]].array is None:
-            name = f"`{path[1]}` of a manoeuvre"
-        elif path:
-            name = f"`[{name}]`" if parent.keys[path[-1]].array is None else f"`[[{name}]]`"
-        if name not in ("`[loop.soft]`", "`[operation.angles]`"):  # the keys of [loop.limits], and names of angles
-            yield name or "The whole file", set(table.keys)
-
-
-def first_cells(text: str) -> set[str]:
-    """Names set as code in the first cell of a table's row."""
-    rows = re.findall(r"^\|([^|]*)\|", text, re.MULTILINE)
-    return {name for cell in rows for name in re.findall(r"`([^`]+)`", cell)}
 
 
 def slug(heading: str) -> str:
@@ -153,11 +131,6 @@ def test_code_for_users_imports_public_names_alone(where: str, code: str) -> Non
 
 @PAGE
 def test_commands_that_a_page_only_shows_have_the_options_that_they_are_shown_with(page: Path) -> None:
-    import typer
-
-    from platform_ctrl.cli.commands import app
-
-    program = typer.main.get_command(app)
     for line in re.findall(r"^    platform-ctrl (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE):
         if line.startswith("--"):
             continue  # of the program itself
@@ -165,9 +138,9 @@ def test_commands_that_a_page_only_shows_have_the_options_that_they_are_shown_wi
         name, *given = shlex.split(re.sub(r"\[[^\]]*\]", "", shown))  # what stands in brackets may be left out
         if name == "COMMAND":
             continue
-        command = program.commands[name]  # type: ignore[attr-defined]
+        command = COMMANDS[name]
         # A command keeps the help options of the first context that it sees.
-        within = typer.Context(command, **program.context_settings)
+        within = typer.Context(command, **PROGRAM.context_settings)
         command.make_parser(within).parse_args(given)
 
 
@@ -184,46 +157,23 @@ def test_toml_on_a_page_is_read(page: Path, tmp_path: Path, monkeypatch: pytest.
             read_job(data) if "plant" in data else read_platform(data)
 
 
-@pytest.mark.parametrize(
-    ("page", "heading", "keys"), [(page, *table) for page, file in FORMATS.items() for table in tables(file)]
-)
-def test_the_section_of_a_table_names_its_keys_and_no_others(page: str, heading: str, keys: set[str]) -> None:
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    sections = re.findall(rf"^#+ {re.escape(heading)}\n(.*?)(?=^#|\Z)", text, re.MULTILINE | re.DOTALL)
-    assert len(sections) == 1
-    named = {name.strip("[]").split(".")[-1] for name in first_cells(sections[0])}
-    # Keys of limits are those of the table of metrics.
-    assert named == (set(limit_keys()) if heading == "`[loop.limits]`" else keys)
-
-
-def limit_rows() -> list[str]:
-    """The rows of the table of limits: what the table of metrics says, an entry a row."""
-    rows = []
-    for metric in METRICS.values():
-        if metric.key:
-            keys = [f"{metric.key}_{scope}" if scope else metric.key for scope in metric.scopes]
-            names = ", ".join(f"`{key}`" for key in (*keys, *filter(None, [metric.lowest_key, metric.frequency_key])))
-            edge = f"; Hz{'' if metric.needs_frequency else ', optional'}" if metric.frequency_key else ""
-            best = f"; no loop has more than {metric.best:g}" if metric.best else ""
-            kind = f"number > 0{f', {metric.unit}' if metric.unit else ''}{edge}{best}"
-            rows.append(f"| {names} | {kind} | {metric.sense}: {metric.meaning} |")
-    return rows
-
-
-def test_the_table_of_limits_is_that_of_the_metrics() -> None:
-    section = (
-        (ROOT / "docs" / "reference" / "job-file.md").read_text(encoding="utf-8").partition("### `[loop.limits]`\n")[2]
-    )
-    table = section.partition("| --- | --- | --- |\n")[2].partition("\n\n")[0]
-    assert table.splitlines() == limit_rows()
-
-
-@pytest.mark.parametrize("method", sorted(METHODS))
-def test_every_option_stands_in_the_table_of_its_method_and_no_other(method: str) -> None:
-    text = (ROOT / "docs" / "reference" / "job-file.md").read_text(encoding="utf-8")
-    section = re.search(rf"^## Method `{method}`\n(.*?)^## ", text, re.MULTILINE | re.DOTALL)
-    assert section is not None
-    assert first_cells(section[1]) == set(METHODS[method].options)
+def test_the_reference_has_every_table_once_and_each_can_be_made() -> None:
+    asked = []
+    for page in PAGES:
+        for kind, name, notes in site_tables.MARK.findall(page.read_text(encoding="utf-8")):
+            assert "| `" in site_tables.made(kind, name, notes)
+            asked.append((kind, name))
+    files = {
+        ("keys", " ".join(filter(None, [file, ".".join(path)])))
+        for file, whole in (("plant", PLANT_FILE), ("job", JOB_FILE))
+        for path, table in tables_within(whole)
+        if table.keys and path[-1:] not in (("limits",), ("coupled",))
+    }
+    commands = {("command", name) for name, command in COMMANDS.items() if len(command.params) > 2}
+    limits = {("limits", name) for name in site_tables.LIMITS}
+    methods = {("options", method) for method in METHODS}
+    others = {("keys", "plant sensors"), ("kinds", "faults"), ("profiles", "budget")}
+    assert sorted(asked) == sorted(files | commands | limits | methods | others)
 
 
 def keys(item: Any) -> set[str]:

@@ -15,6 +15,7 @@ import formulas
 import gallery
 import names
 import pictures as drawn
+import tables
 from blocks import pictures
 from mkdocs.structure.files import File, Files
 
@@ -55,6 +56,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
     for k, picture in enumerate(pictures(markdown)):
         shown = gallery.figure(f"{up}pictures/{_picture(page.file.src_uri, k)}", picture.description, caption=True)
         markdown = markdown.replace(picture.comment, shown, 1)
+    markdown = tables.shown(markdown)
     markdown = names.MARK.sub(lambda found: names.entries(found[1], found[2]), markdown)
     made = {"gallery": gallery.page, "all public names": names.every}
     made |= {f"list of {folder}": partial(_list, folder) for folder in SHOWN}

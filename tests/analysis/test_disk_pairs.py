@@ -116,5 +116,5 @@ def test_what_a_report_says_of_a_disk_margin_lies_inside_its_disk(alpha: float) 
     assert inside(disk_words(alpha), alpha) == 4
 
 
-def test_what_the_page_on_job_files_says_lies_inside_the_disk() -> None:
-    assert inside((ROOT / "docs" / "reference" / "job-file.md").read_text(encoding="utf-8"), 0.5) == 4
+def test_what_the_page_on_requirements_says_lies_inside_the_disk() -> None:
+    assert inside((ROOT / "docs" / "methods" / "requirements.md").read_text(encoding="utf-8"), 0.5) == 4

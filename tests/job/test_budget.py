@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 import re
@@ -17,10 +16,9 @@ from scipy import integrate
 from every_key import HERE, every_job_key
 from platform_ctrl import read_job
 from platform_ctrl.analysis.logs import G, read_log
-from platform_ctrl.analysis.metrics import BUDGET_METRICS
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job import budget_checks
-from platform_ctrl.job.budget import SOURCE_KINDS, BudgetLimits, Source
+from platform_ctrl.job.budget import Source
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.spectra import (
     SPECTRA,
@@ -138,36 +136,6 @@ def test_the_micro_vibration_of_olympus_is_16_microradians_of_angle() -> None:
     np.testing.assert_allclose(spectrum.density(f) / (2 * np.pi * f) ** 2, 160e-12 / (1 + f**2), rtol=5e-4)
     angle = math.sqrt(integrate.quad(lambda x: 160.0 / (1.0 + x * x), 0.0, math.inf)[0])
     assert angle == pytest.approx(16.0, rel=0.01)
-
-
-def test_the_page_lists_the_profiles() -> None:
-    rows = [
-        line for line in (DOCS / "how-to" / "line-of-sight.md").read_text(encoding="utf-8").splitlines() if "| " in line
-    ]
-    listed = [row for row in rows if row.split("|")[1].strip().strip("`") in PROFILES]
-    expected = []
-    for profile in PROFILES.values():
-        f = profile.points[:, 0]
-        rms = math.sqrt(ProfileSpectrum(profile=profile.name).mean_square(0.0, 1e4))
-        size = f"{rms / G:.3g} g" if profile.kind == "specific-force" else f"{rms:.3g} rad/s"
-        source = profile.source if profile.status == "assumed" else f"published: {profile.source}"
-        expected.append(
-            f"| `{profile.name}` | {profile.kind} | {f[0]:g} to {f[-1]:g} | {size} | {profile.title} | {source} |"
-        )
-    assert listed == expected
-
-
-def test_the_page_says_of_the_limits_what_their_metrics_say() -> None:
-    page = (DOCS / "reference" / "job-file.md").read_text(encoding="utf-8")
-    for field in dataclasses.fields(BudgetLimits):
-        metric = BUDGET_METRICS[field.name]
-        assert f"| `{field.name}` | number > 0, rad | no limit | {metric.sense}: {metric.meaning} |" in page
-
-
-def test_every_description_and_every_unit_is_on_the_page() -> None:
-    page = (DOCS / "reference" / "job-file.md").read_text(encoding="utf-8").partition("### `[[budget.source]]`")[2]
-    assert all(f"`{key}`" in page for key in SPECTRA)
-    assert all(f'`"{unit}"`' in page for kind in SOURCE_KINDS.values() for unit in kind.units)
 
 
 def test_a_budget_is_written_back_to_the_last_bit() -> None:

@@ -142,11 +142,7 @@ def test_an_empty_campaign_flies_all_manoeuvres_alike() -> None:
 
 
 @pytest.mark.parametrize("kind", FAULT_KINDS.values(), ids=FAULT_KINDS)
-def test_every_kind_of_fault_is_an_action_of_the_kernel_and_a_row_of_the_documentation(kind: FaultKind) -> None:
-    part = {"pick-off": "sensor", "gimbal": "gimbal with stops", None: "none"}.get(kind.part, kind.part)
-    cells = (f'"{kind.name}"', part, ", ".join(kind.needed), ", ".join(kind.optional), kind.effect)
-    row = "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
-    assert row in (ROOT / "docs" / "reference" / "job-file.md").read_text(encoding="utf-8").splitlines()
+def test_every_kind_of_fault_is_an_action_of_the_kernel(kind: FaultKind) -> None:
     assert kind.action in ACTIONS
 
 
