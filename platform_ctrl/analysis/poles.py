@@ -175,9 +175,6 @@ def fastest_pole(poles: ComplexArray, period: float) -> FloatArray:
 # The poles (k, n) at k values of the parameter.
 Poles = Callable[[FloatArray], ComplexArray]
 
-# Halvings of a step, and values altogether, at most: a pole that leaps cannot be followed however short the steps.
-_MOST_HALVINGS, _MOST_VALUES = 14, 3000
-
 
 def pole_branches(z: ComplexArray) -> ComplexArray:
     """Return the poles (k, n) with each row sorted so that every column moves as little as possible."""
@@ -191,25 +188,6 @@ def pole_branches(z: ComplexArray) -> ComplexArray:
         own = len(set(nearest.tolist())) == len(nearest)
         out[k] = z[k][nearest if own else linear_sum_assignment(distance)[1]]
     return out
-
-
-def refined_values(
-    values: FloatArray, poles: Poles, shown: Callable[[ComplexArray], ComplexArray], step: float
-) -> FloatArray:
-    """Return rising `values` (N,) with more between them, until no pole moves further than `step` from one to the next.
-
-    `shown` says where a pole is drawn: steps are measured there, and poles that are not finite there do not count.
-    """
-    z = poles(values)
-    for _ in range(_MOST_HALVINGS):
-        with np.errstate(invalid="ignore"):
-            moved = np.abs(np.diff(shown(pole_branches(z)), axis=0))
-        long = np.flatnonzero(np.nan_to_num(moved, nan=0.0, posinf=0.0).max(axis=1, initial=0.0) > step)
-        if not long.size or len(values) + long.size > _MOST_VALUES:
-            break
-        between = 0.5 * (values[long] + values[long + 1])
-        values, z = np.insert(values, long + 1, between), np.insert(z, long + 1, poles(between), axis=0)
-    return values
 
 
 # Singular value of [A - I; C] in balanced states, relative to the largest, below which it is rounding: a pole that

@@ -28,8 +28,7 @@ from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import campaign_tables
 from platform_ctrl.report.campaign_tables import all_drivers, causes, value_name
 from platform_ctrl.report.comparison import plants_in_words
-from platform_ctrl.report.figures.loop import SENSITIVITIES, damping_rays, limited
-from platform_ctrl.report.loop_responses import LoopResponses
+from platform_ctrl.report.curves import SENSITIVITIES, ShownLoop, damping_rays, limited
 from platform_ctrl.report.tables import verdict
 from platform_ctrl.verification.proofs import PROVED, Proofs
 from platform_ctrl.verification.simulated import Run
@@ -90,15 +89,15 @@ def spins(platform: Platform) -> bool:
     return any(rotor.angular_momentum != 0.0 for rotor in platform.rotors)
 
 
-def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
+def sensitivity(outcome: LoopOutcome, loop: ShownLoop) -> str:
     """Singular values of S, T and (S − T)/2."""
     closed, spec = outcome.closed, outcome.spec
-    peak = int(np.argmax(responses.closed_design.gains["disk margin"]))
+    peak = int(np.argmax(loop.closed.gains["disk margin"]))
     return sentences(
         "sensitivity",
         outcome=outcome,
         bandwidth=bandwidth_hz(closed),
-        closest=None if closed.measures is None or unstable(closed) else float(responses.frequency[peak]) * HZ,
+        closest=None if closed.measures is None or unstable(closed) else float(loop.frequency[peak]) * HZ,
         lines=[METRICS[kind] for curve in SENSITIVITIES for kind in limited(spec.limits, curve, spec)],
         goals=METRICS["bandwidth"].key in spec.soft or any(limited(spec.soft, curve, spec) for curve in SENSITIVITIES),
         margins=_margins(closed),
@@ -118,9 +117,9 @@ def _margins(design: LoopDesign) -> list[str]:
     return parts if len(parts) > 1 else []
 
 
-def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
+def disturbance(outcome: LoopOutcome, loop: ShownLoop) -> str:
     """Platform rate and torque disturbance to the angles, and platform rate to the torque."""
-    closed = responses.closed_design
+    closed = loop.closed
     rejection = closed.peaks["Omega rejection"]
     of_limit = float(np.nanmax(closed.gains.get("torque limit", 0.0)))
     rejected = rejection if np.isfinite(rejection) else None
@@ -128,26 +127,24 @@ def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
     return sentences("disturbance", outcome=outcome, rejection=rejected, share=share)
 
 
-def further_gains(outcome: LoopOutcome, responses: LoopResponses, kinds: Sequence[str]) -> str:
+def further_gains(outcome: LoopOutcome, loop: ShownLoop, kinds: Sequence[str]) -> str:
     """Gains whose peaks have a limit, beside those of the other plots."""
     limits, goals = (
         any(limited(one, kind, outcome.spec) for kind in kinds) for one in (outcome.spec.limits, outcome.spec.soft)
     )
-    values = [(METRICS[kind], *_shown_peak(METRICS[kind], kind, outcome, responses)) for kind in kinds]
-    bad = unstable(responses.closed_design.design)
+    values = [(METRICS[kind], *_shown_peak(METRICS[kind], kind, outcome, loop)) for kind in kinds]
+    bad = unstable(loop.closed.design)
     return sentences("further_gains", outcome=outcome, values=values, limits=limits, goals=goals, unstable=bad)
 
 
-def _shown_peak(
-    metric: Metric, kind: str, outcome: LoopOutcome, responses: LoopResponses
-) -> tuple[float, float | None]:
+def _shown_peak(metric: Metric, kind: str, outcome: LoopOutcome, loop: ShownLoop) -> tuple[float, float | None]:
     """Return the worst value on the closed design's curve, and up to which frequency, Hz; None: at all frequencies."""
-    design, spec = responses.closed_design, outcome.spec
+    design, spec = loop.closed, outcome.spec
     given = {**spec.soft, **spec.limits}
     end = given.get(metric.frequency_key) if metric.band == "up to" else None
     if end is None:
         return float(metric.in_unit(design.peaks[kind])), None
-    f, lowest = responses.frequency * HZ, given.get(metric.lowest_key, 0.0)
+    f, lowest = loop.frequency * HZ, given.get(metric.lowest_key, 0.0)
     inside = (f > lowest) & (f < end)
     ends = np.interp([max(lowest, f[0]), end], f, design.gains[kind])
     found = float(np.append(design.gains[kind][inside], ends).max())

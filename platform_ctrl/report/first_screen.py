@@ -7,18 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import control
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
 
-from platform_ctrl.analysis.feedback import gang
-from platform_ctrl.analysis.frequency_grids import following_grid
-from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
+from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.quantities import BOUND, DASH, compared, count, listed, percent, plain
@@ -43,9 +35,7 @@ from platform_ctrl.report.blocks import (
 )
 from platform_ctrl.report.campaign_tables import campaign_words
 from platform_ctrl.report.captions import sentences, tightest
-from platform_ctrl.report.figures.nichols import draw_region
-from platform_ctrl.report.figures.panels import decibels, loop_phase
-from platform_ctrl.report.style import LIMIT, REFERENCE, legend, line_style, panels
+from platform_ctrl.report.figures.nichols import nichols_figure
 from platform_ctrl.verification.changes import Change
 from platform_ctrl.verification.verdict import JobResult
 
@@ -55,9 +45,6 @@ if TYPE_CHECKING:
 # Of the axis of distances: the part beyond the limit that is shown where nothing is missed; width of a mark.
 _BEYOND, _MARK = 0.15, 0.0225
 _TICKS = (-1.0, -0.25, -0.05, 0.05, 0.25, 1.0)
-# Of the Nichols plot: its size, inches, and what it shows, dB and degrees.
-_WIDTH, _HEIGHT = 5.2, 3.5
-_LOW, _HIGH, _LEFT, _RIGHT = -24.0, 24.0, -300.0, -60.0
 
 
 def first_screen(result: JobResult) -> tuple[Block, ...]:
@@ -226,7 +213,7 @@ def _nichols(result: JobResult) -> Plate | None:
         margin=margin,
         stable=bool(np.all(design.measures.decay[k] > 0.0)),
     )
-    return plate(worst_plant_figure(outcome, k), "Tightest loop, worst plant", caption)
+    return plate(nichols_figure(outcome, k), "Tightest loop, worst plant", caption)
 
 
 def worst_plant(design: LoopDesign) -> int:
@@ -234,62 +221,6 @@ def worst_plant(design: LoopDesign) -> int:
     assert design.measures is not None
     decay, margin = design.measures.decay, design.measures.disk_margin
     return int(np.argmin(decay)) if not np.all(decay > 0.0) else int(np.argmin(margin))
-
-
-def worst_plant_figure(outcome: LoopOutcome, k: int) -> Figure:
-    """Return the loop at each torquer, all others closed, with plant `k`, and with the nominal one in grey."""
-    design = outcome.closed
-    plants = design.plants
-    assert plants is not None
-    others = " (others closed)" if len(plants.torques) > 1 else ""
-    names = [f"at {name}{others}" for name in plants.torques]
-    required = _required(outcome, k)
-    words = [*names, *(["nominal plant"] if k else []), *([f"disk margin {required:g}"] if required else [])]
-    figure, [[axes]] = panels(1, 1, _HEIGHT, words, titles=False, width=_WIDTH)
-    handles = [axes.plot(*curve, **line_style(i))[0] for i, curve in enumerate(_curves(design, k))]
-    if k:
-        drawn = [axes.plot(*curve, color=REFERENCE, linewidth=0.9, zorder=1.5)[0] for curve in _curves(design, 0)]
-        handles.append(drawn[0])
-    if required:
-        handles.append(draw_region(axes, required, [-180.0]))
-    axes.plot([-180.0], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, zorder=4)
-    axes.axhline(0.0, color=REFERENCE, linewidth=0.9, zorder=1)
-    axes.axvline(-180.0, color=REFERENCE, linewidth=0.9, zorder=1)
-    axes.set_xlim(_LEFT, _RIGHT)
-    axes.set_ylim(_LOW, _HIGH)
-    axes.xaxis.set_major_locator(MultipleLocator(60.0))
-    axes.yaxis.set_major_locator(MultipleLocator(12.0))
-    axes.set_xlabel("phase of L, degrees")
-    axes.set_ylabel("gain of L, dB")
-    legend(figure, handles, words)
-    return figure
-
-
-def _required(outcome: LoopOutcome, k: int) -> float:
-    """Return the disk margin that is required with plant `k`; 0 where none is, or none can be."""
-    assert outcome.closed.plants is not None
-    key, group = METRICS["disk margin"].key, outcome.closed.plants.groups[k]
-    faulty = f"{key}_faults" if group == "faults" else f"{key}_worst_case"
-    limit = outcome.spec.limits.get(faulty, outcome.spec.limits.get(key, 0.0) if k == 0 else 0.0)
-    return limit if limit < 2.0 else 0.0
-
-
-def _curves(design: LoopDesign, k: int) -> list[tuple[FloatArray, FloatArray]]:
-    """Return phase in degrees, within a turn of the critical point, and gain in dB of every channel with plant `k`."""
-    assert design.plants is not None
-    plants, K = design.plants.only([k]), design.own_controller
-    # L at one torquer has the poles of the loop that is open there alone.
-    open_there = [
-        control.ss(K.A, K.B, keep[:, None] * K.C, keep[:, None] * K.D, K.dt) for keep in 1.0 - np.eye(K.noutputs)
-    ]
-    poles = continuous_poles(
-        np.concatenate([closed_loop_poles(plants, one)[0] for one in (K, *open_there)]), plants.period
-    )
-    nyquist = np.pi / plants.period
-    low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
-    frequency = following_grid(poles, low, 0.999 * nyquist)
-    found = gang(sampled_plant(plants), K, frequency).channels
-    return [(loop_phase(one), decibels(one)) for one in found]
 
 
 def section_verdict(results: Sequence[CheckResult]) -> tuple[str, bool]:

@@ -14,7 +14,7 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import coupled_while_changing
-from platform_ctrl.report import captions, comparison, style, tables
+from platform_ctrl.report import captions, comparison, curves, style, tables
 from platform_ctrl.report.blocks import (
     Block,
     Document,
@@ -37,24 +37,18 @@ from platform_ctrl.report.campaign_page import as_section, digests
 from platform_ctrl.report.campaign_tables import campaign_words
 from platform_ctrl.report.captions import compared_with_alternatives, opening, sentences
 from platform_ctrl.report.figures.axes_picture import axes_picture
-from platform_ctrl.report.figures.coupled import (
+from platform_ctrl.report.figures.job import (
     coupled_pole_figure,
     margin_bars_figure,
     nutation_figure,
-    platform_disturbance_figure,
-    servo_figure,
-    simultaneous_margin_figure,
-)
-from platform_ctrl.report.figures.loop import (
-    disturbance_figure,
-    further_gains,
-    further_gains_figure,
-    loop_transfer_figure,
-    nichols_figure,
+    platform_disturbance,
     pole_figure,
     root_locus_plot,
-    sensitivity_figure,
+    servo,
+    simultaneous_margin_figure,
 )
+from platform_ctrl.report.figures.nichols import nichols_figure
+from platform_ctrl.report.figures.panels import paint
 from platform_ctrl.report.figures.time_run import time_run
 from platform_ctrl.report.first_screen import (
     change_part,
@@ -63,7 +57,6 @@ from platform_ctrl.report.first_screen import (
     section_verdict,
     with_campaign,
 )
-from platform_ctrl.report.loop_responses import loop_responses, palette_of
 from platform_ctrl.report.modes import nutates
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
@@ -152,13 +145,13 @@ def _document(
     campaign: Summary | None,
     again: str | None,
 ) -> Document:
-    job, palette = result.job, palette_of(result.loops)
+    job, palette = result.job, curves.palette_of(result.loops)
 
     def plates(draw: Callable[..., Any], *arguments: Any) -> tuple[Any, ...]:
         return _blocks(attempted("Figures", lambda: draw(*arguments)))
 
     with style.settings():
-        loops = [plates(_caging_plates, result.model, outcome, palette) for outcome in result.loops]
+        loops = [plates(_loop_plates, result.model, outcome, palette) for outcome in result.loops]
         runs = [block for run in result.runs for block in plates(_run_block, run, result)]
         of_whole = (_plant_plates, _servo_plates, budget_blocks, _first, _coupled)
         plant, servo, budget, first, coupled = (plates(draw, result) for draw in of_whole)
@@ -300,42 +293,31 @@ def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
     return [f"{name}: {claim}" for name, one in proofs.items() for claim in one.claims if not claim.proved]
 
 
-def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[str, bool]) -> list[Block]:
-    found = loop_responses(model, outcome, palette)
-    plants = found.designs[0].design.plants if found is not None else None
-    if found is None or plants is None:
+def _loop_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[str, bool]) -> list[Block]:
+    found = curves.shown_loop(outcome, palette)
+    if found is None:
         return []
-    spec, responses, of = outcome.spec, found, plants
-    plates: list[Block] = [
-        drawn("Sensitivities", lambda: (sensitivity_figure(responses, spec), captions.sensitivity(outcome, responses))),
-        drawn(
+    loop, kinds = found, curves.further_gains(found)
+    unstable, nutating = captions.unstable(outcome.closed), nutates(model, outcome.spec.gimbals)
+    pictures: list[tuple[str, Callable[[], tuple[Figure, str]]]] = [
+        ("Sensitivities", lambda: (paint(curves.sensitivity(loop), 2.1), captions.sensitivity(outcome, loop))),
+        (
             "Loop transfer",
             lambda: (
-                loop_transfer_figure(responses, spec, of.torques, of.nutation),
-                sentences("loop_transfer", outcome=outcome, nutates=nutates(model, spec.gimbals)),
+                paint(curves.loop_transfer(loop), 1.35),
+                sentences("loop_transfer", outcome=outcome, nutates=nutating),
             ),
         ),
-        drawn(
+        (
             "Nichols plot",
-            lambda: (
-                nichols_figure(responses, spec, of.torques),
-                sentences("nichols", outcome=outcome, unstable=captions.unstable(outcome.closed)),
-            ),
-            small=True,
+            lambda: (nichols_figure(outcome), sentences("nichols", outcome=outcome, unstable=unstable)),
         ),
-        drawn("Disturbances", lambda: (disturbance_figure(responses, spec), captions.disturbance(outcome, responses))),
+        ("Disturbances", lambda: (paint(curves.disturbance(loop), 2.0), captions.disturbance(outcome, loop))),
     ]
-    kinds = further_gains(responses, spec)
     if kinds:
-        plates.append(
-            drawn(
-                "Other gains with limits",
-                lambda: (
-                    further_gains_figure(responses, spec, kinds),
-                    captions.further_gains(outcome, responses, kinds),
-                ),
-            )
-        )
+        words = captions.further_gains(outcome, loop, kinds)
+        pictures.append(("Other gains with limits", lambda: (paint(curves.further(loop, kinds), 2.0), words)))
+    plates: list[Block] = [drawn(title, draw, small=title == "Nichols plot") for title, draw in pictures]
     closed = outcome.closed.plants
     states = 0 if closed is None else closed.A.shape[-1] + outcome.closed.own_controller.nstates
     left_out = ""
@@ -344,12 +326,12 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
     plates.append(
         drawn(
             "Closed-loop poles",
-            lambda: (pole_figure(responses, spec, of.nutation, of.period), captions.poles(outcome, of) + left_out),
+            lambda: (pole_figure(loop), captions.poles(outcome, loop.plants) + left_out),
         )
     )
 
     def root_locus() -> tuple[Figure, str]:
-        plot = root_locus_plot(outcome.closed, spec)
+        plot = root_locus_plot(outcome.closed, outcome.spec)
         return plot.figure, sentences("root_locus", name=outcome.closed.name, locus=plot.locus)
 
     if 0 < states <= _MOST_BRANCHES:
@@ -361,8 +343,13 @@ def _servo_plates(result: JobResult) -> list[Block]:
     title = "The servo's loops in the coupled system"
     if result.coupled is None:
         return []
-    found = attempted(title, lambda: _plate(servo_figure(result), title, sentences("servo")))
-    return [] if found is None else [found]
+
+    def make() -> Plate | None:
+        found = servo(result)
+        return None if found is None else plate(paint(found, 2.0), title, sentences("servo"))
+
+    made = attempted(title, make)
+    return [] if made is None else [made]
 
 
 def _coupled(result: JobResult) -> list[Block]:
@@ -394,7 +381,7 @@ def _coupled(result: JobResult) -> list[Block]:
         blocks.append(
             drawn(
                 "Torque on the platform",
-                lambda: (platform_disturbance_figure(result), sentences("platform_disturbance")),
+                lambda: (paint(platform_disturbance(result), 2.0), sentences("platform_disturbance")),
             )
         )
     return blocks

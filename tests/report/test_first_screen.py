@@ -13,7 +13,8 @@ from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.job.quantities import compared
 from platform_ctrl.report import first_screen, style, tables
 from platform_ctrl.report.blocks import Cell, Columns, Document, Part, Plate, Table
-from platform_ctrl.report.first_screen import worst_plant, worst_plant_figure
+from platform_ctrl.report.figures.nichols import nichols_figure
+from platform_ctrl.report.first_screen import worst_plant
 from platform_ctrl.report.job_page import page_html, prepared
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.verdict import JobResult
@@ -86,7 +87,7 @@ def test_the_nichols_plot_is_of_the_plant_with_the_least_disk_margin(result: Job
     [columns] = [one for one in document.sections[0].blocks if isinstance(one, Columns)]
     assert design.plants.labels[k] in columns.right[0].caption  # type: ignore[union-attr]
     with style.settings():
-        [axes] = worst_plant_figure(result.loops[0], k).axes
+        [axes] = nichols_figure(result.loops[0], k).axes
     drawn = [line.get_xydata() for line in axes.lines if len(line.get_xydata()) > 10]
     assert len(drawn) == 4  # two channels, with the worst and the nominal plant
     # Each curve passes the critical point on one side: it is shown in the turn around −180 degrees.

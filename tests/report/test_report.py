@@ -35,22 +35,16 @@ from platform_ctrl.job.judging import Sense
 from platform_ctrl.job.quantities import compared, plain
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
 from platform_ctrl.job.writing import job_data
-from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report import blocks, captions, comparison, modes, style, tables
+from platform_ctrl.report import blocks, captions, comparison, curves, modes, style, tables
 from platform_ctrl.report import job_page as document
 from platform_ctrl.report.campaign_tables import chances
 from platform_ctrl.report.failures import value_and_limit
-from platform_ctrl.report.figures import coupled as coupled_figures
-from platform_ctrl.report.figures.loop import (
-    disturbance_figure,
-    further_gains_figure,
-    root_locus_plot,
-    sensitivity_figure,
-)
+from platform_ctrl.report.figures.job import platform_compliance, root_locus_plot
+from platform_ctrl.report.figures.panels import paint
 from platform_ctrl.report.job_page import page_html
-from platform_ctrl.report.loop_responses import LoopResponses, loop_responses
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.proofs import Claim, Proofs, with_proofs
 from platform_ctrl.verification.verdict import JobResult
@@ -144,13 +138,6 @@ def compared_designs() -> JobResult:
     }
     closed = dataclasses.replace(outcome.designs[0], claims=claims)
     return check_job(data, [dataclasses.replace(outcome, designs=(closed, *outcome.designs[1:]))])
-
-
-@pytest.fixture(scope="module")
-def responses(compared_designs: JobResult) -> LoopResponses:
-    found = loop_responses(compared_designs.model, compared_designs.loops[0])
-    assert found is not None
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -418,11 +405,12 @@ def test_an_interval_of_probabilities_is_printed_no_narrower_than_it_is(high: fl
 # Figures of several designs
 
 
-def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResult, responses: LoopResponses) -> None:
-    [outcome] = compared_designs.loops
+def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResult) -> None:
+    loop = curves.shown_loop(compared_designs.loops[0])
+    assert loop is not None
     with style.settings():
-        left, middle, right = sensitivity_figure(responses, outcome.spec).axes
-        shares = disturbance_figure(responses, outcome.spec).axes[-1]
+        left, middle, right = paint(curves.sensitivity(loop), 2.0).axes
+        shares = paint(curves.disturbance(loop), 2.0).axes[-1]
 
     def levels(axes: Any, colour: str) -> set[float]:
         drawn = [line for line in axes.lines if line.get_color() == colour]
@@ -457,10 +445,10 @@ def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkey
         text for text in re.findall(r"<figcaption>(.*?)</figcaption>", page, re.DOTALL) if noise.meaning in text
     ]
     assert "limit ≤ 2000 N m/rad and goal ≤ 500 N m/rad" in html.unescape(caption)
-    responses = loop_responses(result.model, result.loops[0])
-    assert responses is not None
+    loop_shown = curves.shown_loop(result.loops[0])
+    assert loop_shown is not None
     with style.settings():
-        [axes] = further_gains_figure(responses, result.loops[0].spec, ["noise gain"]).axes
+        [axes] = paint(curves.further(loop_shown, ["noise gain"]), 2.0).axes
     assert max(axes.lines[0].get_ydata()) == pytest.approx(result.loops[0].closed.results[-1].value, rel=1e-4)
     assert [float(line.get_ydata()[0]) for line in axes.lines[1:]] == [2000.0, 500.0]
 
@@ -474,13 +462,13 @@ def test_captions_have_peaks_that_every_grid_misses() -> None:
     K = narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, 0.20796, 0.0061867]))
     narrow = remeasured(outcome.spec, outcome.closed.name, named_system(K, plants.angles, plants.torques), plants)
     outcome = dataclasses.replace(outcome, designs=(narrow,))
-    responses = loop_responses(linearise(data.platform), outcome)
-    assert responses is not None
-    [one] = responses.designs
+    loop = curves.shown_loop(outcome)
+    assert loop is not None
+    [one] = loop.designs
     true = requirement("Omega rejection", 1.0).check(plants, K).value
     assert one.peaks["Omega rejection"] == pytest.approx(true, rel=1e-12)
     assert one.peaks["Omega rejection"] > 1.01 * one.angle_per_rate.max()
-    assert f"by more than {plain(1e3 * true, 3, 'up')} mrad" in captions.disturbance(outcome, responses)
+    assert f"by more than {plain(1e3 * true, 3, 'up')} mrad" in captions.disturbance(outcome, loop)
     assert 1.0 / one.gains["disk margin"].max() == pytest.approx(narrow.measures.disk_margin[0], rel=1e-8)  # type: ignore[union-attr]
 
 
@@ -580,16 +568,16 @@ def test_every_pole_of_a_shipped_plant_belongs_to_one_mode(name: str) -> None:
 
 def test_responses_are_finite_and_agree_with_the_measures(result: JobResult) -> None:
     [outcome] = [one for one in result.loops if one.spec.name == "caging 9-10"]
-    responses = loop_responses(result.model, outcome)
-    assert responses is not None
-    for one in responses.designs:
+    loop = curves.shown_loop(outcome)
+    assert loop is not None
+    for one in loop.designs:
         assert one.design.measures is not None
         assert 1.0 / one.gains["disk margin"].max() == pytest.approx(one.design.measures.disk_margin[0], rel=0.01)
-        below = responses.frequency < 0.999 * one.design.measures.bandwidth
+        below = loop.frequency < 0.999 * one.design.measures.bandwidth
         assert np.all(one.gains["sensitivity peak"][below] < np.sqrt(0.5))
         for curve in (one.loop_gains, one.channels, one.angle_per_rate, one.gains["torque rejection"]):
             assert np.all(np.isfinite(curve))
-    assert loop_responses(result.model, result.loops[2]) is None
+    assert curves.shown_loop(result.loops[2]) is None
 
 
 def test_the_root_locus_begins_at_the_open_loop_and_passes_the_design(result: JobResult) -> None:
@@ -605,7 +593,7 @@ def test_the_root_locus_begins_at_the_open_loop_and_passes_the_design(result: Jo
 
 
 def test_the_platform_yields_to_a_torque_as_in_the_simulation(result: JobResult) -> None:
-    _, closed = coupled_figures.platform_compliance(result, np.array([1e-2]))
+    _, closed = platform_compliance(result, np.array([1e-2]))
     n = len(result.job.platform.gimbals)
     run = result.runs[1]
     final = run.trajectory.attitude_angles[-200:].mean(axis=0)

@@ -14,7 +14,7 @@ from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.report.figures.coupled import platform_compliance, platform_disturbance_figure
+from platform_ctrl.report.figures.job import platform_compliance, platform_disturbance
 from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.coupled import coupled_check, coupled_plant
 
@@ -84,8 +84,8 @@ def test_a_torque_on_a_bare_platform_is_drawn_with_its_own_angle_alone():
     job = job_of(plant())
     model = linearise(job.platform)
     result = types.SimpleNamespace(job=job, model=model, coupled=coupled_check(job, model, [SERVO]))
-    [axes] = platform_disturbance_figure(result).axes
-    assert "its own angle" in axes.get_title()
+    [[panel]] = platform_disturbance(result)
+    assert "its own angle" in panel.title
 
 
 def test_rate_noise_shakes_the_torque_as_an_autoregression_of_first_order():

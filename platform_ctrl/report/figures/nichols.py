@@ -13,20 +13,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MultipleLocator, NullFormatter, NullLocator
 from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.curves import decibels, loop_phase, refined_loop
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, disk_phase, disk_to_gain_phase
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
-from platform_ctrl.analysis.response import LinearSystem
+from platform_ctrl.analysis.response import LinearSystem, frequency_response
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.text import at_least, at_most, greek
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, disk_gain_or_phase, plain
-from platform_ctrl.report.figures.panels import LabelPlacer, control_plot, curve_style, decibels, loop_phase
+from platform_ctrl.report.curves import broken_loops
+from platform_ctrl.report.figures.panels import LabelPlacer, control_plot, curve_style
 from platform_ctrl.report.figures.systems import (
     DrawnSystem,
     Systems,
@@ -44,6 +49,7 @@ if TYPE_CHECKING:
 # What is shown at most above and below a gain of 1, and from which gain on all phases are shown, dB.
 _HIGHEST, _LOWEST, _NEAR = 40.0, -40.0, -24.0
 _NUMBERED = 6  # curves that carry frequencies
+_LARGE, _SMALL = (5.0, 7.6), (3.5, 5.2)  # height of the panel and width of the picture, inches
 
 
 @value
@@ -54,8 +60,9 @@ class LoopCurve:
     frequency: FloatArray  # (N,), rad/s
     response: ComplexArray  # (N,), NaN where nothing is drawn
     stable: bool | None  # Whether the closed loop is; None: data cannot tell
-    margin: float  # Disk margin of this channel
+    margin: float | None  # Disk margin of this channel; None: the legend does not say
     closest: float  # Where it is reached, rad/s
+    grey: bool = False  # Whether it is what others are compared with
 
 
 @standalone
@@ -109,6 +116,9 @@ def nichols(
 def _loop_curves(loop: DrawnSystem, every: FloatArray, names: Sequence[str]) -> list[LoopCurve]:
     w, response = loop.along(every)
     responses = channels(response)
+    if loop.arrays is not None:
+        arrays = loop.arrays
+        w, responses = refined_loop(w, lambda w: channels(frequency_response(arrays, w)))
     S = None if loop.arrays is None else sensitivity(loop.arrays)
     stable = None if S is None else bool(spectral_abscissa(continuous_poles(poles(S.A), S.dt)) < 0.0)
     out = []
@@ -134,38 +144,75 @@ def closest(frequency: FloatArray, response: ComplexArray) -> tuple[float, float
     return 1.0 / float(size[k]), float(frequency[k])
 
 
-def nichols_plot(curves: Sequence[LoopCurve], alphas: Sequence[float]) -> control.ControlPlot:
-    """Draw loops, and the regions that disk margins, the largest first, keep free."""
+def nichols_figure(outcome: LoopOutcome, k: int | None = None) -> Figure:
+    """Nichols plot of the loop that each torquer of the closed design closes while all the others stay closed.
+
+    With `k` it is small, around the critical point, of that plant of the set, beside the nominal one in grey.
+    """
+    design, plant = outcome.closed, k or 0
+    assert design.plants is not None
+    assert design.measures is not None
+    curves, torques = [], design.plants.torques
+    for each, grey in ((plant, False), (0, True))[: 2 if plant else 1]:
+        w, found = broken_loops(design, each)
+        stable = bool(design.measures.decay[each] > 0.0)
+        for name, h in zip(torques, found, strict=True):
+            margin, at = closest(w, h)
+            label = name if k is None else "nominal plant" if grey else f"at {name}"
+            label += " (others closed)" if k is not None and not grey and len(torques) > 1 else ""
+            about: dict[str, Any] = {"margin": margin if k is None else None, "closest": at, "grey": grey}
+            curves.append(LoopCurve(label=label, frequency=w, response=h, stable=stable, **about))
+    key, faulty = METRICS["disk margin"].key, design.plants.groups[plant] == "faults"
+    keys = [f"{key}_faults" if faulty else f"{key}_worst_case", *([] if plant else [key])]
+    required = max(outcome.spec.limits.get(one, 0.0) for one in keys)
+    plot = nichols_plot(curves, [required] if 0.0 < required < 2.0 else [], small=k is not None)
+    assert isinstance(plot.figure, Figure)
+    return plot.figure
+
+
+def nichols_plot(curves: Sequence[LoopCurve], alphas: Sequence[float], *, small: bool = False) -> control.ControlPlot:
+    """Draw loops, and the regions that disk margins, the largest first, keep free; `small`: near the critical point."""
     names = [_legend_words(one) for one in curves]
     regions = [f"disk margin {alpha:g}" for alpha in alphas]
-    _, axes = panels(1, 1, 5.0, [*names, *regions], titles=False, width=7.6)
+    shown = list(dict.fromkeys(names))
+    height, width = _SMALL if small else _LARGE
+    _, axes = panels(1, 1, height, [*shown, *regions], titles=False, width=width)
     panel = axes[0, 0]
     levels, phases = ([of(one.response) for one in curves] for of in (decibels, loop_phase))
     _show_loops(panel, levels, phases)
+    if small:
+        panel.set_xlim(-300.0, -60.0)
+        panel.set_ylim(-24.0, 24.0)
+        panel.yaxis.set_major_locator(MultipleLocator(12.0))
     shaded = [
         draw_region(panel, alpha, _centres(panel), ("-", (0, (4, 1.5)), DOTTED)[k % 3])
         for k, alpha in enumerate(alphas)
     ]
     lines = []
-    for k, (phase, level) in enumerate(zip(phases, levels, strict=True)):
-        style = curve_style(k)
-        lines += panel.plot(phase, level, **style, markevery=max(1, len(level) // 12))
+    for k, (one, phase, level) in enumerate(zip(curves, phases, levels, strict=True)):
+        grey: dict[str, Any] = {"color": REFERENCE, "linewidth": 0.9, "zorder": 1.5}
+        look = grey if one.grey else curve_style(k) | {"markevery": max(1, len(level) // 12)}
+        lines += panel.plot(phase, level, **look)
     places = LabelPlacer(panel, lines)
     for centre in _centres(panel):
         panel.plot([centre], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, zorder=4)
         places.reserve(centre, 0.0, 5.0)
-    for line, one, phase, level in zip(lines, curves, phases, levels, strict=True):
+    drawn = [of for of in zip(lines, curves, phases, levels, strict=True) if not of[1].grey]
+    for line, one, phase, level in drawn:
         if one.stable is not False and len(phase):
             x, y = (float(np.interp(one.closest, one.frequency, of)) for of in (phase, level))
             panel.plot([x], [y], "D", color=line.get_color(), markersize=5.0, zorder=5)
             places.reserve(x, y, 5.0)
-    for line, one in zip(lines[:_NUMBERED], curves, strict=False):
+    for line, one, _, _ in drawn[:_NUMBERED]:
         if len(one.frequency) > 1:
             places.write_frequencies(one.frequency * HZ, line.get_xydata(), line.get_color())
-    return control_plot(axes, lines, [*lines, *shaded], [*names, *regions])
+    handles = [lines[names.index(name)] for name in shown]
+    return control_plot(axes, lines, [*handles, *shaded], [*shown, *regions])
 
 
 def _legend_words(one: LoopCurve) -> str:
+    if one.margin is None:
+        return one.label
     if one.stable is False:
         return f"{one.label}: closed loop not stable"
     return f"{one.label}: disk margin {plain(one.margin, 2, 'down')} at {plain(one.closest * HZ, 3)} Hz"

@@ -1,4 +1,4 @@
-"""What the plots of systems share: the look of curves, a phase axis, the plot with its legend, and windows."""
+"""The painter of curves over frequency, and what other plots share: labels where there is room, legends, windows."""
 
 from __future__ import annotations
 
@@ -12,21 +12,45 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis.curves import Curves, Level
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import plain
-from platform_ctrl.report.style import DASHES, INK, MARKERS, MUTED, REFERENCE, SERIES, legend
+from platform_ctrl.report.style import (
+    BAND,
+    BEYOND,
+    DASH_DOTTED,
+    DASHED,
+    DASHES,
+    INK,
+    LIMIT,
+    MARKERS,
+    MUTED,
+    REFERENCE,
+    SERIES,
+    frequency_axes,
+    gain_limits,
+    legend,
+    panels,
+)
 
 if TYPE_CHECKING:
     import control
 
 # Series that differ by their dashes alone; more have markers.
 _DIFFERENT = 6
-# A step of the phase beyond which a pole or zero without damping is taken for its cause, degrees.
-_JUMP = 135.0
+# More panels than this in a row are drawn in two.
+_ONE_ROW = 4
+_FORMS: dict[str, dict[str, Any]] = {
+    "line": {"linewidth": 1.2},
+    "strong": {"linewidth": 2.1, "zorder": 3},
+    "thin": {"linewidth": 0.8},
+    "mark": {"linestyle": "none", "markersize": 5, "zorder": 4},
+}
+_LABEL: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7}
 
 
 def curve_style(k: int) -> dict[str, Any]:
@@ -37,34 +61,72 @@ def curve_style(k: int) -> dict[str, Any]:
     return style
 
 
-def decibels(response: ComplexArray) -> FloatArray:
-    """Return |response| in decibels; NaN where it is 0 or NaN."""
-    size = np.abs(response)
-    return np.asarray(20.0 * np.log10(np.where(size > 0.0, size, math.nan)))
+def paint(rows: Sequence[Sequence[Curves]], height: float) -> Figure:
+    """Draw panels of so many inches in rows, with a legend of all names above."""
+    if len(rows) == 1 and len(rows[0]) > _ONE_ROW:
+        half = -(-len(rows[0]) // 2)
+        rows = [rows[0][:half], rows[0][half:]]
+    names = list(dict.fromkeys(one.name for row in rows for panel in row for one in panel.curves if one.name))
+    figure, grid = panels(len(rows), max(map(len, rows)), height, names)
+    handles: dict[str, Line2D] = {}
+    for k, row in enumerate(rows):
+        for place, axes in enumerate(grid[k]):
+            if place >= len(row):
+                axes.remove()
+                continue
+            lowest = k + 1 == len(rows) or place >= len(rows[k + 1])
+            lines = _paint(axes, row[place], label=lowest)
+            for one, line in zip(row[place].curves, lines, strict=True):
+                handles.setdefault(one.name, line)
+    legend(figure, [handles[name] for name in names], names)
+    return figure
 
 
-def loop_phase(loop: ComplexArray) -> FloatArray:
-    """Return the phase of a loop transfer, degrees, in the turn in which it comes closest to the critical point.
+def _paint(axes: Axes, panel: Curves, *, label: bool) -> list[Line2D]:
+    lines: list[Line2D] = []
+    for one in panel.curves:
+        k = one.series or 0
+        dashes = DASHES[(k if one.dashes is None else one.dashes) % len(DASHES)]
+        look = {"color": REFERENCE if one.series is None else SERIES[k % len(SERIES)], "linestyle": dashes}
+        look |= {"marker": MARKERS[k % len(MARKERS)]} if one.form == "mark" else {}
+        lines += axes.plot(one.x, one.y, **look | _FORMS[one.form])
+    f, values = panel.curves[0].x, [one.y for one in panel.curves if one.form in ("line", "strong")]
+    frequency_axes(axes, f[0], f[-1], log_gain=panel.kind == "gain", label=label)
+    if panel.kind == "phase":
+        phase_panel(axes, values)
+    else:
+        gain_limits(axes, values, panel.low, panel.high)
+    for level, words in panel.references.items():
+        axes.axhline(level, color=REFERENCE, linewidth=0.8)
+        axes.annotate(words, (f[-1], level), (-3, -2), color=MUTED, ha="right", va="top", **_LABEL)
+    if panel.required is not None:
+        axes.axvspan(f[0], panel.required, color=BAND, linewidth=0, zorder=0)
+    if panel.wished is not None:
+        axes.axvline(panel.wished, color=MUTED, linewidth=0.9, linestyle=DASH_DOTTED)
+        at = (panel.wished, axes.get_ylim()[0])
+        axes.annotate(f"goal {panel.wished:g} Hz", at, (3, 3), color=MUTED, va="bottom", **_LABEL)
+    for limit in panel.levels:
+        _paint_level(axes, limit)
+    axes.set_title(panel.title)
+    axes.set_ylabel(panel.quantity)
+    return lines
 
-    Across a pole on the stability boundary the phase falls by 180°, across a zero there it rises, as with the least
-    damping. NaN where the response is 0 or NaN.
-    """
-    out = np.full(len(loop), np.nan)
-    known = np.flatnonzero(np.isfinite(loop) & (loop != 0.0))
-    if not known.size:
-        return out
-    h = loop[known]
-    level, angle = np.log(np.abs(h)), np.degrees(np.angle(h))
-    step = (np.diff(angle) + 180.0) % 360.0 - 180.0
-    for k in np.flatnonzero(np.abs(step) > _JUMP).tolist():
-        # The gain distinguishes pole and zero: it has a peak, or a dip, between the two points.
-        bend = level[min(k + 2, len(h) - 1)] - level[k + 1] - (level[k] - level[max(k - 1, 0)])
-        if bend * step[k] < 0.0:
-            step[k] += np.copysign(360.0, bend)
-    phase = angle[0] + np.concatenate([[0.0], np.cumsum(step)])
-    closest = phase[np.argmin(np.abs(1.0 + h))]
-    out[known] = phase - 360.0 * np.round((closest + 180.0) / 360.0)
-    return out
+
+def _paint_level(axes: Axes, one: Level) -> None:
+    """Draw a limit or a goal; above the limit of a part of the frequencies what is forbidden is shaded."""
+    (left, right), top = axes.get_xlim(), axes.get_ylim()[1]
+    colour, dashes = (LIMIT, DASHED) if one.hard else (MUTED, DASH_DOTTED)
+    start, end = max(left, one.start or left), min(right, one.end or right)
+    banded = one.end is not None
+    if banded and one.hard and (start, end) != (left, right) and one.y < top:
+        axes.fill_between([start, end], one.y, top, color=BEYOND, linewidth=0, zorder=0.5)
+    axes.plot([start, end], [one.y, one.y], color=colour, linewidth=0.9, linestyle=dashes)
+    # A limit's number is above its left end, a goal's below its right one.
+    at_left = one.hard or banded
+    look: dict[str, Any] = {"ha": "left" if at_left else "right", "va": "bottom" if one.hard else "top"}
+    text, place = one.text if one.hard else f"goal {one.text}", start if at_left else end
+    shift = (3 if at_left else -3, 2 if one.hard else -2)
+    axes.annotate(text, (place, one.y), shift, color=colour, **look, **_LABEL)
 
 
 def phase_panel(axes: Axes, phases: Sequence[FloatArray]) -> None:

@@ -2,38 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.curves import Locus, View, traced_locus, upper_half_plane
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
-from platform_ctrl.analysis.poles import Poles, continuous_poles, damping_ratio, pole_branches, refined_values
+from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
 from platform_ctrl.analysis.response import NamedSystem, linear_arrays
 from platform_ctrl.analysis.sampling import sampled, with_lag
 from platform_ctrl.analysis.system import ComplexArray, System, scaled
 from platform_ctrl.common.arguments import instance, known_names, positive, real_numbers, short
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import changed
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.quantities import listed
+from platform_ctrl.job.quantities import HZ, listed
 from platform_ctrl.job.quantities import plain as number
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.figures.panels import LabelPlacer, control_plot
-from platform_ctrl.report.figures.pole_map import View, s_plane, upper_half_plane, view_of
-from platform_ctrl.report.style import INK, LIMIT, SERIES, panels, standalone
+from platform_ctrl.report.style import BAND, FRAME, INK, LIMIT, REFERENCE, SERIES, linear_axis, panels, standalone
 
 if TYPE_CHECKING:
     import control
 
 
 _HEIGHT = 4.6
+# Damping ratios of the rays; the part below the real axis, of the reach.
+DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8)
+_BELOW = 0.05
+_DASHES = (0, (1.2, 1.8))
 # Numbers written along the branches, at most.
 _LABELS = 9
 # Branches shorter than this in the panel, points, carry none.
@@ -142,6 +146,49 @@ def root_locus_over_spin(
     return _drawn(traced_locus(factors, poles, dt), "speed", "rotor speed / nominal")
 
 
+def round_steps(top: float) -> FloatArray:
+    """Return at most six round numbers up to `top`, equally spaced, without 0."""
+    steps = np.asarray(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, top))
+    return steps[(steps > 0.0) & (steps <= top * (1.0 + 1e-9))]
+
+
+def s_plane(axes: Axes, view: View) -> LabelPlacer:
+    """Make `axes` the upper half of the s-plane, with damping rays and frequency arcs.
+
+    Both axes have the same scale, so that a ray's direction is the damping ratio; unless all poles lie close to the
+    imaginary axis, where rays and arcs are stretched with them.
+    """
+    reach = view.reach
+    whole = axes.get_window_extent()
+    across = (1.0 + _BELOW) * reach * whole.width / whole.height / view.stretch
+    left, right = -(1.0 - view.right) * across, view.right * across
+    axes.set_xlim(left, right)
+    axes.set_ylim(-_BELOW * reach, reach)
+    axes.grid(False)
+    axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
+    axes.axvline(0.0, color=REFERENCE, linewidth=0.9, zorder=1)
+    axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=1)
+    turn = np.linspace(0.5 * np.pi, np.pi, 181)
+    places = LabelPlacer(axes)
+    for hz in round_steps(reach * HZ):
+        radius = hz / HZ
+        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1)
+        if radius < 0.97 * reach:
+            places.write_later(f"{hz:g} Hz", 0.0, radius, (0,))
+    for ratio in DAMPINGS:
+        slope = ratio / np.sqrt(1.0 - ratio**2)
+        end = min(reach, -left / slope)
+        axes.plot([0.0, -slope * end], [0.0, end], color=FRAME, linewidth=0.7, zorder=1)
+        at = 0.955 * end
+        text = f"{ratio:g}" if ratio != DAMPINGS[1] else f"damping {ratio:g}"
+        places.write_later(text, -slope * at, at, (180, 0))
+    linear_axis(axes.xaxis, 8)
+    linear_axis(axes.yaxis, 6)
+    axes.set_xlabel("real part, 1/s")
+    axes.set_ylabel("imaginary part, rad/s")
+    return places
+
+
 def _drawn(locus: Locus, word: str, quantity: str) -> control.ControlPlot:
     low, high = float(locus.values[0]), float(locus.values[-1])
     points, nominal = locus.s, continuous_poles(locus.nominal, locus.dt)
@@ -244,39 +291,6 @@ def _stable_words(locus: Locus, word: str) -> str:
     return f"{word} {span}: stable {listed(words)}"
 
 
-# A pole this near to the boundary, against the largest, counts as on it: multiple ones come out that far away.
-_ON = 1e-9
-# An edge of stability this near to an end of the range, against its length, lies at the end.
-_BESIDE = 1e-6
-# Branches are drawn by steps of this share of the view at most.
-_STEP = 0.012
-
-
-@value
-class Locus:
-    """Poles of a closed loop over a number."""
-
-    values: FloatArray  # (N,), The number, increasing: closer together where poles move fast
-    branches: ComplexArray  # (N, n), Poles in their own plane, s in rad/s or z, each column one continuous branch
-    nominal: ComplexArray  # (n,), Those at 1
-    dt: float  # Sample period, s; 0: continuous
-    stable: NDArray[np.bool_]  # (N,), Whether all poles lie inside the stability boundary
-    edges: FloatArray  # (k,), Numbers between the ends at which that changes, to rounding
-    view: View  # What of the s-plane shows it
-
-    @property
-    def s(self) -> ComplexArray:
-        """Branches in the s-plane, rad/s: ln(z)/T of a sampled loop."""
-        return continuous_poles(self.branches, self.dt)
-
-    @property
-    def stable_ranges(self) -> list[tuple[float, float]]:
-        """Intervals in which the loop is stable."""
-        ends = [float(self.values[0]), *map(float, self.edges), float(self.values[-1])]
-        first = bool(self.stable[0])
-        return [(ends[k], ends[k + 1]) for k in range(0 if first else 1, len(ends) - 1, 2)]
-
-
 def gain_locus(plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | None) -> Locus:
     """Return the poles of the closed loop while all of the controller is multiplied by one factor."""
     factors = increasing("gains", gains, np.linspace(0.0, 2.5, 101))
@@ -352,56 +366,3 @@ def increasing(name: str, given: ArrayLike | None, default: FloatArray) -> Float
     if out.ndim != 1 or out.size < 2 or not np.isfinite(out).all() or np.any(np.diff(out) <= 0.0):
         raise ArgumentError(f"{name} must be at least two finite increasing numbers, got {short(given)}")
     return out
-
-
-def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
-    """Follow the poles through `values`, finer where they run, and find where stability begins and ends."""
-    nominal = poles(np.ones(1))[0]
-    nyquist = np.pi / dt if dt else np.inf
-    coarse = np.union1d(values, np.linspace(values[0], values[-1], 61))
-    coarse = np.union1d(coarse, [1.0]) if values[0] <= 1.0 <= values[-1] else coarse
-    ends = np.concatenate([poles(values[[0, -1]]).ravel(), nominal])
-    view = view_of(continuous_poles(ends, dt), continuous_poles(poles(coarse).ravel(), dt), nyquist)
-
-    def shown(z: ComplexArray) -> ComplexArray:
-        s = continuous_poles(z, dt)
-        outside = ~(np.abs(s) < 3.0 * view.reach)
-        return np.where(outside, np.nan, view.stretch * s.real + 1j * s.imag)
-
-    # At an end of the range the loop may be undamped: what counts there is stability a little inside.
-    inside = np.array([1.0, -1.0]) * 2.0 * _BESIDE * (values[-1] - values[0]) + values[[0, -1]]
-
-    def stability(at: FloatArray) -> NDArray[np.bool_]:
-        return _stable(poles(np.clip(at, *inside)), dt)
-
-    fine = refined_values(coarse, poles, shown, _STEP * view.reach)
-    stable = stability(fine)
-    at = np.flatnonzero(stable[1:] != stable[:-1])
-    edges = [_edge(stability, float(fine[k]), float(fine[k + 1]), bool(stable[k])) for k in at]
-    fine = np.union1d(fine, edges)
-    z, stable = poles(fine), stability(fine)
-    return Locus(
-        values=fine,
-        branches=pole_branches(z),
-        nominal=nominal,
-        dt=dt,
-        stable=stable,
-        edges=np.array(edges),
-        view=view,
-    )
-
-
-def _stable(z: ComplexArray, dt: float) -> NDArray[np.bool_]:
-    growth = np.abs(z).max(axis=-1) - 1.0 if dt else z.real.max(axis=-1)
-    size = 1.0 if dt else np.abs(z).max(axis=-1)
-    return np.asarray(growth < -_ON * size)
-
-
-def _edge(stability: Callable[[FloatArray], NDArray[np.bool_]], low: float, high: float, before: bool) -> float:
-    """Bisect to where stability changes."""
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        if not low < middle < high:
-            break
-        low, high = (middle, high) if bool(stability(np.array([middle]))[0]) == before else (low, middle)
-    return 0.5 * (low + high)

@@ -1,12 +1,16 @@
-"""The plots of the whole platform: natural frequencies; poles, margins and disturbances of the coupled system."""
+"""Pictures of a job's loops and of the coupled system that are no plain curves over frequency, and what those show."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import Any
 
+import control
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from platform_ctrl.analysis.curves import Curve, Curves, loop_phase, upper_half_plane
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.poles import continuous_poles
@@ -16,26 +20,30 @@ from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.loop import LoopDesign, sampled_plant
+from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.quantities import HZ, plain, quantity
 from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space as linear_state_space
+from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.drawing import root_series, signal_series
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.report.captions import bandwidth_hz
+from platform_ctrl.report.curves import ShownLoop, damping_rays
 from platform_ctrl.report.figures.campbell import campbell
-from platform_ctrl.report.figures.loop import half_plane_axes
-from platform_ctrl.report.figures.panels import loop_phase, phase_panel
-from platform_ctrl.report.figures.pole_map import upper_half_plane
+from platform_ctrl.report.figures.root_locus import root_locus
 from platform_ctrl.report.modes import nutates
 from platform_ctrl.report.style import (
     BAND,
+    DASH_DOTTED,
+    DASHED,
+    DASHES,
     DOTTED,
     LIMIT,
+    MARKERS,
     MUTED,
     REFERENCE,
     SERIES,
     frequency_axes,
-    gain_limits,
     legend,
     line_style,
     linear_axis,
@@ -44,14 +52,94 @@ from platform_ctrl.report.style import (
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.verdict import JobResult
 
-if TYPE_CHECKING:
-    import control
-
-
-# Range of the rotors' speed in the Campbell diagram, as a factor.
-_SPINS = (0.0, 1.5)
+# Range of the root locus, factors on the loop gain; and of the rotors' speed in the Campbell diagram.
+_GAINS, _SPINS = (0.0, 2.0), (0.0, 1.5)
 # Labels on two lines that are closer than this share of the axis would overlap.
 _APART = 0.05
+
+
+def damping_lines(axes: Axes, spec: LoopSpec, top: float, named: bool) -> None:
+    """Draw the required damping of fast poles as rays of the s-plane, up to the imaginary part `top`."""
+    rays = [(ratio, DASHES[dashes], LIMIT) for ratio, dashes, _ in damping_rays(spec.limits)]
+    rays += [(ratio, DASH_DOTTED, MUTED) for ratio, _, _ in damping_rays(spec.soft)]
+    for k, (ratio, dashes, colour) in enumerate(rays):
+        if not 0.0 < ratio < 1.0:
+            continue
+        slope, height = ratio / np.sqrt(1.0 - ratio**2), 0.96 - 0.08 * k
+        axes.plot([0.0, -slope * top], [0.0, top], color=colour, linestyle=dashes, linewidth=0.9)
+        if named:
+            text = f"{ratio:g}" if colour == LIMIT else f"goal {ratio:g}"
+            at = (-slope * height * top, height * top)
+            axes.annotate(
+                text, at, (-3, 0), color=colour, ha="right", va="center", textcoords="offset points", fontsize=7
+            )
+
+
+def fastest_pole_line(axes: Axes, spec: LoopSpec, period: float) -> None:
+    """Draw the circle of the w-plane that closed-loop poles have to stay within, carried to s = ln(z)/T."""
+    for limits, colour, dashes in ((spec.limits, LIMIT, DASHED), (spec.soft, MUTED, DASH_DOTTED)):
+        if "fastest_pole" in limits:
+            real, imag = pole_circle(limits["fastest_pole"], period)
+            axes.plot(real, imag, color=colour, linestyle=dashes, linewidth=0.9)
+
+
+def pole_circle(radius: float, period: float) -> tuple[FloatArray, FloatArray]:
+    """Return real and imaginary parts, 1/s and rad/s, of the left upper quarter of |w| = `radius` in the s-plane."""
+    angle = np.linspace(0.5 * np.pi, np.pi, 400)[:-1]
+    w = 0.5 * period * radius * np.exp(1j * angle)
+    s = np.log((1.0 + w) / (1.0 - w)) / period
+    return np.asarray(s.real), np.asarray(s.imag)
+
+
+def pole_figure(loop: ShownLoop) -> Figure:
+    """Closed-loop poles of the nominal plant (strong), of uncertain plants (faint) and with faults (crosses)."""
+    names = [one.label for one in loop.designs]
+    figure, [row] = panels(1, 2, 2.7, names)
+    handles: list[Any] = []
+    for axes in row:
+        drawn: list[Any] = []
+        for one in loop.designs:
+            varied, faults, own = (upper_half_plane(s) for s in (one.varied_poles, one.fault_poles, one.poles))
+            k = one.series % len(SERIES)
+            style: dict[str, Any] = {"color": SERIES[k], "linestyle": "none", "marker": MARKERS[k]}
+            axes.plot(varied.real, varied.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
+            crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
+            axes.plot(faults.real, faults.imag, **style | crossed)
+            strong = {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3}
+            drawn += axes.plot(own.real, own.imag, **style | strong)
+        handles = handles or drawn
+    nyquist, extent = np.pi / loop.plants.period, 1.7 * loop.plants.nutation
+    views = ((-1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist), (-1.2 * extent, 0.18 * extent, extent))
+    titles = ("all poles up to the Nyquist frequency", "closer to the origin")
+    for k, (axes, (left, right, top), title) in enumerate(zip(row, views, titles, strict=True)):
+        damping_lines(axes, loop.spec, top, named=k == 1)
+        fastest_pole_line(axes, loop.spec, loop.plants.period)
+        half_plane_axes(axes, left, right, 0.0, top)
+        axes.set_ylabel("imaginary part, rad/s")
+        axes.set_title(title)
+    legend(figure, handles, names)
+    return figure
+
+
+def root_locus_plot(design: LoopDesign, spec: LoopSpec) -> Any:
+    """Return a root locus over gains up to twice the design's, with the limits on poles; `locus` has the numbers."""
+    assert design.plants is not None
+    plot = root_locus(sampled_plant(design.plants), design.own_controller, gains=_GAINS)
+    axes: Axes = plot.axes[0, 0]
+    damping_lines(axes, spec, axes.get_ylim()[1], named=False)
+    fastest_pole_line(axes, spec, design.plants.period)
+    return plot
+
+
+def half_plane_axes(axes: Axes, left: float, right: float, bottom: float, top: float) -> None:
+    """Set the limits of axes that show the upper half plane, with its unstable half shaded."""
+    axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
+    axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    linear_axis(axes.xaxis, 6)
+    linear_axis(axes.yaxis, 6)
+    axes.set_xlabel("real part, 1/s")
 
 
 def nutation_figure(result: JobResult) -> Figure | None:
@@ -81,11 +169,6 @@ def nutation_figure(result: JobResult) -> Figure | None:
             )
             last = bandwidth
     return figure
-
-
-def _checked(result: JobResult) -> CoupledCheck:
-    assert result.coupled is not None, "all loops have controllers"
-    return result.coupled
 
 
 def coupled_pole_figure(result: JobResult) -> Figure:
@@ -173,76 +256,65 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
     return figure
 
 
+def _checked(result: JobResult) -> CoupledCheck:
+    assert result.coupled is not None, "all loops have controllers"
+    return result.coupled
+
+
 def coupled_grid(result: JobResult) -> FloatArray:
     """Return frequencies for the coupled system, rad/s, from below its slowest pole up to the Nyquist frequency."""
     check = _checked(result)
-    period, s = check.period, continuous_poles(check.poles, check.period)
+    s = continuous_poles(check.poles, check.period)
     finite = np.abs(s[np.isfinite(s.real) & (np.abs(s) > 0.0)])
-    nyquist = np.pi / period
+    nyquist = np.pi / check.period
     low = float(np.clip(0.1 * finite.min(initial=nyquist), 1e-5 * nyquist, 1e-3 * nyquist))
     return following_grid(s, low, 0.999 * nyquist)
 
 
-def servo_figure(result: JobResult) -> Figure | None:
+def servo(result: JobResult) -> list[list[Curves]] | None:
     """Bode diagram of each root torquer's loop in the coupled system, others closed; None without such a torquer."""
     check = _checked(result)
     roots = {t.name for t in result.job.platform.torquers if t.root_axis is not None}
-    channels = [k for k, name in enumerate(check.channels) if name in roots]
-    if not channels or not check.stable or check.controller is None:
+    chosen = [k for k, name in enumerate(check.channels) if name in roots]
+    if not chosen or not check.stable or check.controller is None:
         return None
     w = coupled_grid(result)
     loops = gang(check.plant, check.controller, w).channels
-    figure, [[gain, phase]] = panels(1, 2, 2.0, [check.channels[k] for k in channels])
-    curves, phases, handles = [], [], []
     series = signal_series(result.job.platform)
-    for k in channels:
-        loop, style = loops[k], line_style(series[check.channels[k]])
-        curves.append(np.abs(loop))
-        handles += gain.plot(w * HZ, np.abs(loop), **style)
-        phases.append(loop_phase(loop))
-        phase.plot(w * HZ, phases[-1], **style)
-    frequency_axes(gain, w[0] * HZ, w[-1] * HZ)
-    gain_limits(gain, curves, low=1e-3, high=1e4)
-    gain.axhline(1.0, color=REFERENCE, linewidth=0.8)
-    gain.set_ylabel("gain, 1")
-    gain.set_title("loop transfer at the torquer")
-    frequency_axes(phase, w[0] * HZ, w[-1] * HZ, log_gain=False)
-    phase_panel(phase, phases)
-    phase.set_ylabel("phase, degrees")
-    phase.set_title("its phase")
-    legend(figure, handles, [check.channels[k] for k in channels])
-    return figure
+    looks = {k: {"name": check.channels[k], "series": series[check.channels[k]]} for k in chosen}
+    size, phase = (
+        tuple(Curve(x=w * HZ, y=np.asarray(of(loops[k])), **look) for k, look in looks.items())  # type: ignore[arg-type]
+        for of in (np.abs, loop_phase)
+    )
+    gain = Curves(
+        curves=size, title="loop transfer at the torquer", quantity="gain, 1", low=1e-3, high=1e4, references={1.0: ""}
+    )
+    return [[gain, Curves(curves=phase, title="its phase", quantity="phase, degrees", kind="phase")]]
 
 
-def platform_disturbance_figure(result: JobResult) -> Figure:
+def platform_disturbance(result: JobResult) -> list[list[Curves]]:
     """Platform angle and largest gimbal angle per torque on the platform, loops closed against no controller at all."""
     w = coupled_grid(result)
     opened, closed = platform_compliance(result, w)
-    carried = len(result.model.angle_names) > 0
-    labels = [*(f"torque about axis {axis}" for axis in (1, 2, 3)), "no controller"]
-    figure, [[platform, *others]] = panels(1, 1 + carried, 2.0, labels)
-    handles = []
-    f = w * HZ
-    for axis in range(3):
-        style = line_style(root_series(axis + 1))
-        platform.plot(f, opened[:, -3 + axis, axis], **style | {"color": REFERENCE, "linewidth": 0.9})
-        handles += platform.plot(f, closed[:, -3 + axis, axis], **style)
-    handles += platform.plot([], [], color=REFERENCE, linewidth=0.9)
-    frequency_axes(platform, f[0], f[-1])
-    axes_closed = closed[:, [-3, -2, -1], [0, 1, 2]]
-    gain_limits(platform, [axes_closed], low=1e-7 * float(axes_closed.max()), high=30.0 * float(axes_closed.max()))
-    platform.set_ylabel("mrad per mN m")
-    platform.set_title("torque on the platform → its own angle")
-    for gimbals in others:
-        moved = np.linalg.norm(closed[:, :-3], axis=1)
-        for axis in range(3):
-            gimbals.plot(f, moved[:, axis], **line_style(root_series(axis + 1)))
-        frequency_axes(gimbals, f[0], f[-1])
-        gain_limits(gimbals, [moved], low=1e-6 * float(moved.max(initial=1e-12)))
-        gimbals.set_ylabel("mrad per mN m")
-        gimbals.set_title("torque on the platform → gimbal angles")
-    legend(figure, handles, labels)
-    return figure
+    own = [closed[:, -3 + axis, axis] for axis in range(3)]
+    moved, top = np.linalg.norm(closed[:, :-3], axis=1), float(np.max(own))
+
+    def lines(values: Sequence[FloatArray]) -> list[Curve]:
+        names = [f"torque about axis {axis}" for axis in (1, 2, 3)]
+        looks = zip(values, names, (1, 2, 3), strict=True)
+        return [Curve(x=w * HZ, y=y, name=name, series=root_series(axis)) for y, name, axis in looks]
+
+    grey = [
+        Curve(x=w * HZ, y=opened[:, -3 + axis, axis], name="no controller", series=None, dashes=root_series(axis + 1))
+        for axis in range(3)
+    ]
+    title = "torque on the platform → "
+    shown: dict[str, Any] = {"quantity": "mrad per mN m", "low": 1e-7 * top, "high": 30.0 * top}
+    row = [Curves(curves=(*lines(own), *grey), title=f"{title}its own angle", **shown)]
+    if result.model.angle_names:
+        shown |= {"low": 1e-6 * float(moved.max(initial=1e-12)), "high": np.inf}
+        row.append(Curves(curves=tuple(lines(list(moved.T))), title=f"{title}gimbal angles", **shown))
+    return [row]
 
 
 def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -256,7 +328,7 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     assert check.controller is not None, "loops at several rates have no frequency response"
     shown = [*model.angle_names, *OMEGA_NAMES]
     outputs = [*shown, *(name for name in check.controller.input_labels if name not in shown)]
-    free = observed(linear_state_space(model, root="free"), model.platform, outputs, model.q0, model.Omega0)
+    free = observed(state_space(model, root="free"), model.platform, outputs, model.q0, model.Omega0)
     signals = [t.signal for t in job.platform.torquers]
     direct = _response(free[outputs, list(ROOT_TORQUE_NAMES)], frequency)
     # The platform's rates become angles.
@@ -265,14 +337,12 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     driven = sampled(
         free[outputs, signals], job.sampling.period, job.sampling.delay, [t.lag for t in job.platform.torquers]
     )
-    P = _response(driven, frequency)
-    K = System.of(check.controller, "all loops")
+    P, K = _response(driven, frequency), _response(check.controller, frequency)
     rows = [outputs.index(name) for name in check.controller.input_labels]
     columns = [[t.name for t in job.platform.torquers].index(name) for name in check.controller.output_labels]
-    K_response = frequency_response(K, frequency, -3)
-    loop = P[:, rows][:, :, columns] @ K_response
+    loop = P[:, rows][:, :, columns] @ K
     seen = np.linalg.solve(np.eye(len(rows)) - loop, direct[:, rows])
-    closed = direct + P[:, :, columns] @ K_response @ seen
+    closed = direct + P[:, :, columns] @ K @ seen
     opened, closed = direct[:, : len(shown)], closed[:, : len(shown)]
     return np.abs(to_angle * opened), np.abs(to_angle * closed)
 

@@ -1,0 +1,275 @@
+"""The numbers of pictures: what a panel shows, curves that are refined where they turn, and root loci.
+
+Nothing is drawn here: the report and the designer, of which neither knows the other, draw the same curves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.analysis.poles import Poles, continuous_poles, pole_branches
+from platform_ctrl.analysis.system import ComplexArray
+from platform_ctrl.common.values import FloatArray, value
+
+# A step of the phase beyond which a pole or zero without damping is taken for its cause, degrees.
+_JUMP = 135.0
+# Halvings of a step, and values altogether, at most: a pole that leaps cannot be followed however short the steps.
+_MOST_HALVINGS, _MOST_VALUES = 14, 3000
+# Of the loop transfer from one point to the next, at most: degrees and dB, the latter 1 % of a Nichols plot; and the
+# gains, dB, within which that counts.
+_TURN, _RISE, _SEEN = 2.0, 0.8, 45.0
+
+
+@value
+class Curve:
+    """A line of a panel."""
+
+    x: FloatArray
+    y: FloatArray
+    name: str = ""  # In the legend; empty: like another one
+    series: int | None = 0  # Which colour and marker; None: what others are compared with, grey
+    dashes: int | None = None  # Which dashes, 0: solid; None: those of the series
+    # "strong": what counts, "thin": what goes with a line, "mark": a point
+    form: Literal["line", "strong", "thin", "mark"] = "line"
+
+
+@value
+class Level:
+    """A level of a gain that is required, or wished for; with an end it holds for a part of the frequencies."""
+
+    y: float
+    text: str
+    hard: bool = True
+    start: float | None = None
+    end: float | None = None
+
+
+@value
+class Curves:
+    """What one panel of a picture over frequency, Hz, shows."""
+
+    curves: tuple[Curve, ...]
+    title: str = ""
+    quantity: str = ""  # What is shown, with its unit
+    kind: Literal["gain", "phase"] = "gain"
+    low: float = 0.0  # No lower and no higher gains are shown
+    high: float = math.inf
+    levels: tuple[Level, ...] = ()
+    references: Mapping[float, str] = field(default_factory=dict)  # Grey levels with their words
+    required: float | None = None  # Frequency up to which something is required, and one that is wished for
+    wished: float | None = None
+
+
+def decibels(response: ComplexArray) -> FloatArray:
+    """Return |response| in decibels; NaN where it is 0 or NaN."""
+    size = np.abs(response)
+    return np.asarray(20.0 * np.log10(np.where(size > 0.0, size, math.nan)))
+
+
+def loop_phase(loop: ComplexArray) -> FloatArray:
+    """Return the phase of a loop transfer, degrees, in the turn in which it comes closest to the critical point.
+
+    Across a pole on the stability boundary the phase falls by 180°, across a zero there it rises, as with the least
+    damping. NaN where the response is 0 or NaN.
+    """
+    out = np.full(len(loop), np.nan)
+    known = np.flatnonzero(np.isfinite(loop) & (loop != 0.0))
+    if not known.size:
+        return out
+    h = loop[known]
+    level, angle = np.log(np.abs(h)), np.degrees(np.angle(h))
+    step = (np.diff(angle) + 180.0) % 360.0 - 180.0
+    for k in np.flatnonzero(np.abs(step) > _JUMP).tolist():
+        # The gain distinguishes pole and zero: it has a peak, or a dip, between the two points.
+        bend = level[min(k + 2, len(h) - 1)] - level[k + 1] - (level[k] - level[max(k - 1, 0)])
+        if bend * step[k] < 0.0:
+            step[k] += np.copysign(360.0, bend)
+    phase = angle[0] + np.concatenate([[0.0], np.cumsum(step)])
+    closest = phase[np.argmin(np.abs(1.0 + h))]
+    out[known] = phase - 360.0 * np.round((closest + 180.0) / 360.0)
+    return out
+
+
+def refined(
+    values: FloatArray,
+    evaluate: Callable[[FloatArray], ComplexArray],
+    moved: Callable[[ComplexArray], FloatArray],
+    most: int = _MOST_VALUES,
+) -> tuple[FloatArray, ComplexArray]:
+    """Return rising `values` (N,) with more between them, and what they come to, (N, ...).
+
+    `moved` says how far it is from each value to the next, (N - 1,): no more than 1 is left.
+    """
+    found = evaluate(values)
+    for _ in range(_MOST_HALVINGS):
+        with np.errstate(all="ignore"):
+            long = np.flatnonzero(np.nan_to_num(moved(found), nan=0.0, posinf=0.0) > 1.0)
+        if not long.size or len(values) + long.size > most:
+            break
+        between = 0.5 * (values[long] + values[long + 1])
+        values = np.insert(values, long + 1, between)
+        found = np.insert(found, long + 1, evaluate(between), axis=0)
+    return values, found
+
+
+def refined_loop(
+    frequency: FloatArray, channels: Callable[[FloatArray], ComplexArray]
+) -> tuple[FloatArray, ComplexArray]:
+    """Return frequencies (N,), and loop transfers (m, N) there, that turn by at most 2° from one to the next.
+
+    `channels` gives loop transfers (m, N) at any frequencies.
+    """
+
+    def moved(h: ComplexArray) -> FloatArray:
+        ratio = h[1:] / h[:-1]
+        level = decibels(h)
+        seen = np.minimum(np.abs(level[1:]), np.abs(level[:-1])) < _SEEN
+        way = np.hypot(np.degrees(np.angle(ratio)) / _TURN, decibels(ratio) / _RISE)
+        return np.asarray(np.where(seen, way, 0.0).max(axis=1, initial=0.0))
+
+    w, h = refined(frequency, lambda w: channels(w).T, moved)
+    return w, h.T
+
+
+# Largest and smallest share of a panel to the right of the imaginary axis; width of a panel over the height above the
+# real axis, about; room beyond the outermost pole; a gap between poles.
+_RIGHT, _MOST_RIGHT, _ASPECT, _BEYOND, _GAP = 0.17, 0.75, 1.95, 1.2, 8.0
+# Poles within this share of the width are drawn stretched, so much at most; within 1/_FLAT they are on the axis.
+_SLIM, _STRETCH, _FLAT = 0.35, 12.0, 400.0
+# A pole this near to the boundary, against the largest, counts as on it: multiple ones come out that far away.
+_ON = 1e-9
+# An edge of stability this near to an end of the range, against its length, lies at the end.
+_BESIDE = 1e-6
+# Branches are drawn by steps of this share of the view at most.
+_STEP = 0.012
+
+
+@value
+class View:
+    """How much of the s-plane is shown."""
+
+    reach: float  # Up to which imaginary part, rad/s
+    right: float = _RIGHT  # Share of the panel to the right of the imaginary axis
+    stretch: float = 1.0  # How much longer a real part is drawn than an imaginary one
+
+
+@value
+class Locus:
+    """Poles of a closed loop over a number."""
+
+    values: FloatArray  # (N,), The number, increasing: closer together where poles move fast
+    branches: ComplexArray  # (N, n), Poles in their own plane, s in rad/s or z, each column one continuous branch
+    nominal: ComplexArray  # (n,), Those at 1
+    dt: float  # Sample period, s; 0: continuous
+    stable: NDArray[np.bool_]  # (N,), Whether all poles lie inside the stability boundary
+    edges: FloatArray  # (k,), Numbers between the ends at which that changes, to rounding
+    view: View  # What of the s-plane shows it
+
+    @property
+    def s(self) -> ComplexArray:
+        """Branches in the s-plane, rad/s: ln(z)/T of a sampled loop."""
+        return continuous_poles(self.branches, self.dt)
+
+    @property
+    def stable_ranges(self) -> list[tuple[float, float]]:
+        """Intervals in which the loop is stable."""
+        ends = [float(self.values[0]), *map(float, self.edges), float(self.values[-1])]
+        first = bool(self.stable[0])
+        return [(ends[k], ends[k + 1]) for k in range(0 if first else 1, len(ends) - 1, 2)]
+
+
+def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
+    """Follow the poles through `values`, finer where they run, and find where stability begins and ends."""
+    nominal = poles(np.ones(1))[0]
+    nyquist = np.pi / dt if dt else np.inf
+    coarse = np.union1d(values, np.linspace(values[0], values[-1], 61))
+    coarse = np.union1d(coarse, [1.0]) if values[0] <= 1.0 <= values[-1] else coarse
+    ends = np.concatenate([poles(values[[0, -1]]).ravel(), nominal])
+    view = view_of(continuous_poles(ends, dt), continuous_poles(poles(coarse).ravel(), dt), nyquist)
+
+    def moved(z: ComplexArray) -> FloatArray:
+        s = continuous_poles(pole_branches(z), dt)
+        outside = ~(np.abs(s) < 3.0 * view.reach)
+        way = np.abs(np.diff(np.where(outside, np.nan, view.stretch * s.real + 1j * s.imag), axis=0))
+        return np.asarray(np.nan_to_num(way, nan=0.0).max(axis=1, initial=0.0) / (_STEP * view.reach))
+
+    # At an end of the range the loop may be undamped: what counts there is stability a little inside.
+    inside = np.array([1.0, -1.0]) * 2.0 * _BESIDE * (values[-1] - values[0]) + values[[0, -1]]
+
+    def stability(at: FloatArray) -> NDArray[np.bool_]:
+        z = poles(np.clip(at, *inside))
+        growth, size = np.abs(z).max(axis=-1) - 1.0 if dt else z.real.max(axis=-1), np.abs(z).max(axis=-1)
+        return np.asarray(growth < -_ON * (1.0 if dt else size))
+
+    fine = refined(coarse, poles, moved)[0]
+    stable = stability(fine)
+    at = np.flatnonzero(stable[1:] != stable[:-1])
+    edges = [_edge(stability, float(fine[k]), float(fine[k + 1]), bool(stable[k])) for k in at]
+    fine = np.union1d(fine, edges)
+    return Locus(
+        values=fine,
+        branches=pole_branches(poles(fine)),
+        nominal=nominal,
+        dt=dt,
+        stable=stability(fine),
+        edges=np.array(edges),
+        view=view,
+    )
+
+
+def _edge(stability: Callable[[FloatArray], NDArray[np.bool_]], low: float, high: float, before: bool) -> float:
+    """Bisect to where stability changes."""
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        if not low < middle < high:
+            break
+        low, high = (middle, high) if bool(stability(np.array([middle]))[0]) == before else (low, middle)
+    return 0.5 * (low + high)
+
+
+def view_of(ends: ComplexArray, between: ComplexArray, nyquist: float) -> View:
+    """Return a view of the s-plane that shows the poles `ends`, 1/s, and those `between` that are no faster.
+
+    Very fast poles are left out, and of a sampled system those beyond half the Nyquist frequency: delay and roll-off.
+    """
+    every = np.concatenate([ends, between])
+    s = every[np.isfinite(every) & (np.abs(every) <= _bound(ends, nyquist))]
+    up, left, right = (_BEYOND * float(np.max(x, initial=0.0)) for x in (np.abs(s.imag), -s.real, s.real))
+    reach = max(up, (left + right) / _ASPECT) or 1.0
+    share = float(np.clip(right / (_ASPECT * reach), _RIGHT, _MOST_RIGHT))
+    reach = max(reach, left / ((1.0 - share) * _ASPECT))
+    across = whole = _ASPECT * reach
+    if whole / _FLAT < left + right < _SLIM * whole:
+        # Little damping: what there is to see lies in a narrow strip.
+        across = max(left + right, whole / _STRETCH)
+    share = float(np.clip(right / across, _RIGHT, _MOST_RIGHT))
+    across = max(across, min(max(left / (1.0 - share), right / share), whole))
+    return View(reach=reach, right=share, stretch=whole / across)
+
+
+def _bound(poles: ComplexArray, nyquist: float) -> float:
+    """Return the largest |s| that is worth showing."""
+    size = np.abs(poles[np.isfinite(poles)])
+    size = size[size > 0.0]
+    if not size.size:
+        return 1.0
+    slow = size[size <= 0.5 * nyquist]
+    ordered = np.sort(slow if slow.size else size)
+    turning = np.isfinite(poles) & (np.abs(poles.imag) > 0.1 * np.abs(poles)) & (np.abs(poles) <= ordered[-1])
+    least = float(np.abs(poles[turning]).max(initial=0.0))
+    # Where most of a decade parts the poles and nothing swings beyond, the fast side is left out.
+    for gap in np.flatnonzero(ordered[1:] > _GAP * ordered[:-1])[::-1]:
+        if ordered[gap] >= least > 0.0:
+            return float(ordered[gap]) * (1.0 + 1e-9)
+    return float(ordered[-1]) * (1.0 + 1e-9)
+
+
+def upper_half_plane(z: ComplexArray) -> ComplexArray:
+    """Return the finite poles of the closed upper half plane."""
+    return np.asarray(z[np.isfinite(z.real) & (z.imag >= -1e-9 * np.maximum(np.abs(z), 1e-12))])
