@@ -246,17 +246,6 @@ def test_files_of_nobody_are_not_overwritten(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_two_processes_that_share_a_folder_write_the_same(tmp_path: Path) -> None:
-    made, inside = planned(runs=64), []
-
-    def meanwhile(done: int, amiss: int) -> None:
-        if done == 24 and not inside:
-            inside.append(rows(carried_out(made, tmp_path)))
-
-    assert rows(carried_out(made, tmp_path, progress=meanwhile)) == inside[0] == undisturbed(made)
-
-
-@pytest.mark.usefixtures("here")
 def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(table: Any, file: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -307,26 +307,6 @@ def test_a_number_takes_the_place_of_what_its_path_says_and_of_nothing_else(
     assert all(new[place] == pytest.approx(expected, rel=1e-15) for place, expected in places.items())
 
 
-def test_every_path_that_is_known_is_tried_here() -> None:
-    known = set(parameters(planned().nominal, job().fault_events))
-    kinds = {(path.partition(".")[0], path.rpartition(".")[2]) for path in EXPECTED}
-    kinds |= {("root", f"specific_force{k}") for k in (1, 2)} | {("unbalance", f"moment{k}") for k in (1, 3)}
-    kinds |= {(kind, key) for kind in ("pickoff", "rate_sensor") for key in ("bias", "scale_error")}
-    kinds |= {("pickoff", "quantisation"), ("rate_sensor", "quantisation"), ("rate_sensor", "noise_bandwidth_hz")}
-    kinds |= {("initial", name) for k in job().platform.angle_names for name in (k, f"{k}_rate")}
-    kinds |= {("initial", f"Omega{k}") for k in (1, 2)}
-    # Tried on their own below.
-    kinds |= {("torquer", "gain"), ("vibration", "scale")}
-    assert {(path.partition(".")[0], path.rpartition(".")[2]) for path in known} <= kinds
-
-
-def test_a_torquers_gain_is_a_weak_torquer_from_the_beginning() -> None:
-    _, after = varied("torquer.Q9.gain", 0.8, False)
-    weak = after.faults[0]
-    assert (weak.kind, weak.part, weak.at, weak.share, weak.until) == ("torquer weak", "Q9", 0.0, 0.8, np.inf)
-    assert after.faults[1:] == job().fault_events
-
-
 def test_a_vibrations_scale_multiplies_its_amplitudes() -> None:
     before, after = varied("vibration.scale", 3.0, False)
     np.testing.assert_allclose(after.vibrations[0].amplitudes[1], 3.0 * before.vibrations[0].amplitudes[1], rtol=1e-14)
@@ -360,13 +340,6 @@ def test_components_and_parts_that_vary_together_do_not_disturb_one_another() ->
         assert after.profile is not None
         assert (after.profile.rate, after.profile.rise, after.profile.hold) == (2.0, 0.25, 0.5)
         np.testing.assert_array_equal(after.platform.unbalances[-1].moment, [1e-5, 0.0, 2e-5])
-
-
-def test_a_manoeuvre_without_the_number_is_simulated_as_it_is() -> None:
-    before, after = varied("manoeuvre.rate", 2.0, True, 1)
-    assert not changed(before, after)
-    before, after = varied("initial.Omega3", 2.0, True, 0)
-    assert not changed(before, after)
 
 
 MIXED = (

@@ -230,22 +230,3 @@ def test_of_one_violating_run_no_cause_is_told():
     one = found_of(influences(table, {}), "fault.weak")
     assert one.in_every_violation
     assert not one.cause
-
-
-def test_what_is_counted_with_and_without_is_what_the_table_holds():
-    table = table_of_runs() | {"choice": np.random.default_rng(5).choice([1.0, 2.0, 3.0], 4000)}
-    table["ended"][9] = "not simulated: its worker died"
-    whole, some = influences(table, LIMITS), np.array([not str(one).startswith("not") for one in table["ended"]])
-    assert {one.manoeuvre for one in whole} == {None, "turn", "push"}
-    for one in whole:
-        if isinstance(one.level, str) and one.parameter != "manoeuvre":
-            continue
-        answers = table["passed"] if one.requirement == "passed" else table[f"{one.requirement}_passed"]
-        asked = some & np.array([answer is not None for answer in answers])
-        asked &= True if one.manoeuvre is None else table["manoeuvre"] == one.manoeuvre
-        violated = asked & np.array([answer is not None and not answer for answer in answers])
-        here = table[one.parameter] == one.level
-        for side, rows in ((one.present, here), (one.absent, ~here)):
-            assert (side.events, side.runs) == ((violated & rows).sum(), (asked & rows).sum())
-            exact = stats.binomtest(side.events, side.runs).proportion_ci(0.95, method="exact")
-            assert (side.low, side.high) == pytest.approx((exact.low, exact.high), rel=1e-6, abs=1e-15)

@@ -17,10 +17,8 @@ from generated_c import Machine, classical_entry, compiled, compiler, entry, fla
 from platform_ctrl import simulation
 from platform_ctrl.analysis.interconnection import BackCalculation, back_calculation
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.sections import flattened
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
 from platform_ctrl.export import write_c
-from platform_ctrl.export.c99.c_text import FILES, Names, comment, identifier
 from platform_ctrl.export.c99.code import Controller, controllers_of
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
@@ -155,17 +153,6 @@ def test_at_its_limits_it_is_the_model_with_anti_windup(
     assert np.allclose(single[:, :m], given, rtol=0.0, atol=1e-4 * limits.min())
 
 
-def test_integrals_follow_what_acts_with_the_stated_time_constant(job: Job, entries: list[dict[str, Any]]) -> None:
-    scheme = controllers_of(job, entries)[0]
-    held = np.full((8000, 3), 2e-3)
-    runs = {name: limited_run(scheme, held, windup)[0] for name, windup in (("with", True), ("without", False))}
-    # Without, commands go on for ever; with it, they come to rest where the integral loses what it gains.
-    assert np.all(np.abs(runs["without"][-1] - runs["without"][-2]) > 1e-6)
-    assert np.all(np.abs(runs["with"][-1] - runs["with"][-2]) < 1e-9)
-    found = anti_windup(scheme)
-    assert found.radius == pytest.approx(1.0 - job.sampling.period / found.time_constant, abs=1e-9)
-
-
 @pytest.mark.parametrize("number", ["double", "float"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308])
 def test_an_input_that_is_not_finite_holds_everything(
@@ -284,26 +271,6 @@ def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> No
         write_c(job, [tiny], tmp_path / "file" / "x")
 
 
-def test_a_pole_that_float_moves_a_little_is_noted(job: Job, tmp_path: Path) -> None:
-    across = np.array([[0.0, -1.0], [1.0, 0.0]])
-    # A pole at 4 mHz, half way between two floats.
-    slow = gyro_entry(job, np.eye(2) * (1.0 - 218.5 * 2.0**-24), np.eye(2), across, across)
-    [note] = write_c(job, [slow], tmp_path, number="float").notes
-    assert "in single precision the response changes by 0.002" in note
-    assert write_c(job, [slow], tmp_path).notes == ()
-
-
-def test_sections_multiply_out_to_the_controller(job: Job, entries: list[dict[str, Any]]) -> None:
-    for one in controllers_of(job, entries):
-        made = flattened(one.sections, one.inputs, one.outputs)
-        for a, b in zip(made[:4], one.arrays[:4], strict=True):
-            np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-11 * np.abs(b).max(initial=0.0))
-    kinds = [[section.kind for section in one.sections] for one in controllers_of(job, entries)]
-    assert {"integral", "lead", "lag", "mix"} == set(kinds[0])
-    assert kinds[1] == ["states"]
-    assert set(kinds[2]) == {"mix", "low-pass", "integral"}
-
-
 def test_sections_that_are_not_the_matrices_are_left_out_with_a_note(job: Job, tmp_path: Path) -> None:
     e = classical_entry(job, ("9", "10"))
     e["D"][0][0] *= 1.0 + 1e-6
@@ -361,25 +328,6 @@ def test_hostile_names_become_identifiers_and_comments(name: str, job: Job, tmp_
     command = [compiler(), "-ffast-math", "-fsyntax-only", str(files[1])]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert "compile without" in done.stderr
-
-
-def test_identifiers_and_comments_are_safe() -> None:
-    assert identifier("caging 4-5-7") == "caging_4_5_7"
-    assert identifier("α9") == "alpha9"
-    assert identifier("int") == "int_n"
-    assert identifier("int16_t") == "int16_t_n"
-    assert Names(24, FILES)["stdint"] == "stdint_2"
-    names = Names()
-    assert names["limited", "Q"] != names["limited Q"]
-    assert names["limited", "Q"] == names["limited", "Q"]
-    assert identifier("5") == "n5"
-    assert identifier("***") == "n"
-    assert identifier("__x__") == "x"
-    assert identifier("three-gyro platform: caging and stabilisation", 24) == "three_gyro_platform"
-    assert len(identifier("x" * 500)) == 48
-    assert comment("a */ b /* c ??/ d\\\n\te") == "a * / b / * c ? ?/ d/ e"
-    assert "??" not in comment("?" * 9)
-    assert comment("kg m² μ") == "kg m2 mu"
 
 
 def test_integrals_that_no_limited_output_determines_have_a_note(job: Job, tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, simulation
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
-from platform_ctrl.export.mujoco.mjcf_writer import REGULATED
 from platform_ctrl.job.job import Faults, Job, Uncertainty, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import shipped_models
@@ -135,34 +134,6 @@ def test_the_difference_shrinks_by_sixteen_with_half_the_step(tmp_path: Path) ->
     coarse, fine = (np.subtract(*motions(platform, tmp_path, step)) for step in (4e-4, 2e-4))
     assert 12.0 < np.linalg.norm(coarse) / np.linalg.norm(fine) < 20.0
     assert np.abs(fine[:5]).max() < 1e-6
-
-
-def test_a_regulated_rotor_keeps_its_speed_against_its_carrier(tmp_path: Path) -> None:
-    platform = smooth(pc.read_platform("three_gyro_platform"))
-    run = Run(platform, tmp_path)
-    before = [run.data.joint(f"spin {rotor.name}").qvel[0] for rotor in platform.rotors]
-    assert before == pytest.approx([1250.0] * 3)
-    run.data.qfrc_applied[run.rates] = 0.02
-    mujoco.mj_step(run.model, run.data, 200)
-    after = [run.data.joint(f"spin {rotor.name}").qvel[0] for rotor in platform.rotors]
-    moved = np.abs(run.state[5:13]).max()
-    assert moved > 0.1
-    # What its drive gives way by: the carrier's rate, divided by what the drive's inertia is worth.
-    assert np.abs(np.subtract(after, before)).max() < 10.0 * moved / REGULATED + 1e-9
-
-
-@pytest.mark.parametrize("name", ["ae353_cmg", "gimballed_gyro", "rate_gyro"])
-def test_unbalance_falls_in_the_models_gravity(name: str, tmp_path: Path) -> None:
-    platform = pc.read_platform(name)
-    platform = dataclasses.replace(smooth(platform), specific_force=platform.specific_force)
-    q = 0.1 * np.arange(1, 1 + len(platform.gimbals))
-    ours = simulated(platform, [], period=1e-4, delay=0.0, duration=0.0201, mode="caged", q=q, noise=False, step=1e-4)
-    run = Run(platform, tmp_path, root="fixed", step=1e-4)
-    run.data.qpos[run.angles] = q
-    mujoco.mj_step(run.model, run.data, 200)
-    assert np.allclose(run.data.qpos[run.angles], ours.q[200], rtol=0.0, atol=1e-10)
-    assert np.allclose(run.data.qvel[run.rates], ours.rate[200], rtol=0.0, atol=1e-9)
-    assert np.abs(ours.q[200] - q).max() > 1e-7
 
 
 @pytest.fixture(scope="module")

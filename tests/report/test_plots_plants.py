@@ -13,7 +13,6 @@ import pytest
 from matplotlib.colors import to_hex
 
 import platform_ctrl as pc
-from platform_ctrl import simulation
 from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Manoeuvre
@@ -21,7 +20,6 @@ from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import figures
 from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
-from sighted_gimbal import sighted
 from single_runs import simulated
 
 HZ = 1.0 / (2.0 * np.pi)
@@ -84,17 +82,6 @@ def test_nutation_at_nominal_speed_is_the_model_s_pole(three):
         assert f"{fastest * HZ:.3g} Hz at nominal speed" in name
 
 
-def test_springs_part_nutation_and_precession_whose_product_is_kept(gyro):
-    found = curves(figures.campbell(on_springs(gyro)))
-    kinds = {name.split()[0]: hz for name, (_, hz) in found.items()}
-    nutation, precession = kinds["nutation"], kinds["precession"]
-    assert np.all(np.diff(nutation) > 0.0)
-    assert np.all(np.diff(precession) < 0.0)
-    # Without dampers the product of the natural frequencies is sqrt(det K / det M), whatever L. The bearings' friction
-    # is small.
-    assert nutation * precession == pytest.approx(nutation[0] * precession[0], rel=1e-3)
-
-
 def test_every_mode_of_a_chart_is_a_pole_of_the_model_at_that_speed(gyro):
     sprung = on_springs(gyro)
     for share in (0.4, 1.3):
@@ -126,15 +113,6 @@ def test_every_shipped_plant_with_a_rotor_has_a_campbell_chart(name):
     figure = figures.campbell(pc.read_platform(name))
     for line in figure.axes[0].lines:
         assert np.isfinite(np.asarray(line.get_ydata(), dtype=float)).all()
-
-
-def test_a_run_is_drawn_with_its_line_of_sight():
-    run = simulation.simulate(
-        simulation.Scenario(platform=sighted(), mode="stabilised", duration=0.01, delay=0.0), [], period=1e-3
-    )
-    titles = [axes.get_title(loc="left") for axes in figures.time_run(run, limits={"los_rate_rms": 1.0}).axes]
-    assert "line of sight, angle since the start" in titles
-    assert "line of sight, rate" in titles
 
 
 @pytest.fixture(scope="module")
