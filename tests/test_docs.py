@@ -25,7 +25,7 @@ from platform_ctrl.plant.tables import tables as tables_within
 from public_modules import names
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def named(page: Path) -> str:

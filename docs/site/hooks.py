@@ -26,7 +26,7 @@ SHOWN = {
     "examples/notebooks": ("*.ipynb",),
     "models": ("*.toml",),
 }
-_LINK = re.compile(r"\]\(((?:\.\./)+(?:examples|models)(?:/[^)\s]*)?)\)")
+_LINK = re.compile(r"\]\(((?:\.\./)+(?:CONTRIBUTING\.md|(?:examples|models)(?:/[^)\s]*)?))\)")
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -34,6 +34,8 @@ def on_files(files: Files, config: Any) -> Files:
     for folder in SHOWN:
         for path in _shown(folder):
             files.append(File.generated(config, _page(path), content=_listing(path)))
+    developers = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").replace("](docs/", "](")
+    files.append(File.generated(config, "contributing.md", content=developers))
     digest = drawn.package_digest()
     themes = drawn.themes()
 
@@ -120,6 +122,8 @@ def _listing(path: Path) -> str:
 def _page_of(link: str, uri: str, up: str) -> str:
     """Return the page in the site of a file of the repository that a page of docs/ links to."""
     target = posixpath.normpath(posixpath.join("docs", posixpath.dirname(uri), link))
+    if target == "CONTRIBUTING.md":
+        return f"{up}contributing.md"
     if target in SHOWN:
         return f"{up}start/examples.md#{target}"
     stem, _, suffix = target.rpartition(".")

@@ -1,4 +1,4 @@
-"""docs/theory/corrected-paper.md: its formulas (20) to (27), as they are typeset, are those that the energy gives."""
+"""docs/theory/the-paper.md: its formulas (20) to (27), as they are typeset, are those that the energy gives."""
 
 import re
 import tomllib
@@ -13,7 +13,7 @@ import platform_ctrl as pc
 import three_gyro_paper as paper
 from platform_ctrl.plant.source import platform_source
 
-TEXT = (Path(__file__).parents[2] / "docs" / "theory" / "corrected-paper.md").read_text(encoding="utf-8")
+TEXT = (Path(__file__).parents[2] / "docs" / "theory" / "the-paper.md").read_text(encoding="utf-8")
 FORMULAS = [formula.strip() for formula in re.findall(r"^\$\$\n(.*?)\n\$\$", TEXT, re.MULTILINE | re.DOTALL)]
 GREEK = r"alpha|beta|Omega"
 
