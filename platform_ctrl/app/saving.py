@@ -24,8 +24,7 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.writing import job_hashes
+from platform_ctrl.job.reading import job_hashes, read_job
 from platform_ctrl.plant.source import is_shipped_name, read_text
 from platform_ctrl.verification.result_file import SCHEMA, write_record
 

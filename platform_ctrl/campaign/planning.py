@@ -14,12 +14,11 @@ from scipy.stats import qmc
 from platform_ctrl.common.arguments import known_name, one_of, positive, whole
 from platform_ctrl.common.values import FloatArray, read_only, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.campaign_checks import misfits
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.parameters import Parameter, parameters, varied_scenario
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.job.variation import Campaign, Points, Vary
+from platform_ctrl.job.variation import Campaign, Points, Vary, campaign_misfits
 
 if TYPE_CHECKING:
     import control
@@ -281,7 +280,7 @@ def plan(
     chosen_sampling = campaign.sampling if sampling is None else sampling
     one_of("sampling", chosen_sampling, get_args(Points))
     nominal = tuple(manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres)
-    for _, _, line in misfits(campaign.vary, nominal, job.fault_events):
+    for _, _, line in campaign_misfits(campaign.vary, nominal, job.fault_events):
         raise ArgumentError(line)
     known = parameters(nominal, job.fault_events)
     by_name = {fault.name: fault for fault in job.fault_events}

@@ -22,7 +22,7 @@ from platform_ctrl import __version__
 from platform_ctrl.campaign.table import COMPLETED, DIVERGED, ENDED, NOT_SIMULATED, PASSED, Columns, Kind, arrow
 from platform_ctrl.common.files import remove_unfinished, replaced_file, write_json
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.writing import data_hash, job_data, job_hashes
+from platform_ctrl.job.reading import data_hash, job_data, job_hashes
 
 if TYPE_CHECKING:
     import control

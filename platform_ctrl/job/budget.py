@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import field
+from pathlib import Path as FilePath
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.logs import G, Quantity, Unit, column_unit
-from platform_ctrl.common.arguments import real_numbers
-from platform_ctrl.common.values import FloatArray, input_value, value
+from platform_ctrl.analysis.logs import G, Log, Quantity, Unit, column_unit, read_log
+from platform_ctrl.common.values import FloatArray, input_value, replaced, value
+from platform_ctrl.errors import InputError
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.spectra import SPECTRA, Lines, LogSpectrum, Spectrum
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.fields import Expected, Unfit
-from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, useless, wrong
+from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, given, missing, of_length, useless, wrong
 from platform_ctrl.plant.tables import TABLE, Array, OneOf, record_value
 
 MOST_SOURCES = 100
@@ -35,47 +36,19 @@ class SourceKind:
         Units in which a file may give it, with their factors to SI; the first is the SI unit.
     place
         The key that says where it acts: ``"axis"`` or ``"gimbal"``.
-    largest_rms
-        More than this cannot be meant, SI units.
     """
 
     quantity: Quantity
     units: Mapping[str, float]
     place: str
-    largest_rms: float = math.inf
 
 
 SOURCE_KINDS: dict[str, SourceKind] = {
-    # 200 rad/s is 32 turns a second, more than projectiles that carry a seeker have; 1000 m/s² is 100 g.
-    "base-rate": SourceKind(
-        quantity="rate", units={"rad/s": 1.0, "deg/s": math.pi / 180.0}, place="axis", largest_rms=200.0
-    ),
-    "specific-force": SourceKind(
-        quantity="acceleration", units={"m/s2": 1.0, "g": G}, place="axis", largest_rms=1000.0
-    ),
+    "base-rate": SourceKind(quantity="rate", units={"rad/s": 1.0, "deg/s": math.pi / 180.0}, place="axis"),
+    "specific-force": SourceKind(quantity="acceleration", units={"m/s2": 1.0, "g": G}, place="axis"),
     "torque": SourceKind(quantity="torque", units={"N m": 1.0, "mN m": 1e-3}, place="gimbal"),
 }
 UNITS = tuple(unit for kind in SOURCE_KINDS.values() for unit in kind.units)
-# What disturbs as well and is written elsewhere, by a word of its name.
-_ELSEWHERE = {
-    "spring": "the torque of a cable is stiffness times the gimbal's angle: write [[spring]] in the plant",
-    "cable": "the torque of a cable is stiffness times the gimbal's angle: write [[spring]] in the plant",
-    "friction": "friction is [[friction]] of the plant",
-    "unbalance": 'unbalance is [[unbalance]] of the plant, which a source of kind "specific-force" shakes',
-    "cogging": 'it is a "torque" with harmonics and turning_rate',
-    "ripple": 'it is a "torque" with harmonics and turning_rate',
-    "bearing": 'it is a "torque" with frequencies_hz and densities',
-    "noise": "noise of a sensor is noise_rms of the sensor in the plant",
-}
-
-
-def _source_kind(item: object) -> str:
-    if isinstance(item, str) and item in SOURCE_KINDS:
-        return item
-    raise Unfit(next((hint for word, hint in _ELSEWHERE.items() if isinstance(item, str) and word in item), ""))
-
-
-_KIND = Expected(lambda: " or ".join(f'"{name}"' for name in SOURCE_KINDS), _source_kind)
 
 
 def unit_mistake(kind: str, unit: str | None, column: str | None) -> str:
@@ -135,7 +108,7 @@ class Source:
     """
 
     name: fields.Text
-    kind: Annotated[str, _KIND]
+    kind: Annotated[str, fields.one_of(SOURCE_KINDS)]
     axis: fields.RootAxis | None = None
     gimbal: fields.Text | None = None
     unit: Annotated[str, fields.one_of(UNITS)] | None = None
@@ -290,21 +263,66 @@ class Budget:
             out[b, a] = out[a, b].conjugate()
         return out
 
-    def density(self, f_hz: ArrayLike) -> NDArray[np.complex128]:
-        """Return the one-sided spectral density S of all sources u, cross densities included.
 
-        S is that of E[u conj(u)ᵀ]: what a transfer matrix H makes of it has the density H S conj(H)ᵀ.
+# A mean specific force so near to 1 is gravity in g rather than 1 m/s².
+NEAR_ONE = 0.05
 
-        Parameters
-        ----------
-        f_hz : any shape (...)
-            Frequencies, Hz.
 
-        Returns
-        -------
-        (..., sources, sources)
-            Hermitian, units of the sources, SI, per Hz.
-        """
-        f = real_numbers("f_hz", f_hz)
-        root = np.sqrt(np.stack([source.density(f) for source in self.sources], axis=-1))
-        return np.asarray(root[..., :, None] * self.coherences * root[..., None, :])
+def with_logs(budget: Budget, folder: FilePath) -> tuple[Budget, list[Mistake]]:
+    """Return a budget whose logs are read, and what is wrong with them."""
+    sources, mistakes, logs = [], [], _logs(budget, folder)
+    for k, source in enumerate(budget.sources):
+        if isinstance(source.spectrum, LogSpectrum):
+            log = logs.get((source.spectrum.log, source.spectrum.time))
+            try:
+                if log is None:  # which of its columns is wrong, each says for itself
+                    spectrum = source.spectrum.read(folder, budget.from_hz)
+                else:
+                    spectrum = source.spectrum.of(log, budget.from_hz)
+                source = replaced(source, {"spectrum": spectrum})
+                if words := _gravity_in_g(source, spectrum):
+                    mistakes.append(Mistake(("budget", "source", k, "unit"), words))
+            except InputError as error:
+                key = "column" if "there is no column" in str(error) else "log"
+                mistakes.append(Mistake(("budget", "source", k, key), f"{key}: {error}"))
+        sources.append(source)
+    return replaced(budget, {"sources": tuple(sources)}), mistakes
+
+
+def _logs(budget: Budget, folder: FilePath) -> dict[tuple[str, str], Log]:
+    """Return the logs that can be read by their paths and columns of time, each read once for all of its columns."""
+    columns: dict[tuple[str, str], list[str]] = {}
+    for source in budget.sources:
+        if isinstance(source.spectrum, LogSpectrum):
+            columns.setdefault((source.spectrum.log, source.spectrum.time), []).append(source.spectrum.column)
+    found = {}
+    for (path, time), names in columns.items():
+        with contextlib.suppress(InputError):
+            found[path, time] = read_log(folder / path, names, time)
+    return found
+
+
+def _gravity_in_g(source: Source, spectrum: LogSpectrum) -> str:
+    """Return the words about a log of a specific force whose mean looks like gravity in g; none where it does not."""
+    assert spectrum.estimate is not None
+    mean, unstated = spectrum.estimate.mean, source.unit is None and source.stated_unit is None
+    if source.kind != "specific-force" or not unstated or abs(abs(mean) - 1.0) >= NEAR_ONE:
+        return ""
+    words = f"unit: the mean of {given(spectrum.column)} is {mean:.4g}, which looks like gravity in g"
+    return f'{words}; write unit = "g", or unit = "m/s2" if it is meant'
+
+
+def value_mistakes(budget: Budget) -> Iterator[Mistake]:
+    """Walk what the values show: sources outside of the band, coherences of no signals."""
+    for k, source in enumerate(budget.sources):
+        path: Path = ("budget", "source", k)
+        lead = next(key for key, kind in SPECTRA.items() if isinstance(source.spectrum, kind))
+        edges = np.concatenate([source.knots_hz, source.lines.frequencies_hz])
+        if edges.min() > budget.to_hz or edges.max() < budget.from_hz:
+            words = f"{lead}: nothing of it lies in the band of the budget, {budget.from_hz:g} to {budget.to_hz:g} Hz"
+            range_words = f"{edges.min():.4g} to {edges.max():.4g} Hz"
+            yield Mistake((*path, lead), f"{words}, got {range_words}; widen the band or leave the source out")
+    smallest = float(np.linalg.eigvalsh(budget.coherences)[0]) if np.isfinite(budget.coherences).all() else 0.0
+    if smallest < -1e-9:
+        words = "no signals have these coherences together: their matrix has the negative eigenvalue"
+        yield Mistake(("budget", "correlation"), f"correlation: {words} {smallest:.4g}; lower a coherence")

@@ -18,8 +18,7 @@ from platform_ctrl.job.drive import Drive, angle_sensors, drive_law
 from platform_ctrl.job.faults import FAULT_KINDS, PART_WORDS, Fault, part_names
 from platform_ctrl.job.job import OWN_RATES, WITH_SIGNALS, DesignSpec, Feedforward, Job, LoopSpec, Manoeuvre
 from platform_ctrl.job.requirements import SCOPES, limit_keys
-from platform_ctrl.job.scenario import Command, too_large
-from platform_ctrl.job.variation import Campaign
+from platform_ctrl.job.scenario import Command
 from platform_ctrl.plant.fields import TURN
 from platform_ctrl.plant.mistakes import (
     Misfit,
@@ -42,10 +41,6 @@ LONGEST_DELAY = 100
 LONGEST_CYCLE, _SAME_RATE = 1000, 1e-5
 # Combinations of gimbal angles at most: each is a plant for every corner of the uncertainty.
 MOST_TRIMS = 200
-# Samples of a run, all of which are recorded, and integration steps: hours of work.
-MOST_SAMPLES, MOST_STEPS = 1e7, 1e9
-# Friction that is fed forward over the plant's: with more the bearing would be better off without it.
-_MOST_FRICTION = 2.0
 # Largest command that can be meant, by the reading's unit: a turn; a hundred radians in a second. An attitude sensor
 # reads the sine of an angle (see `plant.sensors`), 4 % less than this one.
 _LARGEST_COMMAND, _SMALL_COMMAND = {"rad": 2.0 * math.pi, "rad/s": 100.0}, 0.5
@@ -82,7 +77,6 @@ def locked_mistakes(locked: tuple[str, ...], loops: tuple[LoopSpec, ...], platfo
 
 def _operation(job: Job) -> Iterator[Misfit]:
     """Walk what is wrong with the platform's rates and the gimbal angles at which the loops have to work."""
-    yield from too_large("Omega", job.Omega, "base-rate")
     platform = job.platform
     for name, values in job.angles.items():
         if name not in platform.angle_names:
@@ -345,9 +339,6 @@ def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[Misfit]:
     if there == 0.0:
         words = f"friction: gimbal {name!r} has no dry friction; add coulomb to its [[friction]] in the plant"
         yield "friction", words
-    elif drive.friction > _MOST_FRICTION * there:
-        words = f"{drive.friction:g} N m is {drive.friction / there:.3g} times the dry friction of gimbal {name!r}"
-        yield "friction", f"friction: {words}, {there:g} N m; give at most twice as much"
     try:
         law = drive_law(platform, drive)
     except ArgumentError as error:
@@ -360,7 +351,6 @@ def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[Misfit]:
 
 def _run(job: Job, k: int) -> Iterator[Misfit]:
     run, gimbals = job.manoeuvres[k], job.platform.gimbal_names
-    yield from _length(job, run)
     yield from within(("initial",), _initial(run, job.platform))
     yield from within(("limits",), _run_limits(run, job.platform))
     places = [(("vibration", i), one.gimbal) for i, one in enumerate(run.vibrations)]
@@ -376,18 +366,6 @@ def _run(job: Job, k: int) -> Iterator[Misfit]:
             yield unknown("faults", name, "[[fault]] of the job", known)
         elif count > 1:
             yield "faults", f"faults: {given(name)} is listed twice; leave one of them out"
-
-
-def _length(job: Job, run: Manoeuvre) -> Iterator[Misfit]:
-    rate, step = 1.0 / job.sampling.period, Campaign().step if job.campaign is None else job.campaign.step
-    for number, most, words, longest in (
-        (run.duration * rate, MOST_SAMPLES, "sample periods", MOST_SAMPLES / rate),
-        (run.duration / step, MOST_STEPS, f"integration steps of {step:g} s", MOST_STEPS * step),
-    ):
-        if number > most:
-            more = f" s, {number:.4g} of them; give at most {longest:.6g} s"
-            yield wrong(run, "duration", f"at most {most:.0e} {words}", more)
-            return
 
 
 def _run_limits(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
@@ -412,8 +390,6 @@ def _initial(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
             yield key, f'{key} = {number:g} has no effect: {words} mode = "stabilised"'
         elif key not in known:
             yield key, f"unknown key {given(key)}; {suggestion(key, known)}"
-        elif key in OMEGA_NAMES:
-            yield from too_large(key, number, "base-rate")
         elif key in stops and bounds is None and abs(number) > TURN:
             words = f"angles are in rad: {number:g} degrees are {math.radians(number):.4g}"
             yield key, f"{key}: {number:g} rad is more than a turn; {words}"

@@ -10,13 +10,11 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from platform_ctrl.common.arguments import number, one_of, positive, within
-from platform_ctrl.common.values import input_value, value
-from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range
+from platform_ctrl.common.values import value
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, given, missing, takes, useless, wrong
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.tables import record_value, shape
 
 # What fails; None: the controllers.
 PartKind = Literal["rotor", "torquer", "pick-off", "gimbal"]
@@ -27,21 +25,8 @@ PART_WORDS: dict[PartKind, str] = {
     "gimbal": "a gimbal",
 }
 
-# What the numbers of a fault may be, also where a campaign varies them.
-FAULT_NUMBERS: dict[str, Range] = {
-    "at": NOT_NEGATIVE,
-    "until": POSITIVE,
-    "share": NOT_NEGATIVE,
-    "time_constant": POSITIVE,
-    "amplitude": POSITIVE,
-    "frequency_hz": POSITIVE,
-    "rate": ANY,
-    "probability": SHARE,
-    "impulse": ANY,
-}
 
-
-@input_value
+@record_value
 class Fault:
     """A part that fails at a given time.
 
@@ -77,29 +62,16 @@ class Fault:
         if table["at"] >= table.get("until", math.inf):
             yield wrong(table, "until", f"after at = {given(table['at'])}")
         kind, of = FAULT_KINDS[table["kind"]], f"kind = {given(table['kind'])}"
-        yield from takes(table, of, kind.needed, kind.optional, sorted(FAULT_NUMBERS.keys() - {"at"}))
+        numbers = shape(Fault).keys.keys() - {"name", "kind", "part", "at"}
+        yield from takes(table, of, kind.needed, kind.optional, sorted(numbers))
         if kind.part is None and "part" in table:
             yield useless(table, "part", f"with {of}, which is of all controllers; leave the key out")
         elif kind.part is not None and "part" not in table:
             yield missing("part", f"{of} needs the name of {PART_WORDS[kind.part]}")
 
-    def __post_init__(self) -> None:
-        """Check the times, and the numbers of its kind."""
-        one_of("Fault: kind", self.kind, tuple(FAULT_KINDS))
-        if not self.until > self.at:
-            raise ArgumentError(f"fault {self.name!r}: until must be after at = {self.at:.6g} s, got {self.until!r}")
-        for key in ("at", *FAULT_KINDS[self.kind].keys):
-            if key != "until":
-                _check_number(f"fault {self.name!r}: {key}", getattr(self, key), FAULT_NUMBERS[key])
-
-
-def _check_number(name: str, given: float, allowed: Range) -> None:
-    if allowed is SHARE:
-        within(name, given, allowed.low, allowed.high)
-    elif allowed is ANY:
-        number(name, given)
-    else:
-        positive(name, given, zero=allowed.low_itself)
+    @property
+    def _needed(self) -> tuple[str, ...]:
+        return FAULT_KINDS[self.kind].needed if self.kind in FAULT_KINDS else ()
 
 
 @value
@@ -136,97 +108,89 @@ class FaultKind:
         return (*self.needed, *self.optional)
 
 
-FAULT_KINDS: dict[str, FaultKind] = {}
-
-
-def register_fault(kind: FaultKind) -> None:
-    """Add a kind of fault; `ArgumentError` if its name is taken or it has numbers that `Fault` has not."""
-    if kind.name in FAULT_KINDS:
-        raise ArgumentError(f"fault kind {kind.name!r} exists already; choose another name")
-    for key in kind.keys:
-        one_of(f"fault kind {kind.name!r}: number", key, tuple(FAULT_NUMBERS))
-    FAULT_KINDS[kind.name] = kind
-
-
-for _kind in (
-    FaultKind(
-        name="rotor run-down",
-        effect="L falls from nominal to share from at on",
-        part="rotor",
-        needed=("time_constant",),
-        optional=("share",),
-        action="run-down",
-        numbers=lambda fault: (fault.share, fault.time_constant),
-    ),
-    FaultKind(
-        name="rotor run-up",
-        effect="L is at share before at, then rises to nominal",
-        part="rotor",
-        needed=("time_constant",),
-        optional=("share",),
-        action="run-up",
-        numbers=lambda fault: (fault.share, fault.time_constant),
-    ),
-    FaultKind(
-        name="speed ripple",
-        effect="L (1 + amplitude sin(2π frequency_hz (t − at)))",
-        part="rotor",
-        needed=("amplitude", "frequency_hz"),
-        action="ripple",
-        numbers=lambda fault: (fault.amplitude, 2.0 * math.pi * fault.frequency_hz),
-    ),
-    FaultKind(name="torquer dead", effect="no torque", part="torquer", action="no torque"),
-    FaultKind(
-        name="torquer stuck",
-        effect="the torque stays as it was at the time at",
-        part="torquer",
-        action="constant torque",
-    ),
-    FaultKind(
-        name="torquer weak",
-        effect="share of the commanded torque",
-        part="torquer",
-        needed=("share",),
-        action="share of torque",
-        numbers=lambda fault: (fault.share, 0.0),
-    ),
-    FaultKind(name="pick-off dead", effect="reads 0", part="pick-off", action="no reading"),
-    FaultKind(name="pick-off stuck", effect="the last reading before at stays", part="pick-off", action="last reading"),
-    FaultKind(
-        name="pick-off drift",
-        effect="reads rate (t − at) too much",
-        part="pick-off",
-        needed=("rate",),
-        action="drift",
-        numbers=lambda fault: (fault.rate, 0.0),
-    ),
-    FaultKind(
-        name="pick-off dropout",
-        effect="a lost sample is replaced by the one before",
-        part="pick-off",
-        needed=("probability",),
-        action="lost readings",
-        numbers=lambda fault: (fault.probability, 0.0),
-    ),
-    FaultKind(
-        name="controller overrun",
-        effect="at a missed sample commands and controller states do not change",
-        part=None,
-        optional=("until", "probability"),
-        action="missed samples",
-        numbers=lambda fault: (fault.probability, 0.0),
-    ),
-    FaultKind(
-        name="stop contact",
-        effect="an impulse at the joint drives it towards its stop",
-        part="gimbal",
-        needed=("impulse",),
-        optional=(),
-        action="impulse",
-        numbers=lambda fault: (fault.impulse, 0.0),
-    ),
-):
-    register_fault(_kind)
+FAULT_KINDS: dict[str, FaultKind] = {
+    kind.name: kind
+    for kind in (
+        FaultKind(
+            name="rotor run-down",
+            effect="L falls from nominal to share from at on",
+            part="rotor",
+            needed=("time_constant",),
+            optional=("share",),
+            action="run-down",
+            numbers=lambda fault: (fault.share, fault.time_constant),
+        ),
+        FaultKind(
+            name="rotor run-up",
+            effect="L is at share before at, then rises to nominal",
+            part="rotor",
+            needed=("time_constant",),
+            optional=("share",),
+            action="run-up",
+            numbers=lambda fault: (fault.share, fault.time_constant),
+        ),
+        FaultKind(
+            name="speed ripple",
+            effect="L (1 + amplitude sin(2π frequency_hz (t − at)))",
+            part="rotor",
+            needed=("amplitude", "frequency_hz"),
+            action="ripple",
+            numbers=lambda fault: (fault.amplitude, 2.0 * math.pi * fault.frequency_hz),
+        ),
+        FaultKind(name="torquer dead", effect="no torque", part="torquer", action="no torque"),
+        FaultKind(
+            name="torquer stuck",
+            effect="the torque stays as it was at the time at",
+            part="torquer",
+            action="constant torque",
+        ),
+        FaultKind(
+            name="torquer weak",
+            effect="share of the commanded torque",
+            part="torquer",
+            needed=("share",),
+            action="share of torque",
+            numbers=lambda fault: (fault.share, 0.0),
+        ),
+        FaultKind(name="pick-off dead", effect="reads 0", part="pick-off", action="no reading"),
+        FaultKind(
+            name="pick-off stuck", effect="the last reading before at stays", part="pick-off", action="last reading"
+        ),
+        FaultKind(
+            name="pick-off drift",
+            effect="reads rate (t − at) too much",
+            part="pick-off",
+            needed=("rate",),
+            action="drift",
+            numbers=lambda fault: (fault.rate, 0.0),
+        ),
+        FaultKind(
+            name="pick-off dropout",
+            effect="a lost sample is replaced by the one before",
+            part="pick-off",
+            needed=("probability",),
+            action="lost readings",
+            numbers=lambda fault: (fault.probability, 0.0),
+        ),
+        FaultKind(
+            name="controller overrun",
+            effect="at a missed sample commands and controller states do not change",
+            part=None,
+            optional=("until", "probability"),
+            action="missed samples",
+            numbers=lambda fault: (fault.probability, 0.0),
+        ),
+        FaultKind(
+            name="stop contact",
+            effect="an impulse at the joint drives it towards its stop",
+            part="gimbal",
+            needed=("impulse",),
+            optional=(),
+            action="impulse",
+            numbers=lambda fault: (fault.impulse, 0.0),
+        ),
+    )
+}
 
 
 def part_names(platform: Platform, kind: PartKind) -> list[str]:

@@ -29,7 +29,6 @@ from platform_ctrl.job.scenario import (
     Start,
     TimeTable,
     Vibration,
-    too_large,
 )
 from platform_ctrl.job.scenario import Mode as Mode
 from platform_ctrl.job.variation import Campaign
@@ -331,8 +330,6 @@ def _time_table(columns: tuple[str, ...]) -> Shape:
             yield missing(first, f"the table needs {first}, {second} or {third} beside the times")
         for column in columns:
             yield from of_length(table, column, "t")
-            if columns is OMEGA_NAMES:
-                yield from too_large(column, table.get(column, 0.0), "base-rate")
 
     return Shape(made, keys | {"smooth": Key(fields.TRUTH, "smooth")}, back=back, misfits=misfits)
 
@@ -358,7 +355,6 @@ def _motion(table: Mapping[str, Any]) -> Iterator[Misfit]:
             if other != mode and key in table:
                 words = f"{key} = {given(table[key])} is for a {other} manoeuvre"
                 yield key, f"{words}; leave it out with mode = {given(mode)}"
-    yield from too_large("rate", table.get("rate", 0.0), "base-rate")
     least = 2 * table.get("rise", 0.0) + table.get("hold", 0.0)
     if table["duration"] < least * (1 - fields.ROUNDING):
         yield wrong(table, "duration", f"at least 2 rise + hold, {least:.6g} s")

@@ -4,53 +4,53 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cache
 from typing import Any, get_args
 
 import numpy as np
 
-from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.values import replaced, value
-from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, Fault
-from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.job.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range
+from platform_ctrl.job.drive import Drive
+from platform_ctrl.job.faults import FAULT_KINDS, Fault
+from platform_ctrl.job.scenario import Command, Scenario
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.fields import Expected, Unfit
 from platform_ctrl.plant.force_elements import Unbalance
-from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor
-from platform_ctrl.plant.tables import Shape, shape
+from platform_ctrl.plant.mistakes import suggestion
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor, Torquer
+from platform_ctrl.plant.tables import shape
 
-# What a number may be when it is drawn, by what a plant file expects of it.
-_RANGES: dict[Any, Range] = {
-    get_args(kind)[1]: allowed
-    for kind, allowed in (
-        (fields.Number, ANY),
-        (fields.NotZero, ANY),
-        (fields.Positive, POSITIVE),
-        (fields.NotNegative, NOT_NEGATIVE),
-        (fields.Part, SHARE),
-        (fields.Coulomb, NOT_NEGATIVE),
-        (fields.Inertia, POSITIVE),
+# What is expected of a number when it is drawn, by what a file expects of it: zeros and ends of ranges may be drawn.
+_DRAWN: dict[Any, Expected] = {
+    get_args(kind)[1]: expected
+    for kind, expected in (
+        (fields.Number, fields.NUMBER),
+        (fields.NotZero, fields.NUMBER),
+        (fields.Positive, fields.POSITIVE),
+        (fields.NotNegative, fields.NOT_NEGATIVE),
+        (fields.AtLeastOne, get_args(fields.AtLeastOne)[1]),
+        (fields.Part, get_args(fields.Part)[1]),
+        (fields.SomePart, get_args(fields.Part)[1]),
+        (fields.Coulomb, fields.NOT_NEGATIVE),
+        (fields.Inertia, fields.POSITIVE),
     )
-}
+} | {fields.FREQUENCY: fields.POSITIVE}
 # Of the servo's speed loop, and what decides how many readings of a sensor are kept: campaigns do not vary them.
 _NOT_VARIED = frozenset({"speed_gain", "speed_integral", "torque_limit", "delay", "rate_hz", "noise_density"})
-_MANOEUVRE_RANGES = {
-    "rate": ANY,
-    "rise": POSITIVE,
-    "hold": NOT_NEGATIVE,
-    "torque": ANY,
-    "Omega_scale": ANY,
-    "torque_scale": ANY,
+_OF_MANOEUVRES = {
+    "rate": fields.NUMBER,
+    "rise": fields.POSITIVE,
+    "hold": fields.NOT_NEGATIVE,
+    "torque": fields.NUMBER,
+    "Omega_scale": fields.NUMBER,
+    "torque_scale": fields.NUMBER,
 }
-_AT_LEAST_ONE = Range(words="a number >= 1", low=1.0)
-_COMMAND_RANGES = {
-    "step": ANY,
-    "ramp": ANY,
-    "at": NOT_NEGATIVE,
-    "frequency_hz": POSITIVE,
-    "amplitude": ANY,
-    "phase": ANY,
-}
+
+
+def _numbers(record: type) -> dict[str, Expected]:
+    """Return the numbers of a record that may be varied, and what is expected of a drawn one."""
+    keys = shape(record).keys.items()
+    drawn = {name: _DRAWN[key.holds] for name, key in keys if key.holds in _DRAWN and name not in _NOT_VARIED}
+    return drawn | ({"gain": fields.NOT_NEGATIVE} if record is Torquer else {})
 
 
 @value
@@ -67,8 +67,6 @@ class Parameter:
         unbalance that the plant lacks, and counts the commands of a reading.
     part, key
         Name of the part or fault; the number of it that is meant.
-    allowed
-        What it may be; of a factor: what the factor may be.
     factor
         Whether it multiplies something that is more than a number (an inertia matrix, a table) and is nominally 1.
     """
@@ -78,7 +76,6 @@ class Parameter:
     key: str
     part: str = ""
     index: int = 0
-    allowed: Range
     factor: bool = False
 
 
@@ -88,13 +85,13 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
         return {}
     found = [
         *_of_plant(scenarios[0].platform),
-        Parameter(path="sampling.delay", group="sampling", key="delay", allowed=NOT_NEGATIVE),
+        Parameter(path="sampling.delay", group="sampling", key="delay"),
         *_initial(scenarios),
         *_of_manoeuvres(scenarios),
         *_of_drives(scenarios[0]),
         *_of_commands(scenarios),
         *(
-            Parameter(path=f"fault.{f.name}.{key}", group="fault", part=f.name, key=key, allowed=FAULT_NUMBERS[key])
+            Parameter(path=f"fault.{f.name}.{key}", group="fault", part=f.name, key=key)
             for f in faults
             for key in ("at", *FAULT_KINDS[f.kind].keys)
         ),
@@ -103,17 +100,19 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
 
 
 def _of_plant(platform: Platform) -> Iterator[Parameter]:
-    yield Parameter(path="root.inertia", group="root", key="inertia", allowed=POSITIVE, factor=True)
+    yield Parameter(path="root.inertia", group="root", key="inertia", factor=True)
     for axis in (1, 2, 3):
         key = f"specific_force{axis}"
-        yield Parameter(path=f"root.{key}", group="root", key=key, index=axis - 1, allowed=ANY)
-    for word, group, numbers in _kinds_of_parts():
+        yield Parameter(path=f"root.{key}", group="root", key=key, index=axis - 1)
+    parts = {word: key for word, key in shape(Platform).keys.items() if key.array is not None}
+    for word, of in parts.items():
+        group, numbers = of.field, _numbers(of.holds.make)  # type: ignore[union-attr, arg-type]
         taken: dict[str, int] = {}
-        for k, part in enumerate(getattr(platform, group)):
+        for k, part in enumerate(getattr(platform, group) if numbers else ()):
             name = part.name if hasattr(part, "name") else part.gimbal
             taken[name] = taken.get(name, 0) + 1
             title = name if taken[name] == 1 else f"{name}#{taken[name]}"
-            for key, allowed in numbers.items():
+            for key in numbers:
                 if not _there(part, key):
                     continue
                 yield Parameter(
@@ -122,7 +121,6 @@ def _of_plant(platform: Platform) -> Iterator[Parameter]:
                     part=name,
                     key=key,
                     index=k,
-                    allowed=allowed,
                     factor=key == "inertia" or (group, key) == ("torquers", "gain"),
                 )
     having = {one.body: k for k, one in reversed([*enumerate(platform.unbalances)])}
@@ -134,22 +132,7 @@ def _of_plant(platform: Platform) -> Iterator[Parameter]:
                 part=body,
                 key=f"moment{axis}",
                 index=having.get(body, -1),
-                allowed=ANY,
             )
-
-
-@cache
-def _kinds_of_parts() -> tuple[tuple[str, str, dict[str, Range]], ...]:
-    """Return the parts of a plant: the word that a path begins with, the field of Platform, the numbers of a part."""
-    found = []
-    for word, key in shape(Platform).keys.items():
-        if key.array is not None and isinstance(key.holds, Shape):
-            numbers = {name: _RANGES[of.holds] for name, of in key.holds.keys.items() if of.holds in _RANGES}
-            numbers |= {"gain": NOT_NEGATIVE} if word == "torquer" else {}
-            varied = {name: allowed for name, allowed in numbers.items() if name not in _NOT_VARIED}
-            if varied:
-                found.append((word, key.field, varied))
-    return tuple(found)
 
 
 def _there(part: Any, key: str) -> bool:
@@ -168,35 +151,29 @@ def _there(part: Any, key: str) -> bool:
 def _initial(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
     gimbals = scenarios[0].platform.gimbals
     for k, gimbal in enumerate(gimbals):
-        within = ANY
-        if gimbal.stops is not None:
-            low, high = gimbal.stops
-            within = Range(words=f"an angle between the stops, {low:.6g} to {high:.6g} rad", low=low, high=high)
-        yield Parameter(path=f"initial.{gimbal.angle}_rate", group="initial", key="rate", index=k, allowed=ANY)
-        yield Parameter(path=f"initial.{gimbal.angle}", group="initial", key="q", index=k, allowed=within)
+        yield Parameter(path=f"initial.{gimbal.angle}_rate", group="initial", key="rate", index=k)
+        yield Parameter(path=f"initial.{gimbal.angle}", group="initial", key="q", index=k)
     if any(one.mode == "stabilised" for one in scenarios):
         for k, name in enumerate(OMEGA_NAMES):
-            yield Parameter(path=f"initial.{name}", group="initial", key="Omega", index=k, allowed=ANY)
+            yield Parameter(path=f"initial.{name}", group="initial", key="Omega", index=k)
 
 
 def _of_manoeuvres(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
-    for key, allowed in _MANOEUVRE_RANGES.items():
+    for key in _OF_MANOEUVRES:
         if any(in_manoeuvre(key, one) is not None for one in scenarios):
             scale = key.endswith("_scale")
-            yield Parameter(path=f"manoeuvre.{key}", group="manoeuvre", key=key, allowed=allowed, factor=scale)
+            yield Parameter(path=f"manoeuvre.{key}", group="manoeuvre", key=key, factor=scale)
     if any(one.vibrations or one.sines for one in scenarios):
-        yield Parameter(path="vibration.scale", group="vibration", key="scale", allowed=NOT_NEGATIVE, factor=True)
+        yield Parameter(path="vibration.scale", group="vibration", key="scale", factor=True)
 
 
 def _of_drives(scenario: Scenario) -> Iterator[Parameter]:
     """Walk the numbers of drives: of friction where some is fed forward, of the gain where it follows an angle."""
     for k, law in enumerate(scenario.drives):
-        keys = {"friction": NOT_NEGATIVE, "friction_rate": POSITIVE} if law.friction else {}
-        keys |= {"secant_limit": _AT_LEAST_ONE} if law.secant_of is not None else {}
-        for key, allowed in keys.items():
-            yield Parameter(
-                path=f"drive.{law.torquer}.{key}", group="drives", part=law.torquer, key=key, index=k, allowed=allowed
-            )
+        for key in _numbers(Drive):
+            if law.secant_of is not None if key == "secant_limit" else law.friction:
+                path = f"drive.{law.torquer}.{key}"
+                yield Parameter(path=path, group="drives", part=law.torquer, key=key, index=k)
 
 
 def _of_commands(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
@@ -205,10 +182,8 @@ def _of_commands(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
         most = max(len(_commands_of(scenario, reading)) for scenario in scenarios)
         for k in range(most):
             title = reading if k == 0 else f"{reading}#{k + 1}"
-            for key, allowed in _COMMAND_RANGES.items():
-                found = Parameter(
-                    path=f"command.{title}.{key}", group="commands", part=reading, key=key, index=k, allowed=allowed
-                )
+            for key in _numbers(Command):
+                found = Parameter(path=f"command.{title}.{key}", group="commands", part=reading, key=key, index=k)
                 if any(_of_command(found, scenario) is not None for scenario in scenarios):
                     yield found
 
@@ -229,19 +204,36 @@ def _of_command(parameter: Parameter, scenario: Scenario) -> float | None:
 
 def unknown_parameter(path: str, known: Iterable[str]) -> str:
     """Return what exists in the place of a path that does not: its nearest relative, or names at the first step."""
-    known = list(known)
-    close = nearest(path, known)
-    if close is not None and path.partition(".")[0] == close.partition(".")[0]:
-        return f'did you mean "{close}"?'
-    # Everything up to where the path leaves those that exist.
-    steps = path.split(".")
-    for depth in range(len(steps) - 1, -1, -1):
-        head = "".join(f"{step}." for step in steps[:depth])
-        if any(one.startswith(head) for one in known):
-            # A name may hold dots: what is listed are whole paths once one step is settled.
-            rest = [one if depth else one.partition(".")[0] for one in known if one.startswith(head)]
-            return "known: " + ", ".join(f'"{one}"' for one in dict.fromkeys(rest))
-    return "none is known"
+    heads = {one: one.partition(".")[0] for one in known}
+    alike = [one for one, head in heads.items() if head == path.partition(".")[0]]
+    return suggestion(path, alike or dict.fromkeys(heads.values()))
+
+
+def allowed(parameter: Parameter, scenario: Scenario) -> Expected:
+    """Return what is expected of a drawn number; of a factor: what is expected of the factor."""
+    key, k = parameter.key, parameter.index
+    match parameter.group:
+        case "initial" if key == "q" and (stops := scenario.platform.gimbals[k].stops) is not None:
+            return _between(*stops)
+        case "root" | "unbalances" | "initial":
+            return fields.POSITIVE if parameter.factor else fields.NUMBER
+        case "sampling" | "vibration":
+            return fields.NOT_NEGATIVE
+        case "manoeuvre":
+            return _OF_MANOEUVRES[key]
+        case "drives" | "commands" | "fault" as group:
+            return _numbers({"drives": Drive, "commands": Command, "fault": Fault}[group])[key]
+        case group:
+            return _numbers(type(getattr(scenario.platform, group)[k]))[key]
+
+
+def _between(low: float, high: float) -> Expected:
+    def judge(angle: float) -> float:
+        if not low <= angle <= high:
+            raise Unfit
+        return angle
+
+    return Expected(f"an angle between the stops, {low:.6g} to {high:.6g} rad", judge)
 
 
 def nominal(parameter: Parameter, scenario: Scenario, faults: Sequence[Fault]) -> float | None:

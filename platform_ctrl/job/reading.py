@@ -1,28 +1,33 @@
-"""Job files: TOML or dict -> Job."""
+"""Job files: TOML or dict -> Job; and back, as data with all inputs, which `read_job` reads to the last bit."""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from platform_ctrl.common.files import plain_types
 from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.budget_checks import size_mistakes, with_logs
-from platform_ctrl.job.campaign_checks import variation_mistakes
+from platform_ctrl.job.budget import Source, value_mistakes, with_logs
 from platform_ctrl.job.checks import job_mistakes, locked_mistakes
 from platform_ctrl.job.exercised import unexercised
-from platform_ctrl.job.job import Job
+from platform_ctrl.job.job import MOTION, Job, manoeuvre_scenario
 from platform_ctrl.job.methods import METHODS, resolved
+from platform_ctrl.job.spectra import LogSpectrum
+from platform_ctrl.job.variation import campaign_misfits
 from platform_ctrl.plant.fields import PLANT, Expected, Unfit
 from platform_ctrl.plant.locking import with_locked
-from platform_ctrl.plant.mistakes import Mistake, listed, one_line, report
+from platform_ctrl.plant.mistakes import Mistake, one_line, report
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import judge_plant, open_plant
 from platform_ctrl.plant.source import Document, open_file, open_mapping, path_of, read_text
-from platform_ctrl.plant.tables import Key, made, overfull, read_table, shape
+from platform_ctrl.plant.tables import Key, made, read_table, shape, written
+from platform_ctrl.plant.writing import plant_data
 
 SCHEMA = 2
 _OLDER = "write schema = 2, [uncertainty] in place of [spread], and in limits _worst_case in place of _spread"
@@ -74,11 +79,9 @@ def read_job(
         document = open_mapping(source, "job given as a dict", start or Path())
     else:
         document = open_file(path_of(source, "the path of a job file or a dict"))
-    if crowd := list(overfull(JOB_FILE, document.data)):
-        raise report(document.label, document.data, crowd)
     platform, plant_wrong = _plant(document, start or document.folder)
     read, wrong = read_table(JOB_FILE, document.data)
-    mistakes = [*document.mistakes, *plant_wrong, *(_with_names(one, platform, document.data) for one in wrong)]
+    mistakes = [*document.mistakes, *plant_wrong, *wrong]
     if mistakes or platform is None:
         raise report(document.label, document.data, mistakes)
     del read["schema"]
@@ -94,32 +97,22 @@ def read_job(
     if job.campaign is not None and "seed" not in document.data["campaign"]:
         job = replaced(job, {"campaign": replaced(job.campaign, {"seed": job.seed})})
     job, of_responses = _with_responses(job, start or document.folder)
-    mistakes = [*of_responses, *variation_mistakes(job)]
+    mistakes = [*of_responses, *_variation(job)]
     if job.budget is not None:
         budget, of_logs = with_logs(job.budget, start or document.folder)
-        mistakes += of_logs or size_mistakes(budget)
+        mistakes += of_logs or value_mistakes(budget)
         job = replaced(job, {"budget": budget})
     if mistakes := mistakes or list(unexercised(job)):
         raise report(document.label, document.data, mistakes)
     return job
 
 
-def _with_names(mistake: Mistake, platform: Platform | None, job: Mapping[str, Any]) -> Mistake:
-    """Return a mistake in a list of names with the names that there are, found when it is reported."""
-    if platform is None or not mistake.path:
-        return mistake
-    faults = job.get("fault", [])
-    known = {
-        "gimbals": platform.gimbal_names,
-        "sensors": [one.name for one in platform.sensors],
-        "torquers": [one.name for one in platform.torquers],
-        "faults": [one["name"] for one in faults if isinstance(one, dict) and isinstance(one.get("name"), str)],
-    }.get(str(mistake.path[-1]))
-
-    def words() -> str:
-        return f"{mistake.words}; {listed(known or ())}" if "a list of names" in mistake.words else mistake.words
-
-    return Mistake(mistake.path, words) if known else mistake
+def _variation(job: Job) -> Iterator[Mistake]:
+    """Walk what a campaign varies although the job has no such number, or would not accept what may be drawn."""
+    if job.campaign is not None:
+        scenarios = [manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres]
+        for k, key, line in campaign_misfits(job.campaign.vary, scenarios, job.fault_events):
+            yield Mistake(("campaign", "vary", k, key), one_line(line))
 
 
 def _plant(document: Document, folder: Path) -> tuple[Platform | None, list[Mistake]]:
@@ -166,3 +159,54 @@ def _with_responses(job: Job, folder: Path) -> tuple[Job, list[Mistake]]:
             designs.append(design)
         loops.append(replaced(spec, {"designs": tuple(designs)}))
     return replaced(job, {"loops": tuple(loops)}), mistakes
+
+
+def job_data(job: Job) -> dict[str, Any]:
+    """Return the job as a dict of the job file's structure, with the plant as a table, without default values."""
+    data = {"schema": SCHEMA} | written(job) | {"plant": plant_data(job.platform)}
+    # The plant has no gimbal any more that is locked.
+    data["operation"] = {key: item for key, item in data["operation"].items() if key != "locked"}
+    for own, manoeuvre in zip(data.get("manoeuvre", ()), job.manoeuvres, strict=True):
+        # The keys of a motion stand in the file together or not at all.
+        keys = MOTION[manoeuvre.mode]
+        moved = keys[0] in own
+        for key in (*keys, "axis"):
+            own.pop(key, None)
+            own |= {key: getattr(manoeuvre, key)} if moved else {}
+    if job.campaign is not None:
+        data["campaign"] = {"seed": job.campaign.seed} | data["campaign"]  # else it would be the job's
+    if job.budget is not None:
+        data["budget"]["source"] = [written(_without_log(source)) for source in job.budget.sources]
+    return data
+
+
+def _without_log(source: Source) -> Source:
+    """Return a source with a log as its spectrum, so that the job needs no other file; in SI where a column is not."""
+    spectrum = source.spectrum
+    if not isinstance(spectrum, LogSpectrum):
+        return source
+    table = spectrum.table
+    if source.stated_unit is not None:
+        table = replaced(table, {"densities": source.factor**2 * table.densities})
+    return replaced(source, {"spectrum": table})
+
+
+# Of a job's file, what controllers do not depend on: they are judged by it, or simulated with it; and texts.
+_NOT_DESIGNED = ("schema", "name", "plant", "coupled", "manoeuvre", "fault", "campaign", "budget", "tolerance")
+
+
+def job_hashes(job: Job) -> dict[str, str]:
+    """Return SHA-256 hashes of the plant, of what else the controllers of a job are designed for, and of the whole job.
+
+    They follow from what was read: neither comments nor the names of files count, nor the titles of job and plant.
+    """
+    data = job_data(job)
+    plant = {key: item for key, item in data.pop("plant").items() if key not in ("name", "source")}
+    design = {key: item for key, item in data.items() if key not in _NOT_DESIGNED}
+    whole = {key: item for key, item in data.items() if key != "name"} | {"plant": plant}
+    return {"plant": data_hash(plant), "design": data_hash(design), "job": data_hash(whole)}
+
+
+def data_hash(data: Mapping[str, Any]) -> str:
+    """Return the SHA-256 hash of plain data."""
+    return hashlib.sha256(json.dumps(plain_types(data), sort_keys=True).encode()).hexdigest()

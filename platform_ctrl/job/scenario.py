@@ -15,7 +15,6 @@ from platform_ctrl.analysis.logs import column_unit, pieces, read_log
 from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, short, whole
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.budget import SOURCE_KINDS
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.spectra import interpolated
@@ -30,8 +29,6 @@ VibrationKind = Literal["rate", "force", "torque"]
 Start = Literal["rest", "equilibrium"]
 # Substeps to a period of a sine of the base at least: an error of 1e-4 of its amplitude.
 _STEPS_TO_A_PERIOD = 6.0
-# Sinusoids that a vibration may be the sum of.
-MOST_LINES = 10_000
 
 
 @input_value
@@ -204,18 +201,6 @@ class TimeTable:
         return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
 
 
-# What shakes in a run, by the kinds of a budget's sources.
-_KINDS = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
-
-
-def too_large(key: str, numbers: ArrayLike, kind: str) -> Iterator[Misfit]:
-    """Walk numbers of a kind of a budget's sources that are larger than can be meant."""
-    most, unit = SOURCE_KINDS[kind].largest_rms, next(iter(SOURCE_KINDS[kind].units))
-    worst = float(np.abs(numbers).max(initial=0.0))
-    if worst > most:
-        yield key, f"{key}: {worst:.6g} {unit} cannot be meant, at most {most:g}; write it in {unit}"
-
-
 def _shaking(table: Mapping[str, Any]) -> Iterator[Misfit]:
     """Walk what is wrong with a vibration or a sine."""
     kind = table["kind"]
@@ -224,7 +209,6 @@ def _shaking(table: Mapping[str, Any]) -> Iterator[Misfit]:
         yield missing(needed, f"kind = {given(kind)} needs it")
     if other in table:
         yield useless(table, other, f"with kind = {given(kind)}; leave the key out")
-    yield from too_large("amplitude", table.get("amplitude", 0.0), _KINDS[kind])
     yield from of_length(table, "densities", "frequencies_hz")
 
 

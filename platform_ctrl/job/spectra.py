@@ -56,9 +56,14 @@ class Spectrum:
     __slots__ = ()
 
     @property
+    def table(self) -> TableSpectrum | None:
+        """Its density as a table, where it is one."""
+        return None
+
+    @property
     def knots_hz(self) -> FloatArray:
         """Frequencies (k,) at which the density has a bend or a jump, increasing, Hz; it is zero outside of them."""
-        return np.zeros(0)
+        return np.zeros(0) if self.table is None else self.table.frequencies_hz
 
     @property
     def lines(self) -> Lines:
@@ -78,7 +83,10 @@ class Spectrum:
         (...)
             In units²/Hz.
         """
-        return np.zeros(np.shape(f_hz))
+        one = self.table
+        if one is None:
+            return np.zeros(np.shape(f_hz))
+        return interpolated(f_hz, one.frequencies_hz, one.densities, one.interpolation)
 
     def mean_square(self, from_hz: float, to_hz: float) -> float:
         """Return the integral of the density and the mean squares of the lines from one frequency to another.
@@ -129,13 +137,9 @@ class TableSpectrum(Spectrum):
         yield from of_length(table, "densities", "frequencies_hz")
 
     @property
-    def knots_hz(self) -> FloatArray:
-        """The frequencies of the table, Hz."""
-        return self.frequencies_hz
-
-    def density(self, f_hz: ArrayLike) -> FloatArray:
-        """Return the density; see `Spectrum.density`."""
-        return interpolated(f_hz, self.frequencies_hz, self.densities, self.interpolation)
+    def table(self) -> TableSpectrum:
+        """Itself."""
+        return self
 
 
 def interpolated(
@@ -166,13 +170,10 @@ class ProfileSpectrum(Spectrum):
     scale: fields.Positive = 1.0
 
     @property
-    def knots_hz(self) -> FloatArray:
-        """The frequencies of the profile's table, Hz."""
-        return PROFILES[self.profile].points[:, 0]
-
-    def density(self, f_hz: ArrayLike) -> FloatArray:
-        """Return the density; see `Spectrum.density`."""
-        return self.scale**2 * interpolated(f_hz, *PROFILES[self.profile].points.T)
+    def table(self) -> TableSpectrum:
+        """The profile's table, scaled."""
+        f, densities = PROFILES[self.profile].points.T
+        return TableSpectrum(frequencies_hz=f, densities=self.scale**2 * densities)
 
 
 @record_value
@@ -310,15 +311,6 @@ class LogSpectrum(Spectrum):
         return TableSpectrum(
             frequencies_hz=f, densities=np.maximum(densities, 1e-20 * densities.max()), interpolation="linear"
         )
-
-    @property
-    def knots_hz(self) -> FloatArray:
-        """The frequencies of the estimate, Hz."""
-        return self.table.frequencies_hz
-
-    def density(self, f_hz: ArrayLike) -> FloatArray:
-        """Return the density; see `Spectrum.density`."""
-        return self.table.density(f_hz)
 
 
 # By the key of a source that says how it is described.

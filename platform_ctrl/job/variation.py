@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
+from itertools import product
 from typing import Annotated, Any, Literal, get_args
 
-from platform_ctrl.common.values import input_value, value
+from platform_ctrl.common.values import input_value
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.parameters import Parameter, allowed, drawn_value, nominal, parameters, unknown_parameter
+from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.fields import Expected, Unfit
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, takes, wrong
-from platform_ctrl.plant.tables import Array, Collected
+from platform_ctrl.plant.tables import Array, Collected, shape, stated
 
 Points = Literal["sobol", "latin-hypercube", "random"]
 Distribution = Literal["uniform", "normal", "truncated-normal", "log-uniform", "log-normal", "triangular", "choice"]
@@ -132,49 +137,6 @@ class Vary:
                 return self.numbers["low"], self.numbers["high"]
 
 
-@value
-class Range:
-    """Which values a number may have.
-
-    Attributes
-    ----------
-    words
-        As a message says it.
-    low, high
-        The bounds, in the parameter's unit.
-    low_itself
-        Whether `low` itself is allowed.
-    """
-
-    words: str
-    low: float = -math.inf
-    high: float = math.inf
-    low_itself: bool = True
-
-    def holds(self, low: float, high: float, continuous: bool) -> bool:
-        """Return whether everything drawn between two numbers is allowed.
-
-        Parameters
-        ----------
-        low, high
-            Lowest and highest number that can be drawn, in the parameter's unit.
-        continuous
-            Whether the distribution is: then it never hits its end.
-
-        Returns
-        -------
-        bool
-            True if it is.
-        """
-        return self.low <= low and high <= self.high and (low > self.low or self.low_itself or continuous)
-
-
-ANY = Range(words="any number")
-POSITIVE = Range(words="a number > 0", low=0.0, low_itself=False)
-NOT_NEGATIVE = Range(words="a number >= 0", low=0.0)
-SHARE = Range(words="a number from 0 to 1", low=0.0, high=1.0)
-
-
 @input_value
 class CampaignManoeuvre:
     """A manoeuvre of a campaign.
@@ -232,3 +194,117 @@ class Campaign:
     manoeuvres: Annotated[tuple[CampaignManoeuvre, ...], Array("manoeuvre", unique=("name",))] = ()
     vary: Annotated[tuple[Vary, ...], Array("vary")] = ()
     faults: Annotated[tuple[CampaignFault, ...], Array("fault", unique=("fault",))] = ()
+
+
+def campaign_misfits(
+    varied: Sequence[Vary], scenarios: Sequence[Scenario], faults: Sequence[Fault]
+) -> Iterator[tuple[int, str, str]]:
+    """Walk what cannot be drawn.
+
+    A value that a plant or job file would refuse is refused here if it can be drawn at all, however seldom.
+
+    Parameters
+    ----------
+    varied
+        What differs from run to run.
+    scenarios
+        The nominal runs, one for each manoeuvre that is simulated.
+    faults
+        What may fail in them.
+
+    Yields
+    ------
+    entry, key, line
+        The number of the entry of `varied`, its key that is wrong, and a line that says why.
+    """
+    known = parameters(scenarios, faults)
+    drawn: set[str] = set()
+    place: dict[str, int] = {}
+    for k, vary in enumerate(varied):
+        path = vary.parameter
+        if path not in known:
+            yield k, "parameter", f'parameter = "{path}": does not exist; {unknown_parameter(path, known)}'
+        elif path in place:
+            yield k, "parameter", f'parameter = "{path}": is varied already, in [[campaign.vary]] {place[path] + 1}'
+        elif lacking := [key for key in vary.needed if key not in vary.numbers]:
+            yield k, lacking[0], f'distribution = "{vary.distribution}" needs the number "{lacking[0]}"'
+        elif vary.distribution == "choice" and not vary.values:
+            yield k, "values", 'distribution = "choice" needs at least one value'
+        else:
+            place[path] = k
+            line = _misfit(vary, known[path], scenarios, faults, drawn)
+            if line is not None:
+                yield k, "relative" if line.startswith("relative") else "distribution", line
+    by_path = {vary.parameter: vary for vary in varied if vary.parameter in drawn}
+    for path, words in _misfits_together(by_path, known, scenarios[0], faults) if scenarios else ():
+        yield place[path], "distribution", f'"{path}" would be drawn so that {words}'
+
+
+def _misfit(
+    vary: Vary,
+    parameter: Parameter,
+    scenarios: Sequence[Scenario],
+    faults: Sequence[Fault],
+    drawn: set[str],
+) -> str | None:
+    low, high = vary.support
+    if parameter.factor:
+        if not vary.relative and parameter.key == "inertia":
+            return f'relative must be true: "{vary.parameter}" is a matrix that is scaled as a whole'
+    elif vary.relative:
+        present = [x for one in scenarios if (x := nominal(parameter, one, faults)) is not None]
+        if not any(present):
+            having = "is 0 as it stands" if present else "has no value as it stands"
+            return f'relative must be false, with the number itself: "{vary.parameter}" {having}'
+        ends = [x * end for x in present if x for end in (low, high)]
+        low, high = min(ends), max(ends)
+    drawn.add(vary.parameter)
+    expected = allowed(parameter, scenarios[0])
+    if _fits(expected, low, high, vary.distribution != "choice"):
+        return None
+    bounded = " or ".join(f'"{name}"' for name in ("truncated-normal", "log-normal") if low == -math.inf)
+    cure = f"; use {bounded}" if bounded else ""
+    return (
+        f'distribution = "{vary.distribution}": "{vary.parameter}" would be drawn between {low:.6g} and {high:.6g}; '
+        f"allowed is {expected.words}{cure}"
+    )
+
+
+def _fits(expected: Expected, low: float, high: float, continuous: bool) -> bool:
+    """Return whether all that is drawn is expected; a continuous distribution never hits its ends."""
+    tiny = fields.SMALLEST if continuous else 0.0
+    try:
+        for end in (low or tiny, high or -tiny):
+            expected.judge(min(max(end, -fields.LARGEST), fields.LARGEST))
+    except Unfit:
+        return False
+    return True
+
+
+def _misfits_together(
+    varied: dict[str, Vary], known: dict[str, Parameter], scenario: Scenario, faults: Sequence[Fault]
+) -> Iterator[tuple[str, str]]:
+    """Walk numbers of one part that could be drawn so that its record would refuse them together, by their path."""
+    parts: dict[tuple[str, int, str], dict[str, str]] = {}
+    for path in varied:
+        one = known[path]
+        if one.group in ("rotors", "frictions", "fault"):
+            parts.setdefault((one.group, one.index, one.part), {})[one.key] = path
+    for (group, k, name), paths in parts.items():
+        if {"spin", "angular_momentum"} <= paths.keys():
+            yield paths["angular_momentum"], f'"{paths["spin"]}" gives it another number; leave one of them out'
+            continue
+        named = (fault for fault in faults if fault.name == name)
+        part: Any = next(named) if group == "fault" else getattr(scenario.platform, group)[k]
+        judge, table = shape(type(part)).misfits, stated(part)
+        usual = {key for key, _ in judge(table)}
+        for ends in product(*(varied[path].support for path in paths.values())):
+            drawn = (
+                (key, drawn_value(part, key, end, varied[path].relative))
+                for (key, path), end in zip(paths.items(), ends, strict=True)
+            )
+            changed = table | {key: list(x) if isinstance(x, tuple) else x for key, x in drawn}
+            for key, words in judge(changed):
+                if key not in usual:
+                    yield next(iter(paths.values())), words
+                    break

@@ -1,20 +1,36 @@
-"""Plant files: TOML or dict -> Platform."""
+"""Plant files: TOML or dict -> Platform.
+
+Each table alone is judged by the reader, keys and values, and by its record, what fits in one table; here is judged
+what must fit together: bodies and the names of them, sensing axes, signals.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping
+from pathlib import Path as FilePath
 from typing import Any
 
-from platform_ctrl.plant.checks import plant_mistakes, tree_mistakes
-from platform_ctrl.plant.fields import SCHEMA
-from platform_ctrl.plant.mistakes import Mistake, given, report
-from platform_ctrl.plant.platform import Platform
+import numpy as np
+
+from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
+from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Gimbal, Platform
 from platform_ctrl.plant.source import Document, is_shipped_name, open_file, open_mapping, open_shipped, path_of
-from platform_ctrl.plant.tables import Key, Shape, made, overfull, read_table, shape
+from platform_ctrl.plant.tables import Key, Shape, made, read_table, references, shape
 from platform_ctrl.plant.writing import plant_data
+
+# Which signal of its own each table names.
+_SIGNALS = {
+    "gimbal": "angle",
+    "torquer": "torque",
+    "rate_sensor": "rate",
+    "angle_sensor": "reading",
+    "attitude_sensor": "reading",
+}
+# Cosine below which two axes count as normal to each other, and sine below which they count as parallel.
+_NORMAL = 1e-6
 
 
 def _file(kind: type[Platform]) -> Shape:
@@ -53,14 +69,14 @@ def read_platform(source: str | os.PathLike[str] | Mapping[str, Any] | Platform)
     >>> platform.angle_names
     ('alpha4', 'beta5', 'beta7', 'alpha9', 'beta10')
     """
-    document = open_plant(source, Path())
+    document = open_plant(source, FilePath())
     platform, mistakes = judge_plant(document, type(source) if isinstance(source, Platform) else Platform)
     if platform is None:
         raise report(document.label, document.data, mistakes)
     return platform
 
 
-def open_plant(source: object, folder: Path) -> Document:
+def open_plant(source: object, folder: FilePath) -> Document:
     """Return the document of a plant: a platform, a dict, a shipped model, or a file whose path starts in `folder`."""
     if isinstance(source, Platform):
         return open_mapping(plant_data(source), f"platform {given(source.name)}", folder)
@@ -78,17 +94,15 @@ def judge_plant(document: Document, kind: type[Platform] = Platform) -> tuple[Pl
         its_plant = given(document.data["plant"])
         return None, [Mistake(("plant",), f"this is a job file; give its plant instead, {its_plant}")]
     data = _axis_by_axis(document.data)
-    if crowd := list(overfull(_file(kind), data)):
-        return None, crowd
-    read, wrong = read_table(_file(kind), data)
-    if mistakes := [*document.mistakes, *wrong]:
+    read, mistakes = read_table(_file(kind), data)
+    if mistakes := [*document.mistakes, *mistakes]:
         return None, mistakes
     del read["schema"]
     parts = made(read)
-    if mistakes := tree_mistakes(kind, parts):
+    if mistakes := _tree_mistakes(kind, parts):
         return None, mistakes
     platform = kind(**parts)
-    mistakes = plant_mistakes(platform)
+    mistakes = [*_relative_rates(platform), *_line_of_sight(platform), *_signals(platform)]
     return (None, mistakes) if mistakes else (platform, [])
 
 
@@ -114,3 +128,108 @@ def _axis_by_axis(data: Mapping[str, Any]) -> dict[str, Any]:
             others += three[1:]
         out[kind] = [*first, *others]
     return out
+
+
+def _tree_mistakes(kind: type[Platform], parts: Mapping[str, Any]) -> list[Mistake]:
+    """Return what is wrong with the bodies of a platform of this class, of which `parts` are the arguments."""
+    root, gimbals = parts["root_name"], parts.get("gimbals", ())
+    words = f"name = {given(root)} is the name of the root already; choose another"
+    roots = [Mistake(("gimbal", k, "name"), words) for k, one in enumerate(gimbals) if one.name == root]
+    return [*roots, *_references(kind, parts, root, [one.name for one in gimbals]), *_circles(root, gimbals)]
+
+
+def _references(kind: type[Platform], parts: Mapping[str, Any], root: str, gimbals: list[str]) -> Iterator[Mistake]:
+    """Walk the names of bodies that are not there."""
+    for table, of in shape(kind).keys.items():
+        if not isinstance(of.holds, Shape) or not isinstance(of.holds.make, type):
+            continue
+        part = parts.get(of.field)
+        places: list[tuple[Path, Any]] = [((table, k), one) for k, one in enumerate(part or ())] if of.array else []
+        if part is not None and of.array is None:
+            places = [((table,), part)]
+        for path, one in places:
+            for key, refers in references(of.holds.make):
+                name, known = getattr(one, key), [root, *gimbals] if refers.root else gimbals
+                if name is not None and name not in known:
+                    hint = f" ({refers.hint})" if refers.hint and name == root else ""
+                    words = f"the name of {'the root or a gimbal' if refers.root else 'a gimbal'}{hint}"
+                    yield from at(path, [wrong(one, key, words, f"; {suggestion(name, known)}")])
+
+
+def _circles(root: str, gimbals: tuple[Gimbal, ...]) -> Iterator[Mistake]:
+    parent = {one.name: one.parent for one in gimbals if one.name != root}
+    reported: set[str] = set()
+    for k, one in enumerate(gimbals):
+        chain = [one.name]
+        while (above := parent.get(chain[-1])) is not None and above not in chain:
+            chain.append(above)
+        # A gimbal that only hangs on a cycle is not part of it.
+        if above == chain[0] and above not in reported:
+            reported.update(chain)
+            cycle = " -> ".join(given(name) for name in [*chain, above])
+            words = f"parent = {given(one.parent)} closes a ring of parents, {cycle}; let the chain end at the root"
+            yield Mistake(("gimbal", k, "parent"), words)
+
+
+def _relative_rates(platform: Platform) -> Iterator[Mistake]:
+    """Walk sensors of a body's rate against its parent that have no parent, or read nothing of it."""
+    for k, one in enumerate(platform.rate_sensors):
+        if one.frame != "parent" or one.body is None or one.axis is None:
+            continue
+        if one.body == platform.root_name:
+            words = f'frame = "parent" needs a gimbal: {given(one.body)} is the root; leave it out, or measure a gimbal'
+            yield Mistake(("rate_sensor", k, "frame"), words)
+            continue
+        axis = platform.gimbals[platform.gimbal(one.body)].axis
+        if abs(float(axis @ one.axis)) < _NORMAL:
+            words = (
+                f"axis: gimbal {given(one.body)} turns about {given(axis.tolist())} against its parent, and "
+                f"{given(one.axis.tolist())} is normal to that: the reading would be 0; measure along that axis"
+            )
+            yield Mistake(("rate_sensor", k, "axis"), words)
+
+
+def _line_of_sight(platform: Platform) -> Iterator[Mistake]:
+    """Judge whether any gimbal can turn the line of sight."""
+    sight = platform.line_of_sight
+    if sight is None:
+        return
+    axes, body = [], platform.body(sight.body)
+    while body:
+        axes.append(platform.gimbals[body - 1].axis)
+        body = 1 + int(platform.parents[body - 1])
+    if axes and all(np.linalg.norm(np.cross(one, sight.direction)) < _NORMAL for one in axes):
+        words = (
+            f"direction = {given(sight.direction.tolist())} is parallel to the axis of every gimbal that carries it: "
+            "none of them turns the line of sight; choose a direction normal to the axis of the inner gimbal"
+        )
+        yield Mistake(("line_of_sight", "direction"), words)
+
+
+def _signals(platform: Platform) -> Iterator[Mistake]:
+    """Angles, torques and rates are inputs and outputs of one system: no name twice."""
+    of_root, rate = "a torque about a root axis", "a platform rate"
+    taken = dict.fromkeys(OMEGA_NAMES, rate) | dict.fromkeys(ROOT_TORQUE_NAMES, of_root)
+    for path, key, name, default in _signal_names(platform):
+        own = name == default and taken.get(name) in (of_root, rate) and path[0] != "gimbal"
+        what = f"the default name {given(name)}" if name == default else f"{key} = {given(name)}"
+        where = path if name == default else (*path, key)
+        if "." in name:
+            yield Mistake(where, f"{what} has a full stop, which no signal may have; choose a name without one")
+        elif name in taken and not own:
+            yield Mistake(where, f"{what} is the name of {taken[name]} already; choose another")
+        else:
+            taken[name] = f"the {_SIGNALS[str(path[0])]} of [[{path[0]}]] {int(path[1]) + 1}"
+
+
+def _signal_names(platform: Platform) -> Iterator[tuple[Path, str, str, str]]:
+    """Walk the path of each part, its key for the name, the name, and what it is by default."""
+    for k, one in enumerate(platform.gimbals):
+        yield ("gimbal", k), "angle", one.angle, default_angle(one.name)
+    for k, torquer in enumerate(platform.torquers):
+        yield ("torquer", k), "name", torquer.name, default_torquer(torquer.gimbal, torquer.root_axis)
+    for kind, sensors in (("rate_sensor", platform.rate_sensors), ("attitude_sensor", platform.attitude_sensors)):
+        for k, sensor in enumerate(sensors):
+            yield (kind, k), "name", sensor.name, next(iter(sensor.signals(platform)))
+    for k, angle in enumerate(platform.angle_sensors):
+        yield ("angle_sensor", k), "name", angle.name, ""

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
-import stat
-import time
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,10 +17,6 @@ from platform_ctrl.plant.mistakes import Mistake, given, one_line, plain, sugges
 
 # Bytes of a file at most; TOML takes seconds to read and to judge where it has more.
 MOST_OF_ANY, MOST_OF_TOML = 64 * 2**20, 2**20
-# A key of so many parts: what tomllib does with it takes time by the square of their number.
-_LONG_KEY = re.compile(r"(?:^|[\[{,])(?:[^.,=#\[\]{}\n]++\.){200}", re.MULTILINE)
-# Seconds to wait for who writes to a pipe: less than until progress is shown.
-PATIENCE = 1.0
 
 
 @dataclass(frozen=True)
@@ -102,7 +95,8 @@ def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:
     """Return the text of the file at `path`, which should be `expected` of at most `most` bytes."""
     label = one_line(str(path))
     try:
-        data = _bytes(path, most + 1)
+        with path.open("rb") as file:  # or a device, which may never end
+            data = file.read(most + 1)
         if len(data) > most:
             raise InputError(f"{label}: is larger than {most // 2**20} MiB; give {expected} of at most that")
         # utf-8-sig: some editors put a byte order mark at the head, which neither TOML nor JSON knows.
@@ -136,26 +130,6 @@ def read_json(path: str | os.PathLike[str], expected: str) -> tuple[str, object]
         raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
 
 
-def _bytes(path: Path, most: int) -> bytes:
-    """Return the first `most` bytes of a file; of a pipe only if somebody writes to it, since reading would wait."""
-    if not hasattr(os, "O_NONBLOCK") or not stat.S_ISFIFO(os.stat(path).st_mode):
-        with path.open("rb") as file:  # or a device, which may never end
-            return file.read(most)
-    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0) as pipe:
-        until, begun = time.monotonic() + PATIENCE, b""
-        # At the end of the file as long as nobody holds the other end; None while he has not written yet.
-        while begun == b"":
-            if time.monotonic() > until:
-                raise InputError(f"{one_line(str(path))}: is a pipe that nobody writes to")
-            time.sleep(0.01)
-            begun = pipe.read(1)
-        os.set_blocking(pipe.fileno(), True)
-        found = begun or b""
-        while len(found) < most and (more := pipe.read(most - len(found))):
-            found += more
-        return found
-
-
 def open_mapping(source: Mapping[str, Any], label: str, folder: Path) -> Document:
     """Return a dict given in Python, in plain types."""
     data, mistakes = plain(source)
@@ -170,8 +144,6 @@ def path_of(source: object, expected: str) -> Path:
 
 
 def _document(label: str, text: str, folder: Path) -> Document:
-    if _LONG_KEY.search(text):
-        raise InputError(f"{label}: is not TOML that can be read: a key has hundreds of parts")
     try:
         parsed = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -24,9 +24,6 @@ from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, given, sugge
 
 T = TypeVar("T")
 
-# Keys of a table at most: no format has half as many.
-MOST_KEYS = 500
-
 
 @dataclass(frozen=True, eq=False)
 class Array:
@@ -122,28 +119,29 @@ def record_value(cls: type[T]) -> type[T]:
 
     def judged(self: Any) -> None:
         settled(self)
-        stated = _stated(self)
+        # What a record needs counts as given even where it is what the field has by default.
+        said = {name: getattr(self, name) for name in getattr(self, "_needed", ())} | stated(self)
         for name, mark in _expectations(type(self)):  # type: ignore[arg-type]
-            if name in stated:
+            if name in said:
                 try:
-                    mark.judge(stated[name])
+                    mark.judge(said[name])
                 except Unfit as error:
-                    words = f"{name} must be {mark.words}, got {given(stated[name])}"
+                    words = f"{name} must be {mark.words}, got {given(said[name])}"
                     raise ArgumentError(f"{cls.__name__}: {words}{f' ({error})' if str(error) else ''}") from None
-        for _, words in shape(type(self)).misfits(stated):
+        for _, words in shape(type(self)).misfits(said):
             raise ArgumentError(f"{cls.__name__}: {words}")
 
     made.__post_init__ = judged  # type: ignore[attr-defined]
     return made
 
 
-def _stated(item: Any) -> dict[str, Any]:
+def stated(item: Any) -> dict[str, Any]:
     """Return the table that would say what a record holds beside its defaults."""
     table: dict[str, Any] = {}
     for one in dataclasses.fields(item):
         part = getattr(item, one.name)
         if dataclasses.is_dataclass(part):
-            table |= _stated(part)
+            table |= stated(part)
         elif not (isinstance(part, Hashable) and part == one.default):
             table[one.name] = _plain(part)
     return table
@@ -381,6 +379,10 @@ def _item(key: Key, item: Any, path: Path, mistakes: list[Mistake]) -> Any:
     if not isinstance(item, list):
         mistakes.append(_wrong(path, item, f"must be an array of tables, each headed [[{_header(path)}]]"))
         return ()
+    if len(item) > key.array.most:
+        words = f"{_header(path)} has {len(item)} elements; at most {key.array.most} are allowed"
+        mistakes.append(Mistake(path, words))
+        return ()
     if len(item) < key.array.least:
         mistakes.append(_wrong(path, item, f"must have at least one [[{_header(path)}]]"))
     mistakes += (mistake for name in key.array.unique for mistake in _twice(name, item, path))
@@ -443,26 +445,6 @@ def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
         return f"unknown {what} {given(path[-1])}; {suggestion(str(path[-1]), known)}"
 
     return Mistake(path, words)
-
-
-def overfull(table: Shape, data: object, path: Path = ()) -> Iterator[Mistake]:
-    """Walk the tables that have more keys, and the arrays of tables that have more of them, than are allowed."""
-    if not isinstance(data, dict):
-        return
-    if len(data) > MOST_KEYS:
-        yield Mistake((*path, next(iter(data))), f"has {len(data)} keys; at most {MOST_KEYS} are allowed")
-        return
-    for name, key in table.keys.items():
-        item = data.get(name)
-        if not isinstance(key.holds, Shape):
-            continue
-        if key.array is None or not isinstance(item, list):
-            yield from overfull(key.holds, item, (*path, name))
-        elif len(item) > key.array.most:
-            yield Mistake((*path, name), f"{name} has {len(item)} elements; at most {key.array.most} are allowed")
-        else:
-            for k, entry in enumerate(item):
-                yield from overfull(key.holds, entry, (*path, name, k))
 
 
 def tables(table: Shape, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Shape]]:

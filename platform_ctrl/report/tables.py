@@ -24,7 +24,7 @@ from platform_ctrl.job.quantities import (
     plain,
     quantity,
 )
-from platform_ctrl.job.writing import job_data
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.plant.platform import Torquer
 from platform_ctrl.plant.sensors import PickOff
 from platform_ctrl.plant.writing import toml

@@ -21,7 +21,7 @@ from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError, began_with_interrupt
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
-from platform_ctrl.job.writing import job_hashes
+from platform_ctrl.job.reading import job_hashes
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.mistakes import given, suggestion
 from platform_ctrl.plant.platform import is_rate

@@ -23,7 +23,7 @@ from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.writing import data_hash, job_hashes
+from platform_ctrl.job.reading import data_hash, job_hashes
 from platform_ctrl.plant.fields import finite_number
 from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.source import read_json

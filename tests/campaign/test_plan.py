@@ -428,8 +428,8 @@ def test_noise_is_keyed_by_the_campaigns_seed_and_the_runs_number() -> None:
             lambda: planned(uniform("torquer.Q4.limit", -0.1, 0.1, relative=False)),
             '"torquer.Q4.limit" would be drawn between -0.1 and 0.1; allowed is a number > 0',
         ),
-        (lambda: planned(uniform("friction.5.coulomb", 0.5, 3.0)), "above a breakaway torque of 0.002 N m"),
-        (lambda: planned(uniform("rotor.6.axial_inertia", 0.5, 1.3)), "allowed is at least half of it"),
+        (lambda: planned(uniform("friction.5.coulomb", 0.5, 3.0)), "breakaway must be at least coulomb"),
+        (lambda: planned(uniform("rotor.6.axial_inertia", 0.5, 1.3)), "must be at least half of axial_inertia"),
     ],
 )
 def test_what_makes_no_plan_is_refused_in_one_line(ask: Any, words: str) -> None:

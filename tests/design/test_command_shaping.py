@@ -19,7 +19,7 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_c
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.writing import job_data
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.simulation import simulate, simulate_batch
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.controllers import outcomes_from

@@ -25,9 +25,9 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Feedforward, Job
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.job.scenario import Scenario, TimeTable
-from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space

@@ -15,8 +15,7 @@ from platform_ctrl.design.measured.of_job import on_responses, read_responses
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.writing import job_data
+from platform_ctrl.job.reading import job_data, read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.controllers import outcomes_from
 

@@ -7,7 +7,7 @@ import numpy as np
 from commanded_gimbal import commanded_job
 from platform_ctrl import read_job
 from platform_ctrl.design import loops
-from platform_ctrl.job.writing import job_data
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.verification.simulated import simulate_manoeuvre
 
 GYRO = {"reading": "gyro", "step": 0.1}

@@ -14,7 +14,7 @@ from platform_ctrl.campaign.planning import plan
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.drive import DriveLaw, slide_rates
 from platform_ctrl.job.quantities import assumed_words
-from platform_ctrl.job.writing import job_data
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.plant.writing import toml
 

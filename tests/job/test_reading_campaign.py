@@ -14,12 +14,10 @@ from hypothesis import strategies as st
 
 from job.test_reading_job import job
 from plant.test_reading_plant import JUNK, mutate, outcome, refusal
-from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.faults import FAULT_KINDS, FaultKind, register_fault
+from platform_ctrl.job.faults import FAULT_KINDS, FaultKind
 from platform_ctrl.job.job import manoeuvre_scenario
-from platform_ctrl.job.reading import read_job
+from platform_ctrl.job.reading import job_data, read_job
 from platform_ctrl.job.scenario import HalfCosine
-from platform_ctrl.job.writing import job_data
 from platform_ctrl.simulation.kernel.arrays import ACTIONS
 
 ROOT = Path(__file__).parents[2]
@@ -144,13 +142,6 @@ def test_an_empty_campaign_flies_all_manoeuvres_alike() -> None:
 @pytest.mark.parametrize("kind", FAULT_KINDS.values(), ids=FAULT_KINDS)
 def test_every_kind_of_fault_is_an_action_of_the_kernel(kind: FaultKind) -> None:
     assert kind.action in ACTIONS
-
-
-def test_a_kind_of_fault_is_registered_once_and_has_numbers_of_faults() -> None:
-    with pytest.raises(ArgumentError, match="fault kind 'torquer dead' exists already"):
-        register_fault(FAULT_KINDS["torquer dead"])
-    with pytest.raises(ArgumentError, match=r"fault kind 'tired': number must be .* got 'mood'"):
-        register_fault(FaultKind(name="tired", effect="", part=None, needed=("mood",), action="no torque"))
 
 
 @pytest.mark.parametrize("kind", FAULT_KINDS)

@@ -113,7 +113,7 @@ PYTHON_MISTAKES: list[tuple[tuple[Any, ...], object, str]] = [
     (("rotor", 0, "spin"), 1j, '[[rotor]] 1 "6" … spin must be a number, got 1j'),
     (("rotor", 0, "axis"), np.array([0, np.nan, 1]), '[[rotor]] 1 "6" … element 2, nan, is not finite'),
     (("root", "inertia"), np.ones((3, 3, 3)), "[root] … row 1 element 1"),
-    (("rotor", 0, "spin"), np.True_, '[[rotor]] 1 "6" … spin must be a number, got an object of type bool'),
+    (("rotor", 0, "spin"), np.True_, '[[rotor]] 1 "6" … spin must be a number, got true'),
     (("rotor", 0, "spin"), Decimal("0.1"), '[[rotor]] 1 "6" … must be a number, got an object of type Decimal'),
     (("gimbal", 1, "name"), 10**10000, "[[gimbal]] 2 an integer of 33220 bits: name must be a line"),
     (("rotor", 0, "axis"), [0, 10**10000, 0], '[[rotor]] 1 "6" … is too large'),

@@ -33,8 +33,8 @@ from platform_ctrl.design.loop import closed_loop_poles, remeasured
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import Sense
 from platform_ctrl.job.quantities import compared, plain
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
-from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models

@@ -25,8 +25,8 @@ from platform_ctrl.cli import main
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.scenario import Scenario, TimeTable
-from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate

@@ -31,7 +31,7 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_files import write_c
 from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.job.writing import job_data
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation import simulate, simulate_batch

@@ -30,8 +30,7 @@ def closed_loop() -> Callable[..., JobResult]:
         from platform_ctrl.campaign.store import source_hashes
         from platform_ctrl.design import loops
         from platform_ctrl.job.job import Job
-        from platform_ctrl.job.reading import read_job
-        from platform_ctrl.job.writing import job_hashes
+        from platform_ctrl.job.reading import job_hashes, read_job
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
