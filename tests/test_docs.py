@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import typer
 
-from platform_ctrl import read_job, read_platform
+from platform_ctrl import read_job, read_platform, shipped_models
 from platform_ctrl.cli import main
 from platform_ctrl.cli.commands import app
 from platform_ctrl.job.methods import METHODS
@@ -172,8 +172,9 @@ def test_the_reference_has_every_table_once_and_each_can_be_made() -> None:
     commands = {("command", name) for name, command in COMMANDS.items() if len(command.params) > 2}
     limits = {("limits", name) for name in site_tables.LIMITS}
     methods = {("options", method) for method in METHODS}
+    models = {("bodies", model) for model in shipped_models()}
     others = {("keys", "plant sensors"), ("kinds", "faults"), ("profiles", "budget")}
-    assert sorted(asked) == sorted(files | commands | limits | methods | others)
+    assert sorted(asked) == sorted(files | commands | limits | methods | models | others)
 
 
 def keys(item: Any) -> set[str]:

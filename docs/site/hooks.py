@@ -116,7 +116,8 @@ def _listing(path: Path) -> str:
         cells = _cells(path.read_text(encoding="utf-8"))
         return "\n\n".join(text if kind == "markdown" else f"````python\n{text}\n````" for kind, text in cells) + "\n"
     language = {".py": "python", ".toml": "toml"}[path.suffix]
-    return f"# {where}\n\n````{language}\n{path.read_text(encoding='utf-8').rstrip()}\n````\n"
+    hidden = "---\nsearch:\n  exclude: true\n---\n\n"  # its words are those of the pages that lead to it
+    return f"{hidden}# {where}\n\n````{language}\n{path.read_text(encoding='utf-8').rstrip()}\n````\n"
 
 
 def _page_of(link: str, uri: str, up: str) -> str:

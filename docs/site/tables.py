@@ -28,9 +28,10 @@ from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.reading import JOB_FILE
 from platform_ctrl.job.spectra import SPECTRA, ProfileSpectrum
-from platform_ctrl.plant.reading import PLANT_FILE
+from platform_ctrl.plant.reading import PLANT_FILE, read_platform
 from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.plant.tables import Key, Shape, shape, tables
+from platform_ctrl.report.figures.axes_view import direction_text
 
 MARK = re.compile(r"^<!-- table: (?P<kind>\w+) of (?P<name>[^\n]+?)(?:\n(?P<notes>.*?))? *-->$", re.M | re.S)
 # The head of a table, and its rows.
@@ -166,6 +167,13 @@ def _profiles(name: str, notes: Mapping[str, str]) -> Table:
     return ("profile", "kind", "Hz", "rms", "what it is", "source"), rows
 
 
+def _bodies(name: str, notes: Mapping[str, str]) -> Table:
+    plant = read_platform(name)
+    gimbals = [(one.name, one.parent, direction_text(one.axis), f"`{one.angle}`") for one in plant.gimbals]
+    rotors = [(one.name, one.carrier, direction_text(one.axis), f"rotor, {one.control}") for one in plant.rotors]
+    return ("body", "carried by", "axis", "angle"), gimbals + rotors
+
+
 def _command(name: str, notes: Mapping[str, str]) -> Table:
     command: Any = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
     spelt = [
@@ -183,4 +191,5 @@ _MAKERS: dict[str, Callable[[str, Mapping[str, str]], Table]] = {
     "kinds": _kinds,
     "profiles": _profiles,
     "command": _command,
+    "bodies": _bodies,
 }

@@ -268,7 +268,7 @@ def plan(
 
     J. K. Salmon et al., SC 2011.
 
-    See docs/theory/campaign.md.
+    See docs/how-to/campaign.md.
     """
     campaign = job.campaign or Campaign(seed=job.seed)
     if not job.manoeuvres:

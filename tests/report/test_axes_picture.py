@@ -1,4 +1,4 @@
-"""Pictures of axes: what they show is what the plant says, and the page of models shows every model."""
+"""Pictures of axes: what they show is what the plant says."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from platform_ctrl import read_platform
 from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report.figures.axes_picture import axes_picture
-from platform_ctrl.report.figures.axes_view import direction_text
 from tree_cases import platforms
 
 ROOT = Path(__file__).parents[2]
@@ -209,26 +208,3 @@ def test_the_picture_in_docs_is_the_one_that_is_drawn(model):
     assert NUMBER.sub("#", kept) == NUMBER.sub("#", new)
     # Another processor may round the last digit of a coordinate another way.
     np.testing.assert_allclose(*([float(x) for x in NUMBER.findall(text)] for text in (kept, new)), atol=0.11)
-
-
-def section(model):
-    page = (ROOT / "docs" / "start" / "models.md").read_text(encoding="utf-8")
-    found = re.findall(rf"^## {model}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
-    assert len(found) == 1, f"docs/start/models.md has {len(found)} sections {model}"
-    return found[0]
-
-
-@MODEL
-def test_the_page_of_models_has_a_section_with_picture_and_axes_of_every_model(model):
-    platform = read_platform(model)
-    text = section(model)
-    assert f"(pictures/{model}.svg)" in text
-    rows = [tuple(cell.strip() for cell in row.split("|")) for row in re.findall(r"^\| (.*) \|$", text, re.MULTILINE)]
-    gimbals = {(g.name, g.parent, direction_text(g.axis), f"`{g.angle}`") for g in platform.gimbals}
-    rotors = {(r.name, r.carrier, direction_text(r.axis), f"rotor, {r.control}") for r in platform.rotors}
-    assert {row[:4] for row in rows} == gimbals | rotors | {("body", "carried by", "axis", "angle")} | {("---",) * 4}
-
-
-def test_the_page_of_models_has_the_shipped_models_in_order():
-    page = (ROOT / "docs" / "start" / "models.md").read_text(encoding="utf-8")
-    assert re.findall(r"^## (.*)$", page, re.MULTILINE) == list(shipped_models())
