@@ -30,7 +30,7 @@ from platform_ctrl.job.reading import JOB_FILE
 from platform_ctrl.job.spectra import SPECTRA, ProfileSpectrum
 from platform_ctrl.plant.reading import PLANT_FILE, read_platform
 from platform_ctrl.plant.sensors import Sensor
-from platform_ctrl.plant.tables import Key, Shape, shape, tables
+from platform_ctrl.plant.tables import Key, Shape, shape
 from platform_ctrl.report.figures.axes_view import direction_text
 
 MARK = re.compile(r"^<!-- table: (?P<kind>\w+) of (?P<name>[^\n]+?)(?:\n(?P<notes>.*?))? *-->$", re.M | re.S)
@@ -86,7 +86,9 @@ def _table(file: str, path: tuple[str, ...]) -> tuple[Shape, list[type]]:
     """Return the shape of a table, and the records whose docstrings explain its keys."""
     if path == ("sensors",):
         return shape(Sensor), [Sensor]
-    table = dict(tables(FILES[file]))[path]
+    table: Any = FILES[file]
+    for key in path:
+        table = table.keys[key].holds
     if table.one_of is not None:
         return table, [Source, *SPECTRA.values()]
     make = table.make if inspect.isclass(table.make) else FILES[file].make

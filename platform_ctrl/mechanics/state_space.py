@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from platform_ctrl.common.arguments import distinct, instance, known_names, one_of
 from platform_ctrl.common.values import FloatArray, portable
@@ -113,13 +112,9 @@ def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], .
     if len(names) != 1:
         given = "; ".join(", ".join(gimbals) for gimbals in sorted(names)) or "none"
         raise ArgumentError(f"models: must be one or more models of the same gimbals, got {given}")
-    coupled = np.any([_coupled(model) for model in models], axis=0)
+    # A gimbal's row contains another's angle or its derivatives.
+    coupled = np.any([part != 0.0 for model in models for part in _coefficients(model)], axis=0)
     return tuple(tuple(models[0].gimbal_names[k] for k in group) for group in connected(coupled))
-
-
-def _coupled(model: LinearModel) -> NDArray[np.bool_]:
-    """Return which gimbals' rows contain which other's angle or its derivatives at a constant Omega, (n, n)."""
-    return np.asarray(np.any([part != 0.0 for part in _coefficients(model)], axis=0))
 
 
 def _coefficients(model: LinearModel) -> tuple[FloatArray, FloatArray, FloatArray]:

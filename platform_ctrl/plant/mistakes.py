@@ -208,17 +208,10 @@ def _entry(data: Any, step: str | int) -> Any:
 
 
 def _title(entry: Any) -> str:
-    if isinstance(entry, dict):
-        for key, form in (
-            ("name", " {}"),
-            ("gimbal", " (gimbal {})"),
-            ("body", " (body {})"),
-            ("root_axis", " (root_axis {})"),
-            ("parameter", " {}"),
-            ("fault", " {}"),
-        ):
-            if isinstance(entry.get(key), str | int):
-                return form.format(given(entry[key]))
+    for key in ("name", "parameter", "fault", "gimbal", "body", "root_axis"):
+        if isinstance(entry, dict) and isinstance(entry.get(key), str | int):
+            shown = given(entry[key])
+            return f" ({key} {shown})" if key in ("gimbal", "body", "root_axis") else f" {shown}"
     return ""
 
 

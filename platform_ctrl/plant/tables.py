@@ -445,11 +445,3 @@ def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
         return f"unknown {what} {given(path[-1])}; {suggestion(str(path[-1]), known)}"
 
     return Mistake(path, words)
-
-
-def tables(table: Shape, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Shape]]:
-    """Walk a file's tables and those within them, with the keys that lead there."""
-    yield path, table
-    for name, key in table.keys.items():
-        if isinstance(key.holds, Shape):
-            yield from tables(key.holds, (*path, name))

@@ -31,7 +31,6 @@ from platform_ctrl.job.spectra import (
 )
 from platform_ctrl.plant.writing import toml
 
-DOCS = Path(__file__).parents[2] / "docs"
 TABLE = TableSpectrum(frequencies_hz=[1.0, 10.0, 100.0], densities=[1.0, 0.01, 0.02])
 ROLL, PITCH, ENGINE, MOTOR, YAW = range(5)
 

@@ -2,48 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
-import tomllib
-
 import numpy as np
 import pytest
 
 from driven_gimbal import FRICTION, SECANT, driven_job
 from platform_ctrl import read_job
-from platform_ctrl.campaign.planning import plan
-from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.drive import DriveLaw, slide_rates
-from platform_ctrl.job.quantities import assumed_words
-from platform_ctrl.job.reading import job_data
+from platform_ctrl.errors import InputError
+from platform_ctrl.job.drive import slide_rates
 from platform_ctrl.mechanics.kinematics import kinematics
-from platform_ctrl.plant.writing import toml
 
-VARIED = {"parameter": "friction.outer.coulomb", "distribution": "uniform", "low": 0.5, "high": 1.5, "relative": True}
 BOTH = FRICTION | SECANT | {"secant_limit": 3.0}
-
-
-def test_a_job_is_written_with_its_drives() -> None:
-    job = read_job(driven_job(BOTH))
-    assert job_data(job)["drive"] == [{key: item for key, item in BOTH.items() if key != "friction_rate"}]
-    again = read_job(tomllib.loads(toml(job_data(job))))
-    assert [dataclasses.astuple(law) for law in again.drive_laws] == [
-        dataclasses.astuple(law) for law in job.drive_laws
-    ]
-
-
-def test_all_runs_of_a_job_have_its_drives() -> None:
-    job = read_job(driven_job(BOTH, campaign={"runs": 4, "vary": [VARIED]}))
-    planned = plan(job, [])
-    assert {one.platform.frictions[0].coulomb for one in map(planned.scenario, range(4))} != {(0.02, 0.02)}
-    # What the computer assumes does not vary with the plant.
-    (law,) = job.drive_laws
-    for k in range(4):
-        assert [dataclasses.astuple(one) for one in planned.scenario(k).drives] == [dataclasses.astuple(law)]
-
-
-def test_the_verdict_says_that_what_is_fed_forward_is_taken_off_the_friction() -> None:
-    assert "dry friction less what is fed forward is a describing function" in assumed_words(read_job(driven_job(BOTH)))
-    assert "fed forward" not in assumed_words(read_job(driven_job(SECANT)))
 
 
 @pytest.mark.parametrize("name", ["camera_gimbal", "three_gyro_platform", "seeker_head"])
@@ -97,10 +65,3 @@ def test_a_base_that_a_loop_moves_gives_no_feedforward() -> None:
 def test_a_drive_may_state_that_it_feeds_nothing_forward() -> None:
     (drive,) = read_job(driven_job(FRICTION | {"friction": 0.0})).drives
     assert (drive.friction, drive.sensors) == (0.0, ("base_yaw",))
-
-
-def test_a_law_is_made_of_numbers_that_can_be() -> None:
-    with pytest.raises(ArgumentError, match="secant_limit must be a number >= 1"):
-        DriveLaw(torquer="Q", secant_limit=0.5)
-    with pytest.raises(ArgumentError, match="friction_rate"):
-        DriveLaw(torquer="Q", friction_rate=0.0)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import platform_ctrl as pc
 from continuous_loop import ContinuousLoop
-from platform_ctrl import design, verification
+from platform_ctrl import design
 from platform_ctrl.analysis import closed_loop, frequency_response
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measure
@@ -37,7 +37,6 @@ from platform_ctrl.job.requirements import (
 )
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.verification.result_file import result_record
 
 KINDS = tuple(METRICS)
 # The plants here have no line of sight.
@@ -355,40 +354,6 @@ def test_weights_act_on_their_side(kind, plants, controller):
     assert value(output_weight=control.ss([], [], [], np.eye(2), PERIOD)) == pytest.approx(plain)
 
 
-def test_a_channel_that_does_not_fit_is_one_line(plants, controller):
-    def outcome(**more):
-        with pytest.raises(ArgumentError) as error:
-            requirement("H2 norm", 1.0, channel=Channel(**more)).check(plants, controller)
-        assert "\n" not in str(error.value)
-        return str(error.value)
-
-    assert "did you mean 'noise_alpha9'?" in outcome(inputs=("noise_alpha",))
-    assert "outputs must be one of 'Q9', 'Q10'" in outcome(outputs=("Q4",))
-    assert "must have the loop's dt = 0.0005 s, got 0.0 s" in outcome(
-        inputs=("Q9",), input_weight=control.ss(-1, 1, 1, 0)
-    )
-    assert "output_weight: must have 2 inputs, got 1" in outcome(outputs=("Q9", "Q10"), output_weight=np.ones((1, 1)))
-    assert "must be a finite number, 1 numbers" in outcome(inputs=("Q9",), input_weight=np.ones(3))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "more", "message"),
-    [
-        (("dampign", 1.0), {}, "requirement: kind must be 'stability', 'bandwidth', 'disk margin', 'gain margin', "),
-        (("damping", float("nan")), {}, "limit must be a finite number > 0, got nan"),
-        (("tracking", 0.1), {}, "requirement: tracking needs a frequency: up to which one, rad/s"),
-        (("damping", 0.1), {"frequency": 1.0}, "requirement: kind with a frequency must be 'tracking', 'attenuation'"),
-        (("damping", 0.1), {"channel": Channel()}, "requirement: kind with a channel must be 'H-infinity norm' or"),
-        (("damping", 0.1), {"over": ()}, "requirement: over must be 'nominal', 'uncertainty', 'Omega', 'angles', "),
-    ],
-)
-def test_a_requirement_that_makes_no_sense_is_one_line(arguments, more, message):
-    with pytest.raises(ArgumentError) as error:
-        requirement(*arguments, **more)
-    assert message in str(error.value)
-    assert "\n" not in str(error.value)
-
-
 # Limits and goals of a job
 
 
@@ -439,36 +404,3 @@ def test_a_stopped_rotor_that_nothing_is_asked_of_fails_no_loop(job, controller)
     strict = dataclasses.replace(spec, limits=lenient | {"disk_margin_faults": 1e-3})
     missed = {one.name for one in remeasured(strict, "K", controller, stopped).results if not one.passed}
     assert missed == {"minimum decay rate with a fault", "disk margin with a fault"}
-
-
-def test_the_tuner_reaches_a_limit_of_a_new_kind_and_leaves_unasked_faults_alone(job):
-    (spec,) = job.loops
-    limits = {
-        "bandwidth_hz": 15.0,
-        "sensitivity_peak": 2.0,
-        "sensitivity_peak_worst_case": 2.4,
-        "controller_gain": 1000.0,
-    }
-    tuned = dataclasses.replace(spec.designs[0], options={}, tune=True)
-    spec = dataclasses.replace(spec, designs=(tuned,), use=tuned.name, limits=limits)
-    stopped = dataclasses.replace(job, loops=(spec,), faults=Faults(slow_rotor=0.0))
-    untuned = dataclasses.replace(spec, designs=(dataclasses.replace(tuned, tune=False),))
-    assert not design.loops(dataclasses.replace(stopped, loops=(untuned,)))[0].closed.passed
-    (outcome,) = design.loops(stopped)
-    assert outcome.closed.passed, [(one.name, one.ratio) for one in outcome.closed.results]
-
-
-def test_checks_of_the_whole_hold_goals_beside_the_verdict(job):
-    (spec,) = job.loops
-    plain = dataclasses.replace(spec.designs[0], tune=False, options={"crossover_hz": 40.0, "rolloff_hz": 850.0})
-    spec = dataclasses.replace(spec, designs=(plain,), use=plain.name, limits={}, soft={"bandwidth_hz": 900.0})
-    alone = dataclasses.replace(
-        job, loops=(spec,), manoeuvres=(), coupled=dataclasses.replace(job.coupled, disk_margin=None)
-    )
-    result = verification.check_job(alone, design.loops(alone))
-    assert result.passed
-    (goal,) = result.loops[0].closed.goals
-    assert not goal.passed
-    record = result_record(result)
-    assert [(one["name"], one["passed"]) for one in record["controllers"][0]["goals"]] == [("goal: bandwidth", False)]
-    assert "goal: bandwidth" not in [one["name"] for one in record["requirements"]]

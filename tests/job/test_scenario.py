@@ -8,9 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from platform_ctrl import read_platform
-from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.scenario import Scenario, TimeTable, Vibration
+from platform_ctrl.job.scenario import TimeTable, Vibration
 
 T = np.array([0.0, 0.2, 0.5, 1.5, 2.0])
 VALUES = np.array([[0.0, 1.0, 0.0], [0.5, 1.0, -1.0], [0.7, 1.0, 3.0], [-1.0, 1.0, 0.1], [0.0, 1.0, 0.2]])
@@ -41,13 +39,6 @@ def test_a_smooth_table_is_the_natural_cubic_spline() -> None:
     first, last = table(True).pieces[0], table(True).pieces[-1]
     np.testing.assert_allclose(first[:, 2], 0.0, atol=1e-13)
     np.testing.assert_allclose(2 * last[:, 2] + 6 * last[:, 3] * 0.5, 0.0, atol=1e-12)
-
-
-def test_two_points_are_a_straight_line_however_smooth() -> None:
-    t = np.linspace(0.0, 1.0, 11)
-    ends, values = np.array([0.0, 1.0]), np.array([[0.0, 1.0, 2.0], [1.0, -1.0, 2.0]])
-    smooth, straight = (TimeTable(t=ends, values=values, smooth=yes) for yes in (True, False))
-    np.testing.assert_allclose(smooth.at(t), straight.at(t), atol=1e-14)
 
 
 def shake(frequencies: list[float], densities: list[float], lines: int) -> Vibration:
@@ -85,23 +76,3 @@ def test_a_spectrum_of_straight_lines_keeps_its_power(slope: float, knee: float)
 def test_the_lines_lie_in_the_middles_of_equal_slices_of_logarithmic_frequency() -> None:
     omega, _ = shake([10.0, 1000.0], [1.0, 1.0], 4).amplitudes
     np.testing.assert_allclose(omega / (2 * np.pi), 10.0 * 100.0 ** (np.array([1, 3, 5, 7]) / 8), rtol=1e-12)
-
-
-def test_a_run_begins_at_rest_unless_it_is_said_otherwise() -> None:
-    platform = read_platform("three_gyro_platform")
-    scenario = Scenario(platform=platform, mode="stabilised", duration=1.0, delay=0.0, Omega=np.array([0.0, 0.1, 0.0]))
-    for name, expected in (("q", np.zeros(5)), ("rate", np.zeros(5)), ("attitude", [1, 0, 0, 0]), ("torque", [0] * 3)):
-        np.testing.assert_array_equal(getattr(scenario, name), expected)
-        assert not getattr(scenario, name).flags.writeable
-    assert scenario.Omega[1] == 0.1
-    assert scenario.spin is None
-
-
-def test_lists_become_arrays_and_what_are_no_numbers_is_refused() -> None:
-    assert TimeTable(t=[0, 1], values=[[0, 0, 0], [1, 2, 3]]).at(0.5).tolist() == [0.5, 1.0, 1.5]
-    shaking = Vibration(kind="force", axis=1, frequencies_hz=[1, 10], densities=[2, 2], lines=4)
-    assert shaking.amplitudes[1].shape == (4,)
-    with pytest.raises(ArgumentError, match=r"values must be real numbers, got .*"):
-        TimeTable(t=[0, 1], values=[[0, 0, 0], [1, 2]])
-    with pytest.raises(ArgumentError, match="q must be real numbers, got 'alpha4'"):
-        Scenario(platform=read_platform("gimballed_gyro"), mode="caged", duration=1.0, delay=0.0, q="alpha4")

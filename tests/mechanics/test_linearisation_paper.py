@@ -1,15 +1,12 @@
 """The paper's rule for any tree: A constant, BᵀA_R B and G_R to first order, G_A dropped. And what symmetry removes."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.mechanics.kinematics import cross_matrix
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.plant.reading import read_platform
 from tree_cases import platforms, slope, with_torquers
 
 quick = settings(max_examples=30, deadline=None)
@@ -84,29 +81,3 @@ def test_at_rest_paper_and_exact_are_the_same(platform, seed):
     exact, paper = (linearise(platform, terms=terms) for terms in ("exact", "paper"))
     for name in ("M", "G", "K", "M_Omega", "G_Omega", "Q0"):
         np.testing.assert_allclose(getattr(exact, name), getattr(paper, name), atol=1e-10)
-
-
-@pytest.mark.parametrize("terms", ["exact", "paper"])
-def test_with_equal_momenta_the_pair_does_not_feel_Omega3_and_Omega1_does_not_hold_alpha4(terms):
-    """Facts of section 4: L6 = L8."""
-    platform = read_platform("three_gyro_platform")
-    rest = linearise(platform, terms=terms)
-    assert abs(rest.G_Omega[0, 2]) < 1e-15
-    turning = linearise(platform, Omega=(1.0, 0.0, 0.0), terms="paper")
-    assert abs(turning.K[0, 0]) < 1e-15
-    np.testing.assert_allclose(np.diag(turning.K)[1:3], [0.15, -0.15])  # stable for 5, unstable for 7
-
-
-def test_gyroscopic_restraint_is_stable_when_rotor_and_platform_turn_in_the_same_sense():
-    platform = read_platform("three_gyro_platform")
-    for sign in (1.0, -1.0):
-        K = linearise(platform, Omega=(0.0, sign, 0.0), terms="paper").K
-        np.testing.assert_allclose(np.diag(K)[3:], [0.15 * sign, 0.15 * sign])
-
-
-def test_root_momentum_is_h0():
-    """(L6 − L8, L11, 0), and the skew block that stands in the root's rows."""
-    platform = read_platform("three_gyro_platform")
-    h0 = linearise(platform).root_momentum
-    np.testing.assert_allclose(h0, [0.0, 0.15, 0.0], atol=1e-15)
-    np.testing.assert_allclose(matrices(platform).G_root[:3, :3], -cross_matrix(h0))

@@ -53,11 +53,3 @@ def test_coefficient_of_a_change_of_rate(terms):
         up, down = (coefficients(terms, Omega + sign * step, np.zeros(3))[0] for sign in (1, -1))
         # The constant part is quadratic in Omega: the central difference is exact but for rounding.
         np.testing.assert_allclose(model.G_Omega[:, axis], (up - down) / 2e-3, atol=1e-9)
-
-
-def test_the_difference_of_the_pair_is_a_double_integrator_for_equal_momenta():
-    equal = linearise(PLATFORM)
-    L6, L8, _ = (rotor.angular_momentum for rotor in PLATFORM.rotors)
-    direction = np.array([0.0, L8, -L6, 0.0, 0.0])
-    np.testing.assert_allclose(equal.G @ direction, 0.0, atol=1e-12)
-    np.testing.assert_allclose(equal.K @ direction, 0.0, atol=1e-12)

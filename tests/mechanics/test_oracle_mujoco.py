@@ -1,4 +1,4 @@
-"""MuJoCo, by other algorithms than Pinocchio's, against the method: every rotor is a body there."""
+"""MuJoCo against the method: every rotor is a body there."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from platform_ctrl.plant.platform import Platform
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
 
-# Roundings in a row. More than with Pinocchio: MuJoCo turns by quaternions, and sums up in the world's axes.
+# Roundings in a row. MuJoCo turns by quaternions, and sums up in the world's axes.
 FEW = 60 * EPS
 
 

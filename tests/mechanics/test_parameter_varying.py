@@ -19,8 +19,6 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.parameter_varying import parameter_varying
 from platform_ctrl.mechanics.polynomials import monomial_values
-from platform_ctrl.plant.force_elements import Friction
-from platform_ctrl.plant.platform import Torquer
 from platform_ctrl.plant.reading import read_platform
 from tree_cases import platforms, with_elements, with_torquers
 
@@ -79,21 +77,6 @@ def test_at_constant_rate_it_is_the_linear_model_at_that_rate(platform, seed, te
     np.testing.assert_allclose(frozen.G, model.damping, atol=1e-12 * size)
     np.testing.assert_allclose(frozen.K, model.stiffness, atol=1e-12 * size)
     np.testing.assert_allclose(frozen.forcing, model.Q0, atol=1e-12 * size)
-
-
-def test_specific_force_and_rate_amplitude_are_those_of_the_linear_model(platform):
-    platform = dataclasses.replace(
-        with_elements(platform, np.random.default_rng(1)),
-        frictions=(Friction(gimbal="9", viscous=0.1, coulomb=(0.02, 0.04)),),
-    )
-    Omega, f, amplitude = (0.3, -0.2, 0.5), (3.0, -9.0, 1.0), np.linspace(0.1, 0.5, 5)
-    frozen = parameter_varying(platform, specific_force=f, rate_amplitude=amplitude).at(Omega)
-    model = linearise(platform, Omega, specific_force=f, rate_amplitude=amplitude)
-    for got, expected in ((frozen.K, model.stiffness), (frozen.G, model.damping), (frozen.forcing, model.Q0)):
-        np.testing.assert_allclose(got, expected, atol=1e-12 * (1 + np.abs(expected).max()))
-    own = linearise(platform, Omega)
-    assert np.abs(own.stiffness - model.stiffness).max() > 1.0
-    assert model.damping[3, 3] - own.damping[3, 3] == pytest.approx(4 / np.pi * 0.03 / amplitude[3])
 
 
 @settings(max_examples=25, deadline=None)
@@ -233,13 +216,6 @@ def test_a_grid_holds_the_frozen_systems(platform):
         np.testing.assert_array_equal(point.system.A, model.state_space(point.Omega).A)
     assert len(model.grid((1, 3, 1, 1, 5, 1), (1, 1, 1), (1, 1, 1))) == 15
     assert len(model.grid((1, 3, 1), (1, 1, 1), (1, 1, 1))) == 3
-
-
-def test_two_torquers_on_one_gimbal_are_two_inputs(platform):
-    platform = dataclasses.replace(platform, torquers=(*platform.torquers, Torquer(name="spare", gimbal="9")))
-    affine = parameter_varying(platform, gimbals=("9",)).affine()
-    assert affine.inputs == ("Q9", "spare", "d_p_alpha9")
-    np.testing.assert_array_equal(affine.B, [[0, 0, 0], [1, 1, 1]])
 
 
 @settings(max_examples=10, deadline=None)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.errors import ArgumentError, MechanicsError
+from platform_ctrl.errors import MechanicsError
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.precession import precession
 from platform_ctrl.mechanics.state_space import state_space
@@ -359,13 +359,3 @@ def test_without_spin_no_rotor_gives_any_momentum(platform):
         sys = whole.state_space(momentum_states=True)
         full = state_space(whole.model)
         np.testing.assert_allclose(np.asarray(sys(2j)), np.asarray(full(2j)), rtol=1e-9, atol=1e-6)
-
-
-def test_wrong_questions_get_one_line(platform):
-    model = linearise(platform)
-    with pytest.raises(ArgumentError, match="coupled"):
-        precession(model, gimbals=("9",))
-    with pytest.raises(ArgumentError, match="loop_frequency"):
-        precession(model, loop_frequency=0.0)
-    with pytest.raises(ArgumentError, match="must be above 0"):
-        precession(model, ("9", "10")).error([1.0, 0.0])

@@ -104,33 +104,6 @@ def test_nutation_frequencies(platform):
     assert fast == pytest.approx(np.sqrt(2) * L / np.sqrt(J4 * J5), rel=1e-9)
 
 
-def test_free_gyros_keep_their_direction_on_a_slowly_turning_platform(platform):
-    """α4 = −θ2, α9 = −θ3, β10 = −θ1, β5 = −θ3, β7 = +θ3: the transfer functions Omega → angle at low frequency."""
-    sys = state_space(linearise(platform))
-    s = 1e-3j
-    response = np.asarray(sys(s))[:, 5:] * s
-    expected = np.array([[0, -1, 0], [0, 0, -1], [0, 0, 1], [0, 0, -1], [-1, 0, 0]])
-    np.testing.assert_allclose(response, expected, atol=1e-5)
-
-
-def test_caged_gyros_measure_the_rate(platform):
-    """Steady torques that hold the angles at zero: Q9 = L Omega1, Q10 = −L Omega3, Q5 + Q7 = −2 L Omega2."""
-    model = linearise(platform)
-    torque = model.G_Omega
-    np.testing.assert_allclose(torque[3], [L, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(torque[4], [0, 0, -L], atol=1e-15)
-    np.testing.assert_allclose(torque[1] + torque[2], [0, -2 * L, 0], atol=1e-15)
-    np.testing.assert_allclose(torque[0], 0, atol=1e-15)
-
-
-def test_two_axis_gyro_conserves_its_momentum_component(platform):
-    """J9 α̇9 + L11 β10 is constant on a fixed platform while Q9 = 0: a left null vector of A."""
-    sys = state_space(linearise(platform), gimbals=("9", "10"))
-    conserved = np.array([0, L, 1, 0])  # states α9, β10, p9 = J9 α̇9, p10
-    np.testing.assert_allclose(conserved @ sys.A, 0, atol=1e-12)
-    assert np.abs(conserved @ sys.B[:, sys.input_labels.index("Q10")]) == 0
-
-
 @settings(max_examples=30, deadline=None)
 @given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1), st.sampled_from(["exact", "paper"]))
 def test_momentum_states_solve_the_second_order_equations(platform, seed, terms):

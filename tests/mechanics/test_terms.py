@@ -9,7 +9,6 @@ import pytest
 from hypothesis import strategies as st
 
 from oracle_trees import for_all
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.parameter_varying import parameter_varying
@@ -123,31 +122,11 @@ def test_a_restraint_is_stable_where_rotor_and_platform_turn_in_the_same_sense(p
     assert pair.sense is None
 
 
-def test_amplitudes_follow_from_the_frequency_unless_given(platform):
-    table = terms(platform, (1.0, 2.0, 0.0), [0.1, 0.2, 0.3, 0.4, -0.5], frequency=4.0)
-    np.testing.assert_allclose(table.angles, np.array([0.1, 0.2, 0.3, 0.4, 0.5]) / 4)
-    np.testing.assert_allclose(table.accelerations, np.array([0.1, 0.2, 0.3, 0.4, 0.5]) * 4)
-    np.testing.assert_allclose(table.Omega_dot, [4.0, 8.0, 0.0])
-    assert one(table, "10", "−L11·α̇9").size == pytest.approx(0.15 * 0.4)
-    assert one(table, "10", "L11·Ω2·β10").size == pytest.approx(0.15 * 2 * 0.5 / 4)
-
-
 def test_a_free_rotor_is_named_by_its_p_and_has_no_axial_inertia(platform):
     rotors = tuple(dataclasses.replace(rotor, control="free") for rotor in platform.rotors)
     table = terms(dataclasses.replace(platform, rotors=rotors), (1, 1, 1), np.full(5, 0.1))
     assert one(table, "9", "p11·β̇10").factor == pytest.approx(0.15)
     assert not any(term.kind == "rotor acceleration" for term in table.terms)
-
-
-def test_mistakes_are_one_line(platform, table):
-    with pytest.raises(ArgumentError, match="frequency"):
-        terms(platform, (1, 0, 0), np.ones(5), frequency=0.0)
-    with pytest.raises(ArgumentError, match=r"rates must .*got \(4,\)"):
-        terms(platform, (1, 0, 0), np.ones(4))
-    with pytest.raises(ArgumentError, match=r"gimbal must .*got '6'"):
-        table.of("6")
-    with pytest.raises(ArgumentError, match=r"gimbals must .*got '6'"):
-        table.text(gimbals=("6",))
 
 
 def test_the_page_shows_what_is_printed(table):

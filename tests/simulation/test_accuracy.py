@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from kernel_entries import momenta, whole_state
-from oracle_trees import MujocoTree, PinocchioTree, rotation
+from oracle_trees import MujocoTree, rotation
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import read_platform
@@ -132,30 +131,6 @@ def test_five_seconds_of_a_spinning_platform_are_those_of_mujoco():
     np.testing.assert_allclose(ours.velocity_history, theirs.velocity_history, rtol=0.0, atol=1e-7)
     turned = [[rotation(e / np.linalg.norm(e)) for e in run.attitude_history[0]] for run in (ours, theirs)]
     np.testing.assert_allclose(*turned, rtol=0.0, atol=1e-8)
-
-
-def test_five_seconds_of_a_spinning_platform_are_those_of_pinocchio_under_an_adaptive_integrator():
-    pin = pytest.importorskip("pinocchio", reason="Pinocchio (package pin) is not installed")
-    q, velocity = a_start(FREE)
-    tree = PinocchioTree(FREE)
-    spins = tree.spins(FREE, matrices(FREE, q[0]).B @ velocity[0])
-    nq, still = tree.model.nq, np.zeros(tree.model.nv)
-
-    def motion(t: float, y: np.ndarray) -> np.ndarray:
-        at, v = y[:nq].copy(), y[nq:]
-        at[:4] /= np.linalg.norm(at[:4])
-        x, y_, z, w = at[:4]
-        a, b, c = 0.5 * v[:3]
-        turn = [w * a + y_ * c - z * b, w * b + z * a - x * c, w * c + x * b - y_ * a, -x * a - y_ * b - z * c]
-        return np.concatenate([turn, v[3:], pin.aba(tree.model, tree.data, at, v, still)])
-
-    start = np.concatenate([tree.configuration(q[0], np.array([1.0, 0.0, 0.0, 0.0])), tree.vector(velocity[0], spins)])
-    end = solve_ivp(motion, (0.0, 5.0), start, method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
-    out = rollout(FREE, q, velocity, step=1e-4, steps=50000)
-    np.testing.assert_allclose(out.q[0], end[1 + tree.gimbals], rtol=0.0, atol=1e-8)
-    np.testing.assert_allclose(out.velocity[0], end[nq + tree.platform_places], rtol=0.0, atol=1e-7)
-    attitude = np.roll(end[:4], 1) / np.linalg.norm(end[:4])
-    np.testing.assert_allclose(rotation(out.attitude[0]), rotation(attitude), rtol=0.0, atol=1e-8)
 
 
 @pytest.mark.slow

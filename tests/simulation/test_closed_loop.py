@@ -96,17 +96,6 @@ def test_commands_take_effect_exactly_after_the_delay(delay):
     assert out.command[:, 0] == pytest.approx(np.array(commands), rel=1e-11)
 
 
-def test_the_limited_command_passes_the_lag():
-    # So heavy a gimbal stays where it is: the command is constant.
-    lag, delay, limit, start = 3e-3, 2.5e-3, 0.7, 0.1
-    out = run(one_gimbal(inertia=1e9, limit=limit, lag=lag), [controller(-20.0)], delay=delay, q=[start])
-    since = np.maximum(out.t - delay, 0.0)
-    assert out.command[:, 0] == pytest.approx(-20.0 * start)
-    assert out.torque[:, 0] == pytest.approx(-limit * (1.0 - np.exp(-since / lag)), abs=1e-12)
-    assert list(out.saturated) == [len(out.t), 0]
-    assert run(one_gimbal(inertia=1e9, limit=2.1), [controller(-20.0)], q=[start]).saturated[0] == 0
-
-
 @pytest.mark.parametrize("every", [1, 2])
 def test_an_integral_follows_a_limited_torque(every, monkeypatch):
     # A PID with three poles at 20 rad/s; its states are the integral and the last reading.
@@ -148,17 +137,6 @@ def test_controllers_are_evaluated_in_their_order_and_see_this_steps_outputs():
         x, z = 0.3 * x + reading, z + PERIOD * integrand
 
 
-def test_a_gyro_on_a_fixed_platform_nutates_at_its_frequency():
-    J9, J10, start = 5e-4, 2e-4, 1e-3
-    out = run(two_axis_gyro(J9, J10), rate=[start, 0.0], duration=0.2, delay=0.0)
-    frequency = L / np.sqrt(J9 * J10)
-    assert frequency * out.t[-1] > 15 * 2 * np.pi
-    assert out.rate[:, 0] == pytest.approx(start * np.cos(frequency * out.t), abs=1e-4 * start)
-    assert J9 * out.rate[:, 0] + L * out.q[:, 1] == pytest.approx(np.full(len(out.t), J9 * start), rel=1e-6)
-    # With cyclic alpha9 its momentum is constant, not only in the linear theory.
-    assert out.p[:, 0] == pytest.approx(np.full(len(out.t), out.p[0, 0]), rel=1e-9)
-
-
 @pytest.mark.parametrize("axis", [1, 2, 3])
 def test_a_prescribed_manoeuvre_turns_the_platform_by_its_integral(axis):
     profile = HalfCosine(axis=axis, rate=0.8, rise=0.05, hold=0.1)
@@ -171,34 +149,6 @@ def test_a_prescribed_manoeuvre_turns_the_platform_by_its_integral(axis):
     assert not out.Omega[:, others].any()
     assert out.attitude_angles[-1, axis - 1] == pytest.approx(0.8 * 0.15, rel=1e-9)
     assert np.linalg.norm(out.attitude, axis=1) == pytest.approx(1.0)
-
-
-def test_a_gyro_free_on_a_turning_platform_keeps_its_direction():
-    out = run(two_axis_gyro(), profile=HalfCosine(axis=3, rate=0.05, rise=0.1, hold=0.1), duration=0.3)
-    assert out.attitude_angles[-1, 2] == pytest.approx(0.01)
-    assert out.q[-1, 0] == pytest.approx(-0.01, rel=0.02)
-
-
-@pytest.mark.parametrize(("axis", "expected"), [(1, [L, 0.0]), (2, [0.0, 0.0]), (3, [0.0, -L])])
-def test_a_caged_gyro_measures_the_platform_rate(axis, expected):
-    # Q9 = L Omega1, Q10 = -L Omega3, held by stiff proportional-derivative loops at 10 kHz.
-    period, rate = 1e-4, 0.5
-    stiffness, damping = 1e6 * np.diag([5e-4, 2e-4]), 1.4e3 * np.diag([5e-4, 2e-4])
-    pd = control.ss(
-        np.zeros((2, 2)), np.eye(2), damping / period, -stiffness - damping / period, period,
-        inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"], name="caging",
-    )  # fmt: skip
-    profile = HalfCosine(axis=axis, rate=rate, rise=0.05, hold=1.0)
-    out = run(two_axis_gyro(), [pd], period=period, delay=period, profile=profile, duration=0.15)
-    # What is left is of the order J Omega^2.
-    assert out.torque[-1] == pytest.approx(rate * np.array(expected), abs=2e-3 * rate * L)
-
-
-def test_a_bare_root_without_sensors_and_torquers_can_be_simulated():
-    block = Platform(name="block", root_name="case", root_inertia=np.diag([1.0, 2.0, 3.0]), gimbals=())
-    out = run(block, mode="stabilised", torque=[0.0, 0.0, 0.3])
-    assert out.Omega[:, 2] == pytest.approx(0.1 * out.t, abs=1e-15)
-    assert out.q.shape == out.command.shape == out.reading.shape == (101, 0)
 
 
 def test_a_gyro_pushed_against_its_stop_loses_its_gyroscopic_stiffness():

@@ -13,7 +13,7 @@ from kernel_entries import derivatives, entries, momenta, whole_state
 from platform_ctrl.common.simd import LANES, choose, load, store
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation import rollout
-from platform_ctrl.simulation.kernel import functions
+from platform_ctrl.simulation.kernel import arithmetic
 from platform_ctrl.simulation.packing import pack
 from simulation.test_forces import a_state, along_coordinates, furnished
 from small_trees import tree
@@ -25,12 +25,12 @@ def _each(x, lane, y):
     for i in range(x.shape[0]):
         a = load(x, i, lane)
         positive = choose(a < 0.0, -a, a) + 1e-300
-        c, s = functions.cosine_and_sine(a)
+        c, s = arithmetic.cosine_and_sine(a)
         store(y, 5 * i, lane, c)
         store(y, 5 * i + 1, lane, s)
-        store(y, 5 * i + 2, lane, functions.exponential(a))
-        store(y, 5 * i + 3, lane, functions.logarithm(positive))
-        store(y, 5 * i + 4, lane, functions.hyperbolic_tangent(a))
+        store(y, 5 * i + 2, lane, arithmetic.exponential(a))
+        store(y, 5 * i + 3, lane, arithmetic.logarithm(positive))
+        store(y, 5 * i + 4, lane, arithmetic.hyperbolic_tangent(a))
 
 
 def elementary(x: np.ndarray, lane: int | None = None) -> np.ndarray:

@@ -173,11 +173,6 @@ def test_a_run_that_diverges_is_told_and_leaves_those_beside_it_alone() -> None:
         np.testing.assert_array_equal(np.delete(rows(result), place, axis=0), expected)
 
 
-def test_no_scenarios_have_no_figures() -> None:
-    none = simulation.simulate_batch([], [], period=PERIOD)
-    assert (none.angle.shape, none.attitude.shape, none.samples.shape, none.ended) == ((0, 0), (0, 3), (0,), ())
-
-
 def test_plants_of_different_parts_are_refused_together() -> None:
     one = motley()[0]
     moved = dataclasses.replace(model().torquers[0], gimbal="5")

@@ -1,7 +1,7 @@
-"""Random trees with everything that is nasty, and the same trees as models of Pinocchio and MuJoCo.
+"""Random trees with everything that is nasty, and the same trees as models of MuJoCo.
 
-Those libraries know nothing of rotors whose speed is held: here every rotor is a body of its own on a hinge. Neither is
-imported before a model is built.
+It knows nothing of rotors whose speed is held: here every rotor is a body of its own on a hinge. It is imported when a
+model is built.
 """
 
 from __future__ import annotations
@@ -233,7 +233,7 @@ class Link:
 
 
 def links(platform: Platform, rotors: str = "bodies") -> list[Link]:
-    """Return the bodies, root first, depth first: Pinocchio's CRBA takes it for granted.
+    """Return the bodies, root first, depth first.
 
     `rotors`: "bodies" of their own, or "locked": regulated rotors belong to their carriers with C, free ones without.
     """
@@ -330,8 +330,8 @@ class Run:
 
     Attributes
     ----------
-    q, velocity, turned, spin
-        Angles, [Omega, q̇], root axes to inertial axes (3, 3), spins of servo rotors after `steps` of `step` s.
+    q, velocity, turned
+        Angles, [Omega, q̇], root axes to inertial axes (3, 3) after `steps` of `step` s.
     force : (3 + n,)
         [M, Q] all the way.
     q_error, velocity_error, turn_error
@@ -343,7 +343,6 @@ class Run:
     q: np.ndarray
     velocity: np.ndarray
     turned: np.ndarray
-    spin: np.ndarray
     force: np.ndarray
     step: float
     steps: int
@@ -352,11 +351,8 @@ class Run:
     turn_error: float
 
 
-def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, steps: int = 100) -> Run:
-    """Integrate from the state of `motion` under constant forces, `pace` rad of the fastest motion a step.
-
-    `spin`: of the servo rotors at the start; default nominal.
-    """
+def run(motion: Motion, pace: float = 0.02, steps: int = 100) -> Run:
+    """Integrate from the state of `motion` under constant forces, `pace` rad of the fastest motion a step."""
     from platform_ctrl.mechanics.equations import inverse_dynamics
     from platform_ctrl.mechanics.forces import element_forces
     from platform_ctrl.mechanics.matrices import matrices
@@ -364,13 +360,11 @@ def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, step
 
     platform, n = motion.platform, 3 + len(motion.q)
     m = matrices(platform, motion.q, motion.velocity)
-    servo = np.array([rotor.control == "servo" for rotor in platform.rotors], dtype=bool)
-    B, axial = m.B[servo], np.diag(m.A_R)[servo]
-    inertia = m.A_star - B.T @ (axial[:, None] * B)
+    inertia = m.A_star
     scale = 1.0 / np.sqrt(np.diag(inertia))
     values, vectors = np.linalg.eigh(scale[:, None] * inertia * scale)
     root = scale[:, None] * (vectors / np.sqrt(values)) @ vectors.T  # root @ root.T is the inverse of inertia
-    stiffness, viscous, motors = np.zeros(n), np.zeros(n), np.zeros(n)
+    stiffness, viscous = np.zeros(n), np.zeros(n)
     for spring in platform.springs:
         stiffness[3 + platform.gimbal_names.index(spring.gimbal)] += abs(spring.stiffness)
     for friction in platform.frictions:
@@ -390,14 +384,6 @@ def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, step
     push = force - bias
     damping = 2 * m.G_A + m.G_R + m.G_root + np.diag(viscous)
     rate = np.linalg.norm(motion.velocity) + 1e-9
-    if spin is not None:
-        loops = [rotor for rotor in platform.rotors if rotor.control == "servo"]
-        gain = np.array([rotor.speed_gain for rotor in loops])
-        integral = np.array([rotor.speed_integral for rotor in loops])
-        push += B.T @ (gain * (spin - np.array([rotor.spin for rotor in loops])))
-        motors += np.abs(B).T @ (gain * (np.abs(spin) + np.abs(B) @ np.abs(motion.velocity)))
-        exchange = np.diag(1 / axial) + B @ root @ root.T @ B.T
-        rate += np.linalg.norm(exchange * gain, 2) + np.linalg.norm(exchange * integral, 2) ** 0.5
     start = root @ (root.T @ push)
     # From rest the run is to turn nothing by more than 0.1 rad: beside gimbal lock another A* is not far.
     rate += np.linalg.norm(root.T @ damping @ root, 2) + 5 * np.linalg.norm(start) ** 0.5
@@ -413,7 +399,6 @@ def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, step
             attitude=motion.attitude[None],
             force=force[None],
             threads=1,
-            spin=None if spin is None else spin[None],
         )
         for h, k in ((step, steps), (2 * step, steps // 2))
     ]
@@ -422,7 +407,7 @@ def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, step
     fastest = np.abs(motion.velocity) + np.abs(fine.velocity[0])
     spins = np.array([rotor.spin for rotor in platform.rotors])
     limits = rounding(replace(motion, velocity=fastest, acceleration=start), spins)
-    torque = limits.torque[:n] + viscous * fastest + motors
+    torque = limits.torque[:n] + viscous * fastest
     torque[3:] += stiffness[3:] * (np.abs(motion.q) + np.pi)
     drift = duration * 30 * EPS * solved(inertia, torque, limits.mass[:n, :n], start)
     turned = [rotation(end.attitude[0]) for end in ends]
@@ -436,7 +421,6 @@ def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, step
         q=fine.q[0],
         velocity=fine.velocity[0],
         turned=turned[0],
-        spin=fine.spin[0],
         force=force,
         step=step,
         steps=steps,
@@ -487,39 +471,6 @@ class Tree:
         out = np.zeros(self.size)
         out[self.platform_places] = platform_part
         out[self.rotors] = rotor_part
-        return out
-
-
-class PinocchioTree(Tree):
-    """The tree in Pinocchio: a spherical joint and hinges, centres of mass in the fixed point but for `offsets`."""
-
-    def __init__(
-        self,
-        platform: Platform,
-        rotors: str = "bodies",
-        masses: np.ndarray | None = None,
-        offsets: np.ndarray | None = None,
-        gravity: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> None:
-        import pinocchio as pin
-
-        super().__init__(links(platform, rotors))
-        self.model = pin.Model()
-        self.model.gravity = pin.Motion(np.array(gravity, dtype=float), np.zeros(3))
-        for k, body in enumerate(self.bodies):
-            joint = pin.JointModelSpherical() if body.axis is None else pin.JointModelRevoluteUnaligned(body.axis)
-            added = self.model.addJoint(1 + body.parent, joint, pin.SE3.Identity(), body.name)
-            assert added == 1 + k
-            mass, offset, about_centre = centred(body, masses, offsets)
-            self.model.appendBodyToJoint(added, pin.Inertia(mass, offset, about_centre), pin.SE3.Identity())
-        self.data = self.model.createData()
-
-    def configuration(self, q: np.ndarray, attitude: np.ndarray, phi: np.ndarray | float = 0.0) -> np.ndarray:
-        """Return Pinocchio's configuration: quaternion x, y, z, w, then the angles."""
-        out = np.zeros(1 + self.size)
-        out[:4] = np.roll(attitude, -1)
-        out[1 + self.gimbals] = q
-        out[1 + self.rotors] = phi
         return out
 
 
