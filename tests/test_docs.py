@@ -21,11 +21,19 @@ from platform_ctrl.cli.commands import app
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import JOB_FILE
 from platform_ctrl.plant.reading import PLANT_FILE
-from platform_ctrl.plant.tables import tables as tables_within
+from platform_ctrl.plant.tables import Shape
 from public_modules import names
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def tables_within(table: Shape, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Shape]]:
+    """Walk a file's tables and those within them, with the keys that lead there."""
+    yield path, table
+    for name, key in table.keys.items():
+        if isinstance(key.holds, Shape):
+            yield from tables_within(key.holds, (*path, name))
 
 
 def named(page: Path) -> str:
