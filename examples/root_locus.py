@@ -1,9 +1,9 @@
-"""Poles of the caged gyro 9-10 over the loop gain, and over the speed of the rotor with the controller left as it is.
+"""Poles of a caged gyro's loop over its gain, and over the speed of the rotor while the controller stays as it is.
 
-python examples/root_locus.py                                   saves root_locus.png, root_locus_over_spin.png
-python examples/root_locus.py --gain 0.1 3 --spin 0.3 1.5 -o loci.png
+    python examples/root_locus.py                                   saves root_locus.png, root_locus_over_spin.png
+    python examples/root_locus.py --gain 0.1 3 --spin 0.3 1.5 -o loci.png
 
-The poles are those of the sampled loop, drawn in the s-plane: s = ln(z) / period.
+Both torquers are closed together. The poles are those of the sampled loop, drawn in the s-plane: s = ln(z) / period.
 """
 
 import argparse
@@ -12,25 +12,20 @@ from pathlib import Path
 import platform_ctrl as pc
 from platform_ctrl.report import figures
 
-PERIOD, DELAY = 0.0005, 0.0005  # s
-NUMBERS = {"crossover_hz": 70, "integral_hz": 2, "damping_hz": 78, "damping2_hz": 92, "lead_hz": 7, "rolloff_hz": 900}
-DESIGN = {"name": "PI across, lead along", "method": "classical", **NUMBERS}
-LOOP = {"name": "caging 9-10", "kind": "caging", "gimbals": ["9", "10"], "use": DESIGN["name"], "design": [DESIGN]}
-JOB = {"schema": 2, "name": "gyro 9-10", "plant": "three_gyro_platform", "operation": {"Omega": [0.0, 0.0, 0.0]}}
-JOB |= {"sampling": {"rate_hz": 1.0 / PERIOD, "delay": DELAY}, "loop": [LOOP]}
-
-parser = argparse.ArgumentParser(description="Root loci of the caged gyro 9-10 over loop gain and rotor speed.")
+parser = argparse.ArgumentParser(description="Root loci of a caged gyro over loop gain and rotor speed.")
 parser.add_argument("--gain", nargs=2, type=float, default=[0.05, 2.5], metavar="K", help="loop gain / nominal")
 parser.add_argument("--spin", nargs=2, type=float, default=[0.3, 1.7], metavar="N", help="rotor speed / nominal")
 parser.add_argument("-o", default="root_locus.png", metavar="FILE", help="where the first figure goes")
 given = parser.parse_args()
 
-job = pc.read_job(JOB)
-made = pc.design.loops(job)[0].closed
-plant, controller = made.plant[["alpha9", "beta10"], ["Q9", "Q10"]], made.controller
+job = pc.read_job(Path(__file__).with_name("caged_gyro.toml"))
+design, sampling = pc.design.loops(job)[0].closed, job.sampling
+controller = design.controller
+plant = design.plant[list(controller.input_labels), list(controller.output_labels)]
+
 over_gain = figures.root_locus(plant, controller, gains=given.gain)
-spins = {"spins": given.spin, "period": PERIOD, "delay": DELAY}
-over_spin = figures.root_locus_over_spin(job.platform, ("9", "10"), controller, **spins)
+times = {"period": sampling.period, "delay": sampling.delay}
+over_spin = figures.root_locus_over_spin(job.platform, job.loops[0].gimbals, controller, spins=given.spin, **times)
 for name, plot, word in (("loop gain", over_gain, ""), ("rotor speed", over_spin, "_over_spin")):
     locus, edges = plot.locus, ", ".join(f"{edge:.2f}" for edge in plot.locus.edges)
     begins = "stable" if locus.stable[0] else "unstable"

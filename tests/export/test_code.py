@@ -132,27 +132,6 @@ def test_at_its_limits_too_it_is_the_simulated_controller(
     assert max(differs) > 0.1
 
 
-@pytest.mark.parametrize("which", [0, 1, 2])
-def test_at_its_limits_it_is_the_model_with_anti_windup(
-    which: int, job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
-) -> None:
-    scheme = controllers_of(job, entries)[which]
-    prefix = PREFIXES[which]
-    # Into the limits for most of the time, then zero.
-    readings = np.vstack([noise(scheme, 3e-3 if which < 2 else 1.0), np.zeros((200, len(scheme.inputs)))])
-    command, given = limited_run(scheme, readings)
-    limits = scheme.limits
-    assert np.mean(np.abs(command) > limits) > 0.2
-    out, status = machine(libraries["double"], scheme, prefix, "double").run(readings)
-    m = len(scheme.outputs)
-    assert np.allclose(out[:, m:], command, rtol=0.0, atol=1e-12 * np.abs(command).max())
-    assert np.allclose(out[:, :m], given, rtol=0.0, atol=1e-12 * np.abs(command).max())
-    assert np.all(np.abs(out[:, :m]) <= limits)
-    assert status == [int(np.any(np.abs(row) > limits)) for row in out[:, m:]]
-    single, _ = machine(libraries["float"], scheme, prefix, "float").run(readings)
-    assert np.allclose(single[:, :m], given, rtol=0.0, atol=1e-4 * limits.min())
-
-
 @pytest.mark.parametrize("number", ["double", "float"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308])
 def test_an_input_that_is_not_finite_holds_everything(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -14,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import read_platform
-from platform_ctrl.common.text import greek, text_width
+from platform_ctrl.common.text import greek
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report.figures.axes_picture import axes_picture
 from tree_cases import platforms
@@ -110,33 +109,6 @@ def test_every_angle_and_every_rotor_is_named_in_both_halves(model):
     assert {*platform.gimbal_names, platform.root_name} <= set(texts(scheme))
 
 
-@MODEL
-def test_labels_of_a_shipped_model_do_not_collide(model):
-    svg = drawn(read_platform(model))
-    boxes = []
-    for label in classed(svg, "haloed"):
-        x, y, width = float(label.get("x")), float(label.get("y")), text_width(label.text, 15.0)
-        boxes.append((x - 0.5 * width, y - 11.0, x + 0.5 * width, y + 3.0))
-    assert boxes
-    for (a, b, c, d), (e, f, g, h) in itertools.combinations(boxes, 2):
-        assert c <= e or g <= a or d <= f or h <= b
-
-
-@MODEL
-def test_bodies_of_the_root_are_set_apart_and_within_the_picture(model):
-    svg = drawn(read_platform(model))
-    width, height = (float(x) for x in svg.get("viewBox").split()[2:])
-    boxes = []
-    for body in classed(svg, "body"):
-        ink = np.concatenate([points(path) for path in body.iter(f"{SVG}path") if path.get("transform") is None])
-        boxes.append((*ink.min(axis=0), *ink.max(axis=0)))
-        assert ink.min() > 0.0
-        assert np.all(ink.max(axis=0) < (width, height))
-    assert len(boxes) > 0
-    for (a, b, c, d), (e, f, g, h) in itertools.combinations(boxes, 2):
-        assert c < e or g < a or d < f or h < b
-
-
 @settings(max_examples=20, deadline=None)
 @given(platforms())
 def test_arrows_point_along_the_axes_of_any_platform(platform):
@@ -172,17 +144,6 @@ def test_up_is_where_the_specific_force_points(k, sign):
     force[k] = 9.81 * sign
     rows = seen(drawn(plant(root={"specific_force": force})))
     assert angle_between(sign * rows[:, k], np.array([0.0, -1.0])) < 1.0
-
-
-def test_an_arrow_shows_the_direction_of_angular_momentum_not_of_the_axis():
-    platform = plant([("g", "base", [0, 0, 1])], [("back", "g", [0, 1, 0], -3.0), ("on", "g", [0, 1, 0], 3.0)])
-    svg = drawn(platform)
-    spins = arrows(svg, "spin-arrow")
-    assert spins["on"] @ seen(svg)[:, 1] > 0.0
-    assert spins["back"] @ seen(svg)[:, 1] < 0.0
-    joints = {joint.get("data-body"): texts(joint) for joint in classed(svg, "joint")}
-    assert joints["on"] == ["+2"]
-    assert joints["back"] == ["−2"]
 
 
 @settings(max_examples=25, deadline=None)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import html
-import os
 import re
 import tomllib
 from collections.abc import Iterable
@@ -22,7 +21,6 @@ import narrow_loops
 import platform_ctrl as pc
 from legend_entries import without_a_curve
 from passive_gimbal import passive_job
-from platform_ctrl import report
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.system import named_system
@@ -30,7 +28,6 @@ from platform_ctrl.analysis.transfers import Transfer
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
-from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import Sense
 from platform_ctrl.job.quantities import compared, plain
 from platform_ctrl.job.reading import job_data
@@ -39,7 +36,6 @@ from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import blocks, captions, comparison, curves, modes, style, tables
-from platform_ctrl.report import job_page as document
 from platform_ctrl.report.campaign_tables import chances
 from platform_ctrl.report.failures import value_and_limit
 from platform_ctrl.report.figures.job import platform_compliance, root_locus_plot
@@ -214,28 +210,6 @@ def test_the_printed_job_reads_back_to_the_last_bit(result: JobResult, page: str
 
 
 # Writing
-
-
-def test_a_page_is_written_whole_or_not_at_all(
-    lone_loop: JobResult, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    target = tmp_path / "report.html"
-    target.write_text("what stood there before")
-    monkeypatch.setattr(document, "prepared", lambda result: None)
-    monkeypatch.setattr(document, "html", lambda made: "a page with α and Ω")
-
-    def refuse(*paths: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "replace", refuse)
-        with pytest.raises(InputError, match="No space left on device"):
-            report.write_page(lone_loop, target)
-    assert target.read_text() == "what stood there before"
-    assert os.listdir(tmp_path) == ["report.html"]
-    assert report.write_page(lone_loop, target) == target
-    assert target.read_text(encoding="utf-8") == "a page with α and Ω"
-    assert os.listdir(tmp_path) == ["report.html"]
 
 
 # Degenerate results

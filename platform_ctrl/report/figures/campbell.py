@@ -189,10 +189,9 @@ def _spin_lines(
                     axes.plot([unit * at], [frequency * HZ], "D", color=LIMIT, markersize=5, zorder=5, linestyle="none")
                     places.reserve(unit * at, frequency * HZ)
                     where = f"{plain(unit * at, 4)} rpm" if len(reference) == 1 else f"× {plain(at, 3)}"
-                    kind = mode.label.partition(" of ")[0]
-                    marks.append((f"{order:g}× meets {kind}: {where}", unit * at, frequency * HZ))
+                    marks.append((where, unit * at, frequency * HZ))
     for text, x, y in marks:
-        places.write(text, x, y, colour=LIMIT, size=7.5)
+        places.write(text, x, y, colour=LIMIT, size=7.5, required=True)
 
 
 def _meetings(frequency: FloatArray, speed: FloatArray, slope: float) -> list[tuple[float, float]]:

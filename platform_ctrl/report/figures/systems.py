@@ -38,6 +38,8 @@ _ON, _CLOSEST = 1e-10, 1e-6
 _LAST = 0.9995
 # Points of the plain grid, before poles and zeros add theirs.
 _POINTS = 400
+# In place of the titles of python-control, which repeat the names in the legend.
+_UNTITLED = {"title": ""}
 
 
 @value
@@ -232,7 +234,7 @@ def bode(systems: Systems, frequency: ArrayLike | None = None, **options: Any) -
     """
     import control
 
-    return control.bode_plot(_responses("bode", drawn_systems("bode", systems), frequency), **options)
+    return control.bode_plot(_responses("bode", drawn_systems("bode", systems), frequency), **_UNTITLED | options)
 
 
 def singular_values(systems: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
@@ -265,7 +267,7 @@ def singular_values(systems: Systems, frequency: ArrayLike | None = None, **opti
         sizes[fine] = np.linalg.svd(response[fine], compute_uv=False)
         # Not by `control.singular_values_response`, which takes no response of a sampled system.
         found.append(control.frd(sizes.T[:, None, :], one.omega, dt=one.dt, name=one.name))
-    return control.singular_values_plot(found, **options)
+    return control.singular_values_plot(found, **_UNTITLED | options)
 
 
 def nyquist(loops: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
@@ -299,7 +301,7 @@ def nyquist(loops: Systems, frequency: ArrayLike | None = None, **options: Any) 
         for name, channel in zip(one.input_labels, channels(one.frdata), strict=True)
     ]
     # Without a sample period: python-control would close the curve of a sampled loop over the whole circle.
-    return control.nyquist_plot(parts, **options)
+    return control.nyquist_plot(parts, **_UNTITLED | options)
 
 
 def _responses(

@@ -220,6 +220,8 @@ def _traces(
         for sign in (-1.0, 1.0):
             axes.axhspan(sign * limit, sign * 10.0 * max(-low, high), color=BEYOND, linewidth=0, zorder=0)
             axes.axhline(sign * limit, color=LIMIT, linewidth=0.9, linestyle=DASHED)
+        at: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points"}
+        axes.annotate(f"limit {limit:g} {unit}", (0.0, limit), (3, 2), color=LIMIT, fontsize=7, **at)
     elif limit is not None:
         title += f" (limit ±{limit:g} {unit})"
     extent = (high - low) or 1.0
@@ -289,6 +291,8 @@ def _shares(
             color="#ffffff" if inside else MUTED,
         )
     axes.axvline(allowed, color=LIMIT, linewidth=0.9, linestyle=DASHED)
+    at: dict[str, Any] = {"xycoords": axes.get_xaxis_transform(), "textcoords": "offset points"}
+    axes.annotate(f"limit {allowed:g}", (allowed, 1.0), (-3, -1), color=LIMIT, fontsize=7, ha="right", va="top", **at)
     axes.set_yticks(place, [t.torquer_names[k] for k in chosen])
     axes.tick_params(axis="y", length=0)
     axes.grid(False, axis="y")
