@@ -199,37 +199,41 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
         way = np.abs(np.diff(np.where(outside, np.nan, view.stretch * s.real + 1j * s.imag), axis=0))
         return np.asarray(np.nan_to_num(way, nan=0.0).max(axis=1, initial=0.0) / (_STEP * view.reach))
 
-    # At an end of the range the loop may be undamped: what counts there is stability a little inside.
-    inside = np.array([1.0, -1.0]) * 2.0 * _BESIDE * (values[-1] - values[0]) + values[[0, -1]]
-
-    def stability(at: FloatArray) -> NDArray[np.bool_]:
-        z = poles(np.clip(at, *inside))
-        growth, size = np.abs(z).max(axis=-1) - 1.0 if dt else z.real.max(axis=-1), np.abs(z).max(axis=-1)
+    def stability(z: ComplexArray) -> NDArray[np.bool_]:
+        size = np.abs(z).max(axis=-1)
+        growth = size - 1.0 if dt else z.real.max(axis=-1)
         return np.asarray(growth < -_ON * (1.0 if dt else size))
 
-    fine = refined(coarse, poles, moved)[0]
-    stable = stability(fine)
-    at = np.flatnonzero(stable[1:] != stable[:-1])
-    edges = [_edge(stability, float(fine[k]), float(fine[k + 1]), bool(stable[k])) for k in at]
-    fine = np.union1d(fine, edges)
+    fine, z = refined(coarse, poles, moved)
+    stable = stability(z)
+    # At an end of the range the loop may be undamped: what counts there is stability a little inside.
+    stable[[0, -1]] = stability(poles(fine[[0, -1]] + np.array([2.0, -2.0]) * _BESIDE * (fine[-1] - fine[0])))
+    edges = np.array(
+        [
+            _edge(lambda x: bool(stability(poles(np.array([x])))[0]), fine[k], fine[k + 1], bool(stable[k]))
+            for k in np.flatnonzero(stable[1:] != stable[:-1])
+        ]
+    )
+    new = np.setdiff1d(edges, fine)
+    at, found = np.searchsorted(fine, new), poles(new)
     return Locus(
-        values=fine,
-        branches=pole_branches(poles(fine)),
+        values=np.insert(fine, at, new),
+        branches=pole_branches(np.insert(z, at, found, axis=0)),
         nominal=nominal,
         dt=dt,
-        stable=stability(fine),
-        edges=np.array(edges),
+        stable=np.insert(stable, at, stability(found)),
+        edges=edges,
         view=view,
     )
 
 
-def _edge(stability: Callable[[FloatArray], NDArray[np.bool_]], low: float, high: float, before: bool) -> float:
+def _edge(stable: Callable[[float], bool], low: float, high: float, before: bool) -> float:
     """Bisect to where stability changes."""
     for _ in range(80):
         middle = 0.5 * (low + high)
         if not low < middle < high:
             break
-        low, high = (middle, high) if bool(stability(np.array([middle]))[0]) == before else (low, middle)
+        low, high = (middle, high) if stable(middle) == before else (low, middle)
     return 0.5 * (low + high)
 
 

@@ -240,7 +240,9 @@ class LabelPlacer:
     def avoid(self, curves: Sequence[FloatArray | Line2D]) -> None:
         """Keep labels off more curves."""
         own = [np.asarray(curve.get_xydata()) if isinstance(curve, Line2D) else curve for curve in curves]
-        self._ink = np.concatenate([self._ink, *(_dense(self.points(curve)) for curve in own)])
+        ink = np.concatenate([self._ink, *(_dense(self.points(curve)) for curve in own)])
+        # What counts is how much of a curve is hidden, not how many points it has.
+        self._ink = np.unique(np.round(ink), axis=0)
 
     def points(self, at: FloatArray) -> FloatArray:
         """Return data coordinates (k, 2) as points of the page, those that are not finite left out."""
