@@ -47,7 +47,7 @@ PAGE = pytest.mark.parametrize("page", PAGES, ids=named)
 NOT_RUN = ("python3 -m venv", ".venv/bin/pip install", "pip install", "dask ", "mkdocs ", "pytest")
 
 # Pages that need a package which not every Python has wheels of.
-NEEDS = {"campaign.md": "pyarrow", "cluster.md": "distributed"}
+NEEDS = {"campaign.md": "pyarrow"}
 
 sys.path.insert(0, str(ROOT / "docs" / "site"))
 import blocks as site_blocks  # noqa: E402  beside the hooks of the site
@@ -71,11 +71,7 @@ def run_console(block: Any) -> None:
         assert not line.startswith("$ ") or line[2:].startswith(("platform-ctrl ", *NOT_RUN)), line
 
 
-@pytest.mark.parametrize(
-    "page",
-    # What the commands of cluster.md do is in tests/campaign.
-    [pytest.param(page, marks=[pytest.mark.slow] * (page.name == "cluster.md"), id=named(page)) for page in PAGES],
-)
+@PAGE
 def test_code_on_a_page_runs_and_prints_what_the_page_says(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
