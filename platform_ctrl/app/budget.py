@@ -14,8 +14,7 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.verification.budget import PreparedBudget
-from platform_ctrl.verification.budget_limits import unstable_results
-from platform_ctrl.verification.budget_result import LineOfSightBudget
+from platform_ctrl.verification.budget_result import LineOfSightBudget, unstable_results
 
 if TYPE_CHECKING:
     import control

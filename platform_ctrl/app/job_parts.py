@@ -16,7 +16,7 @@ from platform_ctrl.design.loop import limits_and_goals, requirements_of
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.verification.budget_limits import unstable_results
+from platform_ctrl.verification.budget_result import unstable_results
 from platform_ctrl.verification.coupled import ALL_LOOPS, coupled_requirements
 
 Results = tuple[CheckResult, ...]

@@ -74,7 +74,7 @@ def budget(
         read = job_of(job)
         from platform_ctrl.common.values import replaced
         from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
-        from platform_ctrl.verification.budget_limits import by_simulation
+        from platform_ctrl.verification.budget_result import by_simulation
 
         expect_budget(read)
         closed, alternatives, used = _controllers(read, job, controllers, quiet or as_json, say)

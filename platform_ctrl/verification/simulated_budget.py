@@ -23,7 +23,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Scenario, Sine, Vibration
 from platform_ctrl.simulation.batch import simulate_batch
 from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
-from platform_ctrl.verification.budget_limits import across
+from platform_ctrl.verification.budget_result import across
 from platform_ctrl.verification.coupled import acts_on_root
 
 if TYPE_CHECKING:

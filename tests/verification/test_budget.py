@@ -32,8 +32,14 @@ from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import PreparedBudget, line_of_sight_budget
-from platform_ctrl.verification.budget_limits import assumption, is_limited, unstable_results
-from platform_ctrl.verification.budget_result import Waterfall, rms_ticks, waterfalls
+from platform_ctrl.verification.budget_result import (
+    Waterfall,
+    assumption,
+    is_limited,
+    rms_ticks,
+    unstable_results,
+    waterfalls,
+)
 from platform_ctrl.verification.result_file import result_record
 
 PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
