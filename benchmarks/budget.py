@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from platform_ctrl.analysis.disturbances import RandomDisturbance, Spectrum
+from platform_ctrl.analysis.disturbances import Density, RandomDisturbance
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.sampling import held_input
@@ -58,7 +58,7 @@ def controller(gain: float) -> System:
 def sources() -> list[RandomDisturbance]:
     """Return eight independent noises, one-sided density 2/(1 + (ω/corner)²)² per Hz."""
     knots = np.array([0.0, 30.0, 100.0, 300.0, 1e3, 3e3, 3e4])
-    density = Spectrum(knots=knots, density=lambda w: 2.0 / (1.0 + (w / CORNER) ** 2) ** 2)
+    density = Density(knots=knots, density=lambda w: 2.0 / (1.0 + (w / CORNER) ** 2) ** 2)
     return [RandomDisturbance(name=f"source {i}", inputs=(i,), spectra=(density,)) for i in range(SOURCES)]
 
 

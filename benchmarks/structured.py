@@ -18,7 +18,6 @@ from typing import Any
 import control
 import numpy as np
 
-from platform_ctrl.analysis.system import named_system
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.fixed_structure.pid import PID
 from platform_ctrl.design.fixed_structure.structures import Static
@@ -89,7 +88,7 @@ def job_plants() -> list[tuple[str, control.StateSpace, WeightedPlant, float]]:
         channel = channels(model, rows_of(model, spec.gimbals))
         given = next(design for design in spec.designs if design.method == "hinf")
         weighted = weighted_plant(hinf_options(given, channel, plants.nutation, plants.period), channel, plants)
-        out.append((spec.name, named_system(weighted.arrays, *signal_names(weighted.size)), weighted, plants.period))
+        out.append((spec.name, weighted.arrays.to_control(*signal_names(weighted.size)), weighted, plants.period))
     return out
 
 

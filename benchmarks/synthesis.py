@@ -28,7 +28,6 @@ import control
 import numpy as np
 
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
-from platform_ctrl.analysis.system import named_system
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.partition import Partition, channels, partition
 from platform_ctrl.design.plants import loop_plants
@@ -89,7 +88,7 @@ def platform_plants() -> list[Case]:
         )
         weighted = weighted_plant(hinf_options(given, channel, plants.nutation, plants.period), channel, plants)
         k = weighted.size
-        P = named_system(weighted.arrays, [f"w{i}" for i in range(3 * k)], [f"z{i}" for i in range(4 * k)])
+        P = weighted.arrays.to_control([f"w{i}" for i in range(3 * k)], [f"z{i}" for i in range(4 * k)])
         out.append((spec.name, P, k, k))
     return out
 

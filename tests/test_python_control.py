@@ -17,6 +17,7 @@ import one_gyro_job
 import platform_ctrl as pc
 from platform_ctrl import analysis, design, simulation
 from platform_ctrl.analysis.poles import is_stable
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.loop import LoopDesign
 
 MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
@@ -51,7 +52,7 @@ def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(loop: Loo
     # By python-control alone: a zero-order hold before the continuous plant.
     direct = control.sample_system(pc.state_space(MODEL, gimbals=("9", "10")), PERIOD)[angles, RATES]
     t, u = PERIOD * np.arange(60), np.random.default_rng(1).normal(size=(3, 60))
-    found = analysis.time_response(analysis.system.selected(plant, angles, RATES), t, u)
+    found = analysis.time_response(plant[angles, RATES], t, u)
     np.testing.assert_allclose(found, control.forced_response(direct, t, u).outputs, rtol=0, atol=1e-13)
 
 
@@ -59,7 +60,9 @@ def test_names_of_states_last(loop: LoopDesign) -> None:
     assert loop.plant is not None
     gyro = pc.state_space(MODEL, gimbals=("9", "10"))
     assert gyro.state_labels == STATES
-    part = analysis.system.selected(gyro, ["beta10"], ["Q9"])
+    whole = System.of(gyro, "gyro")
+    at = list(gyro.output_labels).index("beta10"), list(gyro.input_labels).index("Q9")
+    part = whole.part([at[0]], [at[1]]).to_control(["Q9"], ["beta10"], gyro.state_labels)
     assert part.state_labels == STATES
     for made in (part, gyro, loop.plant):
         assert made.state_labels[:4] == STATES

@@ -42,7 +42,7 @@ _MOST_COMPONENTS = 64
 Chosen = NDArray[np.intp] | None
 
 
-class Responses(NamedTuple):
+class ReadAndSeen(NamedTuple):
     """Responses at some frequencies; columns are m inputs of the loop, then disturbances: torques, Omega1 to Omega3.
 
     `read` (..., p, m + d): to what is read, at the samples. `seen` (..., k, s, m + d): to the readings' own signals and
@@ -53,7 +53,7 @@ class Responses(NamedTuple):
     seen: ComplexArray
 
 
-class LoopResponses(Protocol):
+class DisturbanceResponses(Protocol):
     """Gives the responses of the plants of a loop."""
 
     @property
@@ -64,10 +64,10 @@ class LoopResponses(Protocol):
     def period(self) -> float:
         """The sample period of these inputs, s."""
 
-    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
+    def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
         """Return responses of all plants at all frequencies w (F,), (N, F, ...), or of plants `of` (F,), (F, ...)."""
 
-    def only(self, index: NDArray[np.intp]) -> LoopResponses:
+    def only(self, index: NDArray[np.intp]) -> DisturbanceResponses:
         """Return those of some of the plants."""
 
 
@@ -159,8 +159,8 @@ class PlantResponses:
         """The sample period, s."""
         return self.stepped.dt
 
-    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
-        """Return the responses; see `LoopResponses`."""
+    def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
+        """Return the responses; see `DisturbanceResponses`."""
         p, outputs, m = self.readings, len(self.late), self.stepped.B.shape[-1]
         f = 0 if self.drives is None else self.drives.shape[-1]
         shown = outputs - f
@@ -179,8 +179,8 @@ class PlantResponses:
             torques = into @ np.concatenate(
                 [np.broadcast_to(np.eye(m), (*read.shape[:-2], m, m)), gains @ fed[..., m:]], axis=-1
             )
-            read, seen = _with_inputs(Responses(read, seen), torques, m, read.shape[-1] - m)
-        return Responses(read[..., :p, :], seen)
+            read, seen = _with_inputs(ReadAndSeen(read, seen), torques, m, read.shape[-1] - m)
+        return ReadAndSeen(read[..., :p, :], seen)
 
     def only(self, index: NDArray[np.intp]) -> PlantResponses:
         """Return those of some of the plants."""
@@ -192,7 +192,7 @@ class PlantResponses:
 class _Changed:
     """Those of plants in which something is changed."""
 
-    plain: LoopResponses
+    plain: DisturbanceResponses
 
     @property
     def inputs(self) -> int:
@@ -220,8 +220,8 @@ class SlowerResponses(_Changed):
         """The slower sample period, s."""
         return self.every * self.plain.period
 
-    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
-        """Return the responses; see `LoopResponses`."""
+    def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
+        """Return the responses; see `DisturbanceResponses`."""
         m, span = self.inputs, min(self.every, _MOST_COMPONENTS)
         shifts = (np.arange(span) - span // 2) * 2.0 * np.pi / self.period
         parts = []
@@ -236,9 +236,9 @@ class SlowerResponses(_Changed):
             seen[..., :m] *= held[..., None]
             if shift:
                 read[..., m:], seen[..., m:] = 0.0, 0.0
-            parts.append(Responses(read, seen))
+            parts.append(ReadAndSeen(read, seen))
         read = np.sum([one.read for one in parts], axis=0)
-        return Responses(read, np.concatenate([one.seen for one in parts], axis=-3))
+        return ReadAndSeen(read, np.concatenate([one.seen for one in parts], axis=-3))
 
 
 def added_response(path: System, sensors: System, late: FloatArray, w: FloatArray) -> ComplexArray:
@@ -259,17 +259,17 @@ class FedResponses(_Changed):
     late: FloatArray  # (k,): by how much these are late, s
     into_readings: bool
 
-    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
-        """Return the responses; see `LoopResponses`."""
+    def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
+        """Return the responses; see `DisturbanceResponses`."""
         read, seen = self.plain.at(w, of)
         added = added_response(self.path, self.sensors, self.late, w)
         if self.into_readings:
             read[..., -3:] += added
-            return Responses(read, seen)
+            return ReadAndSeen(read, seen)
         m = self.inputs
         read[..., -3:] += read[..., :m] @ added
         seen[..., -3:] += seen[..., :m] @ added[..., None, :, :]
-        return Responses(read, seen)
+        return ReadAndSeen(read, seen)
 
 
 @value
@@ -286,8 +286,8 @@ class ClosedResponses(_Changed):
         """The number of commands, p."""
         return int(self.controller.D.shape[1]) // 2
 
-    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
-        """Return the responses; see `LoopResponses`."""
+    def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
+        """Return the responses; see `DisturbanceResponses`."""
         found, p, m = self.plain.at(w, of), self.inputs, self.plain.inputs
         KH = frequency_response(self.controller, w, -3)
         K, H = KH[..., :p], KH[..., p:]
@@ -295,7 +295,7 @@ class ClosedResponses(_Changed):
         into = np.linalg.inv(np.eye(m) - K @ own[..., :m])
         inputs = into @ np.concatenate([np.broadcast_to(H, (*own.shape[:-2], m, p)), K @ own[..., -3:]], axis=-1)
         read, seen = _with_inputs(found, inputs, m, 3)
-        return Responses(read[..., p:, :], seen[..., p:, :])
+        return ReadAndSeen(read[..., p:, :], seen[..., p:, :])
 
 
 @value
@@ -304,23 +304,25 @@ class CombinedResponses(_Changed):
 
     sense: FloatArray  # (q, p)
 
-    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
-        """Return the responses; see `LoopResponses`."""
+    def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
+        """Return the responses; see `DisturbanceResponses`."""
         read, seen = self.plain.at(w, of)
         p = self.sense.shape[1]
-        return Responses(self.sense @ read, np.concatenate([self.sense @ seen[..., :p, :], seen[..., p:, :]], axis=-2))
+        return ReadAndSeen(
+            self.sense @ read, np.concatenate([self.sense @ seen[..., :p, :], seen[..., p:, :]], axis=-2)
+        )
 
 
-def _with_inputs(found: Responses, inputs: ComplexArray, m: int, d: int) -> Responses:
+def _with_inputs(found: ReadAndSeen, inputs: ComplexArray, m: int, d: int) -> ReadAndSeen:
     """Return responses whose m inputs are set by others and by the last d disturbances, `inputs` (..., m, m' + d)."""
     read, seen = found.read[..., :m] @ inputs, found.seen[..., :m] @ inputs[..., None, :, :]
     read[..., -d:] += found.read[..., -d:]
     seen[..., -d:] += found.seen[..., -d:]
-    return Responses(read, seen)
+    return ReadAndSeen(read, seen)
 
 
 class Disturbed(NamedTuple):
-    """What disturbances do, with as few rows as possible: columns as in `Responses`.
+    """What disturbances do, with as few rows as possible: columns as in `ReadAndSeen`.
 
     `read` (..., p, m + d); `angle` and `sight` (..., rows, m + d): the readings' own signals and the rates of the line
     of sight between samples.
@@ -331,7 +333,7 @@ class Disturbed(NamedTuple):
     sight: ComplexArray
 
 
-def disturbed(found: Responses, readings: int) -> Disturbed:
+def disturbed(found: ReadAndSeen, readings: int) -> Disturbed:
     """Return responses with the rows of all instants as few that have the same gains."""
     return Disturbed(found.read, *(_fewer(part) for part in np.split(found.seen, [readings], axis=-2)))
 

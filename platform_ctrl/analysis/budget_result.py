@@ -43,12 +43,6 @@ class Contribution(NamedTuple):
         )
 
 
-def variance_shares(rms: FloatArray, total: FloatArray) -> FloatArray:
-    """Return the variance of each source over that of all, (G, q) of rms (G, q) and total (q,); zero without any."""
-    every = total**2
-    return np.asarray(np.divide(rms**2, every, out=np.zeros_like(rms), where=every > 0.0))
-
-
 @value
 class Window:
     """Displacement, smear and jitter within an exposure; root mean squares over its instants and over exposures."""
@@ -61,7 +55,7 @@ class Window:
 
 
 @value
-class Budget:
+class BudgetResult:
     """What each of G sources does to each of q outputs."""
 
     names: tuple[str, ...]  # of the sources
@@ -86,7 +80,7 @@ def assembled(
     found: list[Contribution],
     lines: list[Contribution],
     images: int,
-) -> Budget:
+) -> BudgetResult:
     """Return the budget of panels of random sources and of lines of sines, with so many images on each side."""
     names = tuple(one.name for one in sources)
     order = [
@@ -131,7 +125,7 @@ def assembled(
         for k, one in enumerate(exposures)
     )
     edges, cumulative, together = _cumulated(plant, found, lines, names, order)
-    return Budget(
+    return BudgetResult(
         names=names,
         rms=root[0],
         total=whole[0],

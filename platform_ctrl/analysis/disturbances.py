@@ -11,7 +11,7 @@ from platform_ctrl.common.values import FloatArray, value
 
 
 @value
-class Spectrum:
+class Density:
     """A one-sided power spectral density: its integral over frequency in hertz is the variance."""
 
     # (n,): frequencies, rad/s, >= 0, rising: where the density changes its law. It is zero below the first and above
@@ -35,7 +35,7 @@ class RandomDisturbance:
 
     name: str  # of the source
     inputs: tuple[int, ...]  # indices among the disturbance inputs
-    spectra: tuple[Spectrum, ...]  # one for each of them
+    spectra: tuple[Density, ...]  # one for each of them
     # complex (n, n): Hermitian, positive semidefinite, ones on the diagonal: the cross spectral density of inputs i and
     # j is coherence[i, j] √(S_i S_j). Default: uncorrelated.
     coherence: ComplexArray | None = None

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.disturbances import Spectrum
+from platform_ctrl.analysis.disturbances import Density
 from platform_ctrl.analysis.frequency_grids import KRONROD, between, nodes
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, real_array, short
@@ -270,7 +270,7 @@ class Remainder(NamedTuple):
     """The torque that is not in proportion to a rate: rms, N m, and spectrum, (N m)²/Hz."""
 
     rms: float
-    spectrum: Spectrum
+    spectrum: Density
 
 
 @value
@@ -372,7 +372,7 @@ def _powers(rho: FloatArray, products: FloatArray, whole: float) -> FloatArray:
     return correlation
 
 
-def _smooth(correlation: FloatArray, grid: FloatArray, lowest: float) -> Spectrum:
+def _smooth(correlation: FloatArray, grid: FloatArray, lowest: float) -> Density:
     """Return the spectrum of a correlation from lag zero on, in the square of its unit per Hz."""
     from scipy.interpolate import PchipInterpolator
 
@@ -389,7 +389,7 @@ def _smooth(correlation: FloatArray, grid: FloatArray, lowest: float) -> Spectru
     law = PchipInterpolator(np.log(middle), np.log(np.maximum(level, 1e-12 * level.max())))
     # The curve is smooth: integrals need no panel for each point.
     octaves = np.array([*middle[:-1:_PER_OCTAVE], middle[-1]], dtype=np.float64)
-    return Spectrum(knots=octaves, density=lambda w: np.exp(law(np.log(w))))
+    return Density(knots=octaves, density=lambda w: np.exp(law(np.log(w))))
 
 
 def _points(friction: DryTorque, rms: float, found: FoundRate | None) -> tuple[FloatArray, FloatArray]:

@@ -16,7 +16,7 @@ u = K y + H r, is one system of what is measured, y, and of its commands r.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +26,6 @@ from platform_ctrl.analysis.system import (
     ComplexArray,
     System,
     frequencies,
-    named_system,
     seen_states,
 )
 from platform_ctrl.common.arguments import one_of
@@ -99,24 +98,10 @@ def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input")
         first, second, names = K, P, list(controller.input_labels)
     of_plant, of_controller = _states(plant, P, controller, K)
     states = of_plant + of_controller if first is P else of_controller + of_plant
-    return named_system(series(first, second, sign=-1.0), names, names, states)
+    return first.series(second, sign=-1.0).to_control(names, names, states)
 
 
-@overload
-def closed_loop(
-    plant: System,
-    controller: System,
-    torques: Sequence[int] | None = ...,
-    angles: Sequence[int] | None = ...,
-) -> System: ...
-@overload
-def closed_loop(plant: NamedSystem, controller: NamedSystem) -> control.StateSpace: ...
-def closed_loop(
-    plant: NamedSystem,
-    controller: NamedSystem,
-    torques: Sequence[int] | None = None,
-    angles: Sequence[int] | None = None,
-) -> control.StateSpace | System:
+def closed_loop(plant: NamedSystem, controller: NamedSystem) -> control.StateSpace:
     """Return the closed loop of u = K (y + n), y = P (u + d), as one system with every state of both.
 
     Parameters
@@ -125,13 +110,11 @@ def closed_loop(
         May have more inputs and outputs than the controller uses: joined by name (see `loop_transfer`). All of
         its inputs become inputs of the result, all of its outputs outputs.
     controller
-        u = K y, same sample period. Of two `System` one or both may have leading batch axes.
-    torques, angles
-        Of `System`: indices of the plant's inputs and outputs that the controller uses, in its order; default all.
+        u = K y, same sample period.
 
     Returns
     -------
-    control.StateSpace, or System of two of these
+    control.StateSpace
         Inputs: the plant's inputs (a disturbance that adds to the controller's torque, or for example Omega1),
         then ``noise_`` + name for every pick-off that the controller uses. Outputs: the controller's torques, then
         the plant's outputs (without the noise). States: the plant's, then the controller's.
@@ -141,14 +124,9 @@ def closed_loop(
     ArgumentError
         If sizes, names or sample periods do not fit, or the algebraic loop I - D_K D_P is singular.
     """
-    if isinstance(plant, System) and isinstance(controller, System):
-        return _closed_loop(plant, controller, torques, angles)
-    if torques is not None or angles is not None:
-        raise ArgumentError("closed_loop: torques and angles belong to System; other systems are joined by name")
     P, K, at, seen = _matched(plant, controller, "closed_loop")
     of_plant, of_controller = _states(plant, P, controller, K)
-    return named_system(
-        _closed_loop(P, K, at, seen),
+    return P.feedback(K, at, seen).to_control(
         list(plant.input_labels) + [f"noise_{plant.output_labels[i]}" for i in seen],
         [plant.input_labels[i] for i in at] + list(plant.output_labels),
         of_plant + of_controller,
@@ -188,7 +166,7 @@ def gang(plant: NamedSystem, controller: NamedSystem, frequency: ArrayLike) -> G
     w = frequencies(frequency, "gang")
     P = P.part(angles, torques)
     m = len(torques)
-    H = frequency_response(closed_loop(P, K), w)
+    H = frequency_response(P.feedback(K), w)
     T_input, T_output = -H[:m, :m], -H[m:, m:]
     return Gang(
         frequency=w,
@@ -208,7 +186,7 @@ def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at
     m = len(torques)
     # S = I - T, and the closed loop from d to u (from n to y) is -T.
     part = slice(0, m) if _checked(at) == "input" else slice(m, None)
-    loop = closed_loop(P, K).part(part, part)
+    loop = P.feedback(K).part(part, part)
     return loop._replace(D=loop.D + np.eye(len(loop.D)))
 
 
@@ -219,83 +197,12 @@ def loop_of_sensitivity(S: System) -> System:
     return System(A - B @ inverse @ C, B @ inverse, -inverse @ C, inverse - np.eye(len(D)), dt)
 
 
-def series(first: System, second: System, sign: float = 1.0) -> System:
-    """Return `sign` times the second system after the first; the sample period is that of the first that has one."""
-    A1, B1, C1, D1, dt = first
-    A2, B2, C2, D2, second_dt = second
-    n1, n2 = A1.shape[-1], A2.shape[-1]
-    batch = _batch(first, second)
-    A = np.zeros((*batch, n1 + n2, n1 + n2))
-    A[..., :n1, :n1] = A1
-    A[..., n1:, :n1] = B2 @ C1
-    A[..., n1:, n1:] = A2
-    B = np.zeros((*batch, n1 + n2, B1.shape[-1]))
-    B[..., :n1, :] = B1
-    B[..., n1:, :] = B2 @ D1
-    C = np.zeros((*batch, C2.shape[-2], n1 + n2))
-    C[..., :n1] = sign * (D2 @ C1)
-    C[..., n1:] = sign * C2
-    D = np.array(np.broadcast_to(sign * (D2 @ D1), (*batch, C2.shape[-2], B1.shape[-1])))
-    return System(A, B, C, D, dt or second_dt)
-
-
-def _batch(one: System, other: System) -> tuple[int, ...]:
-    """Return the shape to which the leading axes of two systems broadcast."""
-    return np.broadcast_shapes(*(item.shape[:-2] for item in (*one[:4], *other[:4])))
-
-
-def _closed_loop(
-    plant: System, controller: System, torques: Sequence[int] | None, angles: Sequence[int] | None
-) -> System:
-    A, B, C, D, dt = plant
-    A_K, B_K, C_K, D_K, _ = controller
-    m, p = B.shape[-1], C.shape[-2]
-    at, seen = (range(size) if some is None else list(some) for some, size in ((torques, m), (angles, p)))
-    n, n_K, k, q = A.shape[-1], A_K.shape[-1], len(at), len(seen)
-    batch = _batch(plant, controller)
-    # u and y as functions of [x, x_K, d, n]: u = E (C_K x_K + D_K (C x + D d + n)), y = C x + D (d + u).
-    direct = np.zeros((*batch, q, n + n_K + m + q))
-    direct[..., :n] = C[..., seen, :]
-    direct[..., n + n_K : n + n_K + m] = D[..., seen, :]
-    direct[..., n + n_K + m :] = np.eye(q)
-    u = D_K @ direct
-    u[..., n : n + n_K] += C_K
-    D_loop = D[..., seen, :][..., :, at]
-    if np.any(D_loop) and np.any(D_K):
-        u = _solve_algebraic_loop(np.eye(k) - D_K @ D_loop, u)
-    y = np.zeros((*batch, p, n + n_K + m + q))
-    y[..., :n] = C
-    y[..., n + n_K : n + n_K + m] = D
-    y += D[..., :, at] @ u
-    seen_y = y[..., seen, :].copy()
-    seen_y[..., n + n_K + m :] += np.eye(q)
-    rate = np.empty((*batch, n + n_K, n + n_K + m + q))
-    rate[..., :n, :] = B[..., :, at] @ u
-    rate[..., :n, :n] += A
-    rate[..., :n, n + n_K : n + n_K + m] += B
-    rate[..., n:, :] = B_K @ seen_y
-    rate[..., n:, n : n + n_K] += A_K
-    outputs = np.concatenate([u, y], axis=-2)
-    N = n + n_K
-    return System(rate[..., :N], rate[..., N:], outputs[..., :N], outputs[..., N:], dt)
-
-
 def performance_loop(plant: System, controller: System) -> System:
     """Return the loop from w to z of a plant with inputs [w, u] and outputs [z, y] closed by u = K y."""
     ncon, nmeas = controller.D.shape
     nz, nw = plant.D.shape[0] - nmeas, plant.D.shape[1] - ncon
-    loop = closed_loop(plant, controller, range(nw, nw + ncon), range(nz, nz + nmeas))
+    loop = plant.feedback(controller, range(nw, nw + ncon), range(nz, nz + nmeas))
     return loop.part(slice(ncon, ncon + nz), slice(nw))
-
-
-def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    smallest = np.linalg.svd(matrix, compute_uv=False).min(initial=np.inf)
-    if not smallest > 1e-12 * max(1.0, float(np.abs(matrix).max())):
-        raise ArgumentError(
-            "closed_loop: the algebraic loop I - D_K D_P is singular (smallest singular value "
-            f"{smallest:.1e}); add a lag or a delay, or change a direct gain"
-        )
-    return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
 
 
 def _checked(at: str) -> str:
@@ -332,17 +239,6 @@ def _matched(plant: NamedSystem, controller: NamedSystem, where: str) -> tuple[S
             "they must have the same names, or be as many"
         )
     return P, K, list(range(P.D.shape[1])), list(range(P.D.shape[0]))
-
-
-def sensitivity_functions(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return S = (I + L)^-1 and T = I - S for given responses L (..., m, m) of the loop.
-
-    For a tuner that keeps the plant's response and changes the controller only: L = -K P (broken at the input) or -P K
-    (at the output) by `numpy.matmul`. inf in a matrix where I + L is singular or not a number.
-    """
-    eye = np.eye(loop.shape[-1])
-    S = _inverses(eye + loop)
-    return S, eye - S
 
 
 def _inverses(X: ComplexArray) -> ComplexArray:
@@ -409,5 +305,5 @@ def commanded_loop(plants: System, controller: System, torques: Sequence[int], a
         through,
         dt,
     )
-    found = closed_loop(whole, controller, torques=torques, angles=[*angles, *range(outputs, outputs + p)])
+    found = whole.feedback(controller, torques, [*angles, *range(outputs, outputs + p)])
     return found.part(slice(len(torques) + outputs), slice(inputs + p))

@@ -14,8 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.between_samples import FedResponses, LoopResponses, added_response
-from platform_ctrl.analysis.feedback import series
+from platform_ctrl.analysis.between_samples import DisturbanceResponses, FedResponses, added_response
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 
@@ -39,9 +38,9 @@ class RateFeedforward:
     @property
     def from_rate(self) -> System:
         """F G, from the platform's rate, held between samples, to torques or readings."""
-        return series(self.measured, self.path)
+        return self.measured.series(self.path)
 
-    def responses(self, plain: LoopResponses) -> FedResponses:
+    def responses(self, plain: DisturbanceResponses) -> FedResponses:
         """Return what disturbances do to plants with it, of what they do without."""
         return FedResponses(
             plain=plain, path=self.path, sensors=self.smooth, late=self.late, into_readings=self.into == "reading"
@@ -107,6 +106,6 @@ class RateFeedforward:
         A, B, C, D, dt = closed
         m = C.shape[-2]
         if self.into == "reading":
-            return series(path, System(A, B[..., m:], C, D[..., m:], dt))
+            return path.series(System(A, B[..., m:], C, D[..., m:], dt))
         # What it adds to the torques, and what the controller adds against it.
-        return series(path, System(A, B[..., :m], C, D[..., :m] + np.eye(m), dt))
+        return path.series(System(A, B[..., :m], C, D[..., :m] + np.eye(m), dt))

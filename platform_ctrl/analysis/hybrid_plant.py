@@ -36,7 +36,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.periodic import pruned
 from platform_ctrl.analysis.poles import over_a_cycle, poles
@@ -157,7 +156,7 @@ class OpenLoop:
         plant = self.plant
         m, p, T = plant.controls, plant.measured, plant.period
         w = omega[:, None] + images * plant.turn
-        P = self._along("plant", self._response, omega, images)
+        P = self._along("plant", lambda w: _signed_response(self._continuous, w), omega, images)
         z = P[:, :, p:]
         with np.errstate(divide="ignore", invalid="ignore"):
             once = np.where(np.array(plant.integrated), -1j * (1.0 / w)[..., None], 1.0)[..., None]
@@ -165,11 +164,6 @@ class OpenLoop:
         return Family(
             w, z[..., :m] * hold[..., None, None], z[..., m:], once, P[:, :, :p, m:], self._sampled_response(omega)
         )
-
-    def _response(self, w: FloatArray) -> ComplexArray:
-        flat, place = np.unique(np.abs(w), return_inverse=True)
-        P = frequency_response(self._continuous, flat, -3)[place.reshape(w.shape)]
-        return np.where((w < 0.0)[..., None, None], P.conj(), P)
 
     def _along(
         self, name: str, response: Callable[[FloatArray], ComplexArray], omega: FloatArray, images: NDArray[np.intp]
@@ -276,14 +270,14 @@ class OpenLoop:
             )
         sampled_plant = late_outputs(self.sampled, plant.reading_delay)
         if plant.cycle == 1:
-            A, B, C, *_ = closed_loop(sampled_plant, fast)
+            A, B, C, *_ = sampled_plant.feedback(fast)
             return A, B, C[plant.controls :]
         loops: dict[tuple[bool, ...], System] = {}
         cycle, m = [], plant.controls
         for k in range(plant.cycle):
             due = tuple(k % n == 0 for n in controller.every)
             if due not in loops:
-                one = closed_loop(sampled_plant, controller.at(k))
+                one = sampled_plant.feedback(controller.at(k))
                 # What is measured as it is before it is late: of a reading on its way no more is a state than is used.
                 torques = one.C[:m]
                 measured = self.sampled.D @ torques
@@ -339,7 +333,8 @@ def _unit(columns: FloatArray) -> FloatArray:
 
 def _signed_response(system: System, omega: FloatArray) -> ComplexArray:
     """Return the response (..., p, m) at frequencies (...) of any sign, rad/s."""
-    found = frequency_response(system, np.abs(omega).ravel(), -3).reshape(*omega.shape, *system.D.shape)
+    w, place = np.unique(np.abs(omega), return_inverse=True)
+    found = frequency_response(system, w, -3)[place.reshape(omega.shape)]
     out: ComplexArray = np.where((omega < 0.0)[..., None, None], found.conj(), found)
     return out
 

@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.linalg import schur, solve_sylvester
 
-from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.analysis.system import System, named_system, scaled, state_scaling
+from platform_ctrl.analysis.system import System, scaled, state_scaling
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import is_rate
@@ -69,13 +68,13 @@ class MultiRate(NamedTuple):
         own = [_held(K, sample % n == 0) for K, n in zip(self.slow, self.every, strict=True)]
         A, B, C, D = (block_diag(np.zeros((0, 0)), *(K[k] for K in own)) for k in range(4))
         p, m = self.fast.B.shape[1] - self.held, len(self.fast.C) - self.read
-        joined = closed_loop(self.fast, System(A, B, C, D), range(p, p + self.held), range(m, m + self.read))
+        joined = self.fast.feedback(System(A, B, C, D), range(p, p + self.held), range(m, m + self.read))
         return joined.part(slice(self.held, self.held + m), slice(p))
 
 
-def interconnect_controllers(
+def interconnected(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
-) -> control.StateSpace:
+) -> System:
     """Return one controller from `inputs` (pick-offs, rate sensors) to `outputs` (torquers).
 
     All have the same period; the controllers come in the order in which they are computed. Their inputs are names among
@@ -83,15 +82,6 @@ def interconnect_controllers(
     nothing gives it. Their outputs are names among `outputs` or inputs of a later controller; no name twice, but a
     command that is among `inputs` adds to what an outer loop commands. An output that no controller sets is zero.
     """
-    arrays = interconnected(controllers, inputs, outputs, period)
-    names = [name for K in controllers for name in K.state_labels]
-    return named_system(arrays, inputs, outputs, names, name="all loops")
-
-
-def interconnected(
-    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
-) -> System:
-    """Return the matrices of `interconnect_controllers`; python-control refuses systems without inputs."""
     for k, system in enumerate(controllers):
         if not math.isclose(system.dt or 0.0, period, rel_tol=1e-9):
             raise ArgumentError(f"{_where(k, system)}: dt must be the sample period {period:.6g} s, got {system.dt!r}")
@@ -105,7 +95,7 @@ def interconnected_by_sample(
     period: float,
     limited: Collection[str] = (),
 ) -> list[System]:
-    """Return the matrices of `interconnect_controllers` at every sample until they repeat.
+    """Return the matrices of `interconnected` at every sample until they repeat.
 
     A controller whose dt is n periods is computed at every n-th sample, the first included; its outputs are held in
     between, in states of their own. The same matrices are the same object. Where outputs are `limited` the excess of

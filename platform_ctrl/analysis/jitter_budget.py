@@ -16,13 +16,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.budget_result import Budget, Contribution, assembled, between_nodes, thinned
+from platform_ctrl.analysis.budget_result import BudgetResult, Contribution, assembled, between_nodes, thinned
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance
 from platform_ctrl.analysis.frequency_grids import GAUSS, KRONROD, Panel, between, halves, nodes
 from platform_ctrl.analysis.hybrid_plant import HybridPlant, Modulator, OpenLoop
@@ -115,7 +114,9 @@ class JitterBudget:
         self._known: dict[Panel, _Prepared] = {}
         self._kept = 0
 
-    def of(self, controller: System | MultiRate, tolerance: float = 1e-6, *, over_frequency: bool = True) -> Budget:
+    def of(
+        self, controller: System | MultiRate, tolerance: float = 1e-6, *, over_frequency: bool = True
+    ) -> BudgetResult:
         """Return the budget with a controller u = K y, all of it of the plant's sample period or a part of it slower.
 
         `tolerance` bounds the relative error of each variance. Without cumulative variances, `over_frequency`, it is
@@ -268,7 +269,13 @@ class JitterBudget:
             ],
             axis=-1,
         )
-        inside = tuple(int(k) for k in np.flatnonzero(np.any(columns, axis=(0, 2, 3))))
+        ends = np.sort(np.abs(np.add.outer(images, [0.0, 0.5])), axis=1) * plant.turn
+        spectra = [one for source in self._random for one in source.spectra]
+        inside = tuple(
+            k
+            for k, (low, high) in enumerate(ends)
+            if any(low <= one.knots[-1] and high >= one.knots[0] for one in spectra)
+        )
         columns = columns[:, list(inside)]
         measured, held = family.measured[:, list(inside)] @ columns, family.held * family.integral
         return _Prepared(
@@ -514,26 +521,12 @@ def _cut(block: _Prepared, rows: slice) -> _Prepared:
 
 
 def _joined(blocks: list[_Prepared]) -> _Prepared:
-    """Return blocks as one; an image that has sources in one of them is inside in all."""
     if len(blocks) == 1:
         return blocks[0]
-    inside = sorted(set().union(*(one.inside for one in blocks)))
-    whole_blocks = [one if list(one.inside) == inside else _spread(one, inside) for one in blocks]
-    join = partial(np.concatenate, axis=0)
     fields = {
-        name: join([getattr(one, name) for one in whole_blocks])
+        name: np.concatenate([getattr(one, name) for one in blocks])
         for name in _Prepared._fields
         if name not in ("inside", "weights")
     }
-    weights = np.concatenate([one.weights for one in whole_blocks], axis=1)
-    return _Prepared(**fields, inside=tuple(inside), weights=weights)
-
-
-def _spread(block: _Prepared, inside: list[int]) -> _Prepared:
-    place = [inside.index(k) for k in block.inside]
-    changed = {}
-    for name in ("direct", "measured", "held"):
-        item = getattr(block, name)
-        changed[name] = np.zeros((len(item), len(inside), *item.shape[2:]), dtype=item.dtype)
-        changed[name][:, place] = item
-    return block._replace(inside=tuple(inside), **changed)
+    weights = np.concatenate([one.weights for one in blocks], axis=1)
+    return _Prepared(**fields, inside=blocks[0].inside, weights=weights)

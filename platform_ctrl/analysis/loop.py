@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from functools import cached_property
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,6 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.between_samples import Disturbed
 from platform_ctrl.analysis.classical_margins import bandwidth_of_sensitivity
 from platform_ctrl.analysis.feedback import (
-    closed_loop,
     commanded_loop,
     sensitivities_of_plants,
     with_error_alone,
@@ -43,7 +43,6 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.analysis.time_responses import step_responses
-from platform_ctrl.analysis.transfers import S_INPUT, S_OUTPUT, Channel, Parts, Transfer
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import ArgumentError
 
@@ -57,7 +56,31 @@ _ROUNDING = 1e-8
 _GROWING = 5.0
 # Relative distance above a bandwidth at which S is seen to reach its level.
 _ABOVE = 1e-7
+
+
+class Transfer(NamedTuple):
+    """A part of the closed loop: from `source` to `target`, and `direct` times the identity.
+
+    From torque to torque the closed loop is −T = S − I at the plants' input, from noise to angle at their output.
+    With `of_limit` every torque is taken by itself, over its torquer's limit, for platform rates over the set's Omega.
+    """
+
+    source: Literal["torque", "Omega", "noise", "command"]
+    target: Literal["torque", "angle", "sight"]
+    direct: float = 0.0
+    of_limit: bool = False
+
+
+S_OUTPUT, S_INPUT = Transfer("noise", "angle", 1.0), Transfer("torque", "torque", 1.0)
+FOLLOWING = Transfer("command", "angle", 1.0)  # from a command to its error
+T_OUTPUT, T_INPUT = Transfer("noise", "angle"), Transfer("torque", "torque")
+# (S − T)/2 = S − I/2
+HALF_OUTPUT, HALF_INPUT = Transfer("noise", "angle", 0.5), Transfer("torque", "torque", 0.5)
+ANGLE_PER_OMEGA, ANGLE_PER_TORQUE = Transfer("Omega", "angle"), Transfer("torque", "angle")
+SIGHT_PER_OMEGA = Transfer("Omega", "sight")
+TORQUE_SHARE = Transfer("Omega", "torque", of_limit=True)
 SENSITIVITIES = (S_OUTPUT, S_INPUT)
+Parts = tuple[Transfer, ...]
 
 
 Indices = NDArray[np.intp]
@@ -82,22 +105,18 @@ class Loop:
 
     @cached_property
     def arrays(self) -> System:
-        """Closed loops (N, ...): inputs torque disturbance, Omega, noise; outputs torques, angles, readings, sight."""
+        """Closed loops (N, ...): inputs torque disturbance, Omega, noise; outputs torques, angles, line of sight."""
         m, p = self.m, self.p
         whole = self.plants.whole.part(slice(p + len(self.plants.sight)), slice(None))
-        A, B, C, D, _ = closed_loop(whole, self.controller, torques=range(m), angles=range(p))
-        C_read, D_read = C[..., m : m + p, :], D[..., m : m + p, :].copy()
-        D_read[..., m + 3 :] += np.eye(p)
-        C = np.concatenate([C[..., : m + p, :], C_read, C[..., m + p :, :]], axis=-2)
-        D = np.concatenate([D[..., : m + p, :], D_read, D[..., m + p :, :]], axis=-2)
+        closed = whole.feedback(self.controller, range(m), range(p))
         if self._feeds_torque:
             # The torque is what the controller sets and what feedforward adds, whose states are the plants' last.
             assert self.plants.feedforward is not None
             fed = self.plants.feedforward.from_rate
             n, f = self.plants.A.shape[-1], len(fed.A)
-            C[..., :m, n - f : n] += fed.C
-            D[..., :m, m : m + 3] += fed.D
-        return System(A, B, C, D, self.plants.period)
+            closed.C[..., :m, n - f : n] += fed.C
+            closed.D[..., :m, m : m + 3] += fed.D
+        return closed
 
     @property
     def _feeds_torque(self) -> bool:
@@ -107,7 +126,7 @@ class Loop:
     @cached_property
     def own_arrays(self) -> System:
         """Closed loops (N, ...) without Omega: inputs torque disturbance and noise; outputs torques and angles."""
-        return closed_loop(self.plants.arrays, self.controller)
+        return self.plants.arrays.feedback(self.controller)
 
     @cached_property
     def drifts(self) -> tuple[Drift, ...]:
@@ -140,18 +159,6 @@ class Loop:
         seen = plants.whole.part([*range(p), *range(p + len(plants.sight), plants.whole.C.shape[-2])], slice(m))
         K = with_error_alone(self.controller) if self.two_degrees is None else self.two_degrees
         return commanded_loop(seen, K, range(m), range(p)).part(slice(m, None), slice(m, None))
-
-    @property
-    def inputs(self) -> list[str]:
-        """Names of the closed loops' inputs."""
-        names = self.plants
-        return [*names.torques, "Omega1", "Omega2", "Omega3", *(f"noise_{name}" for name in names.angles)]
-
-    @property
-    def outputs(self) -> list[str]:
-        """Names of the closed loops' outputs; ``reading_`` is an angle with its noise: what the controller gets."""
-        names = self.plants
-        return [*names.torques, *names.angles, *(f"reading_{name}" for name in names.angles), *names.sight]
 
     @cached_property
     def poles(self) -> ComplexArray:
@@ -193,8 +200,7 @@ class Loop:
                 return np.inf, 0.0
             if self._of_continuous(parts):
                 return self._refined(parts, band, k)
-            known = None if isinstance(parts, Channel) else self.poles[k]
-            return max(peak(part, band, known) for part in self.parts(parts, k))
+            return max(peak(part, band, self.poles[k]) for part in self.parts(parts, k))
 
         return self._once(("peak", parts, band, k), found)
 
@@ -244,14 +250,8 @@ class Loop:
         w = np.array([at for _, at in self._exact.values()])
         return np.unique(w[np.isfinite(w) & (w > 0.0)])
 
-    def channel(self, channel: Channel | None) -> System:
-        """Return the weighted parts of the closed loops between named signals, (N, ...)."""
-        return (channel or Channel()).of(self.arrays, self.inputs, self.outputs)
-
     def parts(self, parts: Parts, k: int) -> list[System]:
         """Return the systems of plant `k` whose gains count."""
-        if isinstance(parts, Channel):
-            return [self.settled(self.channel(parts).at(k))]
         return [self.settled(self._system(transfer, k)) for transfer in parts]
 
     def _system(self, transfer: Transfer, k: int) -> System:
@@ -288,7 +288,7 @@ class Loop:
         return np.asarray(self.plants.Omega / self.plants.torque_limit[:, None])
 
     def _of_continuous(self, parts: Parts) -> bool:
-        return not isinstance(parts, Channel) and any(self.between(one) for one in parts)
+        return any(self.between(one) for one in parts)
 
     def _refined(self, parts: Parts, band: Band, k: int) -> tuple[float, float]:
         """Return the largest gain of parts from continuous disturbances, and its frequency, rad/s.
@@ -314,9 +314,9 @@ class Loop:
 
     def gain_at(self, parts: Parts, frequency: FloatArray, k: int = 0) -> FloatArray:
         """Return the largest gain (F,) of parts of the closed loop with plant `k` at any frequencies (F,), rad/s."""
-        continuous = () if isinstance(parts, Channel) else [one for one in parts if self.between(one)]
-        sampled = parts if isinstance(parts, Channel) else tuple(one for one in parts if not self.between(one))
-        found = [gains(one, frequency) for one in (self.parts(sampled, k) if sampled else ())]
+        continuous = [one for one in parts if self.between(one)]
+        sampled = tuple(one for one in parts if not self.between(one))
+        found = [gains(one, frequency) for one in self.parts(sampled, k)]
         if continuous:
             controller = self.controller if self.two_degrees is None else self.two_degrees
             alone = Loop(replaced(self.plants.only([k]), {"disturbed": None}).on(frequency), controller)
@@ -358,10 +358,7 @@ class Loop:
     def grid_peaks(self, parts: Parts, band: Band, members: Indices) -> FloatArray:
         """Return the largest gain of the parts of some plants within `band`, (k,); infinite of an unstable loop."""
         grid = self.plants.frequency
-        if isinstance(parts, Channel):
-            responses = [frequency_response(self.channel(parts).at(members), grid, -3)]
-        else:
-            responses = [response for transfer in parts for response in self.responses(transfer, members)]
+        responses = [response for transfer in parts for response in self.responses(transfer, members)]
         inside = (grid >= band[0]) & (grid <= band[1])
         if not inside.any():
             # A band beside the grid, or between two of its points.

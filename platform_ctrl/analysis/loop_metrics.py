@@ -9,11 +9,10 @@ from typing import get_args
 import numpy as np
 
 from platform_ctrl.analysis.loop import Indices, Loop
-from platform_ctrl.analysis.measuring import MetricRequest, Request, torque_noise
+from platform_ctrl.analysis.measuring import MetricRequest, RequestedMetric, torque_noise
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
 from platform_ctrl.analysis.system import ComplexArray, System
-from platform_ctrl.analysis.transfers import Channel
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -25,7 +24,7 @@ ALWAYS_MEASURED = ("stability", "bandwidth", "disk margin", "damping", "torque n
 
 _FIRST = np.zeros(1, dtype=np.intp)
 
-Key = tuple[str, tuple[str, ...], float, float | None, Channel | None]
+Key = tuple[str, tuple[str, ...], float, float | None]
 
 
 @value
@@ -57,7 +56,7 @@ class LoopMetrics:
         """Return which plants belong to `groups`, truth values (N,); other names have no members."""
         return members(self.groups, groups)
 
-    def values(self, request: Request) -> FloatArray:
+    def values(self, request: RequestedMetric) -> FloatArray:
         """Return a metric, in SI units, of every plant that `request` is about, (k,).
 
         Nominal torque noise is that of every torquer. A metric that was not measured is an `ArgumentError`.
@@ -75,7 +74,7 @@ class LoopMetrics:
 def measure(
     plants: PlantSet,
     controller: System,
-    requests: Sequence[Request] = (),
+    requests: Sequence[RequestedMetric] = (),
     *,
     exact: bool = True,
     loops: Loop | None = None,
@@ -116,7 +115,7 @@ def measure(
     )
 
 
-def measured(loops: Loop, request: Request, *, exact: bool = False) -> FloatArray:
+def measured(loops: Loop, request: RequestedMetric, *, exact: bool = False) -> FloatArray:
     """Return one metric of every plant that `request` is about, (k,), as `LoopMetrics.values` does."""
     if request.kind == "torque noise" and _is_of_nominal(request):
         return np.asarray(torque_noise(loops, slice(1))[0])
@@ -127,16 +126,16 @@ def measured(loops: Loop, request: Request, *, exact: bool = False) -> FloatArra
     return worst_exact(loops, request, values, chosen) if exact else values
 
 
-def _key(request: Request) -> Key:
-    return request.kind, tuple(request.over), request.lowest, request.frequency, request.channel
+def _key(request: RequestedMetric) -> Key:
+    return request.kind, tuple(request.over), request.lowest, request.frequency
 
 
-def _is_of_nominal(request: Request) -> bool:
+def _is_of_nominal(request: RequestedMetric) -> bool:
     """Return whether `LoopMetrics` keeps it for the nominal plant alone, and it is about that plant alone."""
     return request.kind in _OF_NOMINAL and tuple(request.over) == ("nominal",)
 
 
-def worst_exact(loops: Loop, request: Request, values: FloatArray, members: Indices) -> FloatArray:
+def worst_exact(loops: Loop, request: RequestedMetric, values: FloatArray, members: Indices) -> FloatArray:
     """Return values on the grid (k,) with the worst of them exact: none of the plants is worse than that.
 
     The plant that is worst on the grid gets its exact value. Every other one is shown to be no worse, or gets its own.

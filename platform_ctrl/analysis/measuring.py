@@ -13,15 +13,14 @@ from typing import Any, Protocol
 import numpy as np
 
 from platform_ctrl.analysis.classical_margins import LEVEL, bandwidth_of_response, margins_of_channel
-from platform_ctrl.analysis.loop import SENSITIVITIES, Indices, Loop
+from platform_ctrl.analysis.loop import SENSITIVITIES, Indices, Loop, Parts
 from platform_ctrl.analysis.norms import WHOLE, Band, gains, noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, drifting_rms, poles, resonances
 from platform_ctrl.analysis.system import System
-from platform_ctrl.analysis.transfers import Channel, Parts, Transfer
 from platform_ctrl.common.values import FloatArray, value
 
 
-class Request(Protocol):
+class RequestedMetric(Protocol):
     """What is to be measured: a metric with its options."""
 
     @property
@@ -40,10 +39,6 @@ class Request(Protocol):
     def lowest(self) -> float:
         """Where a band that ends there begins, rad/s."""
 
-    @property
-    def channel(self) -> Channel | None:
-        """Signals between which a norm is taken."""
-
 
 @value
 class MetricRequest:
@@ -53,7 +48,6 @@ class MetricRequest:
     over: tuple[str, ...] = ("nominal",)
     frequency: float | None = None
     lowest: float = 0.0
-    channel: Channel | None = None
 
 
 # Derivatives for the structured tuner: (its closed loops, limit in SI units, lowest ratio of interest, plants) →
@@ -64,15 +58,15 @@ Gradient = Callable[[Any, float, float, Any], Any]
 class Measure:
     """How a metric is measured."""
 
-    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
         """Return the values of some plants, (k,), in SI units, or of the controller alone, (1,), for a search."""
         raise NotImplementedError
 
-    def exact(self, loops: Loop, request: Request, k: int) -> float:
+    def exact(self, loops: Loop, request: RequestedMetric, k: int) -> float:
         """Return the value of plant `k` over all frequencies, to 1e-9 from the worse side, in SI units."""
         return float(self.values(loops, request, np.array([k]))[0])
 
-    def holds(self, loops: Loop, request: Request, k: int, bound: float) -> bool:
+    def holds(self, loops: Loop, request: RequestedMetric, k: int, bound: float) -> bool:
         """Return whether the value of the stable plant `k` is shown to be no worse than a bound."""
         return False
 
@@ -82,13 +76,13 @@ class Direct(Measure):
     """Measured in one step, of poles or covariances."""
 
     # return the value of every plant, (N,), or of the controller, (1,), in SI units
-    function: Callable[[Any, Request], FloatArray]
+    function: Callable[[Any], FloatArray]
     # for the structured tuner; without it the tuner looks at this metric only when it has ended
     gradient: Gradient | None = None
 
-    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
         """Return the values of some plants, (k,); of the controller alone (1,)."""
-        every = self.function(loops, request)
+        every = self.function(loops)
         return every if len(every) == 1 else every[members]
 
 
@@ -96,25 +90,25 @@ class Direct(Measure):
 class Peak(Measure):
     """The largest gain over frequency of some parts of the closed loop."""
 
-    transfers: tuple[Transfer, ...] = ()  # the parts; none: the channel of the request
+    transfers: Parts  # the parts
     reciprocal: bool = False  # whether the metric is 1/peak
     banded: bool = False  # whether the peak is taken from the lowest up to the frequency of the request, if it has one
 
-    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
         """Return the values of some plants on the grid, (k,): never worse than they are."""
         return self._of_peak(loops.grid_peaks(*self._of(request), members))
 
-    def exact(self, loops: Loop, request: Request, k: int) -> float:
+    def exact(self, loops: Loop, request: RequestedMetric, k: int) -> float:
         """Return the value of plant `k` over all frequencies."""
         return float(self._of_peak(np.array([loops.peak(*self._of(request), k)[0]]))[0])
 
-    def holds(self, loops: Loop, request: Request, k: int, bound: float) -> bool:
+    def holds(self, loops: Loop, request: RequestedMetric, k: int, bound: float) -> bool:
         """Return whether the value of the stable plant `k` is shown to be no worse than a bound."""
         return loops.below(*self._of(request), k, 1.0 / bound if self.reciprocal else bound)
 
-    def _of(self, request: Request) -> tuple[Parts, Band]:
+    def _of(self, request: RequestedMetric) -> tuple[Parts, Band]:
         band = (request.lowest, request.frequency) if self.banded and request.frequency is not None else WHOLE
-        return self.transfers or request.channel or Channel(), band
+        return self.transfers, band
 
     def _of_peak(self, peaks: FloatArray) -> FloatArray:
         if not self.reciprocal:
@@ -129,15 +123,15 @@ class Bandwidth(Measure):
 
     gradient: Gradient
 
-    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
         """Return the values of some plants on the grid, rad/s, (k,)."""
         return np.array([self._on_grid(loops, int(k)) for k in members])
 
-    def exact(self, loops: Loop, request: Request, k: int) -> float:
+    def exact(self, loops: Loop, request: RequestedMetric, k: int) -> float:
         """Return the value of plant `k`, rad/s, from below."""
         return loops.bandwidth(k)
 
-    def holds(self, loops: Loop, request: Request, k: int, bound: float) -> bool:
+    def holds(self, loops: Loop, request: RequestedMetric, k: int, bound: float) -> bool:
         """Return whether S of the stable plant `k` is shown to stay below the level up to `bound`."""
         return loops.below(SENSITIVITIES, (0.0, bound), k, LEVEL)
 
@@ -155,18 +149,18 @@ class Bandwidth(Measure):
 class ControllerGain(Measure):
     """The largest gain of the controller from a frequency on."""
 
-    def values(self, loops: Loop, request: Request, members: Indices) -> FloatArray:
+    def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
         """Return the value on the grid, (1,)."""
         K, start = loops.controller, self._start(loops, request)
         own = resonances(continuous_poles(poles(K.A), K.dt))
         w = np.concatenate([loops.plants.frequency, own, [start, np.pi / K.dt]])
         return np.array([gains(K, w[(w >= start) & (w <= np.pi / K.dt)]).max(initial=0.0)])
 
-    def exact(self, loops: Loop, request: Request, k: int) -> float:
+    def exact(self, loops: Loop, request: RequestedMetric, k: int) -> float:
         """Return the value over all frequencies."""
         return loops.controller_peak(self._start(loops, request))
 
-    def _start(self, loops: Loop, request: Request) -> float:
+    def _start(self, loops: Loop, request: RequestedMetric) -> float:
         return loops.slow if request.frequency is None else request.frequency
 
 
@@ -174,18 +168,18 @@ class ControllerGain(Measure):
 DRIFT_TIME = 3600.0
 
 
-def of_following(function: Callable[[System], FloatArray]) -> Callable[[Loop, Request], FloatArray]:
+def of_following(function: Callable[[System], FloatArray]) -> Callable[[Loop], FloatArray]:
     """Return the measure of the worst channel of each plant; infinite of an unstable loop."""
     return _worst(lambda loops, k: function(loops.settled(loops.following.at(k).part(slice(loops.p), slice(None)))))
 
 
-def of_steps(function: Callable[[FloatArray, FloatArray], FloatArray]) -> Callable[[Loop, Request], FloatArray]:
+def of_steps(function: Callable[[FloatArray, FloatArray], FloatArray]) -> Callable[[Loop], FloatArray]:
     """Return the same of a function of the responses to steps: times (N,) and responses (p, N)."""
     return _worst(lambda loops, k: function(*loops.steps(k)))
 
 
-def _worst(measured: Callable[[Loop, int], FloatArray]) -> Callable[[Loop, Request], FloatArray]:
-    def worst(loops: Loop, request: Request) -> FloatArray:
+def _worst(measured: Callable[[Loop, int], FloatArray]) -> Callable[[Loop], FloatArray]:
+    def worst(loops: Loop) -> FloatArray:
         out = np.full(len(loops.plants.labels), np.inf)
         for k in np.flatnonzero(loops.decay > 0.0):
             out[k] = float(measured(loops, int(k)).max(initial=0.0))
@@ -194,10 +188,10 @@ def _worst(measured: Callable[[Loop, int], FloatArray]) -> Callable[[Loop, Reque
     return worst
 
 
-def of_margins(which: int) -> Callable[[Loop, Request], FloatArray]:
+def of_margins(which: int) -> Callable[[Loop], FloatArray]:
     """Return the measure of the gain margin, a factor (0), or of the phase margin, rad (1), of the worst channel."""
 
-    def measured(loops: Loop, request: Request) -> FloatArray:
+    def measured(loops: Loop) -> FloatArray:
         out = np.full(len(loops.plants.labels), 1.0 - which)
         for k in np.flatnonzero(loops.decay > 0.0):
             alone = [loops.settled(loops.own_arrays.at(k).part([i], [i])) for i in range(loops.m)]
@@ -223,11 +217,3 @@ def _rms(loops: Loop, systems: System, rms: FloatArray) -> FloatArray:
     if not loops.plants.drifting:
         return noise_rms(systems, rms, allow_unstable=True)
     return np.array([drifting_rms(systems.at(k), rms, DRIFT_TIME) for k in range(len(systems.A))])
-
-
-def channel_h2_norm(loops: Loop, request: Request) -> FloatArray:
-    """Return the H2 norm between the signals of the request's channel, of each plant."""
-    part = loops.channel(request.channel)
-    rms = noise_rms(part, np.ones(part.B.shape[-1]), allow_unstable=True)
-    with np.errstate(over="ignore"):
-        return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)

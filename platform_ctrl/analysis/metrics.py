@@ -6,27 +6,11 @@ report, the app and the tables of the documentation. See docs/reference/architec
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.measuring import (
-    DRIFT_TIME,
-    Bandwidth,
-    ControllerGain,
-    Direct,
-    Peak,
-    channel_h2_norm,
-    of_following,
-    of_margins,
-    of_steps,
-    torque_noise,
-)
-from platform_ctrl.analysis.poles import drifting_rms, fastest_pole, minimum_damping, poles
-from platform_ctrl.analysis.system import System
-from platform_ctrl.analysis.time_responses import overshoot, ramp_error, settling_time, steady_error
-from platform_ctrl.analysis.transfers import (
+from platform_ctrl.analysis.loop import (
     ANGLE_PER_OMEGA,
     ANGLE_PER_TORQUE,
     FOLLOWING,
@@ -39,6 +23,18 @@ from platform_ctrl.analysis.transfers import (
     T_OUTPUT,
     TORQUE_SHARE,
 )
+from platform_ctrl.analysis.measuring import (
+    Bandwidth,
+    ControllerGain,
+    Direct,
+    Peak,
+    of_following,
+    of_margins,
+    of_steps,
+    torque_noise,
+)
+from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
+from platform_ctrl.analysis.time_responses import overshoot, ramp_error, settling_time, steady_error
 from platform_ctrl.common.values import FloatArray, value
 
 Sense = Literal["at least", "at most"]
@@ -55,7 +51,7 @@ class Quantity:
     name: str  # in verdicts, tables and plots
     key: str = ""  # of its limit in a job file; empty: from Python alone
     unit: str = ""  # of limits and verdicts
-    sense: Sense  # ``"at least"``: larger is better; ``"at most"``: smaller is better
+    sense: Sense = "at most"  # smaller is better; ``"at least"``: larger is better
     meaning: str  # one sentence for the documentation
 
 
@@ -72,12 +68,9 @@ class Metric(Quantity):
     best: float | None = None  # the best value that any loop can have, in `unit`
     # what has to be known: ``"plants"`` and the controller, or the ``"controller"`` alone
     of: Literal["plants", "controller"] = "plants"
-    # needs_frequency, has_channel: whether the frequency must be given, and whether it is taken between named signals
-    needs_frequency: bool = False
-    has_channel: bool = False
-    # of_torquers: from the coupled closed loop between the sensors' noise and the torque commands, and the rms of that
-    # noise, to the values of all torquers; with it a stabilisation loop may have a limit
-    of_torquers: Callable[[System, FloatArray], FloatArray] | None = None
+    needs_frequency: bool = False  # whether the frequency must be given
+    # Whether it is also one of each torquer in the coupled system: a stabilisation loop may have a limit.
+    of_torquers: bool = False
 
     def in_SI(self, number: float) -> float:
         """Return a number in the metric's unit in SI units."""
@@ -126,7 +119,7 @@ METRICS: dict[str, Metric] = {
         sense="at least",
         meaning="decay rate of the slowest pole",
         measure=Direct(
-            function=lambda loops, request: loops.decay,
+            function=lambda loops: loops.decay,
             gradient=lambda loops, limit, floor, members: loops.decay(limit, members),
         ),
     ),
@@ -173,7 +166,6 @@ METRICS: dict[str, Metric] = {
     "sensitivity peak": Metric(
         name="sensitivity peak",
         key="sensitivity_peak",
-        sense="at most",
         meaning="‖S‖∞, the larger of input and output",
         measure=Peak(transfers=(S_OUTPUT, S_INPUT)),
         scopes=("", "worst_case"),
@@ -181,7 +173,6 @@ METRICS: dict[str, Metric] = {
     "complementary sensitivity peak": Metric(
         name="complementary sensitivity peak",
         key="complementary_sensitivity_peak",
-        sense="at most",
         meaning="‖T‖∞, the larger of input and output",
         measure=Peak(transfers=(T_OUTPUT, T_INPUT)),
         scopes=("", "worst_case"),
@@ -192,7 +183,7 @@ METRICS: dict[str, Metric] = {
         sense="at least",
         meaning="smallest damping ratio of the closed-loop poles (poles in z taken to s by ln z / T)",
         measure=Direct(
-            function=lambda loops, request: minimum_damping(loops.poles, loops.period),
+            function=lambda loops: minimum_damping(loops.poles, loops.period),
             gradient=lambda loops, limit, floor, members: loops.damping(floor, limit, members),
         ),
         scopes=("", "worst_case", "faults"),
@@ -202,19 +193,17 @@ METRICS: dict[str, Metric] = {
         name="fastest pole",
         key="fastest_pole",
         unit="rad/s",
-        sense="at most",
         meaning="magnitude of the closed-loop poles in the w-plane, (2/T) (z − 1)/(z + 1). A delay counts as 2/T; a "
         "pole that rings at the Nyquist frequency counts as infinitely fast. With stability and damping this is a pole "
         "region",
         measure=Direct(
-            function=lambda loops, request: fastest_pole(loops.poles, loops.period),
+            function=lambda loops: fastest_pole(loops.poles, loops.period),
             gradient=lambda loops, limit, floor, members: loops.fastest(floor, limit, members),
         ),
     ),
     "tracking": Metric(
         name="tracking error",
         key="tracking",
-        sense="at most",
         meaning="the largest singular value of S at the plant's output up to this frequency; of a design with "
         "`command` of the transfer from commands to their errors",
         measure=Peak(transfers=(FOLLOWING,), banded=True),
@@ -223,7 +212,6 @@ METRICS: dict[str, Metric] = {
     "overshoot": Metric(
         name="overshoot",
         key="overshoot",
-        sense="at most",
         meaning="of what is measured, over a step of its reference, u = K (y − reference), relative; worst channel",
         measure=Direct(function=of_steps(overshoot)),
         scopes=("", "worst_case"),
@@ -232,7 +220,6 @@ METRICS: dict[str, Metric] = {
         name="settling time",
         key="settling_time",
         unit="s",
-        sense="at most",
         meaning="until what is measured stays within 2 % of a step of its reference; worst channel",
         measure=Direct(function=of_steps(settling_time)),
         scopes=("", "worst_case"),
@@ -240,7 +227,6 @@ METRICS: dict[str, Metric] = {
     "steady-state error": Metric(
         name="steady-state error",
         key="steady_error",
-        sense="at most",
         meaning="share of a step of the reference that remains as error; worst channel",
         measure=Direct(function=of_following(steady_error)),
         scopes=("", "worst_case"),
@@ -249,7 +235,6 @@ METRICS: dict[str, Metric] = {
         name="ramp error",
         key="ramp_error",
         unit="s",
-        sense="at most",
         meaning="error behind a ramp of the reference over the slope of the ramp; worst channel",
         measure=Direct(function=of_following(ramp_error)),
         scopes=("", "worst_case"),
@@ -258,7 +243,6 @@ METRICS: dict[str, Metric] = {
         name="angle from Omega",
         key="Omega_rejection",
         unit="rad/(rad/s)",
-        sense="at most",
         meaning="peak gain from the platform's rate to the angles",
         measure=Peak(transfers=(ANGLE_PER_OMEGA,)),
     ),
@@ -278,7 +262,6 @@ METRICS: dict[str, Metric] = {
         name="angle from torque",
         key="torque_rejection",
         unit="rad/(N m)",
-        sense="at most",
         meaning="peak gain from torques that add to the torquers' to the angles",
         measure=Peak(transfers=(ANGLE_PER_TORQUE,)),
     ),
@@ -286,18 +269,16 @@ METRICS: dict[str, Metric] = {
         name="torque noise, rms",
         key="torque_noise",
         unit="N m",
-        sense="at most",
         meaning="rms of the torque command from the noise of all pick-offs, in the worst torquer",
         measure=Direct(
-            function=lambda loops, request: torque_noise(loops).max(axis=-1, initial=0.0),
+            function=lambda loops: torque_noise(loops).max(axis=-1, initial=0.0),
             gradient=lambda loops, limit, floor, members: loops.noise(limit, members),
         ),
-        of_torquers=lambda loop, rms: drifting_rms(loop, rms, DRIFT_TIME),
+        of_torquers=True,
     ),
     "torque limit": Metric(
         name="torque at full Omega over its limit",
         key="torque_limit",
-        sense="at most",
         meaning="commanded torque over the torquer's limit (1: just at it), worst torquer, for sinusoidal platform "
         "rates in the ellipsoid with half-axes `Omega`, up to this frequency or of any frequency. Torquers without "
         "a limit do not count",
@@ -307,10 +288,9 @@ METRICS: dict[str, Metric] = {
         name="fastest pole of the controller",
         key="fastest_controller_pole",
         unit="rad/s",
-        sense="at most",
         meaning="magnitude of the controller's poles in the w-plane",
         measure=Direct(
-            function=lambda loops, request: fastest_pole(poles(loops.controller.A), loops.period)[None],
+            function=lambda loops: fastest_pole(poles(loops.controller.A), loops.period)[None],
             gradient=lambda loops, limit, floor, members: loops.controller_poles(floor, limit),
         ),
         of="controller",
@@ -319,24 +299,9 @@ METRICS: dict[str, Metric] = {
         name="gain of the controller",
         key="controller_gain",
         unit="N m/rad",
-        sense="at most",
         meaning="largest singular value of the controller from a tenth of nutation on",
         measure=ControllerGain(),
         of="controller",
-    ),
-    "H-infinity norm": Metric(
-        name="H-infinity norm",
-        sense="at most",
-        meaning="H-infinity norm between named signals",
-        measure=Peak(),
-        has_channel=True,
-    ),
-    "H2 norm": Metric(
-        name="H2 norm",
-        sense="at most",
-        meaning="H2 norm between named signals",
-        measure=Direct(function=channel_h2_norm),
-        has_channel=True,
     ),
 }
 
@@ -351,7 +316,6 @@ COUPLED_METRICS: dict[str, Quantity] = {
     "coupling cost": Quantity(
         name="disk margin lost by coupling",
         key="coupling_cost",
-        sense="at most",
         meaning="largest relative loss of a loop-by-loop disk margin against the decoupled design",
     ),
 }
@@ -365,35 +329,30 @@ BUDGET_METRICS: dict[str, Quantity] = {
             name="line-of-sight jitter",
             key="jitter",
             unit="rad",
-            sense="at most",
             meaning="rms of both axes across the line of sight together, in the band of the budget",
         ),
         Quantity(
             name="line-of-sight jitter of one axis",
             key="jitter_per_axis",
             unit="rad",
-            sense="at most",
             meaning="the larger rms of the two axes across the line of sight, in the band of the budget",
         ),
         Quantity(
             name="line-of-sight jitter within an exposure",
             key="windowed_jitter",
             unit="rad",
-            sense="at most",
             meaning="rms about the mean of an exposure, both axes together, at the exposure where it is largest",
         ),
         Quantity(
             name="line-of-sight smear within an exposure",
             key="smear",
             unit="rad",
-            sense="at most",
             meaning="rms of the extent of the line that fits an exposure best, from end to end, both axes together",
         ),
         Quantity(
             name="line-of-sight rms",
             key="limit",
             unit="rad",
-            sense="at most",
             meaning="rms of both axes across the line of sight from one source alone",
         ),
     )

@@ -48,16 +48,6 @@ def mu_bounds(M: ComplexArray) -> MuBounds:
     return MuBounds(upper=sizes[:, 0], lower=np.minimum(np.maximum(lower, alone.max(axis=-1)), sizes[:, 0]), D=D, Q=Q)
 
 
-def best_mu_bounds(M: ComplexArray) -> MuBounds:
-    """Return bounds of mu for finite matrices (N, m, m), equal to about 1e-5 up to three channels."""
-    near = mu_bounds(M)
-    found = [best_scalings(one, D) for one, D in zip(M, near.D, strict=True)]
-    upper, D = np.array([size for size, _ in found]), np.array([D for _, D in found])
-    reached = [best_phases(one, *pair) for one, *pair in zip(M, D, near.Q, strict=True)]
-    lower = np.minimum([size for size, _ in reached], upper)
-    return MuBounds(upper=upper, lower=lower, D=D, Q=np.array([Q for _, Q in reached]))
-
-
 def _scaled(M: ComplexArray, D: FloatArray) -> ComplexArray:
     return np.asarray(D[..., :, None] * M / D[..., None, :], dtype=np.complex128)
 

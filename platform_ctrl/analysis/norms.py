@@ -37,7 +37,7 @@ Band = tuple[float, float]
 WHOLE: Band = (0.0, np.inf)
 
 
-def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: float = 1e-9) -> tuple[float, float]:
+def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float, float]:
     """Return the H-infinity norm of `system` and the frequency where it is reached.
 
     Parameters
@@ -47,15 +47,13 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: floa
         are refused: the largest gain among their frequencies is not the norm.
     allow_unstable
         Take unstable systems too and return the L-infinity norm, the peak along the frequency axis.
-    tolerance
-        Relative; the result is not smaller than the norm by more.
 
     Returns
     -------
     norm, frequency
-        Largest singular value, in the units of the outputs per unit of the inputs, and its frequency in rad/s; ``inf``
-        as the frequency of a continuous system whose norm is that of D, ``inf`` as the norm of a system with a pole on
-        the stability boundary.
+        Largest singular value, to 1e-9, in the units of the outputs per unit of the inputs, and its frequency in rad/s;
+        ``inf`` as the frequency of a continuous system whose norm is that of D, ``inf`` as the norm of a system with a
+        pole on the stability boundary.
 
     Raises
     ------
@@ -78,9 +76,7 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: floa
     (5.0252, 0.9899)
     """
     arrays = linear_arrays(system, "hinf_norm")
-    if not 0.0 < tolerance <= 1.0:
-        raise ArgumentError(f"hinf_norm: tolerance must be above 0 and at most 1, got {tolerance!r}")
-    return _norm(arrays, tolerance, allow_unstable)
+    return _norm(arrays, 1e-9, allow_unstable)
 
 
 def _norm(
@@ -244,7 +240,7 @@ def noise_rms(system: StateSystem, rms: ArrayLike, allow_unstable: bool = False)
     ArgumentError
         If the system is continuous, or not stable and `allow_unstable` is not set, or `rms` has another shape.
     """
-    A, B, C, D, dt = linear_arrays(system, "noise_rms", stack=True)
+    A, B, C, D, dt = linear_arrays(system, "noise_rms")
     if dt == 0.0:
         raise ArgumentError("noise_rms: the system must be discrete; sample it first")
     rms = not_negative("noise_rms: rms", rms, B.shape[-1])

@@ -6,7 +6,7 @@ Control 30, 1985). A channel's disk margin is that against perturbations that ma
 not, it is the usual one: its norm is the same with and without lifting.
 
 The stacked matrices grow with N². Here they are not formed: for a level γ each sample is a step of state and costate,
-the steps are joined two by two, and those of samples that are alike by powers of two (`Step`). The step of the
+the steps are joined two by two, and those of samples that are alike by powers of two (`CostateStep`). The step of the
 cycle is that of a system with as many states as the loop has, whose norm is below one exactly where that of the loop
 over the cycle is below γ. Few states count at each sample: of a reading that is late only what is going to be used.
 """
@@ -14,7 +14,7 @@ over the cycle is below γ. Few states count at each sample: of a reading that i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import groupby, permutations
 from typing import NamedTuple
@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.margins import DiskMargin, no_margin
 from platform_ctrl.analysis.mu import search_grid
 from platform_ctrl.analysis.norms import hinf_norm
@@ -55,7 +54,7 @@ class PeriodExceedsLevel(Exception):
     """Within a single period z is larger than the level allows: the level lies below the norm."""
 
 
-class Step(NamedTuple):
+class CostateStep(NamedTuple):
     """What a stretch of time does to the state v and the costate λ of ∫ z'z − w'w: v₁ = A v₀ + G λ₁, λ₀ = Q v₀ + A' λ₁.
 
     G and Q are positive semidefinite: w reaches G^(1/2), and Q^(1/2) v₀ is what the worst w makes of v₀.
@@ -66,7 +65,7 @@ class Step(NamedTuple):
     Q: FloatArray
 
 
-def joined(first: Step, second: Step) -> Step:
+def joined(first: CostateStep, second: CostateStep) -> CostateStep:
     """Return one step after the other; `PeriodExceedsLevel` where the two together reach more than the level."""
     # The eigenvalues of G Q are those of the symmetric B' Q B with G = B B'.
     B = factor(first.G)
@@ -77,7 +76,7 @@ def joined(first: Step, second: Step) -> Step:
     core = np.linalg.inv(np.eye(len(gain)) - gain)
     seen = second.Q @ B
     middle, G, Q = np.eye(len(first.A)) + B @ core @ seen.T, B @ core @ B.T, second.Q + seen @ core @ seen.T
-    return Step(
+    return CostateStep(
         second.A @ middle @ first.A,
         _symmetric(second.G + second.A @ G @ second.A.T),
         _symmetric(first.Q + first.A.T @ Q @ first.A),
@@ -163,9 +162,9 @@ def _runs(systems: Sequence[System]) -> list[tuple[System, int]]:
     return [(alike[0], len(alike)) for alike in (list(group) for _, group in groupby(systems, id))]
 
 
-def _over_a_cycle(parts: Sequence[tuple[System, int]], level: float) -> Step:
+def _over_a_cycle(parts: Sequence[tuple[System, int]], level: float) -> CostateStep:
     """Return the step of all samples; `PeriodExceedsLevel` where the cycle by itself reaches more than the level."""
-    whole: Step | None = None
+    whole: CostateStep | None = None
     for one, count in parts:
         power = _one_sample(one, level)
         while count:
@@ -177,24 +176,27 @@ def _over_a_cycle(parts: Sequence[tuple[System, int]], level: float) -> Step:
     return whole
 
 
-def _one_sample(system: System, level: float) -> Step:
+def _one_sample(system: System, level: float) -> CostateStep:
     """Return the step of one sample: the worst input follows from the state before and the costate behind it."""
     A, B, C, D = system.A, system.B / math.sqrt(level), system.C / math.sqrt(level), system.D / level
     if D.size and np.linalg.norm(D, 2) >= 1.0:
         raise PeriodExceedsLevel
     inverse, seen = np.linalg.inv(np.eye(D.shape[1]) - D.T @ D), D.T @ C
     into = B @ inverse
-    return Step(A + into @ seen, into @ B.T, C.T @ C + seen.T @ inverse @ seen)
+    return CostateStep(A + into @ seen, into @ B.T, C.T @ C + seen.T @ inverse @ seen)
 
 
 def balanced(systems: Sequence[System]) -> list[System]:
     """Return systems of the same states in balanced ones, those that are the same object still so."""
-    own = {id(one): one for one in systems}
-    s = state_scaling(*(np.array([one[k] for one in own.values()]) for k in range(3)))
-    scaled = {
-        key: one._replace(A=one.A * s / s[:, None], B=one.B / s[:, None], C=one.C * s) for key, one in own.items()
-    }
-    return [scaled[id(one)] for one in systems]
+    own = {id(one): one for one in systems}.values()
+    s = state_scaling(*(np.array([one[k] for one in own]) for k in range(3)))
+    return _each(systems, lambda one: one._replace(A=one.A * s / s[:, None], B=one.B / s[:, None], C=one.C * s))
+
+
+def _each(systems: Sequence[System], function: Callable[[System], System]) -> list[System]:
+    """Return a function of each system, the same objects of the same ones."""
+    made = {key: function(one) for key, one in {id(one): one for one in systems}.items()}
+    return [made[id(one)] for one in systems]
 
 
 def pruned(systems: Sequence[System]) -> list[System]:
@@ -260,25 +262,24 @@ class PeriodicLoop:
     def __init__(self, plant: System, by_sample: Sequence[System], at: Sequence[int], seen: Sequence[int]) -> None:
         m = len(at)
         own = plant.part(seen, at)
-        closed = {id(K): closed_loop(own, K) for K in by_sample}
-        loops = [closed[id(K)] for K in by_sample]
-        shown = {key: one.part(slice(m), slice(None)) for key, one in closed.items()}
-        self.systems = pruned(balanced([shown[id(K)] for K in by_sample]))
+        loops = _each(by_sample, own.feedback)
+        self.systems = pruned(balanced(_each(loops, lambda one: one.part(slice(m), slice(None)))))
         self.samples, self.channels = len(by_sample), m
         self.period = self.samples * plant.dt
         self.A = transition(loops)
         # Without the equilibria that no sensor sees at any sample.
         n = len(self.A)
-        rows = np.vstack([row for one in closed.values() for row in (one.A - np.eye(n), one.C[m:])])
+        rows = np.vstack(
+            [row for one in {id(one): one for one in loops}.values() for row in (one.A - np.eye(n), one.C[m:])]
+        )
         self.drift = unseen_equilibria(System(self.A, np.zeros((n, 0)), rows, np.zeros((len(rows), 0)), self.period))
         self.poles: ComplexArray = poles(self.drift.system.A)
 
     def _disk(self, outputs: Sequence[int], inputs: Sequence[int]) -> list[System]:
         """Return S − I/2 from some channels' torques to others', by sample; the same matrices are the same object."""
         direct = 0.5 * (np.array(outputs)[:, None] == np.array(inputs))
-        parts = {id(one): one.part(outputs, inputs) for one in self.systems}
-        disks = {key: one._replace(D=one.D + direct) for key, one in parts.items()}
-        by_sample = [disks[id(one)] for one in self.systems]
+        parts = _each(self.systems, lambda one: one.part(outputs, inputs))
+        by_sample = _each(parts, lambda one: one._replace(D=one.D + direct))
         return without_drift_over_a_cycle(by_sample) if self.drift.equilibria.size else by_sample
 
     @property
@@ -319,10 +320,9 @@ class PeriodicLoop:
             for i, j in permutations(every, 2):
                 sizes[i, j] = periodic_norm(self._disk([i], [j]), 1e-3)
             _, (d, _) = matrix_balance(sizes, permute=False, separate=True)
-            scaled = {
-                id(one): one._replace(B=one.B * d, C=one.C / d[:, None], D=one.D * d / d[:, None]) for one in disks
-            }
-            at_worst = [scaled[id(one)] for one in disks]
+            at_worst = _each(
+                disks, lambda one: one._replace(B=one.B * d, C=one.C / d[:, None], D=one.D * d / d[:, None])
+            )
             norm = periodic_norm(at_worst)
         grid, lower, upper = self._over_frequency(disks, d, s)
         return DiskMargin(

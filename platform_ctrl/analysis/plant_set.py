@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.between_samples import (
     CombinedResponses,
+    DisturbanceResponses,
     Disturbed,
-    LoopResponses,
     disturbed,
-    response_at,
 )
 from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.system import ComplexArray, System, named_system
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.errors import ArgumentError
@@ -71,8 +70,7 @@ class PlantSet:
     frequency: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     # complex (N, F, p, m): of the plants on `frequency`, torques → measured outputs.
     response: ComplexArray = dataclasses.field(default_factory=lambda: np.zeros((0, 0, 0, 0), dtype=np.complex128))
-    # What continuous disturbances do; None: the platform's rate and torques that add are held like the torquers'.
-    disturbances: LoopResponses | None = None
+    disturbances: DisturbanceResponses  # what continuous disturbances do
     # The same on `frequency`; None: not computed yet.
     disturbed: Disturbed | None = None
     # Angles that the loop does not read and on which something depends: the loop may be in balance at any of them.
@@ -136,7 +134,7 @@ class PlantSet:
             whole=whole,
             states=(*self.states, *(f"feedforward_{k + 1}" for k in range(added))),
             feedforward=feedforward,
-            disturbances=None if self.disturbances is None else feedforward.responses(self.disturbances),
+            disturbances=feedforward.responses(self.disturbances),
             disturbed=None,
         )
 
@@ -179,23 +177,11 @@ class PlantSet:
         return self._disturbed_at(self.frequency) if self.disturbed is None else self.disturbed
 
     def _disturbed_at(self, frequency: FloatArray) -> Disturbed:
-        if self.disturbances is not None:
-            return disturbed(self.disturbances.at(frequency), len(self.angles))
-        p, q = len(self.angles), len(self.sight)
-        found = frequency_response(self.whole.part(slice(p + q), slice(None)), frequency, -3)
-        return self._held(found)
+        return disturbed(self.disturbances.at(frequency), len(self.angles))
 
     def disturbed_at(self, plant: NDArray[np.intp], frequency: FloatArray) -> Disturbed:
         """Return what disturbances do with some plants (k,), each at its own frequency (k,), rad/s: (k, ...)."""
-        if self.disturbances is not None:
-            return disturbed(self.disturbances.at(frequency, plant), len(self.angles))
-        return self._held(response_at(self.whole, frequency, plant)[:, : len(self.angles) + len(self.sight)])
-
-    def _held(self, found: ComplexArray) -> Disturbed:
-        """Return what disturbances do that are held between samples; columns of `found` are torques and Omega."""
-        m, p = len(self.torques), len(self.angles)
-        twice = np.concatenate([found[..., :m], found], axis=-1)
-        return Disturbed(twice[..., :p, :], twice[..., :p, :], twice[..., p:, :])
+        return disturbed(self.disturbances.at(frequency, plant), len(self.angles))
 
     def regular(self) -> PlantSet:
         """Return the set for a synthesis: angles that drift decay slowly, else nothing would hold the loop together."""
@@ -215,7 +201,7 @@ class PlantSet:
         """
         k = whole("PlantSet.system: k", k, 0, len(self.labels) - 1)
         arrays = self.whole.at(k).part(slice(len(self.angles)), slice(None))
-        return named_system(arrays, [*self.torques, *OMEGA_NAMES], self.angles, self.states)
+        return arrays.to_control([*self.torques, *OMEGA_NAMES], self.angles, self.states)
 
     def joined(self, controller: control.StateSpace | System) -> System:
         """Return the arrays of a controller u = K y from all angles of this set to all of its torques, in its order.
@@ -276,14 +262,13 @@ class PlantSet:
         from scipy.linalg import block_diag
 
         seen = block_diag(sense, np.eye(len(self.sight)), np.kron(np.eye(len(self.between)), sense))
-        responses = self.disturbances
         return dataclasses.replace(
             self,
             whole=self.whole._replace(C=seen @ self.whole.C, D=seen @ self.whole.D),
             angles=tuple(f"direction_{k + 1}" for k in range(len(sense))),
             noise=np.sqrt(sense**2 @ self.noise**2),
             response=sense @ self.response,
-            disturbances=None if responses is None else CombinedResponses(plain=responses, sense=sense),
+            disturbances=CombinedResponses(plain=self.disturbances, sense=sense),
             disturbed=None,
             feedforward=None if self.feedforward is None else self.feedforward.in_directions(sense),
         )
@@ -297,18 +282,7 @@ class PlantSet:
         new = np.setdiff1d(frequency[frequency <= np.pi / self.period], self.frequency)
         if not len(new):
             return self
-        order = np.argsort(np.concatenate([self.frequency, new]), kind="stable")
-        found = frequency_response(self.arrays, new, -3)
-        more = None
-        if self.disturbed is not None:
-            pairs = zip(self.disturbed, self._disturbed_at(new), strict=True)
-            more = Disturbed(*(np.concatenate(pair, axis=1)[:, order] for pair in pairs))
-        return dataclasses.replace(
-            self,
-            frequency=np.concatenate([self.frequency, new])[order],
-            response=np.concatenate([self.response, found], axis=1)[:, order],
-            disturbed=more,
-        )
+        return self.on(np.union1d(self.frequency, new))
 
     def only(self, chosen: Sequence[int]) -> PlantSet:
         """Return the set of the `chosen` plants (indices); the first one is the new nominal plant."""
@@ -319,7 +293,7 @@ class PlantSet:
             response=self.response[index],
             labels=tuple(self.labels[k] for k in index),
             groups=tuple(self.groups[k] for k in index),
-            disturbances=None if self.disturbances is None else self.disturbances.only(index),
+            disturbances=self.disturbances.only(index),
             disturbed=None if self.disturbed is None else Disturbed(*(one[index] for one in self.disturbed)),
         )
 

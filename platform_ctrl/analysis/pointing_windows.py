@@ -31,7 +31,6 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import positive, real_numbers
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.errors import ArgumentError
 
 # Below this a the jitter is summed; above it one minus the other two has lost less than a digit.
 _SUMMED = 2.0
@@ -69,29 +68,19 @@ def window_shares(frequency: ArrayLike, exposure: float) -> WindowShares:
     return WindowShares(displacement, smear, jitter)
 
 
-def motion_transfer(
-    spatial_frequency: ArrayLike, jitter: float, smear: float = 0.0, kind: str = "random"
-) -> FloatArray:
+def motion_transfer(spatial_frequency: ArrayLike, jitter: float, smear: float = 0.0) -> FloatArray:
     """Return the modulation transfer function of image motion along one axis; 1 at ν = 0.
 
     `spatial_frequency` ν is in cycles per radian, of any shape. Gaussian jitter of rms σ, rad: the factor exp(−2 π² σ²
-    ν²). With `kind` "known" `smear` is the extent E of a line, rad: the factor |sin(πνE)/(πνE)|. With "random" it is
-    the rms of the fitted line within the window, rad: its extent is Gaussian with the standard deviation √12 `smear`,
-    and the mean factor over many exposures is E[sin(πνE)/(πνE)] = √(2π)/k erf(k/√8), k = 2 πν √12 `smear` (Pittelkau
-    and McKinley, Optical Engineering 55, 2016).
+    ν²). `smear` is the rms of the fitted line within the window, rad: its extent is Gaussian with the standard
+    deviation √12 `smear`, and the mean factor over many exposures is E[sin(πνE)/(πνE)] = √(2π)/k erf(k/√8), k = 2 πν
+    √12 `smear` (Pittelkau and McKinley, Optical Engineering 55, 2016).
     """
     from scipy.special import erf
 
     nu = np.abs(real_numbers("motion_transfer: spatial_frequency", spatial_frequency))
-    jitter = positive("motion_transfer: jitter", jitter, zero=True)
-    smear = positive("motion_transfer: smear", smear, zero=True)
-    if kind not in ("random", "known"):
-        raise ArgumentError(f'motion_transfer: kind must be "random" or "known", got {kind!r}')
-    shaken = np.exp(-2.0 * (math.pi * jitter * nu) ** 2)
-    if kind == "known":
-        return np.asarray(shaken * np.abs(np.sinc(nu * smear)))
     k = 2.0 * math.pi * math.sqrt(12.0) * smear * nu
     # Below, the next term of 1 − k²/24 is under rounding.
     with np.errstate(divide="ignore", invalid="ignore"):
         drawn = np.where(k > 1e-4, math.sqrt(2.0 * math.pi) / k * erf(k / math.sqrt(8.0)), 1.0 - k * k / 24.0)
-    return np.asarray(shaken * drawn)
+    return np.asarray(np.exp(-2.0 * (math.pi * jitter * nu) ** 2) * drawn)

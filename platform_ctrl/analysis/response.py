@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.resolvent import state_response
-from platform_ctrl.analysis.system import ComplexArray, System, frequencies, scaled, system_arrays
+from platform_ctrl.analysis.system import ComplexArray, System, frequencies, scaled
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -27,17 +27,13 @@ _UNREACHED = 1e-11
 _REALISED = 1e-7
 
 
-def linear_arrays(system: StateSystem, where: str, stack: bool = False) -> System:
+def linear_arrays(system: StateSystem, where: str) -> System:
     """Return the arrays of a `control.StateSpace`, or a minimal realisation of a `control.TransferFunction`.
 
-    `where` is what messages call it, and `stack` says whether `System` may have batch axes. T. Kailath, Linear
-    Systems, 1980, sec. 6.4.
+    `where` is what messages call it. T. Kailath, Linear Systems, 1980, sec. 6.4.
     """
     if isinstance(system, System):
-        arrays = system_arrays(where, *system)
-        if not stack and any(item.ndim > 2 for item in arrays[:4]):
-            raise ArgumentError(f"{where}: A, B, C, D must be matrices of one system, got a stack of several")
-        return arrays
+        return system
     if hasattr(system, "frdata"):
         raise ArgumentError(
             f"{where}: frequency response data say nothing between their frequencies; give a control.StateSpace or "
@@ -211,7 +207,7 @@ def frequency_response(
 
 def _response_of(system: LinearSystem, w: FloatArray) -> ComplexArray:
     if isinstance(system, System):
-        return state_response(system_arrays("frequency_response", *system), w)
+        return state_response(system, w)
     if hasattr(system, "frdata"):
         return _measured(system, w)
     if is_rational(system):

@@ -26,27 +26,23 @@ RUN_METRICS: dict[str, RunMetric] = {
             name="largest gimbal angle",
             key="angle",
             unit="rad",
-            sense="at most",
             meaning="largest magnitude of a gimbal's angle",
         ),
         RunMetric(
             name="largest platform angle",
             key="attitude",
             unit="rad",
-            sense="at most",
             meaning="largest component of the platform's rotation vector",
         ),
         RunMetric(
             name="largest torque over its limit",
             key="torque_share",
-            sense="at most",
             meaning="largest commanded torque over its torquer's limit",
         ),
         RunMetric(
             name="largest gimbal rate",
             key="gimbal_rate",
             unit="rad/s",
-            sense="at most",
             meaning="largest magnitude of a gimbal's rate",
             on_demand=True,
         ),
@@ -54,7 +50,6 @@ RUN_METRICS: dict[str, RunMetric] = {
             name="largest error behind a commanded angle",
             key="angle_following_error",
             unit="rad",
-            sense="at most",
             meaning="largest magnitude of an angle that is read, without the sensor's bias and scale error, less its "
             "command after `settle`",
             on_demand=True,
@@ -64,7 +59,6 @@ RUN_METRICS: dict[str, RunMetric] = {
             name="largest error behind a commanded rate",
             key="rate_following_error",
             unit="rad/s",
-            sense="at most",
             meaning="largest magnitude of a rate that is read, without the sensor's bias and scale error, less its "
             "command after `settle`",
             on_demand=True,
@@ -74,7 +68,6 @@ RUN_METRICS: dict[str, RunMetric] = {
             name="line-of-sight angle, rms",
             key="los_angle_rms",
             unit="rad",
-            sense="at most",
             meaning="rms of `los_angle1` or `los_angle2` after `settle`, the larger: about zero, but about the mean in "
             "a run with commands",
             on_demand=True,
@@ -84,7 +77,6 @@ RUN_METRICS: dict[str, RunMetric] = {
             name="line-of-sight rate, rms",
             key="los_rate_rms",
             unit="rad/s",
-            sense="at most",
             meaning="rms of `los_rate1` or `los_rate2` after `settle`, the larger: about zero, but about the mean in a "
             "run with commands",
             on_demand=True,

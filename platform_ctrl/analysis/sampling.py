@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.system import System, named_system, scaled, seen_states, state_scaling
+from platform_ctrl.analysis.system import System, scaled, seen_states, state_scaling
 from platform_ctrl.common.arguments import not_negative, positive
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -71,12 +71,32 @@ def sampled(
     arrays = system if isinstance(system, System) else System.of(system, "sampled")
     if arrays.dt != 0.0:
         raise ArgumentError(f"sampled: the system must be continuous, got dt = {arrays.dt} s")
-    A, B, C, D, lags = _sampled(*arrays[:4], period, delay, lag)
+    m = arrays.B.shape[-1]
+    lags = not_negative("sampled: lag", 0.0 if lag is None else lag, m)
+    A, B, C, D, _ = with_lag(arrays, lags)
+    period, whole, part = split_delay("sampled", period, delay, m)
+    reach = whole + (1 if part > 0.0 else 0)
+    phi, late = held_input(A, B, (1.0 - part) * period)
+    n = A.shape[-1]
+    size = n + reach * m
+    # Over [x, u[k-1], ..., u[k-reach], u[k]]: where the input of so many periods ago is.
+    at = [slice(size, size + m), *(slice(n + j * m, n + (j + 1) * m) for j in range(reach))]
+    step, row = (np.zeros((*phi.shape[:-2], rows, size + m)) for rows in (size, C.shape[-2]))
+    if part > 0.0:
+        # The older input acts first in each period.
+        phi_early, early = held_input(A, B, part * period)
+        step[..., :n, at[reach]] = phi @ early
+        phi = phi @ phi_early
+    step[..., :n, :n], step[..., :n, at[whole]] = phi, late
+    for j in range(reach):
+        step[..., at[j + 1], at[j]] = np.eye(m)
+    row[..., :n], row[..., at[reach]] = C, D
+    out = System(step[..., :size], step[..., size:], row[..., :size], row[..., size:], period)
     if isinstance(system, System):
-        return System(A, B, C, D, float(period))
+        return out
     inputs = list(system.input_labels)
-    states = sampled_states(list(system.state_labels), inputs, lags, A.shape[-1])
-    return named_system(System(A, B, C, D, float(period)), inputs, list(system.output_labels), states)
+    states = sampled_states(list(system.state_labels), inputs, lags, size)
+    return out.to_control(inputs, list(system.output_labels), states)
 
 
 def sampled_states(states: Sequence[str], inputs: Sequence[str], lags: FloatArray, order: int) -> list[str]:
@@ -84,48 +104,6 @@ def sampled_states(states: Sequence[str], inputs: Sequence[str], lags: FloatArra
     out = [*states, *(f"lag_{name}" for name, one in zip(inputs, lags, strict=True) if one > 0.0)]
     held = (order - len(out)) // max(len(inputs), 1)
     return out + [f"{name}_held{j + 1}" for j in range(held) for name in inputs]
-
-
-def _sampled(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float, delay: float, lag: ArrayLike | None
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    m = B.shape[-1]
-    lags = not_negative("sampled: lag", 0.0 if lag is None else lag, m)
-    A, B, C, D, _ = with_lag(System(A, B, C, D), lags)
-
-    period, whole, part = split_delay("sampled", period, delay, m)
-    reach = whole + (1 if part > 0.0 else 0)
-
-    phi, late = held_input(A, B, (1.0 - part) * period)
-    if part > 0.0:
-        phi_early, early = held_input(A, B, part * period)
-        early = phi @ early
-        phi = phi @ phi_early
-    if reach == 0:
-        return phi, late, C, D, lags
-
-    n, p = A.shape[-1], C.shape[-2]
-    batch = phi.shape[:-2]
-    Ad = np.zeros((*batch, n + reach * m, n + reach * m))
-    Bd = np.zeros((*batch, n + reach * m, m))
-    Cd = np.zeros((*batch, p, n + reach * m))
-    Ad[..., :n, :n] = phi
-    Cd[..., :, :n] = C
-    # Held states are u[k-1], ..., u[k-reach]. With a fractional part the oldest acts first in each period.
-    oldest = slice(n + (reach - 1) * m, n + reach * m)
-    Cd[..., :, oldest] = D
-    if part > 0.0:
-        Ad[..., :n, oldest] = early
-        if whole == 0:
-            Bd[..., :n, :] = late
-        else:
-            Ad[..., :n, n + (whole - 1) * m : n + whole * m] = late
-    else:
-        Ad[..., :n, oldest] = late
-    Bd[..., n : n + m, :] = np.eye(m)
-    for j in range(1, reach):
-        Ad[..., n + j * m : n + (j + 1) * m, n + (j - 1) * m : n + j * m] = np.eye(m)
-    return Ad, Bd, Cd, np.zeros((*batch, p, m)), lags
 
 
 def every_nth(system: System, n: int, once: int | None = None) -> tuple[System, list[int]]:

@@ -65,12 +65,15 @@ class FrequencyAxis:
         return largest_singular_values(self.response(frequency))
 
     def largest(self, frequency: FloatArray) -> tuple[float, float]:
-        """Return the largest gain among `frequency` up to the edge, and where it is; (0, 0) without any."""
+        """Return the largest gain among `frequency` up to the edge, and where it is; (0, 0) without any.
+
+        The first of gains that are alike but for rounding.
+        """
         frequency = frequency[frequency <= self.edge * (1.0 + 1e-12)]
         if frequency.size == 0:
             return 0.0, 0.0
         sizes = self.gains(frequency)
-        i = int(np.argmax(sizes))
+        i = int(np.argmax(sizes >= sizes.max() * (1.0 - 4.0 * _EPSILON)))
         return float(sizes[i]), float(frequency[i])
 
     def crossings(self, level: float, scaling: FloatArray | None = None) -> FloatArray:

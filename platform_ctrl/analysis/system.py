@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.common.arguments import positive, real_numbers
+from platform_ctrl.common.arguments import real_numbers
 from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError
 
@@ -75,69 +75,112 @@ class System(NamedTuple):
         D = self.D[..., outputs, :][..., inputs]
         return System(self.A, self.B[..., inputs], self.C[..., outputs, :], D, self.dt)
 
+    def series(self, second: System, sign: float = 1.0) -> System:
+        """Return `sign` times the second system after this one; the sample period is that of the first that has one."""
+        A1, B1, C1, D1, dt = self
+        A2, B2, C2, D2, second_dt = second
+        n1, n2 = A1.shape[-1], A2.shape[-1]
+        batch = _batch(self, second)
+        A = np.zeros((*batch, n1 + n2, n1 + n2))
+        A[..., :n1, :n1] = A1
+        A[..., n1:, :n1] = B2 @ C1
+        A[..., n1:, n1:] = A2
+        B = np.zeros((*batch, n1 + n2, B1.shape[-1]))
+        B[..., :n1, :] = B1
+        B[..., n1:, :] = B2 @ D1
+        C = np.zeros((*batch, C2.shape[-2], n1 + n2))
+        C[..., :n1] = sign * (D2 @ C1)
+        C[..., n1:] = sign * C2
+        D = np.array(np.broadcast_to(sign * (D2 @ D1), (*batch, C2.shape[-2], B1.shape[-1])))
+        return System(A, B, C, D, dt or second_dt)
 
-def system_arrays(where: str, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, dt: float = 0.0) -> System:
-    """Return the arrays of a system, or of stacks of systems, whose shapes fit and that are finite."""
-    out = [np.asarray(real_numbers(f"{where}: {name}", item)) for name, item in zip("ABCD", (A, B, C, D), strict=True)]
-    for name, item in zip("ABCD", out, strict=True):
-        if item.ndim < 2:
-            raise ArgumentError(f"{where}: {name} must be a matrix or a stack of them, got shape {item.shape}")
-        if not all_finite(item):
-            raise ArgumentError(f"{where}: {name} must be finite, got {item[~np.isfinite(item)][0]}")
-    n, m, p = out[1].shape[-2], out[1].shape[-1], out[2].shape[-2]
-    if [item.shape[-2:] for item in out] != [(n, n), (n, m), (p, n), (p, m)]:
-        raise ArgumentError(f"{where}: A, B, C, D must fit each other, got {[item.shape[-2:] for item in out]}")
-    try:
-        np.broadcast_shapes(*(item.shape[:-2] for item in out))
-    except ValueError:
-        batches = ", ".join(str(item.shape[:-2]) for item in out)
-        raise ArgumentError(f"{where}: the leading axes must broadcast, got {batches}") from None
-    A, B, C, D = out
-    return System(A, B, C, D, positive(f"{where}: dt", dt, zero=True))
+    def feedback(
+        self, controller: System, inputs: Sequence[int] | None = None, outputs: Sequence[int] | None = None
+    ) -> System:
+        """Return the loop of u = K (y + n), y = P (u + d), with every state of both, those of the plant first.
+
+        `inputs` and `outputs` are those that the controller uses, in its order; default all. Inputs of the loop: all of
+        the plant's, then the noise n; outputs: u, then all of the plant's. Leading axes of both broadcast.
+        `ArgumentError` where the algebraic loop I - D_K D_P is singular.
+        """
+        A, B, C, D, dt = self
+        A_K, B_K, C_K, D_K, _ = controller
+        m, p = B.shape[-1], C.shape[-2]
+        at, seen = (range(size) if some is None else list(some) for some, size in ((inputs, m), (outputs, p)))
+        n, n_K, k, q = A.shape[-1], A_K.shape[-1], len(at), len(seen)
+        batch = _batch(self, controller)
+        # u and y as functions of [x, x_K, d, n]: u = E (C_K x_K + D_K (C x + D d + n)), y = C x + D (d + u).
+        direct = np.zeros((*batch, q, n + n_K + m + q))
+        direct[..., :n] = C[..., seen, :]
+        direct[..., n + n_K : n + n_K + m] = D[..., seen, :]
+        direct[..., n + n_K + m :] = np.eye(q)
+        u = D_K @ direct
+        u[..., n : n + n_K] += C_K
+        D_loop = D[..., seen, :][..., :, at]
+        if np.any(D_loop) and np.any(D_K):
+            u = _solve_algebraic_loop(np.eye(k) - D_K @ D_loop, u)
+        y = np.zeros((*batch, p, n + n_K + m + q))
+        y[..., :n] = C
+        y[..., n + n_K : n + n_K + m] = D
+        y += D[..., :, at] @ u
+        seen_y = y[..., seen, :].copy()
+        seen_y[..., n + n_K + m :] += np.eye(q)
+        rate = np.empty((*batch, n + n_K, n + n_K + m + q))
+        rate[..., :n, :] = B[..., :, at] @ u
+        rate[..., :n, :n] += A
+        rate[..., :n, n + n_K : n + n_K + m] += B
+        rate[..., n:, :] = B_K @ seen_y
+        rate[..., n:, n : n + n_K] += A_K
+        shown = np.concatenate([u, y], axis=-2)
+        N = n + n_K
+        return System(rate[..., :N], rate[..., N:], shown[..., :N], shown[..., N:], dt)
+
+    def to_control(
+        self,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        states: Sequence[str] | None = None,
+        name: str | None = None,
+    ) -> control.StateSpace:
+        """Return a `control.StateSpace` with named signals; names that occur twice are numbered.
+
+        States are called x0, x1 and so on by default; a full stop in `name` becomes an underscore.
+        """
+        import control
+
+        # python-control keeps the full stop to itself.
+        options = {} if name is None else {"name": name.replace(".", "_")}
+        if states is not None:
+            options["states"] = _distinct(states)  # type: ignore[assignment]
+        system = control.StateSpace(
+            *self,
+            inputs=_distinct(inputs),
+            outputs=_distinct(outputs),
+            remove_useless_states=False,
+            **options,
+        )
+        return portable(system)
+
+
+def _batch(one: System, other: System) -> tuple[int, ...]:
+    """Return the shape to which the leading axes of two systems broadcast."""
+    return np.broadcast_shapes(*(item.shape[:-2] for item in (*one[:4], *other[:4])))
+
+
+def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    smallest = np.linalg.svd(matrix, compute_uv=False).min(initial=np.inf)
+    if not smallest > 1e-12 * max(1.0, float(np.abs(matrix).max())):
+        raise ArgumentError(
+            "closed_loop: the algebraic loop I - D_K D_P is singular (smallest singular value "
+            f"{smallest:.1e}); add a lag or a delay, or change a direct gain"
+        )
+    return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
 
 
 def all_finite(array: FloatArray) -> bool:
     """Return whether all numbers are finite."""
     # The sum of squares is faster, and finite unless it overflows.
     return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
-
-
-def named_system(
-    arrays: System,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    states: Sequence[str] | None = None,
-    name: str | None = None,
-) -> control.StateSpace:
-    """Return a `control.StateSpace` with named signals; names that occur twice are numbered.
-
-    States are called x0, x1 and so on by default; a full stop in `name` becomes an underscore.
-    """
-    import control
-
-    # python-control keeps the full stop to itself.
-    options = {} if name is None else {"name": name.replace(".", "_")}
-    if states is not None:
-        options["states"] = _distinct(states)  # type: ignore[assignment]
-    system = control.StateSpace(
-        arrays.A,
-        arrays.B,
-        arrays.C,
-        arrays.D,
-        arrays.dt,
-        inputs=_distinct(inputs),
-        outputs=_distinct(outputs),
-        remove_useless_states=False,
-        **options,
-    )
-    return portable(system)
-
-
-def selected(system: control.StateSpace, outputs: Sequence[str], inputs: Sequence[str]) -> control.StateSpace:
-    """Return `system` from some inputs to some outputs; with the names of its states, which ``system[...]`` loses."""
-    rows = [list(system.output_labels).index(name) for name in outputs]
-    columns = [list(system.input_labels).index(name) for name in inputs]
-    return named_system(System.of(system, "selected").part(rows, columns), inputs, outputs, list(system.state_labels))
 
 
 def _distinct(names: Sequence[str]) -> list[str]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.response import StateSystem, is_rational, linear_arrays
+from platform_ctrl.analysis.sampling import held_input
 from platform_ctrl.analysis.system import System, all_finite, state_scaling
 from platform_ctrl.common.arguments import one_of, real_numbers
 from platform_ctrl.common.values import FloatArray
@@ -136,23 +137,15 @@ def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, float]:
 
 
 def step_matrices(A: FloatArray, B: FloatArray, step: float, hold: Hold) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Phi, E0 and E1 of x[k+1] = Phi x[k] + E0 u[k] + E1 u[k+1] for balanced A.
-
-    The inputs are states of the exponential's matrix, and with ``"foh"`` their rise during the step as well.
-    """
-    from scipy.linalg import expm
-
+    """Return Phi, E0 and E1 of x[k+1] = Phi x[k] + E0 u[k] + E1 u[k+1]."""
+    if hold == "zoh":
+        transition, held = held_input(A, B, step)
+        return transition, held, np.zeros_like(held)
+    # The inputs are states that rise during the step.
     n, m = B.shape
-    # A power of two that makes the input matrix as large as A is exact to undo.
-    size, gain = np.abs(A).max(initial=0.0), np.abs(B).max(initial=0.0)
-    unit = 2.0 ** round(math.log2(gain / size)) if size > 0.0 and gain > 0.0 else 1.0
-    whole = np.zeros((n + 2 * m, n + 2 * m))
-    whole[:n, :n], whole[:n, n : n + m] = A * step, B / unit * step
-    if hold == "foh":
-        whole[n : n + m, n + m :] = np.eye(m)
-    power = unit * expm(whole)
-    held, rise = power[:n, n : n + m], power[:n, n + m :]
-    return power[:n, :n] / unit, held - rise, rise
+    whole = np.block([[A, B], [np.zeros((m, n + m))]])
+    power, rise = held_input(whole, np.vstack([np.zeros((n, m)), np.eye(m) / step]), step)
+    return power[:n, :n], power[:n, n:] - rise[:n], rise[:n]
 
 
 def _at_samples(

@@ -12,7 +12,7 @@ import numpy as np
 from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
-from platform_ctrl.analysis.system import System, named_system
+from platform_ctrl.analysis.system import System
 from platform_ctrl.app.background import Made
 from platform_ctrl.app.budget import LineOfSight
 from platform_ctrl.app.caged import CachedMetrics, CagedLoop
@@ -257,7 +257,7 @@ class ClosedLoops:
             fed = None if spec.around is not None else self.plants.of(spec, design).feedforward
             if fed is not None:
                 K, inputs = fed.joined_to(K), [*inputs, *fed.sensors]
-            system = named_system(K, inputs, outputs, name=f"{spec.name}, {design.name}")
+            system = K.to_control(inputs, outputs, name=f"{spec.name}, {design.name}")
             options = self.options.used(settings, spec, design)
         return ClosedController(
             loop=spec.name, design=design.name, method=design.method, system=system, options=options, note=note
@@ -277,7 +277,7 @@ class ClosedLoops:
         mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         made = designed(LoopProblem(job=self.read, spec=spec, design=mine, model=self.plants.model)).controller
         K = System.of(made, design.name)
-        return named_system(K, made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
+        return K.to_control(made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
 
     def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> System:
         """Return the controller of a caging loop."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
+from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.poles import continuous_poles, pole_branches, poles, spectral_abscissa
 from platform_ctrl.analysis.resolvent import AxisResponse
@@ -156,26 +156,22 @@ def gain_locus(
 
     Columns are continuous branches; s = ln(z)/T. There are more factors where poles within `reach`, rad/s, move far.
     """
-    A, B, C, D, period = plant
 
     def z_poles(factors: FloatArray) -> ComplexArray:
         f = np.where(np.array(moving)[:, None], factors[:, None, None], 1.0)
-        closed = closed_loop(
-            System(A, B, C, D, period),
-            System(controller.A, controller.B, f * controller.C, f * controller.D, period),
-        ).A
+        closed = plant.feedback(controller._replace(C=f * controller.C, D=f * controller.D)).A
         return np.asarray(np.linalg.eigvals(closed), dtype=np.complex128)
 
     # From 0 on poles move as the root of the factor: closer steps there.
     gains = np.concatenate([np.linspace(0.0, 1.0, 9) ** 1.5, np.linspace(1.0, 2.5, 6)[1:]])
     z = z_poles(gains)
     for k in range(_HALVINGS + _TURNS):
-        far = np.flatnonzero(_steps(continuous_poles(z, period), 1.5 * reach) > _STEP * reach)
+        far = np.flatnonzero(_steps(continuous_poles(z, plant.dt), 1.5 * reach) > _STEP * reach)
         if k >= _HALVINGS:
             far = np.flatnonzero(np.diff((np.abs(z.imag) > _REAL).sum(axis=1)))
         between = 0.5 * (gains[far] + gains[far + 1])
         gains, z = np.insert(gains, far + 1, between), np.insert(z, far + 1, z_poles(between), axis=0)
-    return gains, continuous_poles(pole_branches(z), period)
+    return gains, continuous_poles(pole_branches(z), plant.dt)
 
 
 def _steps(s: ComplexArray, reach: float) -> FloatArray:
@@ -245,7 +241,7 @@ class LoopCurves(ABC):
     @cached_property
     def z_poles(self) -> ComplexArray:
         """Closed-loop poles of the plant shown, in z, (n,)."""
-        return poles(closed_loop(self.plant, self.controller).A)
+        return poles(self.plant.feedback(self.controller).A)
 
     @cached_property
     def poles(self) -> ComplexArray:
@@ -301,7 +297,7 @@ class LoopCurves(ABC):
     def transfers(self, frequency: FloatArray) -> LoopTransfers:
         """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
         P, K = (one.at(frequency) for one in self._responses)
-        return LoopTransfers(P, K, sensitivity_functions(-K @ P)[0])
+        return LoopTransfers(P, K, sensitivities_of_plants(P, K)[1])
 
     @cached_property
     def own(self) -> LoopTransfers:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from platform_ctrl.analysis.classical_margins import bandwidth_of_response
-from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
+from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
@@ -112,7 +112,7 @@ class StabilisedCurves(LoopCurves):
     def _turned(self, plants: FreePlants, outputs: Index) -> System:
         """Return the closed loops from the torque on the platform to torques, sensors and attitude."""
         sensors = range(len(self.readings))
-        whole = closed_loop(plants.turned, self.controller, torques=self.used, angles=sensors)
+        whole = plants.turned.feedback(self.controller, self.used, sensors)
         return whole.part(outputs, [self._torque_column])
 
     @property
@@ -154,13 +154,13 @@ class StabilisedCurves(LoopCurves):
         if not self.banded:
             return self.poles[None]
         plants = self.loop.plants.arrays.part(_ALL, self.used)
-        return continuous_poles(poles(closed_loop(plants, self.controller).A), plants.dt)
+        return continuous_poles(poles(plants.feedback(self.controller).A), plants.dt)
 
     @cached_property
     def _S_of_set(self) -> ComplexArray:
         """Sensitivity at the torquers of all plants on the grid of the set."""
         response = self.loop.plants.response[..., : len(self.readings), self.used]
-        return sensitivity_functions(-self._K_of_set @ response)[0]
+        return sensitivities_of_plants(response, self._K_of_set)[1]
 
     def locus(self) -> Locus:
         """Return the root locus for the servo's gain on all axes; the caging loops stay closed as they are."""
@@ -173,7 +173,7 @@ class StabilisedCurves(LoopCurves):
         own, worst, worst_plant = 0.0, math.inf, self.settings.plant
         if self.stable:
             # From a torque disturbance to the torque the closed loop is S - 1.
-            one = closed_loop(self.plant, self.controller).part([self.index], [self.index])
+            one = self.plant.feedback(self.controller).part([self.index], [self.index])
             own = 1.0 / peak(one._replace(D=one.D + 0.5))[0]
         if self.banded:
             peaks = np.abs(self._S_of_set[..., self.index, self.index] - 0.5).max(axis=-1)

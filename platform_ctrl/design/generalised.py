@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.sampling import from_w_plane
-from platform_ctrl.analysis.system import System, named_system
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import completed, remeasured
 from platform_ctrl.design.partition import Channels
@@ -67,7 +66,7 @@ def generalised_plant(loop: LoopOutcome, **weights: float) -> StateSpace:
     >>> with_controller(loop, K).closed.results  # doctest: +SKIP
     """
     weighted, _ = _weighted(loop, weights)
-    return named_system(weighted.arrays, *signal_names(weighted.size))
+    return weighted.arrays.to_control(*signal_names(weighted.size))
 
 
 def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "given", **weights: float) -> LoopOutcome:
@@ -107,10 +106,10 @@ def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "g
                 f"controller: must have {weighted.size} inputs and outputs, as the generalised plant has "
                 f"{weighted.size} measurements and controls, got {K.D.shape[1]} and {K.D.shape[0]}"
             )
-        sampled = weighted.at_gimbals(from_w_plane(series(weighted.weight(), K), plants.period), channel)
+        sampled = weighted.at_gimbals(from_w_plane(weighted.weight().series(K), plants.period), channel)
         if channel.sense is not None:
             sampled = sampled._replace(B=sampled.B @ channel.sense, D=sampled.D @ channel.sense)
-        given = named_system(sampled, plants.angles, plants.torques)
+        given = sampled.to_control(plants.angles, plants.torques)
     made = remeasured(loop.spec, name, given, plants)
     kept = tuple(one for one in loop.designs if one.name != name)
     return replace(loop, designs=(*kept, replace(made, directions=loop.closed.directions)), use=name)

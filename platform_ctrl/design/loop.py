@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import block_diag
 
-from platform_ctrl.analysis.feedback import closed_loop, with_error_alone
+from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
-from platform_ctrl.analysis.system import ComplexArray, System, named_system
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
@@ -94,7 +94,7 @@ class LoopDesign:
         """The controller from what the loop measures, without its commands and feedforward."""
         if self.plants is None:
             return self.controller
-        return named_system(self.plants.joined(self.controller), self.plants.angles, self.plants.torques)
+        return self.plants.joined(self.controller).to_control(self.plants.angles, self.plants.torques)
 
     @property
     def passed(self) -> bool:
@@ -104,7 +104,7 @@ class LoopDesign:
 
 def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
     """Return the nominal sampled plant (or plant `k` of the set) with its signal names."""
-    return named_system(plants.arrays.at(k), plants.torques, plants.angles, plants.states)
+    return plants.arrays.at(k).to_control(plants.torques, plants.angles, plants.states)
 
 
 @value
@@ -180,7 +180,7 @@ def evaluated(problem: LoopProblem, found: Designed, *, stable: bool = True) -> 
         loop=spec.name,
         name=design.name,
         method=design.method,
-        controller=named_system(K, found.inputs, found.outputs, name=f"{spec.name}, {design.name}"),
+        controller=K.to_control(found.inputs, found.outputs, name=f"{spec.name}, {design.name}"),
         options=found.options,
         claims=found.claims,
     )
@@ -298,7 +298,7 @@ def _delivered(K: System, plants: PlantSet, name: str) -> control.StateSpace:
     """Return a controller of what the plants measure, perhaps of its commands behind it, with feedforward, by name."""
     commands = _commands(plants)[: K.B.shape[1] - len(plants.angles)]
     whole = K if plants.feedforward is None else plants.feedforward.joined_to(K)
-    return named_system(whole, plants.named_inputs(commands), plants.torques, name=name)
+    return whole.to_control(plants.named_inputs(commands), plants.torques, name=name)
 
 
 def with_commands(plants: PlantSet, controller: control.StateSpace) -> System:
@@ -345,7 +345,7 @@ def with_controller(design: LoopDesign, controller: System) -> LoopDesign:
 def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> ComplexArray:
     """Return the poles of every plant's closed loop, complex (N, poles), in z."""
     K = System.of(controller, "closed_loop_poles")
-    A = closed_loop(plants.arrays._replace(dt=K.dt), K).A
+    A = plants.arrays._replace(dt=K.dt).feedback(K).A
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
 

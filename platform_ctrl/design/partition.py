@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.analysis.feedback import performance_loop
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
-from platform_ctrl.analysis.system import System, named_system
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -124,14 +124,14 @@ def whole(plant: Partition) -> System:
 def controller_system(P: StateSpace, K: System) -> StateSpace:
     """Return u = K y, sampled as P is, with the names that u and y have in P."""
     ncon, nmeas = K.D.shape
-    return named_system(K._replace(dt=P.dt or 0.0), P.output_labels[-nmeas:], P.input_labels[-ncon:])
+    return K._replace(dt=P.dt or 0.0).to_control(P.output_labels[-nmeas:], P.input_labels[-ncon:])
 
 
 def closed_loop_system(P: StateSpace, loop: System) -> StateSpace:
     """Return a `closed_loop` around P, sampled as P is, with the names that w and z have in P."""
     nz, nw = loop.D.shape
     states = [*P.state_labels, *(f"controller_{k}" for k in range(len(loop.A) - P.nstates))]
-    return named_system(loop._replace(dt=P.dt or 0.0), P.input_labels[:nw], P.output_labels[:nz], states)
+    return loop._replace(dt=P.dt or 0.0).to_control(P.input_labels[:nw], P.output_labels[:nz], states)
 
 
 def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> System:

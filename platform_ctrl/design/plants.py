@@ -9,8 +9,8 @@ import numpy as np
 
 from platform_ctrl.analysis.between_samples import (
     ClosedResponses,
+    DisturbanceResponses,
     Instants,
-    LoopResponses,
     PlantResponses,
     SlowerResponses,
     instants,
@@ -181,7 +181,9 @@ def sampled_plants(
     times = np.append(0.0, at.times)
     shown_between = continuous.part(slice(p + q), slice(None))
     seen = rows_between(shown_between, sampling.period, sampling.delay, lags, times)
-    responses: LoopResponses = _responses(linear, continuous, arrays, late, [one[:, p + q :] for one in seen], at)
+    responses: DisturbanceResponses = _responses(
+        linear, continuous, arrays, late, [one[:, p + q :] for one in seen], at
+    )
     # Readings, line of sight, the readings' signals between samples, and last what drives feed back.
     times = times[: None if every < _SLOW_LOOP else 1]
     rows = [k * (p + q) + j for k in range(len(times)) for j in range(p)]
@@ -299,10 +301,8 @@ def around(
     seen = [m + every + q + k * every + j for k in range(len(times)) for j in range(p, every)]
     inputs = [*range(m + 3, m + 3 + p), *range(m, m + 3)]
     inner = closed.part([*range(m + p, m + every + q), *seen], inputs)
-    own = plants.disturbances
-    assert own is not None, "plants of a job have them"
-    own = own if feedforward is None else feedforward.responses(own)
-    responses: LoopResponses = ClosedResponses(plain=own, controller=K._replace(dt=plants.period))
+    own = plants.disturbances if feedforward is None else feedforward.responses(plants.disturbances)
+    responses: DisturbanceResponses = ClosedResponses(plain=own, controller=K._replace(dt=plants.period))
     if slower > 1:
         inner = every_nth(inner, slower, len(spec.sensors) + q)[0]
         times = np.add.outer(plants.period * np.arange(slower), times).ravel()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.analysis.system import System, named_system
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.files import write_json, write_whole
 from platform_ctrl.errors import ArgumentError, InputError
@@ -168,7 +168,7 @@ def system_of(table: JSONTable) -> control.StateSpace:
     states = table.names("states") if table.data.get("states") else None
     if states is not None and len(states) != len(arrays.A):
         raise InputError(f"{table.where}: states: has {len(states)} names, but A has {len(arrays.A)} rows")
-    return named_system(arrays, inputs, outputs, states, name=table.text("name", "a name"))
+    return arrays.to_control(inputs, outputs, states, name=table.text("name", "a name"))
 
 
 # The text at the head of the file, in place of the date that would make every file another one.

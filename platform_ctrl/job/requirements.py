@@ -17,7 +17,6 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.system import System
-from platform_ctrl.analysis.transfers import Channel
 from platform_ctrl.common.arguments import known_name, one_of, positive
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
@@ -54,15 +53,12 @@ class LoopRequirement(Requirement):
         Edge of the metric's band, rad/s; None: no edge ("controller gain": a tenth of the nutation frequency).
     lowest
         Where a band that ends at `frequency` begins, rad/s.
-    channel
-        "H-infinity norm" and "H2 norm": between which signals, with which weights; None: all signals.
     """
 
     kind: str
     over: tuple[Group, ...] = NOMINAL
     frequency: float | None = None
     lowest: float = 0.0
-    channel: Channel | None = None
 
     @property
     def metric(self) -> Metric:
@@ -223,8 +219,7 @@ class LoopRequirement(Requirement):
         Raises
         ------
         ArgumentError
-            The controller does not fit the plants, the set has no plant of the groups, or a channel names a signal
-            that the closed loops do not have.
+            The controller does not fit the plants, or the set has no plant of the groups.
         """
         K = plants.joined(controller)
         if self.metric.of != "controller" and not plants.of(self.over).any():
@@ -271,7 +266,6 @@ def requirement(
     hard: bool = True,
     frequency: float | None = None,
     lowest: float = 0.0,
-    channel: Channel | None = None,
     name: str | None = None,
 ) -> LoopRequirement:
     """Return a limit on a metric of a loop; the table of metrics has its name, unit and sense.
@@ -291,8 +285,6 @@ def requirement(
         rad/s, see `LoopRequirement`; required for "tracking" and "attenuation".
     lowest
         rad/s, at least 0 and below `frequency`: where the band of these two begins.
-    channel
-        See `LoopRequirement`.
     name
         Instead of the metric's own.
 
@@ -304,7 +296,7 @@ def requirement(
     Raises
     ------
     ArgumentError
-        An unknown kind or group, a limit that is not > 0, or a frequency or channel that is missing or means nothing.
+        An unknown kind or group, a limit that is not > 0, or a frequency that is missing or means nothing.
 
     Examples
     --------
@@ -328,8 +320,6 @@ def requirement(
             f"requirement: lowest must be from 0 to below frequency, got {lowest!r}, and only a band that ends at a "
             "frequency has one"
         )
-    if channel is not None:
-        one_of("requirement: kind with a channel", kind, [key for key, one in METRICS.items() if one.has_channel])
     return LoopRequirement(
         name=metric.name if name is None else name,
         limit=positive("requirement: limit", limit),
@@ -340,7 +330,6 @@ def requirement(
         over=over,
         frequency=frequency,
         lowest=float(lowest),
-        channel=channel,
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from platform_ctrl.analysis.curves import Curve, Curves, Level, loop_phase, refined_loop
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
-from platform_ctrl.analysis.loop import Loop
+from platform_ctrl.analysis.loop import ANGLE_PER_OMEGA, FOLLOWING, S_OUTPUT, Loop
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import gains
@@ -20,7 +20,6 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
-from platform_ctrl.analysis.transfers import ANGLE_PER_OMEGA, FOLLOWING, S_OUTPUT
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant

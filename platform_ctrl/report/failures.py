@@ -17,7 +17,7 @@ from platform_ctrl.job.quantities import (
     pessimistic_rounding,
     times,
 )
-from platform_ctrl.verification.comparison import Change, Comparison
+from platform_ctrl.verification.comparison import Compared, Comparison
 
 # Most lines for better, new or missing values: a result of another job has nothing else.
 _LINES = 8
@@ -79,18 +79,18 @@ def _head(comparison: Comparison, name: str) -> str:
     return f"{name}: of {count(compared, 'value')} {listed(parts)}"
 
 
-def _row(change: Change) -> tuple[str, ...]:
+def _row(change: Compared) -> tuple[str, ...]:
     numbers = (change.before, change.now, change.allowed, change.limit)
     before, now, allowed, limit = in_one_unit(numbers, change.unit)
     limit = f"{change.sense} {limit}" if change.limit is not None else ""
     return _named(change), before, now, _percent(change.share), allowed, limit
 
 
-def _named(change: Change) -> str:
+def _named(change: Compared) -> str:
     return f"{change.subject}: {change.name}"
 
 
-def _others(words: str, changes: Sequence[Change]) -> list[str]:
+def _others(words: str, changes: Sequence[Compared]) -> list[str]:
     """Return a few lines for changes that are no failures."""
     shown = []
     for change in changes[:_LINES]:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.budget_result import Budget as Found
-from platform_ctrl.analysis.disturbances import RandomDisturbance, Spectrum
+from platform_ctrl.analysis.budget_result import BudgetResult
+from platform_ctrl.analysis.disturbances import Density, RandomDisturbance
 from platform_ctrl.analysis.dry_friction import (
     FedFriction,
     FoundRate,
@@ -177,7 +177,7 @@ def _prepared(loop: BudgetLoop, at: Balanced) -> tuple[JitterBudget, JitterBudge
     return loop.prepared(plant, [*loop.apart, *at.rest], loop.budget.exposure), together
 
 
-def _result(loop: BudgetLoop, at: Balanced, apart: Found, together: Found) -> LineOfSightBudget:
+def _result(loop: BudgetLoop, at: Balanced, apart: BudgetResult, together: BudgetResult) -> LineOfSightBudget:
     """Return the result: sines of one source added up, and the limits judged."""
     budget = loop.budget
     names = [*loop.names, *(one.name for one in at.rest)]
@@ -255,7 +255,7 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
     corner = 2.0 * math.pi * math.sqrt(loop.budget.from_hz * 0.5 / loop.job.sampling.period)
     controller = _with_finders(loop)
 
-    def found(gains: FloatArray, spectra: bool) -> Found:
+    def found(gains: FloatArray, spectra: bool) -> BudgetResult:
         plant = _balancing_plant(loop, gains, q, corner if spectra else None)
         return loop.prepared(plant, loop.together, ()).of(controller, _TOLERANCE, over_frequency=spectra)
 
@@ -305,7 +305,7 @@ def _highest(loop: BudgetLoop, balance: FrictionBalance, q: FloatArray) -> float
     return min(max(_SAMPLING * plant.sample_frequency, _MODES * float(modes)), most_of_sources(plant))
 
 
-def _within(spectrum: Spectrum, highest: float) -> Spectrum:
+def _within(spectrum: Density, highest: float) -> Density:
     """Return a smooth spectrum up to a frequency, in a long cycle, whose images lie on one another, as a whole."""
     if math.isinf(highest):
         return spectrum

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
+from platform_ctrl.analysis.disturbances import (
+    Density,
+    Disturbance,
+    RandomDisturbance,
+    SampleNoise,
+    SineDisturbance,
+)
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates
 from platform_ctrl.analysis.jitter_budget import JitterBudget
@@ -253,7 +259,7 @@ def _with_torques(system: control.StateSpace, angles: Sequence[str]) -> control.
     )
 
 
-def _spectrum(source: Source, low: float, high: float) -> Spectrum | None:
+def _spectrum(source: Source, low: float, high: float) -> Density | None:
     """Return the density of a source within the band, None where there is none."""
     knots = source.knots_hz
     if not knots.size or max(low, knots[0]) >= min(high, knots[-1]):
@@ -261,11 +267,11 @@ def _spectrum(source: Source, low: float, high: float) -> Spectrum | None:
     knots = np.unique(np.clip(knots, low, high))
     thin = _thinned(knots)
     if len(thin) == len(knots):
-        return Spectrum(knots=2.0 * math.pi * knots, density=lambda w: source.density(w / (2.0 * math.pi)))
+        return Density(knots=2.0 * math.pi * knots, density=lambda w: source.density(w / (2.0 * math.pi)))
     # Of a record: the mean density between two knots, so that each keeps its share of the variance.
     mean = np.array([source.rms(a, b) ** 2 / (b - a) for a, b in pairwise(thin)])
     turns = 2.0 * math.pi * thin
-    return Spectrum(
+    return Density(
         knots=turns, density=lambda w: mean[np.clip(np.searchsorted(turns, w, side="right") - 1, 0, len(mean) - 1)]
     )
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.budget_result import variance_shares
 from platform_ctrl.analysis.dry_friction import FrictionBalance
 from platform_ctrl.analysis.metrics import BUDGET_METRICS
 from platform_ctrl.common.values import FloatArray, replaced, value
@@ -105,7 +104,8 @@ class LineOfSightBudget:
     @property
     def shares(self) -> FloatArray:
         """Mean square of each source over that of all (sources, 3), dimensionless; zero where nothing moves."""
-        return variance_shares(self.rms, self.total)
+        every = self.total**2
+        return np.asarray(np.divide(self.rms**2, every, out=np.zeros_like(self.rms), where=every > 0.0))
 
     @property
     def ranking(self) -> tuple[int, ...]:

@@ -27,7 +27,7 @@ _ROUNDING = 1e-6
 
 
 @value
-class Change:
+class Compared:
     """One value, accepted and now.
 
     Attributes
@@ -76,10 +76,10 @@ class Comparison:
         What the two do not have in common, in words: another plant, another job, the controller of a loop.
     """
 
-    changes: tuple[Change, ...]
+    changes: tuple[Compared, ...]
     differing: tuple[str, ...]
 
-    def of(self, *states: State) -> tuple[Change, ...]:
+    def of(self, *states: State) -> tuple[Compared, ...]:
         """Return the changes in one of a few states, in their order."""
         return tuple(change for change in self.changes if change.state in states)
 
@@ -107,7 +107,7 @@ def compare(result: Record, accepted: Record, tolerance: float) -> Comparison:
     return Comparison(changes=tuple(changes), differing=tuple(_differing(result, accepted)))
 
 
-def _change(now: Change, before: Change | None, tolerance: float) -> Change:
+def _change(now: Compared, before: Compared | None, tolerance: float) -> Compared:
     accepted = None if before is None else before.now
     allowed, state = 0.0, "new"
     if accepted is not None and now.now is not None:
@@ -122,16 +122,16 @@ def _change(now: Change, before: Change | None, tolerance: float) -> Change:
     return dataclasses.replace(now, before=accepted, allowed=allowed, state=state)  # type: ignore[arg-type]
 
 
-def _values(record: Record) -> dict[tuple[str, str, str, str], Change]:
+def _values(record: Record) -> dict[tuple[str, str, str, str], Compared]:
     """Return the values of a result, each once, by what they are recognised by; a value in another unit is another."""
-    found: dict[tuple[str, str, str, str], Change] = {}
+    found: dict[tuple[str, str, str, str], Compared] = {}
     for one in _listed(record):
         if not any(key[:2] == (one.subject, one.name) for key in found):
             found[one.subject, one.name, one.unit, one.sense] = one
     return found
 
 
-def _listed(record: Record) -> Iterator[Change]:
+def _listed(record: Record) -> Iterator[Compared]:
     """Walk the values of a result; what a requirement names comes first, what is listed besides may repeat it."""
     for one in record["requirements"]:
         yield _of(one["subject"], one["name"], one["unit"], one["sense"], one["value"], one["limit"])
@@ -153,13 +153,15 @@ def _listed(record: Record) -> Iterator[Change]:
             yield _measured(run["name"], RUN_METRICS[key], largest["value"])
 
 
-def _measured(subject: str, quantity: Quantity, number: float | None, name: str = "") -> Change:
+def _measured(subject: str, quantity: Quantity, number: float | None, name: str = "") -> Compared:
     return _of(subject, name or quantity.name, quantity.unit, quantity.sense, number)
 
 
-def _of(subject: str, name: str, unit: str, sense: Sense, now: float | None, limit: float | None = None) -> Change:
+def _of(subject: str, name: str, unit: str, sense: Sense, now: float | None, limit: float | None = None) -> Compared:
     number = math.nan if now is None else float(now)
-    return Change(subject=subject, name=name, unit=unit, sense=sense, before=None, now=number, state="new", limit=limit)
+    return Compared(
+        subject=subject, name=name, unit=unit, sense=sense, before=None, now=number, state="new", limit=limit
+    )
 
 
 def _differing(result: Record, accepted: Record) -> Iterator[str]:

@@ -125,8 +125,6 @@ def _designs(entries: object) -> list[tuple[object, object]]:
 
 def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.StateSpace:
     """Return one controller of a file, its inputs among `known`."""
-    from platform_ctrl.analysis.system import named_system
-
     name, inputs, outputs = entry.text("name", "a name"), entry.names("inputs"), entry.names("outputs")
     for one in inputs:
         if one not in known and is_rate(one):
@@ -155,7 +153,7 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
     arrays = entry.arrays(len(inputs), len(outputs), period)
     design = entry.data.get("design")
     title = f"{name}, {design}" if isinstance(design, str) and design else name
-    return named_system(arrays, inputs, outputs, name=title)
+    return arrays.to_control(inputs, outputs, name=title)
 
 
 def outcomes_from(

@@ -11,21 +11,29 @@ which no loop is closed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.feedback import closed_loop, loop_of_sensitivity
-from platform_ctrl.analysis.interconnection import interconnect_controllers, interconnected_by_sample
+from platform_ctrl.analysis.feedback import loop_of_sensitivity
+from platform_ctrl.analysis.interconnection import interconnected, interconnected_by_sample
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
+from platform_ctrl.analysis.measuring import DRIFT_TIME
 from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.periodic import PeriodicLoop
-from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, unseen_equilibria, without_drift
+from platform_ctrl.analysis.poles import (
+    continuous_poles,
+    drifting_rms,
+    poles,
+    spectral_abscissa,
+    unseen_equilibria,
+    without_drift,
+)
 from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
-from platform_ctrl.analysis.system import ComplexArray, System, named_system, seen_states, state_scaling
+from platform_ctrl.analysis.system import ComplexArray, System, seen_states, state_scaling
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import at_angles, secant_gains
@@ -73,8 +81,8 @@ class CoupledCheck:
         Relative loss of margin against the decoupled design.
     simultaneous
         Disk margin in all channels at once.
-    of_torquers
-        Metrics of the torquers in the coupled system, SI units, (channels,) each, by their keys in `METRICS`.
+    torque_noise : (channels,)
+        Rms torque from the noise of the sensors, N m.
     results
         The job's limits compared with these.
 
@@ -98,18 +106,13 @@ class CoupledCheck:
     coupled: FloatArray
     cost: FloatArray
     simultaneous: DiskMargin
-    of_torquers: Mapping[str, FloatArray]
+    torque_noise: FloatArray
     results: tuple[CheckResult, ...]
 
     @property
     def stable(self) -> bool:
         """Whether every pole lies inside the unit circle, and nothing that no loop acts on moves away by itself."""
         return bool(np.abs(self.poles).max(initial=0.0) < 1.0) and not self.growing
-
-    @property
-    def torque_noise(self) -> FloatArray:
-        """Rms torque from the noise of the sensors, N m, (channels,)."""
-        return self.of_torquers["torque noise"]
 
 
 def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledCheck:
@@ -148,10 +151,36 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     decoupled = _decoupled_margins(job, model, controllers, together)
     # A decoupled loop without a margin has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
-    simultaneous, of_torquers = together.simultaneous, together.of_torquers
+    torque_noise = together.torque_noise
     worst = _worst_trims(job, controllers, together)
+    margin, costliest = worst.simultaneous, int(np.argmax(cost))
     over = "" if together.controller is not None else f", over {job.cycle} samples"
-    conditions = _conditions(job, together, worst.growing)
+    where = f"{worst.decay_at}{over}{_conditions(job, together, worst.growing)}"
+    bound = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(margin.upper, 4)}"
+    measured: dict[str, tuple[float, str, Method]] = {
+        STABLE.name: (worst.decay, f"poles of the coupled sampled closed loop{where}", "exact"),
+        COUPLED_METRICS["simultaneous disk margin"].name: (
+            margin.guaranteed,
+            f"{bound}{worst.margin_at}{_dry(job)}",
+            "bound",
+        ),
+        COUPLED_METRICS["coupling cost"].name: (
+            float(cost[costliest]),
+            f"channel {channels[costliest]}, loop by loop",
+            "exact",
+        ),
+    }
+    roots = [k for k, name in enumerate(channels) if name in _root_torquers(job)]
+    if roots:
+        noisiest = max(roots, key=lambda k: float(torque_noise[k]))
+        evidence = f"torquer {channels[noisiest]}"
+        measured[METRICS["torque noise"].name] = (float(torque_noise[noisiest]), evidence, "exact")
+    results = [
+        one.judge(found, subject=subject, stage="coupled", evidence=evidence, method=method)
+        for subject, one in coupled_requirements(job)
+        if one.name in measured
+        for found, evidence, method in [measured[one.name]]
+    ]
     return CoupledCheck(
         plant=plant.system,
         controller=together.controller,
@@ -165,17 +194,9 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         decoupled=decoupled,
         coupled=coupled,
         cost=cost,
-        simultaneous=simultaneous,
-        of_torquers=of_torquers,
-        results=coupled_results(
-            job,
-            worst.decay,
-            channels,
-            cost,
-            (worst.simultaneous.guaranteed, worst.simultaneous.upper),
-            of_torquers,
-            at=(worst.decay_at + over + conditions, worst.margin_at + _dry(job)),
-        ),
+        simultaneous=together.simultaneous,
+        torque_noise=torque_noise,
+        results=tuple(results),
     )
 
 
@@ -224,7 +245,7 @@ class _Together:
         arrays = System.of(plant, "coupled plant")
         if len(by_sample) == 1:
             self.controller = one_controller(job, controllers, plant)
-            own = closed_loop(arrays.part(seen, at), by_sample[0])
+            own = arrays.part(seen, at).feedback(by_sample[0])
             outputs = [len(at) + k for k in read]
             drift = unseen_equilibria(own.part(outputs, slice(None)))
             self._own = own
@@ -271,16 +292,16 @@ class _Together:
         return disk_margin(loop_of_sensitivity(S._replace(D=S.D + np.eye(m))))
 
     @property
-    def of_torquers(self) -> dict[str, FloatArray]:
-        """Metrics of the torquers; of periodic loops the root mean square over the samples of a period."""
+    def torque_noise(self) -> FloatArray:
+        """Rms of each torque, N m; of periodic loops over the samples of a period."""
         sensors = {s.name: s for s in self._job.platform.sensors}
         period, often = self._job.sampling.period, self._job.often_read
         rms = np.array([sensors[name].sampled_noise(period, often.get(name, 1)) for name in self._seen], np.float64)
         m = len(self.channels)
         if self._periodic is None:
-            return torquer_metrics(self._own.part(slice(m), slice(m, None)), rms)
-        found = [torquer_metrics(one, np.ones(one.B.shape[1])) for one in self._periodic.noise_to_torque(rms)]
-        return {kind: np.array([np.sqrt(np.sum(one[kind] ** 2)) for one in found]) for kind in found[0]}
+            return drifting_rms(self._own.part(slice(m), slice(m, None)), rms, DRIFT_TIME)
+        parts = self._periodic.noise_to_torque(rms)
+        return np.array([np.linalg.norm(drifting_rms(one, np.ones(one.B.shape[1]), DRIFT_TIME)) for one in parts])
 
 
 # A gimbal that no loop acts on grows by itself where its pole is this much larger than rounding may make it: that of
@@ -346,7 +367,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         gains * whole.D[:, columns],
         0.0,
     )
-    named = named_system(arrays, names, outputs, [states[k] for k in kept])
+    named = arrays.to_control(names, outputs, [states[k] for k in kept])
     at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
     left_out = tuple(
         name for name in model.angle_names if (k := states.index(name)) not in kept and not whole.A[:, k].any()
@@ -376,7 +397,7 @@ def _read_late(job: Job, plant: control.StateSpace) -> control.StateSpace:
         return plant
     arrays = late_outputs(System.of(plant, "coupled plant"), periods)
     states = [*plant.state_labels, *late_states(outputs, periods)]
-    return named_system(arrays, list(plant.input_labels), outputs, states)
+    return arrays.to_control(list(plant.input_labels), outputs, states)
 
 
 def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
@@ -399,7 +420,9 @@ def one_controller(
 ) -> control.StateSpace:
     """Return all controllers as one, from the sensors that `plant` shows to the torquers that are used."""
     seen, torquers = used_signals(job, controllers, plant)
-    return interconnect_controllers(controllers, seen, torquers, job.sampling.period)
+    names = [name for K in controllers for name in K.state_labels]
+    whole = interconnected(controllers, seen, torquers, job.sampling.period)
+    return whole.to_control(seen, torquers, names, name="all loops")
 
 
 def used_signals(
@@ -450,19 +473,10 @@ def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> Coupled
     C = np.block([[system.C, np.zeros((system.noutputs, 3))], [np.zeros((3, n)), np.eye(3)]])
     arrays = System(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
     states = [*system.state_labels, *OMEGA_NAMES]
-    named = named_system(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
+    named = arrays.to_control([t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
     named = observed(named, job.platform, [*model.angle_names, *rates], model.q0, model.Omega0)
     at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
     return CoupledPlant(_read_late(job, at_samples), (), (), 0.0)
-
-
-def torquer_metrics(noise_to_torque: System, rms: FloatArray) -> dict[str, FloatArray]:
-    """Return the metrics of every torquer from the closed loop between the sensors' noise and the torque commands."""
-    return {
-        kind: metric.of_torquers(noise_to_torque, rms)
-        for kind, metric in METRICS.items()
-        if metric.of_torquers is not None
-    }
 
 
 def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:
@@ -477,41 +491,3 @@ def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:
         if spec.kind == "stabilisation":
             out += [(spec.name, one) for one in loop_requirements(spec.limits) if one.metric.of_torquers]
     return tuple(out)
-
-
-def coupled_results(
-    job: Job,
-    decay: float,
-    channels: Sequence[str],
-    cost: FloatArray,
-    simultaneous: tuple[float, float],
-    of_torquers: Mapping[str, FloatArray],
-    at: tuple[str, str],
-) -> tuple[CheckResult, ...]:
-    """Return the verdicts on the requirements on the coupled system; see `CoupledCheck`.
-
-    `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin. `of_torquers` is as
-    `torquer_metrics` returns it. `at` are words for the gimbal angles at which decay and margin are worst.
-    """
-    scaling = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}{at[1]}"
-    costliest = int(np.argmax(cost))
-    measured: dict[str, tuple[float, str, Method]] = {
-        STABLE.name: (decay, f"poles of the coupled sampled closed loop{at[0]}", "exact"),
-        COUPLED_METRICS["simultaneous disk margin"].name: (simultaneous[0], scaling, "bound"),
-        COUPLED_METRICS["coupling cost"].name: (
-            float(cost[costliest]),
-            f"channel {channels[costliest]}, loop by loop",
-            "exact",
-        ),
-    }
-    roots = [k for k, name in enumerate(channels) if name in _root_torquers(job)]
-    for kind, values in of_torquers.items() if roots else ():
-        sign = 1.0 if METRICS[kind].sense == "at most" else -1.0
-        worst = max(roots, key=lambda k, values=values, sign=sign: sign * values[k])  # type: ignore[misc]
-        measured[METRICS[kind].name] = (float(values[worst]), f"torquer {channels[worst]}", "exact")
-    results = []
-    for subject, one in coupled_requirements(job):
-        if one.name in measured:
-            found, evidence, method = measured[one.name]
-            results.append(one.judge(found, subject=subject, stage="coupled", evidence=evidence, method=method))
-    return tuple(results)

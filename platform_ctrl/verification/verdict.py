@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from html import escape
-from typing import TYPE_CHECKING
 
 from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.progress import Progress, shown
@@ -23,10 +21,6 @@ from platform_ctrl.verification.proofs import Proofs, coupled_proofs, flint, pro
 from platform_ctrl.verification.simulated import Run, simulate_manoeuvre
 from platform_ctrl.verification.simulated_budget import SimulatedBudget, simulated_budget
 
-if TYPE_CHECKING:
-    pass
-
-_SIGNS = {"at most": "≤", "at least": "≥"}
 FOUND = Requirement(name="controller found", limit=1.0, unit="", sense="at least")
 
 
@@ -80,25 +74,6 @@ class JobResult:
         """What the verdict rests on, in words that go with it; empty where that is nothing."""
         coupled = self.coupled
         return assumed_words(self.job, *(() if coupled is None else (coupled.free_angles, coupled.uncontrolled)))
-
-    def _repr_html_(self) -> str:
-        """Return the verdict and all requirements, the tightest first: what notebooks show."""
-        by_margin = sorted(self.requirements, key=lambda one: (one.passed or not one.hard, one.margin))
-        cells = [
-            (
-                f"{one.subject} {one.design}".strip(),
-                one.name,
-                f"{one.value:.4g}",
-                f"{_SIGNS[one.sense]} {one.limit:.4g} {one.unit}",
-                f"{one.margin:+.0%}",
-                "met" if one.passed else "not met" if one.hard else "goal missed",
-            )
-            for one in by_margin
-        ]
-        rows = ("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in cells)
-        head = "".join(f"<th>{name}</th>" for name in ("of", "requirement", "value", "limit", "margin", ""))
-        verdict = f"{escape(self.job.name)}: {'PASSED' if self.passed else 'FAILED'}"
-        return f"<table><caption>{verdict}</caption><tr>{head}</tr>{''.join(rows)}</table>"
 
 
 def check_job(

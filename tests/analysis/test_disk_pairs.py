@@ -88,16 +88,6 @@ def test_the_gain_and_the_phase_that_a_disk_allows_alone_are_too_much_together(c
     assert radius(loop, high * np.exp(-1j * phase)) == pytest.approx(1.040, abs=5e-4)
 
 
-def test_every_pair_on_the_page_of_the_first_loop_is_stable(channels) -> None:
-    page = (ROOT / "docs" / "start" / "first-loop.md").read_text(encoding="utf-8")
-    printed = re.findall(rf"^(Q\d+): gain {ALONE}° alone,\n    or both inside the disk: gain {PAIR}°", page, re.M)
-    assert [name for name, *_ in printed] == ["Q9", "Q10"]
-    for name, *numbers in printed:
-        low, high, phase, gain, left = map(float, numbers)
-        for factor in (low, high, *turned(1.0, phase), *turned(gain, left)):
-            assert radius(channels[name][0], factor) < 1.0
-
-
 def inside(text: str, alpha: float) -> int:
     """Assert that all that a text allows lies inside the disk, close to its edge; return how many pairs there were."""
     text = " ".join(text.replace("\n", " ").replace("#", " ").split())

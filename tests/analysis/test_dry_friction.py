@@ -34,13 +34,6 @@ def test_fast_sliding_has_the_describing_function_of_a_sign() -> None:
     assert found.mean == pytest.approx(0.0, abs=1e-15)
 
 
-def test_slow_motion_has_the_slope_at_rest() -> None:
-    slope = 0.02 / 1e-3
-    assert describing_function(BEARING, 0.0).viscous == pytest.approx(slope, rel=1e-12)
-    assert describing_function(BEARING, 1e-9).viscous == pytest.approx(slope, rel=1e-9)
-    assert describing_function(BEARING, 1e-5).viscous == pytest.approx(slope * (1.0 - 1e-4), rel=1e-7)
-
-
 @pytest.mark.parametrize("rms", [3e-4, 1e-3, 1e-2])
 def test_a_stribeck_curve_is_averaged_over_the_rates(rms: float) -> None:
     curve = Friction(

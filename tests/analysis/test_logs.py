@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis.logs import _uniform, log_density, pieces, read_log
+from platform_ctrl.analysis.logs import log_density, pieces, read_log
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.scenario import TimeTable, Vibration
 from platform_ctrl.job.spectra import LogSpectrum, TableSpectrum
-from vehicle_log import FILE, vehicle_log
+from vehicle_log import FILE
 
 RATE = 400.0
 KNOWN = TableSpectrum(frequencies_hz=[0.5, 5.0, 40.0, 150.0], densities=[1e-3, 1e-3, 1e-5, 1e-7])
@@ -85,15 +85,6 @@ def test_a_fine_resolution_is_averaged_over_bands_of_one_percent(uniform: tuple[
     assert np.trapezoid(found.densities, f) == pytest.approx(np.var(x), rel=1e-9)
 
 
-def test_a_clock_that_jitters_is_put_right_by_a_spline(jittered: tuple[np.ndarray, np.ndarray]) -> None:
-    time, _ = jittered
-    period = float(np.mean(np.diff(time)))
-    curve = _uniform(time, 2.0 * np.sin(2 * np.pi * 7.0 * time), period)
-    error = curve - 2.0 * np.sin(2 * np.pi * 7.0 * (time[0] + period * np.arange(len(curve))))
-    assert 0.0 < np.sqrt(np.mean(error**2)) < 0.01
-    assert len(curve) in (len(time) - 1, len(time))
-
-
 def test_gaps_are_left_out_and_the_share_that_is_lost_is_stated(uniform: tuple[np.ndarray, np.ndarray]) -> None:
     time, x = uniform
     kept = ~(((time > 20.0) & (time < 26.0)) | ((time > 40.0) & (time < 40.1)))
@@ -107,14 +98,6 @@ def test_gaps_are_left_out_and_the_share_that_is_lost_is_stated(uniform: tuple[n
     single = np.delete(time, 5000), np.delete(x, 5000)
     assert len(pieces(single[0])) == 1
     assert log_density(*single, 0.5).lost == pytest.approx(0.0, abs=1e-4)
-
-
-def test_a_time_in_another_unit_is_refused() -> None:
-    k, x = np.arange(100.0), np.sin(np.arange(100))
-    with pytest.raises(ArgumentError, match=r"step of the clock, 2500 s, is too long for 1 Hz; the time must be in s"):
-        log_density(2500.0 * k, x, 1.0)
-    with pytest.raises(ArgumentError, match=r"1e-12 s, is too short; the time must be in s"):
-        log_density(1e-12 * k, x, 1.0)
 
 
 def test_a_time_table_of_a_log_with_a_gap_is_refused() -> None:
@@ -166,25 +149,6 @@ def test_a_clock_that_cannot_be_in_its_unit_is_refused(
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("column", "scale"),
-    [
-        ("rate", 1.0),
-        ("rate_dps", math.pi / 180.0),
-        ("Rate (deg/s)", math.pi / 180.0),
-        ("rate_rpm", math.pi / 30.0),
-        ("torque_mNm", 1e-3),
-        ("yaw_s", 1.0),  # of the axis s: no rate is a time
-    ],
-)
-def test_a_column_of_a_log_is_read_in_the_unit_of_its_name(column: str, scale: float, tmp_path: Path) -> None:
-    path = recorded_log(tmp_path / "log.csv", "time", 1.0, column)
-    table = TimeTable.from_log(path, (None, column, None))
-    np.testing.assert_allclose(table.values[:, 1], scale * np.arange(800), rtol=1e-15)
-    negative = TimeTable.from_log(path, (None, column, None), factor=-scale)
-    np.testing.assert_allclose(negative.values, -table.values, rtol=1e-15)
-
-
 def test_units_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     path = recorded_log(tmp_path / "log.csv", "time", 1.0, "a_dps,b_Nm,c_deg")
     with pytest.raises(ArgumentError, match='column "a_dps" is in deg/s by its name, and factor = 1 contradicts it'):
@@ -216,10 +180,6 @@ def test_csv_and_parquet_hold_the_same(tmp_path: Path) -> None:
         read_log(tmp_path / "log.parquet", ["note"])
 
 
-def test_the_log_of_the_tests_is_what_its_script_writes() -> None:
-    assert FILE.read_text(encoding="utf-8") == vehicle_log()
-
-
 @pytest.mark.parametrize(
     ("line", "says"),
     [
@@ -249,16 +209,3 @@ def test_files_that_are_no_logs_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "log.csv", *ramp())
     with pytest.raises(InputError, match='there is no column "rates"; did you mean "rate"'):
         read_log(path, ["rates"])
-
-
-def test_a_log_is_read_before_its_density_is_asked_for() -> None:
-    spectrum = LogSpectrum(log=FILE.name, column="gyro_z")
-    with pytest.raises(ArgumentError, match=r"log 'vehicle\.csv' has not been read; read the job from a file"):
-        spectrum.density(1.0)
-    read = spectrum.read(FILE.parent, 1.0)
-    estimate = read.estimate
-    assert estimate is not None
-    np.testing.assert_array_equal(read.density(estimate.frequencies_hz[1:]), estimate.densities[1:])
-    assert read.density(0.5 * estimate.frequencies_hz[1]) == 0.0
-    with pytest.raises(InputError, match=r"vehicle\.csv: gyro_z: a resolution of 0\.1 Hz needs 10 s"):
-        spectrum.read(FILE.parent, 0.1)

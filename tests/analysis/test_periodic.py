@@ -8,7 +8,6 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.margins import loop_margins
 from platform_ctrl.analysis.norms import hinf_norm, noise_rms
@@ -66,7 +65,7 @@ def test_a_late_reading_costs_no_more_states_than_are_going_to_be_read(n: int, l
     loop = cascade(n, late)
     by_sample = interconnected_by_sample([outer(n), INNER], ["angle", "rate"], ["torque"], T)
     plant = late_outputs(BODY, [late, 0])
-    whole = [closed_loop(plant, K) for K in by_sample]
+    whole = [plant.feedback(K) for K in by_sample]
     assert loop.decay > 0.0
     np.testing.assert_allclose(np.abs(loop.poles).max(), np.abs(np.linalg.eigvals(lifted(whole).A)).max(), rtol=1e-9)
     every = max(len(one.A.T) for one in loop.systems)

@@ -74,17 +74,6 @@ def test_samples_lie_inside_the_corners_and_are_all_different(job):
     assert all(len(set(column)) == len(found) for column in changes.T)
 
 
-def test_samples_follow_from_the_seed_and_more_of_them_only_add(job):
-    def labels(seed, samples):
-        chosen = with_everything(job, seed=seed, uncertainty=Uncertainty(inertia=0.1, spin=0.1, samples=samples))
-        return [case.label for case in cases(chosen, ("9", "10")) if case.group == "uncertainty"][8:]
-
-    assert labels(1, 5) == labels(1, 5) == labels(1, 9)[:5]
-    assert not set(labels(1, 5)) & set(labels(2, 5))
-    assert labels(1, 0) == []
-    assert len(labels(1, 1)) == 1
-
-
 def test_the_grid_of_Omega_holds_its_corners_and_leaves_out_rest(job):
     def rates(points, Omega=job.Omega):
         chosen = with_everything(job, Omega_grid=points, Omega=np.array(Omega))
@@ -103,16 +92,6 @@ def test_a_slow_rotor_lowers_the_nutation_in_proportion(job, share):
     slow = plants.groups.index("faults")
     assert motions(plants.A[0])[0] == pytest.approx(NUTATION, rel=1e-6)
     assert motions(plants.A[slow])[0] == pytest.approx(share * NUTATION, rel=1e-6)
-
-
-def test_gimbals_of_a_stopped_rotor_are_double_integrators(job):
-    plants = loop_plants(with_everything(job, faults=Faults(slow_rotor=0.0)), ("9", "10"))
-    stopped = plants.response[plants.groups.index("faults")]
-    w = plants.frequency
-    slow = w < 10.0
-    np.testing.assert_allclose(np.abs(stopped[slow, 0, 0]), 1.0 / (J9 * w[slow] ** 2), rtol=1e-3)
-    np.testing.assert_allclose(np.abs(stopped[slow, 1, 1]), 1.0 / (J10 * w[slow] ** 2), rtol=1e-3)
-    np.testing.assert_allclose(stopped[:, 0, 1], 0.0, atol=1e-12)
 
 
 def test_a_weak_torquer_scales_its_own_column_alone(full):

@@ -33,15 +33,6 @@ def test_inputs_and_shapes_are_those_of_forced_response(p: int, m: int, squeeze:
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_a_sine_is_drawn_as_lines_between_its_samples() -> None:
-    # 1/(s + 1) driven by sin(2 t): the interpolation's own error is h²/8 of the input's curvature.
-    t = np.arange(0.0, 10.0, 0.1)
-    exact = (np.sin(2 * t) - 2 * np.cos(2 * t) + 2 * np.exp(-t)) / 5
-    lag = control.ss(-1.0, 1.0, 1.0, 0.0)
-    assert np.abs(analysis.time_response(lag, t, np.sin(2 * t)) - exact).max() < 0.1**2 / 8 * 4
-    assert np.abs(analysis.time_response(lag, t, np.sin(2 * t), hold="zoh") - exact).max() > 0.04
-
-
 def test_a_transfer_function_responds_as_its_polynomials() -> None:
     w = np.array([0.0, 0.3, 2.0, 7.0])
     np.testing.assert_allclose(analysis.frequency_response(RESONANCE, w)[0, 0], RESONANCE(1j * w), rtol=1e-14)
@@ -77,17 +68,6 @@ def test_poles_that_entries_share_are_there_as_often_as_the_system_has_them() ->
     A, B, C, D, _ = linear_arrays(GYRO, "test")
     truth = analysis.frequency_response(GYRO, w)
     np.testing.assert_allclose(analysis.frequency_response(control.ss(A, B, C, D), w), truth, rtol=1e-9)
-
-
-def test_a_loop_of_a_transfer_function_has_the_margin_of_its_states() -> None:
-    L = 25 / (s**3 + 10 * s**2 + 10 * s + 10)
-    inside = control.ss([[-10.0, -10, -10], [1, 0, 0], [0, 1, 0]], [[1.0], [0], [0]], [[0, 0, 25.0]], 0)
-    assert analysis.disk_margin(L).alpha == pytest.approx(analysis.disk_margin(inside).alpha, rel=1e-9)
-    # An integrator behind each of two equal channels, of rank one: the loop moves it, so there is a margin.
-    both = control.tf([[[1.0], [0.5]], [[1.0], [0.5]]], [[[1.0, 0.0], [1.0, 0.0]], [[1.0, 0.0], [1.0, 0.0]]])
-    one = control.ss(0.0, [[1.0, 0.5]], [[1.0], [1.0]], np.zeros((2, 2)))
-    assert analysis.disk_margin(both).alpha == pytest.approx(analysis.disk_margin(one).alpha, rel=1e-6)
-    assert analysis.disk_margin(one).alpha > 0.5
 
 
 def test_data_are_what_they_are_at_their_frequencies_and_nothing_else() -> None:

@@ -14,7 +14,7 @@ from camera_job import camera_job, camera_loop
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.analysis.system import System, named_system
+from platform_ctrl.analysis.system import System
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Picture
@@ -62,13 +62,13 @@ def test_bode_is_the_loop_broken_at_one_torquer_with_the_others_closed(
     bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
-    controller = named_system(K, plants.angles, plants.torques)
+    controller = K.to_control(plants.angles, plants.torques)
     # Q10 is closed first, then the loop transfer of Q9 alone is taken: no sensitivity is inverted.
     j = plants.torques.index(settings.channel)
     other = [k for k in range(len(plants.torques)) if k != j]
-    inner = named_system(System(K.A, K.B, K.C[other], K.D[other], K.dt), plants.angles, ["Q10"])
+    inner = System(K.A, K.B, K.C[other], K.D[other], K.dt).to_control(plants.angles, ["Q10"])
     closed = analysis.closed_loop(sampled_plant(plants), inner)
-    single = named_system(System(K.A, K.B, K.C[[j]], K.D[[j]], K.dt), plants.angles, ["Q9"])
+    single = System(K.A, K.B, K.C[[j]], K.D[[j]], K.dt).to_control(plants.angles, ["Q9"])
     plant = closed[list(plants.angles), ["Q9"]]
     direct = analysis.frequency_response(analysis.loop_transfer(plant, single), picture.bode.frequency)[0, 0]
     np.testing.assert_allclose(picture.bode.response, direct, rtol=1e-6, atol=1e-9)
@@ -86,7 +86,7 @@ def test_what_noise_and_loads_come_to_is_what_python_control_closes(
     bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
-    P, K = sampled_plant(plants), named_system(K, plants.angles, plants.torques)
+    P, K = sampled_plant(plants), K.to_control(plants.angles, plants.torques)
     P, K = (control.ss(one.A, one.B, one.C, one.D, plants.period) for one in (P, K))
     # u = K y: positive feedback; a torque beside the controller's, and noise on all readings.
     loads, noise = control.feedback(P, K, sign=1), control.feedback(K, P, sign=1)
@@ -118,7 +118,7 @@ def test_time_responses_are_those_of_the_closed_loop_sample_by_sample(
     bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
-    closed = analysis.closed_loop(sampled_plant(plants), named_system(K, plants.angles, plants.torques))
+    closed = analysis.closed_loop(sampled_plant(plants), K.to_control(plants.angles, plants.torques))
     step = picture.step
     count = round(step.t[-1] / plants.period) + 1
     size = float(step.title.split()[0]) * 1e-3
@@ -164,7 +164,7 @@ def test_margins_of_the_channel_put_a_pole_on_the_boundary(
             scale = np.ones(len(plants.torques))
             scale[j] = factor
             turned = System(K.A, K.B, scale[:, None] * K.C, scale[:, None] * K.D, K.dt)
-            z = closed_loop_poles(plants.only([0]), named_system(turned, plants.angles, plants.torques))[0]
+            z = closed_loop_poles(plants.only([0]), turned.to_control(plants.angles, plants.torques))[0]
             assert np.abs(z).max() == pytest.approx(1.0, abs=2e-3)
     assert 10.0 < picture.margins.phase < 90.0
     assert picture.margins.delay > 0.0

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.analysis.system import named_system
 from platform_ctrl.design.cases import cases, changed
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.classical.stabilisation import platform_servo, rate_estimate
@@ -72,7 +70,7 @@ LEAD, LEAD_S = first_order(1.0, 30.0, 1 / 4000.0, 1.0, PERIOD), control.tf([1.0,
     [
         (first_order(1.0, 12.0, 1.0, 0.0, PERIOD), control.tf([1.0, 12.0], [1.0, 0.0])),
         (LEAD, LEAD_S),
-        (series(LEAD, gain(3.0)), 3.0 * LEAD_S),
+        (LEAD.series(gain(3.0)), 3.0 * LEAD_S),
     ],
 )
 def test_blocks_are_python_controls_tustin(block, continuous):
@@ -167,7 +165,7 @@ def test_no_integrator_is_doubled(model):
 def test_blocks_form_the_controller():
     one, two = first_order(1.0, 2.0, 1.0, 3.0, PERIOD), notch(400.0, 0.5, 0.3, PERIOD)
     first, second, both, pair = (
-        response(block, 600.0) for block in (one, two, series(one, two), side_by_side(one, two))
+        response(block, 600.0) for block in (one, two, one.series(two), side_by_side(one, two))
     )
     np.testing.assert_allclose(both, second @ first)
     np.testing.assert_allclose(pair, np.diag([first[0, 0], second[0, 0]]))
@@ -222,7 +220,7 @@ def test_the_exact_margins_are_never_above_those_of_the_grid(classical, two_axis
 def test_torque_noise_is_what_a_long_random_run_shows(classical, two_axis):
     _, K = classical
     measures = measure(two_axis, K)
-    named = named_system(K, two_axis.angles, two_axis.torques)
+    named = K.to_control(two_axis.angles, two_axis.torques)
     loop = control.feedback(named, sampled_plant(two_axis), sign=1)
     rng = np.random.default_rng(1)
     noise = 5e-6 * rng.standard_normal((2, 40000))

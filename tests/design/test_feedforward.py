@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 import platform_ctrl as pc
 from camera_job import J_AZIMUTH, J_ELEVATION, camera_job, camera_plant
 from platform_ctrl import analysis, design
-from platform_ctrl.analysis.loop import Loop
+from platform_ctrl.analysis.loop import TORQUE_SHARE, Loop
 from platform_ctrl.analysis.measuring import torque_noise
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.system import System
-from platform_ctrl.analysis.transfers import TORQUE_SHARE
 from platform_ctrl.cli import main
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, expm, solve_discrete_lyapunov
 
 import three_gyro_paper as paper
 from platform_ctrl import design
-from platform_ctrl.analysis.system import System, named_system
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.lmi.inequalities import LinearLoop, cp, half_plane, sector, solve
 from platform_ctrl.design.lmi.shared import sharing
@@ -157,7 +157,7 @@ def test_norms_and_poles_of_the_loop_are_within_their_inequalities():
     poles = np.linalg.eigvals(around.A)
     assert poles.real.max() < -0.5
     assert np.min(-poles.real / np.abs(poles)) > 0.4
-    system = named_system(around, list("abcd"), list("efgh"))
+    system = around.to_control(list("abcd"), list("efgh"))
     assert control.linfnorm(system)[0] < gamma
     largest = max(control.system_norm(system[k, 2:4], 2) for k in (2, 3))
     assert largest < float(np.sqrt(noise.value * scaled.rate)) * scaled.gain

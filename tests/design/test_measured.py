@@ -12,7 +12,6 @@ import platform_ctrl as pc
 from platform_ctrl import analysis
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.analysis.system import named_system
 from platform_ctrl.design.measured.contour import contour, plant_integrators, unstable_poles
 from platform_ctrl.design.measured.data import measured_plants, read_measurement
 from platform_ctrl.design.measured.design import measured_pid
@@ -167,7 +166,7 @@ def test_a_byte_order_mark_and_indented_comments_are_no_data():
 def test_the_realised_controller_answers_like_its_actions(period):
     gains = np.random.default_rng(1).standard_normal((3, 2, 2)) * np.array([1.0, 50.0, 0.02])[:, None, None]
     w = np.geomspace(1.0, 5000.0, 30)
-    K = named_system(realisation(gains, 1e-3, period), ANGLES, TORQUES)
+    K = realisation(gains, 1e-3, period).to_control(ANGLES, TORQUES)
     expected = np.moveaxis(controller_response(gains, basis(1j * w, 1e-3, period)), 0, -1)
     np.testing.assert_allclose(analysis.frequency_response(K, w), expected, rtol=1e-9)
     assert K.nstates == 4
@@ -192,7 +191,7 @@ def test_the_nyquist_count_is_that_of_the_poles_for_all_kinds_of_controllers(pla
     for gains in itertools.islice(candidates(w, P), 30):
         for size in (0.1, 1.0, 4.0):
             trial = gains * size * (1.0 + 0.5 * rng.standard_normal(gains.shape))
-            K = named_system(realisation(trial, 2e-4, PERIOD), ANGLES, TORQUES)
+            K = realisation(trial, 2e-4, PERIOD).to_control(ANGLES, TORQUES)
             true = int(np.sum(np.abs(analysis.closed_loop(plant, K).poles()) > 1.0))
             try:
                 found = unstable_poles(path, lambda s, g=trial: controller_response(g, basis(s, 2e-4, PERIOD)))

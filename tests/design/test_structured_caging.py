@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import design
-from platform_ctrl.analysis import transfers as closed
+from platform_ctrl.analysis import loop as closed
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import rows_of

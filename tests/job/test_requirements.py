@@ -13,13 +13,10 @@ import platform_ctrl as pc
 from continuous_loop import ContinuousLoop
 from platform_ctrl import design
 from platform_ctrl.analysis import closed_loop, frequency_response
-from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.norms import gains
 from platform_ctrl.analysis.plant_set import Group
-from platform_ctrl.analysis.transfers import Channel
 from platform_ctrl.design.loop import remeasured
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError
@@ -309,49 +306,6 @@ def test_the_bandwidth_of_a_set_holds_the_nominal_one(plants, controller):
     nominal = requirement("bandwidth", 10.0).check(plants, controller).value
     worst = requirement("bandwidth", 10.0, over=("nominal", "faults")).check(plants, controller).value
     assert 0.5 * nominal < worst <= nominal * 1.02
-
-
-# Norms of weighted channels
-
-
-def test_norms_are_of_the_channel_that_is_named(plants, controller):
-    rates, angles = ("Omega1", "Omega2", "Omega3"), ("alpha9", "beta10")
-    channel = Channel(inputs=rates, outputs=angles)
-    # A norm between named signals is that of the samples, with the platform's rate held.
-    held = gains(Loop(plants, plants.joined(controller)).arrays.at(0).part([2, 3], [2, 3, 4]), plants.frequency)
-    found = requirement("H-infinity norm", 1.0, channel=channel).check(plants, controller).value
-    assert held.max() * (1.0 - 1e-9) <= found <= 1.01 * held.max()
-    noise = Channel(inputs=("noise_alpha9", "noise_beta10"), outputs=("Q9", "Q10"), input_weight=plants.noise)
-    measures = measure(plants, plants.joined(controller))
-    assert requirement("H2 norm", 1.0, channel=noise).check(plants, controller).value == pytest.approx(
-        np.linalg.norm(measures.torque_noise), rel=1e-9
-    )
-    readings = Channel(inputs=("noise_alpha9", "noise_beta10"), outputs=("reading_alpha9", "reading_beta10"))
-    assert requirement("H-infinity norm", 1.0, channel=readings).check(plants, controller).value == pytest.approx(
-        requirement("tracking", 1.0, frequency=np.pi / PERIOD).check(plants, controller).value, rel=2e-9
-    )
-
-
-@pytest.mark.parametrize("kind", ["H-infinity norm", "H2 norm"])
-def test_weights_act_on_their_side(kind, plants, controller):
-    inputs, outputs = ("noise_alpha9", "noise_beta10"), ("Q9", "Q10")
-
-    def value(**weights):
-        return (
-            requirement(kind, 1.0, channel=Channel(inputs=inputs, outputs=outputs, **weights))
-            .check(plants, controller)
-            .value
-        )
-
-    plain = value()
-    assert value(input_weight=3.0) == pytest.approx(3.0 * plain)
-    assert value(input_weight=np.array([2.0, 2.0]), output_weight=2.0 * np.eye(2)) == pytest.approx(4.0 * plain)
-    first = requirement(kind, 1.0, channel=Channel(inputs=inputs, outputs=("Q9",))).check(plants, controller).value
-    assert value(output_weight=np.array([[1.0, 0.0]])) == pytest.approx(first)
-    # A low-pass that lets nothing through but DC takes nearly everything away.
-    slow = control.ss([[1.0 - 1e-6]], [[1e-6]], [[1.0]], [[0.0]], PERIOD)
-    assert value(output_weight=control.append(slow, slow)) < 0.05 * plain
-    assert value(output_weight=control.ss([], [], [], np.eye(2), PERIOD)) == pytest.approx(plain)
 
 
 # Limits and goals of a job

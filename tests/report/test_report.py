@@ -23,8 +23,6 @@ from legend_entries import without_a_curve
 from passive_gimbal import passive_job
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS, Metric
-from platform_ctrl.analysis.system import named_system
-from platform_ctrl.analysis.transfers import Transfer
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
@@ -426,7 +424,7 @@ def test_captions_have_peaks_that_every_grid_misses() -> None:
     assert plants is not None
     # A narrow notch in the way of the nutation; the worst of several axes is more than that of any one.
     K = narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, 0.20796, 0.0061867]))
-    narrow = remeasured(outcome.spec, outcome.closed.name, named_system(K, plants.angles, plants.torques), plants)
+    narrow = remeasured(outcome.spec, outcome.closed.name, K.to_control(plants.angles, plants.torques), plants)
     outcome = dataclasses.replace(outcome, designs=(narrow,))
     loop = curves.shown_loop(outcome)
     assert loop is not None

@@ -112,11 +112,6 @@ def figure(kind: str, plants, k: int, K, frequency: float | None = None) -> floa
         case "torque limit":
             rows = range(len(plants.torques))
             return max(peak(lambda f, j=j: response(loop, "u", "Omega", f)[:, j : j + 1] * share[j]) for j in rows)
-        case "H-infinity norm":
-            blocks = [("u", "y", "y"), ("d", "Omega", "n")]
-            extra = np.zeros((2 * len(loop.C["y"]) + len(loop.C["u"]), sum(b.shape[1] for b in loop.B.values())))
-            extra[-len(loop.C["y"]) :, -len(loop.C["y"]) :] = np.eye(len(loop.C["y"]))
-            return peak(lambda f: np.block([[response(loop, z, x, f) for x in blocks[1]] for z in blocks[0]]) + extra)
         case "bandwidth":
             return min(first_above(lambda f, at=at: size(S(f, at)), w) for at in ("input", "output")) / (2.0 * np.pi)
     raise AssertionError(kind)

@@ -20,7 +20,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from commanded_gimbal import RATE_HZ, commanded_job
 from generated_c import Machine, compiled
 from platform_ctrl import read_job
-from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
+from platform_ctrl.analysis.feedback import loop_transfer
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.margins import disk_margin, loop_margins
 from platform_ctrl.analysis.periodic import PeriodicLoop
@@ -31,12 +31,10 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_files import write_c
 from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.job.reading import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.report.job_page import page_html
-from platform_ctrl.simulation import simulate, simulate_batch
+from platform_ctrl.simulation import simulate
 from platform_ctrl.verification.budget import line_of_sight_budget
-from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated_budget import simulated_budget
 from platform_ctrl.verification.verdict import check_job, coupled_proofs
@@ -222,7 +220,7 @@ def square() -> tuple[System, System]:
     A = np.diag([0.9, 0.8, 0.7, 0.6]) + 0.05 * generator.normal(size=(4, 4))
     P = System(A, generator.normal(size=(4, 2)), generator.normal(size=(2, 4)), np.zeros((2, 2)), T)
     K = System(0.5 * np.eye(2), 0.05 * np.eye(2), -0.3 * np.eye(2), -0.02 * np.eye(2), T)
-    assert np.abs(np.linalg.eigvals(closed_loop(P, K).A)).max() < 1.0
+    assert np.abs(np.linalg.eigvals(P.feedback(K).A)).max() < 1.0
     return P, K
 
 
@@ -240,7 +238,7 @@ def test_margins_of_a_loop_that_takes_no_turns_are_the_usual_ones(square: tuple[
     assert found.lower <= usual.lower * (1.0 + 1e-6)
     assert found.lower <= found.upper
     poles = np.sort(np.abs(loop.poles)) ** (1.0 / 6.0)
-    np.testing.assert_allclose(poles, np.sort(np.abs(np.linalg.eigvals(closed_loop(P, K).A))), rtol=1e-9)
+    np.testing.assert_allclose(poles, np.sort(np.abs(np.linalg.eigvals(P.feedback(K).A))), rtol=1e-9)
 
 
 def test_no_gain_within_the_margin_destabilises(
@@ -261,7 +259,7 @@ def test_no_gain_within_the_margin_destabilises(
         low, high = (2.0 - alpha) / (2.0 + alpha), (2.0 + alpha) / (2.0 - alpha)
         turn = np.eye(len(plant.A) + len(by_sample[0].A))
         for K, factor in zip(by_sample, np.clip(factors, low, high), strict=True):
-            turn = closed_loop(plant, K._replace(C=factor * K.C, D=factor * K.D)).A @ turn
+            turn = plant.feedback(K._replace(C=factor * K.C, D=factor * K.D)).A @ turn
         assert np.abs(np.linalg.eigvals(turn)).max() < 1.0
 
 
@@ -275,7 +273,7 @@ def test_torque_noise_is_the_mean_of_the_periodic_covariance() -> None:
     seen = list(check.plant.output_labels)
     sensors = {one.name: one for one in job.platform.sensors}
     rms = np.array([sensors[name].sampled_noise(T) for name in seen])
-    cycle = [closed_loop(plant, K) for K in interconnected_by_sample(controllers, seen, check.plant.input_labels, T)]
+    cycle = [plant.feedback(K) for K in interconnected_by_sample(controllers, seen, check.plant.input_labels, T)]
     m = plant.B.shape[1]
     turn, driven = np.eye(len(cycle[0].A)), np.zeros_like(cycle[0].A)
     for one in cycle:
@@ -287,23 +285,6 @@ def test_torque_noise_is_the_mean_of_the_periodic_covariance() -> None:
         squares.append(np.diag(one.C[:m] @ X @ one.C[:m].T + D @ D.T))
         X = one.A @ X @ one.A.T + B @ B.T
     np.testing.assert_allclose(check.torque_noise, np.sqrt(np.mean(squares, axis=0)), rtol=1e-7)
-
-
-def test_batched_runs_are_the_whole_run_to_the_bit(job: Job, controllers: list[control.StateSpace]) -> None:
-    scenario = manoeuvre_scenario(job, job.manoeuvres[0])
-    run = simulate(scenario, controllers, period=T)
-    many = simulate_batch([scenario] * 3, controllers, period=T)
-    np.testing.assert_array_equal(many.angle, np.tile(np.abs(run.q).max(axis=0), (3, 1)))
-    # The rate loop follows at every sample what the tracking loop holds for twenty.
-    at = SLOW * 6
-    assert len(np.unique(run.command[at : at + SLOW, 0])) == SLOW
-
-
-def test_a_loop_at_every_sample_says_so_without_changing_anything(job: Job) -> None:
-    named, plain = (read_job(tracking_job(slow)) for slow in (1, None))
-    for one, other in zip(loops(named), loops(plain), strict=True):
-        for name in "ABCD":
-            np.testing.assert_array_equal(getattr(one.closed.controller, name), getattr(other.closed.controller, name))
 
 
 def test_a_slow_rate_loop_inside_a_slower_tracking_loop() -> None:
@@ -402,30 +383,6 @@ def test_the_generated_code_is_the_simulated_computer(
     assert "1000 Hz (every 0.001 s)" in header
     assert "track, at one sample in 20" in header
     assert "50 Hz (every 0.02 s)" in (tmp_path / "track.h").read_text()
-
-
-def test_controllers_of_a_file_are_measured_at_their_own_rates(
-    job: Job, made: tuple[LoopOutcome, ...], controllers: list[control.StateSpace]
-) -> None:
-    entries = [
-        {"name": name, "dt": float(K.dt), "delay": 0.0, "inputs": K.input_labels, "outputs": K.output_labels}
-        | {key: np.asarray(getattr(K, key)).tolist() for key in "ABCD"}
-        for name, K in zip(("track", "loop"), controllers, strict=True)
-    ]
-    again = outcomes_from(job, read_controllers({"schema": 1, "controllers": entries}, job))
-    for one, other in zip(again, made, strict=True):
-        assert one.closed.measures is not None
-        assert other.closed.measures is not None
-        np.testing.assert_allclose(one.closed.measures.disk_margin, other.closed.measures.disk_margin, rtol=1e-9)
-    entries[0]["dt"] = T
-    with pytest.raises(InputError, match=r"dt: 0.001 s is not the loop's sample period, 0.02 s"):
-        read_controllers({"schema": 1, "controllers": entries}, job)
-
-
-def test_the_job_is_written_with_its_rates(job: Job) -> None:
-    again = read_job(job_data(job))
-    assert [again.every(spec) for spec in again.loops] == [1, SLOW]
-    assert again.cycle == SLOW
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from platform_ctrl.common.files import json_text
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
-from platform_ctrl.verification import check_job, controllers
+from platform_ctrl.verification import check_job
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.result_file import read_record, result_record, write_record
 from platform_ctrl.verification.verdict import JobResult
@@ -173,44 +173,6 @@ def test_a_worse_controller_fails_the_check(record: dict[str, Any], job: Job) ->
     json.dumps(failed, allow_nan=False)  # infinite noise and lost margins are null
 
 
-def test_an_alternative_that_cannot_be_measured_does_not_end_the_check(
-    record: dict[str, Any], job: Job, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    measured = controllers.remeasured
-
-    def fails(spec: Any, name: str, *given: Any) -> Any:
-        if name == "slow":
-            raise np.linalg.LinAlgError("no luck")
-        return measured(spec, name, *given)
-
-    monkeypatch.setattr(controllers, "remeasured", fails)
-    again = outcomes_from(job, read_controllers(record, job), read_controllers(record, job, "alternatives"))
-    outcome = check_job(job, again)
-    assert outcome.passed is record["passed"]
-    [failed] = result_record(outcome)["failed"]
-    assert (failed["name"], failed["design"], failed["reason"]) == ("caging 9-10", "slow", "LinAlgError: no luck")
-
-
-def test_signals_may_stand_in_another_order(record: dict[str, Any], job: Job) -> None:
-    turned = copy.deepcopy(record)
-    entry = turned["controllers"][1]
-    for key in ("inputs", "outputs", "C", "D"):
-        entry[key] = entry[key][::-1]
-    entry["B"] = [row[::-1] for row in entry["B"]]
-    entry["D"] = [row[::-1] for row in entry["D"]]
-    before, after = (outcomes_from(job, read_controllers(r, job))[1].closed.measures for r in (record, turned))
-    assert before is not None
-    assert after is not None
-    np.testing.assert_allclose(after.disk_margin, before.disk_margin, rtol=1e-9)
-
-
-def test_controllers_keep_the_order_of_the_file(record: dict[str, Any], job: Job) -> None:
-    other = copy.deepcopy(record)
-    other["controllers"][:2] = other["controllers"][1::-1]
-    names = [outcome.spec.name for outcome in outcomes_from(job, read_controllers(other, job))]
-    assert names == ["caging 9-10", "caging 4-5-7", "stabilisation"]
-
-
 def test_a_controller_without_states_is_read(record: dict[str, Any], job: Job) -> None:
     bare = copy.deepcopy(record)
     bare["controllers"][1] |= {"A": [[]], "B": [[]], "C": [[], []]}
@@ -225,18 +187,9 @@ def second(record: dict[str, Any]) -> Any:
 Change = Callable[[dict[str, Any]], object]
 
 MISTAKES: dict[str, tuple[Change, str]] = {
-    "no schema": (
-        lambda r: r.pop("schema"),
-        'the key "schema" is missing; it must be 1',
-    ),
     "another schema": (lambda r: r.update(schema=2), "schema must be 1, the format that this version reads, got 2"),
-    "no controllers": (
-        lambda r: r.pop("controllers"),
-        'the key "controllers" is missing',
-    ),
     "an empty list": (lambda r: r.update(controllers=[]), "controllers must be a list of controllers, got []"),
     "no table": (lambda r: r["controllers"].insert(0, 3), "controllers 1 must be a table, got 3"),
-    "no matrix": (lambda r: second(r).pop("D"), 'controllers 2 "caging 9-10": the key "D" is missing'),
     "unknown input": (
         lambda r: second(r).update(inputs=["alpha9", "betta10"]),
         'inputs: "betta10" is no pick-off of the plant and no output of a controller before it; did you mean "beta10"?',
@@ -249,30 +202,15 @@ MISTAKES: dict[str, tuple[Change, str]] = {
         lambda r: r["controllers"].insert(0, r["controllers"].pop()),
         "no output of a controller before it",
     ),
-    "output set twice": (lambda r: r["controllers"].append(second(r)), "is set by controllers 2 already"),
-    "inputs no list": (
-        lambda r: second(r).update(inputs="alpha9"),
-        'inputs must be a list of signal names, got "alpha9"',
-    ),
     "continuous": (lambda r: second(r).update(dt=0), "dt: 0 s is not the job's sample period, 0.0005 s"),
-    "dt is text": (lambda r: second(r).update(dt="x"), 'dt must be a finite number, s, got "x"'),
     "A not square": (lambda r: second(r)["A"].pop(), "A must be 3 x 3 (square), row 1 has 4 elements"),
-    "B too short": (lambda r: second(r)["B"].pop(), "B must be 4 x 2 (by inputs, outputs and A), has 3 rows"),
     "C ragged": (
         lambda r: second(r)["C"][1].append(0.0),
         "C must be 2 x 4 (by inputs, outputs and A), row 2 has 5 elements",
     ),
-    "D no list of rows": (
-        lambda r: second(r).update(D=[1.0, 2.0]),
-        "D must be 2 x 2 (by inputs, outputs and A), row 1 is 1.0",
-    ),
     "D not finite": (
         lambda r: second(r)["D"][0].__setitem__(1, math.inf),
         "D: element (1, 2) must be a finite number, got inf",
-    ),
-    "D beyond floats": (
-        lambda r: second(r)["D"][1].__setitem__(0, 10**400),
-        "D: element (2, 1) must be a finite number, got an integer",
     ),
 }
 
@@ -286,33 +224,6 @@ def test_every_mistake_is_one_line_that_names_its_place(record: dict[str, Any], 
         read_controllers(wrong, job)
     assert words in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"{", "is not JSON: "),
-        (b"[1]", "must be a table, got [1]"),
-        (b"\xff\xfe", "is not UTF-8 text"),
-        (b"[" * 100_000, "nested too deeply"),
-        (b'{"schema": ' + b"1" * 5000 + b"}", "cannot be read"),
-    ],
-)
-def test_a_file_that_is_no_result_is_refused_in_one_line(content: bytes, words: str, job: Job, tmp_path: Path) -> None:
-    file = tmp_path / "result.json"
-    file.write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        read_controllers(file, job)
-    assert str(caught.value).startswith(str(file))
-    assert words in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
-
-
-def test_a_missing_file_and_a_folder_are_refused(job: Job, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no such file"):
-        read_controllers(tmp_path / "none.json", job)
-    with pytest.raises(InputError, match="is a directory"):
-        read_controllers(tmp_path, job)
 
 
 def test_loops_and_controllers_that_do_not_match_are_named(record: dict[str, Any], job: Job) -> None:

@@ -286,14 +286,3 @@ def test_a_limit_that_cannot_be_missed_is_a_mistake(changes: dict[str, Any], wor
         raw = changed(**changes)
     with pytest.raises(InputError, match=words):
         pc.read_job(raw)
-
-
-def test_a_sine_faster_than_the_substep_is_followed() -> None:
-    """Its own substep follows it, whatever the longest one is."""
-    raw = data("after-the-end")
-    raw["manoeuvre"] = raw["manoeuvre"][-1:]
-    raw["manoeuvre"][0]["sine"][0]["frequency_hz"] = 19_913.0
-    read = pc.read_job(raw)
-    run = check_job(read, design.loops(read)).runs[0]
-    assert run.trajectory.step == pytest.approx(1.0 / (6.0 * 19_913.0))
-    assert np.abs(run.trajectory.Omega[:, 1]).max() == pytest.approx(5.0, rel=0.01)

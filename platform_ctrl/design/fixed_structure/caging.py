@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
@@ -271,7 +270,7 @@ def without_integrators(controller: System, channel: Channels, integral: float, 
 
     basis = channel.basis
     undone = side_by_side(*[first_order(1.0, 0.0, 1.0, integral, period)] * len(basis))
-    A, B, C, D, _ = series(undone, between(basis.T, controller, basis))
+    A, B, C, D, _ = undone.series(between(basis.T, controller, basis))
     triangle, vectors, kept = schur(A, sort=lambda re, im=0.0: bool(abs(complex(re, im) - 1.0) > _INTEGRATOR))
     left, right = triangle[:kept, :kept], triangle[kept:, kept:]
     if kept and np.abs(np.linalg.eigvals(left)).max() >= 1.0:

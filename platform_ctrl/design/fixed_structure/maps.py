@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis import transfers as closed
+from platform_ctrl.analysis import loop as closed
+from platform_ctrl.analysis.loop import Transfer
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import ComplexArray
-from platform_ctrl.analysis.transfers import Transfer
 from platform_ctrl.common.values import FloatArray
 
 

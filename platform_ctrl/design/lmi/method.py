@@ -29,12 +29,11 @@ import numpy as np
 from scipy.linalg import block_diag, solve_continuous_are
 from scipy.sparse.csgraph import connected_components
 
-from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
-from platform_ctrl.analysis.system import System, named_system
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.inequalities import LinearLoop, balancing, cp, half_plane, in_states, sector, solve
 from platform_ctrl.design.lmi.shared import sharing
@@ -116,7 +115,7 @@ def _synthesis(
     back = np.argsort([k for part in parts for k in part.channels])
     A, B, C, D = (block_diag(*(K[k] for K, _, _ in found)) for k in range(4))
     W_e = error_weight(*(np.concatenate([part.weight[k] for part in parts])[back] for k in (0, 1)))
-    K = series(W_e, System(A, B[:, back], C[back], D[np.ix_(back, back)]))
+    K = W_e.series(System(A, B[:, back], C[back], D[np.ix_(back, back)]))
     claims = {
         "gamma": max(_gamma(part, made) for part, (made, _, _) in zip(parts, found, strict=True)),
         "gamma_optimal": max(gamma for _, gamma, _ in found),
@@ -309,7 +308,7 @@ def _performance(part: _Weighted) -> Partition:
 def _least(part: _Weighted) -> float:
     """Return the least γ of the performance alone, by Riccati equations."""
     k = len(part.channels)
-    found = hinf(named_system(whole(_performance(part)), *signal_names(k)), k, k, method="riccati")
+    found = hinf(whole(_performance(part)).to_control(*signal_names(k)), k, k, method="riccati")
     return found.level / (1.0 + found.backoff)
 
 

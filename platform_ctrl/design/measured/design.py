@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
-from platform_ctrl.analysis.system import ComplexArray, named_system
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.measured.contour import Contour
@@ -243,7 +243,7 @@ def _result(search: Search, gains: FloatArray, begun: FloatArray, history: Float
         )
     controller = realisation(gains, search.filter_time, plants.period)
     return MeasuredDesign(
-        controller=named_system(controller, plants.angles, plants.torques, name="measured PID"),
+        controller=controller.to_control(plants.angles, plants.torques, name="measured PID"),
         gains=gains,
         filter_time=search.filter_time,
         objective=float(np.linalg.svd(gains[1], compute_uv=False)[-1]),

@@ -25,10 +25,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
-from platform_ctrl.analysis.system import System, named_system
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between
@@ -137,8 +136,8 @@ def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Desig
     channel, plants = problem.channel, problem.plants.regular()
     options = hinf_options(problem.design, channel, plants.nutation, plants.period)
     weighted = weighted_plant(options, channel, plants)
-    P = named_system(weighted.arrays, *signal_names(weighted.size))
+    P = weighted.arrays.to_control(*signal_names(weighted.size))
     found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])
-    sampled = from_w_plane(series(weighted.weight(), System.of(found.controller, "controller")), plants.period)
+    sampled = from_w_plane(weighted.weight().series(System.of(found.controller, "controller")), plants.period)
     claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
     return Designed(controller=weighted.at_gimbals(sampled, channel), options=options, claims=claims)

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.curves import Locus, View, traced_locus, upper_half_plane
-from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
+from platform_ctrl.analysis.feedback import loop_transfer
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
 from platform_ctrl.analysis.response import NamedSystem, linear_arrays
 from platform_ctrl.analysis.sampling import sampled, with_lag
@@ -141,7 +141,7 @@ def root_locus_over_spin(
         A, B, C, D = (now + share * more for now, more in zip(still[:4], change[:4], strict=True))
         plant = System(A, B, C, D, 0.0)
         P = with_lag(plant, lags) if period is None else sampled(plant, dt, late, lags)
-        return np.asarray(np.linalg.eigvals(closed_loop(P, K).A), dtype=np.complex128)
+        return np.asarray(np.linalg.eigvals(P.feedback(K).A), dtype=np.complex128)
 
     return _drawn(traced_locus(factors, poles, dt), "speed", "rotor speed / nominal")
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.frequency_grids import around_resonances
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.response import LinearSystem, frequency_response, linear_arrays
@@ -144,7 +143,7 @@ def _closed(L: System, share: FloatArray) -> System:
     """Return the loop L, some channels closed with negative feedback: from a disturbance at its input to that input."""
     m = len(L.D)
     K = System(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), -np.diag(share), L.dt)
-    closed = closed_loop(L, K).part(range(m), range(m))
+    closed = L.feedback(K).part(range(m), range(m))
     return closed._replace(D=closed.D + np.eye(m))
 
 
