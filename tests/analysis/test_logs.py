@@ -131,24 +131,6 @@ def test_a_column_of_time_is_read_in_the_unit_of_its_name(name: str, unit: float
         np.testing.assert_allclose(table.t, np.arange(800) / 400.0, rtol=0.0, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("time", "seconds", "rate", "proposed"),
-    [
-        ("time", 1e-6, 400.0, '"time_us" if it is in µs'),
-        ("time", 1e-3, 1000.0, '"time_ms" if it is in ms or "time_s" if it is in s'),
-        ("time_us", 1.0, 400.0, '"time_s" if it is in s'),
-    ],
-)
-def test_a_clock_that_cannot_be_in_its_unit_is_refused(
-    time: str, seconds: float, rate: float, proposed: str, tmp_path: Path
-) -> None:
-    path = recorded_log(tmp_path / "log.csv", time, seconds, rate=rate)
-    with pytest.raises(InputError, match=f"{time}: steps of .* cannot be meant; call the column ") as error:
-        TimeTable.from_log(path, (None, "rate", None), time=time)
-    assert proposed in str(error.value)
-    assert "\n" not in str(error.value)
-
-
 def test_units_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     path = recorded_log(tmp_path / "log.csv", "time", 1.0, "a_dps,b_Nm,c_deg")
     with pytest.raises(ArgumentError, match='column "a_dps" is in deg/s by its name, and factor = 1 contradicts it'):

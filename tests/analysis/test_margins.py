@@ -87,12 +87,6 @@ def test_a_siso_margin_has_its_closed_form() -> None:
     assert (found.alpha, found.upper, found.unstructured) == pytest.approx((2.0, 2.0, 2.0))
 
 
-def test_a_loop_without_states_has_a_margin() -> None:
-    # S - T = (1 - k)/(1 + k).
-    assert float(analysis.disk_margin(control.ss([], [], [], [[3.0]]))) == pytest.approx(4.0)
-    assert float(analysis.disk_margin(control.ss([], [], [], 3.0 * np.eye(2)))) == pytest.approx(4.0)
-
-
 def test_loop_margins_are_siso_margins_with_the_other_channels_closed() -> None:
     plant = control.ss(
         [[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.4], [-0.3, 2.0]], np.eye(2), 0, inputs=["Q9", "Q10"], outputs=["a", "b"]

@@ -35,13 +35,6 @@ def test_a_stack_gives_what_its_systems_give_one_by_one() -> None:
     np.testing.assert_allclose(out, truth, rtol=1e-9, atol=1e-11)
 
 
-def test_a_gain_without_states_has_a_response() -> None:
-    gain = control.ss([], [], [], [[1.0, 2.0]])
-    np.testing.assert_array_equal(analysis.frequency_response(gain, [1.0, 5.0])[0, :, 1], [1.0, 2.0])
-    u = np.ones((2, 3))
-    np.testing.assert_array_equal(analysis.time_response(gain, [0.0, 1.0, 2.0], u), [[3.0, 3.0, 3.0]])
-
-
 @given(seeds)
 @settings(max_examples=15, deadline=None)
 def test_time_response_of_a_discrete_system_is_its_recurrence(seed: int) -> None:

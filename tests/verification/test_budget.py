@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from camera_job import camera_job, camera_loop, camera_plant
 from platform_ctrl.analysis.budget_result import BudgetResult
 from platform_ctrl.analysis.disturbances import Density, Disturbance, RandomDisturbance, SampleNoise
 from platform_ctrl.analysis.dry_friction import describing_function
@@ -246,33 +245,6 @@ def test_the_budget_is_the_rms_of_the_non_linear_simulation(tmp_path: Path) -> N
     rows = multisine(0.01)
     of = shaken(tmp_path, rows)
     assert line_of_sight_budget(of, controllers()).total[0] == pytest.approx(simulated(of, rows), rel=1e-4)
-
-
-@pytest.mark.slow
-def test_the_budget_of_a_tracker_around_a_rate_loop_is_that_of_the_simulation() -> None:
-    plant, rows = (
-        camera_plant(friction=[{"gimbal": "az", "viscous": 0.02}, {"gimbal": "el", "viscous": 0.02}]),
-        multisine(0.01),
-    )
-    for sensor in plant["attitude_sensor"]:
-        sensor["delay"] = 0.01
-    track = {
-        "name": "track",
-        "kind": "tracking",
-        "around": "rate",
-        "sensors": ["yaw_error", "pitch_error"],
-        "use": "pi",
-    }
-    track["design"] = [{"name": "pi", "method": "pi", "crossover_hz": 2.0}]
-    base = {"name": "base", "kind": "base-rate", "axis": 2, "sines": rows.tolist()}
-    of = pc.read_job(
-        camera_job(plant=plant, loop=[*camera_loop(), track], budget={"from_hz": 0.4, "to_hz": 50.0, "source": [base]})
-    )
-    closed = [outcome.closed.controller for outcome in loops(of)]
-    found = line_of_sight_budget(of, closed)
-    assert found.names[0] == "base"
-    assert any(name.startswith("noise of pitch_error") for name in found.names)
-    assert found.rms[0, 0] == pytest.approx(simulated(of, rows, closed), rel=2e-3)
 
 
 def test_dry_friction_shakes_as_in_the_non_linear_simulation(tmp_path: Path) -> None:

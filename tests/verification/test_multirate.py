@@ -287,16 +287,6 @@ def test_torque_noise_is_the_mean_of_the_periodic_covariance() -> None:
     np.testing.assert_allclose(check.torque_noise, np.sqrt(np.mean(squares, axis=0)), rtol=1e-7)
 
 
-def test_a_slow_rate_loop_inside_a_slower_tracking_loop() -> None:
-    job = read_job(tracking_job(20, inner=5))
-    made = loops(job)
-    controllers = [one.closed.controller for one in made]
-    assert [K.dt for K in controllers] == pytest.approx([20 * T, 5 * T])
-    check = coupled_check(job, linearise(job.platform), controllers)
-    stepped = np.linalg.eigvals(over_a_cycle(job, check, controllers, SLOW))
-    assert np.abs(check.poles).max() == pytest.approx(np.abs(stepped).max(), rel=1e-7)
-
-
 def slow_job(slow: int | None, **sensor: Any) -> dict[str, Any]:
     """The tracking loop around a tracker at 2 Hz."""
     data = tracking_job(slow, rate_hz=2.0, **sensor)

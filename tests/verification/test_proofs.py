@@ -9,7 +9,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import control
 import numpy as np
 import pytest
 
@@ -18,7 +17,7 @@ from platform_ctrl.analysis import hinf_norm
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
 from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.errors import InputError, NotCertifiedError
+from platform_ctrl.errors import InputError
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.proofs import (
     Claim,
@@ -28,7 +27,6 @@ from platform_ctrl.verification.proofs import (
     _decided,
     _loop,
     _norm_below,
-    coupled_proofs,
     proofs_of,
     with_proofs,
 )
@@ -147,32 +145,6 @@ def test_what_a_file_claims_beyond_the_truth_is_told(small: tuple[Any, tuple[Loo
     assert first.startswith("caging 9-10, plain: disk_margin is written as 0.9; it is")
     assert "damping is written as" in second
     assert unconfirmed({"schema": 1, "controllers": [{}]}, result) == ()
-
-
-def test_an_unstable_coupled_system_claims_nothing(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
-    job, outcomes = small
-    check = check_job(job, outcomes).coupled
-    assert check is not None
-    K: control.StateSpace = outcomes[0].closed.controller
-    unstable = dataclasses.replace(check, poles=2.0 * check.poles / np.abs(check.poles).max())  # type: ignore[type-var]
-    assert coupled_proofs(unstable, [K]).claims == ()
-    assert coupled_proofs(check, [K]).proved == 1
-
-
-def test_an_unstable_loop_is_refused() -> None:
-    data = tomllib.loads(JOB.read_text(encoding="utf-8"))
-    for name in ("uncertainty", "coupled", "manoeuvre", "fault", "campaign"):
-        data.pop(name, None)
-    [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
-    loop |= {
-        "use": "classical",
-        "design": [{"name": "classical", "method": "classical", "crossover_hz": 400, "damping_hz": 1}],
-        "limits": {"bandwidth_hz": 20},
-        "soft": {},
-    }
-    job = pc.read_job(data | {"loop": [loop], "operation": {"Omega": [0.0, 0.0, 0.0]}})
-    with pytest.raises(NotCertifiedError, match="the closed loop grows at"):
-        loops(job)
 
 
 def test_without_the_library_one_sentence_says_what_to_install(

@@ -1,16 +1,13 @@
 """Controllers that take rates in: loops so simple that poles, margins and noise stand on paper, and what is refused."""
 
-import copy
-
 import control
 import numpy as np
 import pytest
 
 from platform_ctrl import read_platform
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.coupled import coupled_check
 
 PERIOD = 0.001
@@ -133,26 +130,3 @@ def test_a_rate_without_a_sensor_is_refused(name):
     with pytest.raises(ArgumentError, match=rf"input '{name}' is a rate that no sensor measures; add a rate se") as e:
         coupled_check(job, linearise(job.platform), [K])
     assert "\n" not in str(e.value)
-
-
-ENTRY = {
-    "name": "rates",
-    "dt": PERIOD,
-    "delay": 0.0,
-    "inputs": ["q_a", "Omega1"],
-    "outputs": ["M1"],
-    "A": [[]],
-    "B": [[]],
-    "C": [[]],
-    "D": [[0.0, -1.0]],
-}
-
-
-def test_a_file_of_controllers_may_name_rates_that_are_measured_and_no_others():
-    record = {"schema": 1, "controllers": [copy.deepcopy(ENTRY)]}
-    [K] = read_controllers(record, job_of(with_arm()))
-    assert K.input_labels == ["q_a", "Omega1"]
-    expected = r'inputs: "Omega1" is a rate that no sensor of the plant measures; add a \[\[rate_sensor\]\]'
-    with pytest.raises(InputError, match=expected) as caught:
-        read_controllers(record, job_of(with_arm(rate_sensor=[{"root_axis": 2}])))
-    assert "\n" not in str(caught.value)

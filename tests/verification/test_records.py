@@ -12,11 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import platform_ctrl as pc
-from platform_ctrl.common.files import json_text
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
@@ -257,16 +254,3 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyt
         write_record({"second": 2}, file)
     assert json.loads(file.read_bytes())["first"] == 1
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
-
-
-plain = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
-    max_leaves=20,
-)
-
-
-@settings(deadline=None)
-@given(plain)
-def test_the_layout_is_json_and_loses_nothing(data: Any) -> None:
-    assert json.loads(json_text(data)) == data

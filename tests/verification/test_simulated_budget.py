@@ -79,8 +79,3 @@ def test_the_command_prints_what_runs_show_beside_the_budget(
     job(tmp_path, "runs = 3\n" + LIMITS)
     assert main([*given[:-2], "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["simulated"]["runs"] == 3
-    job(tmp_path, LIMITS)
-    assert main([*given[:-1], "1"]) == 2
-    assert "at least 2 runs" in capsys.readouterr().err
-    assert main([*given[:-2], "--seed", "3"]) == 2
-    assert "give --simulate" in capsys.readouterr().err
