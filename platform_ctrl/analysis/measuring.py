@@ -2,13 +2,13 @@
 
 Each class has `values`, the values of some plants, on the grid where it needs one. Where a grid may miss the worst,
 `exact` takes the value of one plant over all frequencies, and `holds` shows that a plant's value is no worse than a
-bound without computing it. `gradient`, or the transfers, are what the structured tuner differentiates.
+bound without computing it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -50,11 +50,6 @@ class MetricRequest:
     lowest: float = 0.0
 
 
-# Derivatives for the structured tuner: (its closed loops, limit in SI units, lowest ratio of interest, plants) →
-# pieces, as the methods of `design.fixed_structure.loops.ClosedLoops` return them.
-Gradient = Callable[[Any, float, float, Any], Any]
-
-
 class Measure:
     """How a metric is measured."""
 
@@ -76,9 +71,7 @@ class Direct(Measure):
     """Measured in one step, of poles or covariances."""
 
     # return the value of every plant, (N,), or of the controller, (1,), in SI units
-    function: Callable[[Any], FloatArray]
-    # for the structured tuner; without it the tuner looks at this metric only when it has ended
-    gradient: Gradient | None = None
+    function: Callable[[Loop], FloatArray]
 
     def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
         """Return the values of some plants, (k,); of the controller alone (1,)."""
@@ -120,8 +113,6 @@ class Peak(Measure):
 @value
 class Bandwidth(Measure):
     """The lowest frequency, rad/s, at which the largest singular value of S reaches 1/√2; 0 of an unstable loop."""
-
-    gradient: Gradient
 
     def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
         """Return the values of some plants on the grid, rad/s, (k,)."""

@@ -120,7 +120,6 @@ METRICS: dict[str, Metric] = {
         meaning="decay rate of the slowest pole",
         measure=Direct(
             function=lambda loops: loops.decay,
-            gradient=lambda loops, limit, floor, members: loops.decay(limit, members),
         ),
     ),
     "bandwidth": Metric(
@@ -130,7 +129,7 @@ METRICS: dict[str, Metric] = {
         scale=2.0 * np.pi,
         sense="at least",
         meaning="lowest frequency at which the largest singular value of S, at plant input or output, reaches 1/√2",
-        measure=Bandwidth(gradient=lambda loops, limit, floor, members: loops.level(limit, floor)[0]),
+        measure=Bandwidth(),
     ),
     "disk margin": Metric(
         name="disk margin",
@@ -184,7 +183,6 @@ METRICS: dict[str, Metric] = {
         meaning="smallest damping ratio of the closed-loop poles (poles in z taken to s by ln z / T)",
         measure=Direct(
             function=lambda loops: minimum_damping(loops.poles, loops.period),
-            gradient=lambda loops, limit, floor, members: loops.damping(floor, limit, members),
         ),
         scopes=("", "worst_case", "faults"),
         best=1.0,
@@ -198,7 +196,6 @@ METRICS: dict[str, Metric] = {
         "region",
         measure=Direct(
             function=lambda loops: fastest_pole(loops.poles, loops.period),
-            gradient=lambda loops, limit, floor, members: loops.fastest(floor, limit, members),
         ),
     ),
     "tracking": Metric(
@@ -272,7 +269,6 @@ METRICS: dict[str, Metric] = {
         meaning="rms of the torque command from the noise of all pick-offs, in the worst torquer",
         measure=Direct(
             function=lambda loops: torque_noise(loops).max(axis=-1, initial=0.0),
-            gradient=lambda loops, limit, floor, members: loops.noise(limit, members),
         ),
         of_torquers=True,
     ),
@@ -291,7 +287,6 @@ METRICS: dict[str, Metric] = {
         meaning="magnitude of the controller's poles in the w-plane",
         measure=Direct(
             function=lambda loops: fastest_pole(poles(loops.controller.A), loops.period)[None],
-            gradient=lambda loops, limit, floor, members: loops.controller_poles(floor, limit),
         ),
         of="controller",
     ),

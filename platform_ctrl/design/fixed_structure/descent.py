@@ -360,8 +360,8 @@ def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8)
     """Return the pieces of a requirement whose ratio is at least `floor`, and the worst.
 
     A requirement is met where all its pieces are at most 1. Most are its ratios; "bandwidth" requires S at most 1/√2 up
-    to its limit, "stability" counts decay rates in a share of the nutation frequency. Metrics without a gradient, and
-    norms between named signals, have no pieces.
+    to its limit, "stability" counts decay rates in a share of the nutation frequency. Metrics without a gradient
+    have no pieces.
     """
     plants, metric = loops.plants, requirement.metric
     limit, measure = metric.in_SI(requirement.limit), metric.measure
@@ -381,8 +381,20 @@ def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8)
         low = 0.1 * plants.nutation if requirement.frequency is None else requirement.frequency
         inside = loops.peaks(CONTROLLER, floor * limit, nominal, (low, np.inf))
         return joined([inside, loops.edge(CONTROLLER, low, nominal)]).times(1.0 / limit)
-    found_pieces: Pieces = loops.none() if measure.gradient is None else measure.gradient(loops, limit, floor, members)
-    return found_pieces
+    match requirement.kind:
+        case "stability":
+            return loops.decay(limit, members)
+        case "bandwidth":
+            return loops.level(limit, floor)[0]
+        case "damping":
+            return loops.damping(floor, limit, members)
+        case "fastest pole":
+            return loops.fastest(floor, limit, members)
+        case "torque noise":
+            return loops.noise(limit, members)
+        case "fastest controller pole":
+            return loops.controller_poles(floor, limit)
+    return loops.none()
 
 
 def _maps(transfer: Transfer, plants: PlantSet) -> Iterator[Map]:
