@@ -14,8 +14,8 @@ import numpy as np
 
 from platform_ctrl.analysis.classical_margins import LEVEL, bandwidth_of_response, margins_of_channel
 from platform_ctrl.analysis.loop import SENSITIVITIES, Indices, Loop, Parts
-from platform_ctrl.analysis.norms import WHOLE, Band, gains, noise_rms
-from platform_ctrl.analysis.poles import continuous_poles, drifting_rms, poles, resonances
+from platform_ctrl.analysis.norms import WHOLE, Band, drifting_rms, gains, noise_rms
+from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 

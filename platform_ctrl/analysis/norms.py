@@ -15,7 +15,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, spectral_abscissa, spectral_radius
+from platform_ctrl.analysis.poles import (
+    continuous_poles,
+    onto_equilibria,
+    poles,
+    resonances,
+    spectral_abscissa,
+    spectral_radius,
+)
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System, scaled
@@ -254,6 +261,21 @@ def noise_rms(system: StateSystem, rms: ArrayLike, allow_unstable: bool = False)
     if not (allow_unstable or np.all(np.isfinite(out))):
         raise ArgumentError("noise_rms: the system is not stable, so its rms grows without bound")
     return out
+
+
+def drifting_rms(system: System, rms: FloatArray, duration: float) -> FloatArray:
+    """Return the rms (p,) of the outputs of one system with poles z = 1 after a time, s, from white samples.
+
+    The part along the equilibria is a random walk, whose variance grows with time; the rest is stationary. Infinite
+    where the system is unstable otherwise.
+    """
+    A, B, C, D, dt = system
+    P = onto_equilibria(system)
+    if P is None:
+        return np.full(len(C), np.inf)
+    walk = np.linalg.norm((C @ P @ B) * rms, axis=1)
+    rest = noise_rms(System(A - P, B - P @ B, C, D, dt), rms, allow_unstable=True)
+    return np.asarray(np.hypot(rest, math.sqrt(duration / dt) * walk))
 
 
 def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:

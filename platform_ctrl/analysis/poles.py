@@ -283,29 +283,19 @@ def _no_part(system: System) -> tuple[tuple[FloatArray, FloatArray], tuple[Float
     return (V, L), _equilibria(System((A - (A @ V) @ L).T, C.T, B.T, D.T, dt))
 
 
-def drifting_rms(system: System, rms: FloatArray, duration: float) -> FloatArray:
-    """Return the rms (p,) of the outputs of one system with poles z = 1 after a time, s, from white samples.
+def onto_equilibria(system: System) -> FloatArray | None:
+    """Return the projection P (n, n) of the states of a sampled system onto its poles z = 1, zero without any.
 
-    The part along the equilibria is a random walk, whose variance grows with time; the rest is stationary. Infinite
-    where the system is unstable otherwise.
+    None where such poles have no vectors of their own: motion along them grows by itself.
     """
-    from platform_ctrl.analysis.norms import noise_rms
-
-    A, B, C, D, dt = system
+    A, B, C, _, _ = system
     s = state_scaling(*map(_coupling, (A, B, C)))
-    balanced = A * s / s[:, None] - np.eye(len(A))
-    left, found, right = np.linalg.svd(balanced)
-    count = int(np.count_nonzero(found < _ROUNDING * found[0]))
+    left, found, right = np.linalg.svd(A * s / s[:, None] - np.eye(len(A)))
+    count = int(np.count_nonzero(found < _ROUNDING * found.max(initial=0.0)))
     if not count:
-        return noise_rms(system, rms, allow_unstable=True)
+        return np.zeros_like(A)
     V, W = right[len(A) - count :].T, left[:, len(A) - count :]
     coupling = W.T @ V
     if np.linalg.svd(coupling, compute_uv=False)[-1] < math.sqrt(_ROUNDING):
-        return np.full(len(C), np.inf)
-    P = (V @ np.linalg.solve(coupling, W.T)) * s[:, None] / s
-    rest = System(A - P, B - P @ B, C, D, dt)
-    walk = (C @ P @ B) * rms
-    steps = duration / dt
-    return np.asarray(
-        np.hypot(noise_rms(rest, rms, allow_unstable=True), math.sqrt(steps) * np.linalg.norm(walk, axis=1))
-    )
+        return None
+    return np.asarray((V @ np.linalg.solve(coupling, W.T)) * s[:, None] / s)

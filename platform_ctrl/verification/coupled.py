@@ -22,11 +22,10 @@ from platform_ctrl.analysis.interconnection import interconnected, interconnecte
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.measuring import DRIFT_TIME
 from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
-from platform_ctrl.analysis.norms import hinf_norm
+from platform_ctrl.analysis.norms import drifting_rms, hinf_norm
 from platform_ctrl.analysis.periodic import PeriodicLoop
 from platform_ctrl.analysis.poles import (
     continuous_poles,
-    drifting_rms,
     poles,
     spectral_abscissa,
     unseen_equilibria,
