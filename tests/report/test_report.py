@@ -21,6 +21,7 @@ import narrow_loops
 import platform_ctrl as pc
 from legend_entries import without_a_curve
 from passive_gimbal import passive_job
+from platform_ctrl.analysis.loop import Transfer
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.cli.terminal import show_result
