@@ -22,11 +22,11 @@ from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.fixed_structure.pid import PID
 from platform_ctrl.design.fixed_structure.structures import Static
 from platform_ctrl.design.fixed_structure.synthesis import structured
+from platform_ctrl.design.methods import read_job
+from platform_ctrl.design.methods.hinf import WeightedPlant, hinf_options, signal_names, weighted_plant
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.design.riccati.weighted_loop import WeightedPlant, hinf_options, signal_names, weighted_plant
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 
 HERE = Path(__file__).parent
@@ -87,7 +87,7 @@ def job_plants() -> list[tuple[str, control.StateSpace, WeightedPlant, float]]:
         plants = loop_plants(job, spec.gimbals)
         channel = channels(model, rows_of(model, spec.gimbals))
         given = next(design for design in spec.designs if design.method == "hinf")
-        weighted = weighted_plant(hinf_options(given, channel, plants.nutation, plants.period), channel, plants)
+        weighted = weighted_plant(hinf_options(given.options, channel, plants.nutation, plants.period), channel, plants)
         out.append((spec.name, weighted.arrays.to_control(*signal_names(weighted.size)), weighted, plants.period))
     return out
 

@@ -29,16 +29,15 @@ import numpy as np
 
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.design.cases import rows_of
+from platform_ctrl.design.h2_riccati import h2
+from platform_ctrl.design.methods import read_job
+from platform_ctrl.design.methods.hinf import hinf_options, weighted_plant
 from platform_ctrl.design.partition import Partition, channels, partition
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.design.riccati.h2 import h2
-from platform_ctrl.design.riccati.hinf import hinf_riccati
-from platform_ctrl.design.riccati.weighted_loop import hinf_options, weighted_plant
+from platform_ctrl.design.riccati import hinf_riccati
 from platform_ctrl.design.scaling import autoscale
 from platform_ctrl.design.synthesis import Synthesis, hinf
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.job.job import DesignSpec
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 
 JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
@@ -83,9 +82,7 @@ def platform_plants() -> list[Case]:
             continue
         plants = loop_plants(job, spec.gimbals)
         channel = channels(model, rows_of(model, spec.gimbals))
-        given = next(
-            (d for d in spec.designs if d.method == "hinf"), DesignSpec(name="hinf", method="hinf", options={})
-        )
+        given = next((d.options for d in spec.designs if d.method == "hinf"), {})
         weighted = weighted_plant(hinf_options(given, channel, plants.nutation, plants.period), channel, plants)
         k = weighted.size
         P = weighted.arrays.to_control([f"w{i}" for i in range(3 * k)], [f"z{i}" for i in range(4 * k)])

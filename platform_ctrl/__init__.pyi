@@ -5,8 +5,8 @@ from . import export as export
 from . import report as report
 from . import simulation as simulation
 from . import verification as verification
+from .design.methods import read_job as read_job
 from .errors import PlatformCtrlError as PlatformCtrlError
-from .job.reading import read_job as read_job
 from .mechanics.equations import forward_dynamics as forward_dynamics
 from .mechanics.equations import inverse_dynamics as inverse_dynamics
 from .mechanics.forces import element_forces as element_forces

@@ -18,7 +18,7 @@ import typer
 from platform_ctrl import read_job, read_platform, shipped_models
 from platform_ctrl.cli import main
 from platform_ctrl.cli.commands import app
-from platform_ctrl.job.methods import METHODS
+from platform_ctrl.design.methods import METHODS
 from platform_ctrl.job.reading import JOB_FILE
 from platform_ctrl.plant.reading import PLANT_FILE
 from platform_ctrl.plant.tables import Shape

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis, design, simulation, verification
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.reading import read_job
 
 MAIN = Path("examples/three_gyro_platform.toml")
 

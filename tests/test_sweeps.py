@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from platform_ctrl import design
 from platform_ctrl.design.cases import cases
-from platform_ctrl.job.reading import read_job
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices

@@ -22,9 +22,9 @@ from platform_ctrl.analysis.logs import G
 from platform_ctrl.analysis.metrics import BUDGET_METRICS, COUPLED_METRICS, METRICS, Metric
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.cli.commands import app
+from platform_ctrl.design.methods import METHODS
 from platform_ctrl.job.budget import Source
 from platform_ctrl.job.faults import FAULT_KINDS
-from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.reading import JOB_FILE
 from platform_ctrl.job.spectra import SPECTRA, ProfileSpectrum

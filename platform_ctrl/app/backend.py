@@ -34,12 +34,11 @@ from platform_ctrl.app.slider_effects import moved_slider, slider_effects
 from platform_ctrl.app.stabilised import stabilised_parts
 from platform_ctrl.common.arguments import known_name, short, whole
 from platform_ctrl.common.progress import Progress
+from platform_ctrl.design.methods import METHODS, read_job
 from platform_ctrl.design.tuning import OptionEffects
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.verification.controllers import differing_origin
 from platform_ctrl.verification.simulated import limit_results
 

@@ -199,24 +199,22 @@ class Tuning:
 
     def run(self, progress: Progress) -> dict[str, float]:
         """Return the tuned options."""
-        from platform_ctrl.app.controllers import direct_arrays
-        from platform_ctrl.design.classical import caging, rate
-        from platform_ctrl.design.loop import shaped
-        from platform_ctrl.design.lqg import read_by_sensors
-        from platform_ctrl.design.tuning import over_decades, rates, tune
+        from platform_ctrl.design.method import TunedMethod, shaped
+        from platform_ctrl.design.methods import METHODS
+        from platform_ctrl.design.tuning import over_decades, tune
         from platform_ctrl.job.requirements import loop_requirements
 
         plants, channel, design = self.plants, self.directions, self.design
-        bounds = {"pi": rate.upper_bounds, "classical": caging.upper_bounds}
+        method = METHODS[design.method]
+        assert isinstance(method, TunedMethod), "the app tunes what is built from its options"
+
+        sense = np.eye(len(plants.angles)) if channel.sense is None else channel.sense
+        seen = method.seen(plants if channel.sense is None else plants.in_directions(sense))
 
         def controller(trial: dict[str, float]) -> System:
-            if design.method == "lqg":
-                K = read_by_sensors(trial, channel, plants)
-            else:
-                K = direct_arrays(design.method, trial, channel, plants.period)
-            if design.command is None:
-                return K
-            return shaped(K, design.command, channel, np.eye(len(K.B.T)) if channel.sense is None else channel.sense)
+            K = method.controller(trial, channel, seen)
+            K = K._replace(B=K.B @ sense, D=K.D @ sense)
+            return K if design.command is None else shaped(K, design.command, channel, sense)
 
         return tune(
             self.options,
@@ -224,10 +222,8 @@ class Tuning:
             controller,
             plants,
             loop_requirements(self.spec.limits),
-            upper=bounds[design.method](plants.period) if design.method in bounds else {},
-            starts=over_decades(
-                self.options, [name for name in rates(design.method) if name in self.movable], plants.period
-            ),
+            upper=method.upper_bounds(plants.period),
+            starts=over_decades(self.options, [name for name in method.rates if name in self.movable], plants.period),
             progress=lambda _, limiting: progress(limiting),
         )
 

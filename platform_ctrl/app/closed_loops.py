@@ -23,11 +23,12 @@ from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.design.loop import LoopProblem, designed, shaped
+from platform_ctrl.design.loop import designed
+from platform_ctrl.design.method import LoopProblem, shaped
+from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, InputError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
-from platform_ctrl.job.methods import METHODS
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check, sensed_rates
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 
@@ -10,13 +9,14 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.app.excitation import first_axis
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.design.classical.caging import classical_controller, starting_values
-from platform_ctrl.design.classical.rate import rate_controller, rate_options
-from platform_ctrl.design.loop import LoopProblem, designed
+from platform_ctrl.design.loop import designed
+from platform_ctrl.design.method import LoopProblem
+from platform_ctrl.design.methods import METHODS
+from platform_ctrl.design.methods.classical import classical_controller, starting_values
+from platform_ctrl.design.methods.pi import rate_controller, rate_options
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, LoopSpec
-from platform_ctrl.job.methods import METHODS, resolved
 
 # Options that act in gyroscopic pairs alone, beside those of the notch.
 _OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"})
@@ -43,10 +43,10 @@ def full_options(
 ) -> dict[str, float]:
     """Return all options of a classical or PI design, those of parts that it does not have as well."""
     if design.method == "pi":
-        crossover = rate_options(_with(design, given), channel, nutation, period)["crossover_hz"]
+        crossover = rate_options(dict(given), channel, nutation, period)["crossover_hz"]
         rest = {"double_integral_hz": 0.1 * crossover, "lag_hz": 0.1 * crossover, "lag_ratio": 3.0}
         rest |= {"notch_hz": min(3.0 * crossover, 0.35 / period), "notch_depth": 0.3, "notch_width": 0.3}
-        return rate_options(_with(design, rest | dict(given)), channel, nutation, period)
+        return rate_options(rest | dict(given), channel, nutation, period)
     return _classical_options(given, channel, nutation, period)
 
 
@@ -62,10 +62,6 @@ def _classical_options(
         spin = float(channel.spins.mean()) / math.tau
         more |= {"spin_notch_hz": min(spin, 0.4 * rate_hz), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
     return starting_values(more | own, channel, nutation, period)
-
-
-def _with(design: DesignSpec, options: Mapping[str, float]) -> DesignSpec:
-    return dataclasses.replace(design, options=dict(options))
 
 
 def direct_arrays(method: str, options: Mapping[str, float], channel: Channels, period: float) -> System:
@@ -109,7 +105,7 @@ class DesignOptions:
         given = {name: x for name, x in offered.items() if part_of(name) in parts}
         try:
             if design.method == "pi":
-                return rate_options(_with(design, given), channel, nutation, period)
+                return rate_options(dict(given), channel, nutation, period)
             complete = starting_values(given, channel, nutation, period)
         except DesignError as error:
             # It may be another loop than the one that is worked on.
@@ -158,10 +154,8 @@ class DesignOptions:
         method = METHODS[design.method]
         if method.instant and method.parts:
             return full_options(design, design.options, channel, nutation, period)
-        if method.defaults is None:
-            return dict(design.options)
         try:
-            return dict(resolved(method.defaults)(design, channel, nutation, period))
+            return method.defaults(design, channel, nutation, period)
         except PlatformCtrlError:
             # Their error is reported when they are designed.
             return dict(design.options)

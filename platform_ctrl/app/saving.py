@@ -21,10 +21,10 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
+from platform_ctrl.design.methods import METHODS, read_job
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.reading import job_hashes, read_job
+from platform_ctrl.job.reading import job_hashes
 from platform_ctrl.plant.source import is_shipped_name, read_text
 from platform_ctrl.verification.result_file import SCHEMA, write_record
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from platform_ctrl.common.arguments import known_name, short
 from platform_ctrl.common.values import value
+from platform_ctrl.design.method import Family
+from platform_ctrl.design.methods import METHODS
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.methods import METHODS, Family
 
 Mode = Literal["caged", "stabilised"]
 Group = Literal["main", "gains", "lead", "notch", "lag", "design"]

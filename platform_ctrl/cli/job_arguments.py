@@ -70,7 +70,7 @@ CampaignFolder = Annotated[
 
 def job_of(path: Path) -> Job:
     """Return the job in a file."""
-    from platform_ctrl.job.reading import read_job
+    from platform_ctrl.design.methods import read_job
 
     try:
         return read_job(path)

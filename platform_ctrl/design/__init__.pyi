@@ -5,10 +5,10 @@ from .fixed_structure.sections import Series as Series
 from .fixed_structure.structures import StateSpaceOrder as StateSpaceOrder
 from .fixed_structure.structures import Static as Static
 from .fixed_structure.synthesis import structured as structured
-from .generalised import generalised_plant as generalised_plant
-from .generalised import with_controller as with_controller
+from .h2_riccati import h2 as h2
 from .jobs import loops as loops
-from .measured.data import read_measurement as read_measurement
 from .measured.design import measured_pid as measured_pid
-from .riccati.h2 import h2 as h2
+from .measured.responses import read_measurement as read_measurement
+from .methods.hinf import generalised_plant as generalised_plant
+from .methods.hinf import with_controller as with_controller
 from .synthesis import hinf as hinf

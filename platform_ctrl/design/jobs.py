@@ -5,64 +5,36 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.progress import Local, Progress, shown
-from platform_ctrl.common.values import value
+from platform_ctrl.common.values import replaced
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, instability, with_commands
+from platform_ctrl.design.loop import FailedDesign, LoopDesign, LoopOutcome, commanded, instability, with_commands
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
+from platform_ctrl.design.method import LoopProblem
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
-from platform_ctrl.design.reduced_jobs import design_job, plant_job
 from platform_ctrl.design.side_by_side import made_of
-from platform_ctrl.errors import DesignError, reason
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
-from platform_ctrl.job.reading import read_job
+from platform_ctrl.errors import DesignError
+from platform_ctrl.job.job import CoupledLimits, DesignSpec, Job, LoopSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 
-
-@value
-class FailedDesign:
-    """A design that a method did not find, or whose closed loop is unstable; `error` says why."""
-
-    loop: str
-    name: str
-    method: str
-    error: Exception
-
-    @property
-    def sentence(self) -> str:
-        """Why it failed, in one line, without its name."""
-        return reason(self.error).removeprefix(f"{self.loop}, {self.name}: ")
-
-
-@value
-class LoopOutcome:
-    """A loop of a job with its designs, in the job's order; `use` is the name of the one that is closed.
-
-    Where the design that the job uses was not found, the first of the others is closed: `failed` says so.
-    """
-
-    spec: LoopSpec
-    designs: tuple[LoopDesign, ...]
-    use: str
-    failed: tuple[FailedDesign, ...] = ()  # An unstable design is among `designs` as well
-
-    @property
-    def closed(self) -> LoopDesign:
-        """The design that is closed together with those of the other loops."""
-        return next(design for design in self.designs if design.name == self.use)
-
-    @property
-    def alternatives(self) -> tuple[LoopDesign, ...]:
-        """The other designs."""
-        return tuple(design for design in self.designs if design.name != self.use)
-
-    @property
-    def failure(self) -> FailedDesign | None:
-        """The failure of the design that the job uses; None where it did not fail."""
-        return next((one for one in self.failed if one.name == self.spec.use), None)
+# What no design may depend on.
+_REMOVED: dict[str, Any] = {
+    "name": "",
+    "plant": "",
+    "coupled": CoupledLimits(),
+    "manoeuvres": (),
+    "fault_events": (),
+    "campaign": None,
+    "budget": None,
+}
+# Of a loop whose plants alone count.
+_BARE: dict[str, Any] = {"designs": (), "use": "", "limits": {}, "soft": {}}
+_TURNS: dict[str, Any] = _BARE | {"name": "", "kind": "rate", "sensors": (), "around": None, "rate_hz": None}
 
 
 def loops(
@@ -118,32 +90,21 @@ def _loops(job: Job, progress: Progress, processes: int) -> tuple[LoopOutcome, .
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plants_of_all = {spec.name: _plants_of_designs(plant_job(job, spec), spec) for spec in job.loops}
-    made: dict[str, LoopOutcome] = {}
+    specs, made = {spec.name: spec for spec in job.loops}, dict[str, LoopOutcome]()
     # A tracking loop has the rate loop that it commands in its plants.
     for tracking in (False, True):
-        specs = [spec for spec in job.loops if (spec.kind == "tracking") is tracking]
-        problems: list[LoopProblem] = []
-        for spec in specs:
-            around = made[str(spec.around)] if tracking else None
-            if around is not None and around.failure is not None:
-                made[spec.name] = _without_inner(spec, around.failure)
-                continue
-            inner = None if around is None else around.closed
-            directed = _with_directions(job, spec, model, plants_of_all[spec.name], inner)
-            problems += [
-                _problem(job, spec, design, model, *own, progress)
-                for design, own in zip(spec.designs, directed, strict=True)
-            ]
-        found = made_of(problems, processes, progress)
-        for spec in specs:
-            own = [
-                (problem.design, one)
-                for problem, one in zip(problems, found, strict=True)
-                if problem.spec.name == spec.name
-            ]
-            if own:
-                made[spec.name] = _outcome(spec, own)
-    return in_order(job, [made[spec.name] for spec in job.loops])
+        problems: dict[str, list[LoopProblem]] = {}
+        for name, spec in specs.items():
+            inner = made[str(spec.around)] if tracking and spec.kind == "tracking" else None
+            if inner is not None and inner.failure is not None:
+                made[name] = _without_inner(spec, inner.failure)
+            elif (spec.kind == "tracking") is tracking:
+                around = None if inner is None else inner.closed
+                problems[name] = _problems(job, spec, model, plants_of_all[name], around, progress)
+        found = iter(made_of([one for own in problems.values() for one in own], processes, progress))
+        for name, own in problems.items():
+            made[name] = _outcome(specs[name], [(problem.design, next(found)) for problem in own])
+    return in_order(job, list(map(made.__getitem__, specs)))
 
 
 def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, LoopDesign | Exception]]) -> LoopOutcome:
@@ -169,51 +130,38 @@ def _failed(spec: LoopSpec, design: DesignSpec, error: Exception) -> FailedDesig
     return FailedDesign(loop=spec.name, name=design.name, method=design.method, error=error)
 
 
-Directed = tuple[PlantSet | None, Channels | None]
-
-
-def _with_directions(
-    job: Job, spec: LoopSpec, model: LinearModel, plants: Sequence[PlantSet | None], inner: LoopDesign | None
-) -> list[Directed]:
-    """Return the plants of each design of a loop with their directions.
+def _problems(
+    job: Job,
+    spec: LoopSpec,
+    model: LinearModel,
+    plants: Sequence[PlantSet | None],
+    inner: LoopDesign | None,
+    progress: Progress,
+) -> list[LoopProblem]:
+    """Return what the methods of a loop's designs are given.
 
     `inner` is the design of the loop that a tracking loop commands.
     """
+    directed: list[tuple[PlantSet | None, Channels | None]] = []
     if inner is not None:
         around = next(one for one in job.loops if one.name == spec.around)
         assert inner.plants is not None, "a rate loop has plants"
         K = with_commands(inner.plants, inner.controller)
-        return [tracking_plants(plant_job(job, spec, around), spec, around, inner.plants, K)] * len(plants)
-    of_sensors: dict[tuple[str, ...], Channels] = {}
-    out: list[Directed] = []
-    for design, own in zip(spec.designs, plants, strict=True):
-        read = spec.read_by(design)
-        if own is not None and read.sensors not in of_sensors:
-            # Once for all designs that read the same, which ask for them again and again.
-            of_sensors[read.sensors] = loop_channels(model, loop_signals(job.platform, read), own.period)
-        out.append((own, None if own is None else of_sensors[read.sensors]))
+        directed += [tracking_plants(plant_job(job, spec, around), spec, around, inner.plants, K)] * len(plants)
+    else:
+        # Directions once for all designs that read the same, which ask for them again and again.
+        of_sensors: dict[tuple[str, ...], Channels] = {}
+        for design, own in zip(spec.designs, plants, strict=True):
+            read = spec.read_by(design)
+            if own is not None and read.sensors not in of_sensors:
+                of_sensors[read.sensors] = loop_channels(model, loop_signals(job.platform, read), own.period)
+            directed.append((own, None if own is None else of_sensors[read.sensors]))
+    out = []
+    for design, (plant_set, directions) in zip(spec.designs, directed, strict=True):
+        alone = design_job(job, spec, design)
+        problem = LoopProblem(job=alone, spec=alone.loops[-1], design=design, model=model, plant_set=plant_set)
+        out.append(dataclasses.replace(problem, directions=directions, progress=Local(progress)))
     return out
-
-
-def _problem(
-    job: Job,
-    spec: LoopSpec,
-    design: DesignSpec,
-    model: LinearModel,
-    plants: PlantSet | None,
-    directions: Channels | None,
-    progress: Progress,
-) -> LoopProblem:
-    alone = design_job(job, spec, design)
-    return LoopProblem(
-        job=alone,
-        spec=alone.loops[-1],
-        design=design,
-        model=model,
-        plant_set=plants,
-        directions=directions,
-        progress=Local(progress),
-    )
 
 
 def _plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
@@ -249,3 +197,30 @@ def in_order(job: Job, outcomes: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ..
         k = next(i for i, one in enumerate(out) if one.spec.name == tracking.spec.around)
         out.insert(k, tracking)
     return tuple(out)
+
+
+def plant_job(job: Job, *loops: LoopSpec) -> Job:
+    """Return what the plants of loops may depend on: neither on their designs nor on their limits."""
+    bare = (replaced(spec, _BARE) for spec in loops)
+    return _with_loops(job, tuple(bare))
+
+
+def design_job(job: Job, spec: LoopSpec, design: DesignSpec) -> Job:
+    """Return what a design of a loop may depend on: its loop without the other designs comes last.
+
+    ``use`` is empty unless the design is the one that is closed. The loop that a tracking loop commands comes first,
+    with the design that is closed.
+    """
+    use = design.name if design.name == spec.use else ""
+    around = (one for one in job.loops if one.name == spec.around)
+    inner = (
+        replaced(one, _BARE | {"designs": tuple(own for own in one.designs if own.name == one.use)}) for one in around
+    )
+    return _with_loops(job, (*inner, replaced(spec, {"designs": (design,), "use": use})))
+
+
+def _with_loops(job: Job, loops: tuple[LoopSpec, ...]) -> Job:
+    """Return a job with these loops; of the others with no more than what they turn: that is not passive."""
+    own = {spec.name for spec in loops}
+    others = (replaced(one, _TURNS) for one in job.loops if one.name not in own and (one.gimbals or one.torquers))
+    return replaced(job, _REMOVED | {"loops": (*others, *loops)})

@@ -8,30 +8,27 @@ from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from platform_ctrl.analysis.feedback import with_error_alone
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import ComplexArray, System
-from platform_ctrl.common.arguments import nearest
-from platform_ctrl.common.progress import Progress
-from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop_signals import loop_channels, loop_signals
-from platform_ctrl.design.partition import Channels, gain, low_pass
+from platform_ctrl.common.values import value
+from platform_ctrl.design.method import Designed, LoopProblem, known_method
+from platform_ctrl.design.partition import Channels, gain
 from platform_ctrl.design.sections import Section
-from platform_ctrl.errors import DesignError, NotCertifiedError
-from platform_ctrl.job.job import CommandShaping, DesignSpec, Job, LoopSpec
+from platform_ctrl.errors import NotCertifiedError, reason
+from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.methods import known_method, resolved
 from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, of_readings
-from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
     import control
 
-# Of the reference filter: it answers a step without overshoot.
-_DAMPING = 1.0
+# A torque for 1 rad/s below this share of the limit counts as zero: that rate does not load the loop.
+_NO_LOAD = 1e-6
 # Metrics in which its lag counts.
 _LATE = ("ramp error", "tracking error")
 
@@ -102,122 +99,82 @@ class LoopDesign:
         return all(result.passed for result in self.results)
 
 
+@value
+class FailedDesign:
+    """A design that a method did not find, or whose closed loop is unstable; `error` says why."""
+
+    loop: str
+    name: str
+    method: str
+    error: Exception
+
+    @property
+    def sentence(self) -> str:
+        """Why it failed, in one line, without its name."""
+        return reason(self.error).removeprefix(f"{self.loop}, {self.name}: ")
+
+
+@value
+class LoopOutcome:
+    """A loop of a job with its designs, in the job's order; `use` is the name of the one that is closed.
+
+    Where the design that the job uses was not found, the first of the others is closed: `failed` says so.
+    """
+
+    spec: LoopSpec
+    designs: tuple[LoopDesign, ...]
+    use: str
+    failed: tuple[FailedDesign, ...] = ()  # An unstable design is among `designs` as well
+
+    @property
+    def closed(self) -> LoopDesign:
+        """The design that is closed together with those of the other loops."""
+        return next(design for design in self.designs if design.name == self.use)
+
+    @property
+    def alternatives(self) -> tuple[LoopDesign, ...]:
+        """The other designs."""
+        return tuple(design for design in self.designs if design.name != self.use)
+
+    @property
+    def failure(self) -> FailedDesign | None:
+        """The failure of the design that the job uses; None where it did not fail."""
+        return next((one for one in self.failed if one.name == self.spec.use), None)
+
+
 def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
     """Return the nominal sampled plant (or plant `k` of the set) with its signal names."""
     return plants.arrays.at(k).to_control(plants.torques, plants.angles, plants.states)
 
 
-@value
-class LoopProblem:
-    """What a design method is given."""
-
-    # job, spec, design: the job, one of its loops, and one of that loop's designs.
-    job: Job
-    spec: LoopSpec
-    design: DesignSpec
-    model: LinearModel  # the platform linearised at rest
-    plant_set: PlantSet | None = None  # the plants of the loop, the nominal one first; None for a stabilisation loop
-    # Those that `channel` has, where they are known already, as those of a loop around another one have to be.
-    directions: Channels | None = None
-    progress: Progress = lambda line: None  # called with a line during long work
-
-    @property
-    def plants(self) -> PlantSet:
-        """The plants, the nominal one first; their outputs are the directions of `channel` where it has `sense`."""
-        assert self.plant_set is not None, "the loop has plants"
-        sense = self.channel.sense
-        return self.plant_set if sense is None else self.plant_set.in_directions(sense)
-
-    def with_commands(self, K: System) -> System:
-        """Return the design's controller of `plants` with its commands, if it says what to do with them; else K."""
-        if self.design.command is None:
-            return K
-        return shaped(K._replace(dt=self.plants.period), self.design.command, self.channel, np.eye(len(K.B.T)))
-
-    @property
-    def channel(self) -> Channels:
-        """Gyroscopic pairs and inertial directions of the loop's gimbals."""
-        if self.directions is not None:
-            return self.directions
-        signals = loop_signals(self.model.platform, self.spec.read_by(self.design))
-        return loop_channels(self.model, signals, self.job.period_of(self.spec))
-
-
-@value
-class Designed:
-    """What a design method returns; `designed` measures the closed loop and does not rely on the claims."""
-
-    controller: System  # u = K y, sampled with the job's period or a static gain
-    options: dict[str, float]  # the method's numbers as finally used, in the units of the job file
-    claims: dict[str, float] = field(default_factory=dict)  # what the method claims, by name, in SI units
-    # inputs, outputs: names of the signals; by default the pick-offs and the torquers of the loop's plants.
-    inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
-
-
 def designed(problem: LoopProblem) -> LoopDesign:
     """Return the design that the problem's method makes, with all its values recomputed; a DesignError says why not."""
-    return evaluated(problem, resolved(known_method(problem.design.method).design)(problem))
-
-
-def evaluated(problem: LoopProblem, found: Designed, *, stable: bool = True) -> LoopDesign:
-    """Return what a method has found, all values recomputed; unless `stable` is False, an unstable loop is an error."""
-    spec, design, plants = problem.spec, problem.design, problem.plant_set
-    method = known_method(design.method)
-    if plants is not None:
-        found = dataclasses.replace(found, controller=in_signals(problem, found.controller))
-        out = measured(spec, design, found, plants, stable=stable)
-        out = dataclasses.replace(out, sections=_sections(problem, out), directions=problem.channel)
-        if method.goals:
-            ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
-            largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
-            out = dataclasses.replace(out, claims=out.claims | largest)
-        if design.responses is not None and method.on_responses is not None:
-            out = resolved(method.on_responses)(problem, out)
-        return out
-    K = found.controller._replace(dt=problem.job.sampling.period)
-    out = LoopDesign(
-        loop=spec.name,
-        name=design.name,
-        method=design.method,
-        controller=K.to_control(found.inputs, found.outputs, name=f"{spec.name}, {design.name}"),
-        options=found.options,
-        claims=found.claims,
-    )
-    return dataclasses.replace(out, sections=_sections(problem, out))
-
-
-def _sections(problem: LoopProblem, design: LoopDesign) -> tuple[Section, ...]:
-    """Return the sections of a design; none where commands or feedforward are added to its method's controller."""
-    method, plants = known_method(design.method), problem.plant_set
-    if method.sections is None or (plants is not None and tuple(design.controller.input_labels) != plants.angles):
-        return ()
-    found: tuple[Section, ...] = resolved(method.sections)(problem, design.options)
-    return found
-
-
-def in_signals(problem: LoopProblem, controller: System) -> System:
-    """Return what a method made, from the readings of the loop's plants, with the commands that its design shapes."""
-    design, channel = problem.design, problem.channel
-    sense, K = channel.sense, controller
-    if sense is not None:
-        K = K._replace(B=K.B @ sense, D=K.D @ sense)
-    if design.command is not None:
-        own = K._replace(dt=problem.job.period_of(problem.spec))
-        K = shaped(own, design.command, channel, np.eye(len(own.B.T)) if sense is None else sense)
-    return K
-
-
-def measured(
-    spec: LoopSpec, design: DesignSpec, found: Designed, plants: PlantSet, *, stable: bool = True
-) -> LoopDesign:
-    """Return the design with all its numbers recomputed from the closed loops; `stable` as of `evaluated`."""
-    K = found.controller._replace(dt=plants.period)
-    out = _measured(spec, design.name, design.method, K, plants)
-    out = dataclasses.replace(out, options=found.options, claims=found.claims)
-    if stable and (error := instability(out, design.tune)) is not None:
+    out = evaluated(problem, known_method(problem.design.method).design(problem))
+    if (error := instability(out, problem.design.tune)) is not None:
         raise error
     return out
+
+
+def evaluated(problem: LoopProblem, found: Designed) -> LoopDesign:
+    """Return what a method has found, all values recomputed from the closed loops; they may be unstable."""
+    spec, design, plants = problem.spec, problem.design, problem.plant_set
+    method = known_method(design.method)
+    if plants is None:
+        K = found.controller._replace(dt=problem.job.sampling.period)
+        named = K.to_control(found.inputs, found.outputs, name=f"{spec.name}, {design.name}")
+        out = LoopDesign(loop=spec.name, name=design.name, method=design.method, controller=named)
+    else:
+        out = measured(spec, design.name, design.method, problem.in_signals(found.controller), plants)
+        out = dataclasses.replace(out, directions=problem.channel)
+    out = dataclasses.replace(out, options=found.options, claims=found.claims)
+    if method.goals:
+        ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
+        largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
+        out = dataclasses.replace(out, claims=out.claims | largest)
+    # There are none where commands or feedforward are added to the method's controller.
+    if plants is None or tuple(out.controller.input_labels) == plants.angles:
+        out = dataclasses.replace(out, sections=method.sections(problem, out.options))
+    return method.judged(problem, out)
 
 
 def instability(design: LoopDesign, tuned: bool) -> NotCertifiedError | None:
@@ -270,12 +227,12 @@ def filter_lag(hz: float) -> str:
 
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
     """Return an existing controller as a design of `spec`, measured again, without its claims."""
-    K = with_commands(plants, controller)
-    return _measured(spec, name, "given", K, plants)
+    return measured(spec, name, "given", with_commands(plants, controller), plants)
 
 
-def _measured(spec: LoopSpec, name: str, method: str, K: System, plants: PlantSet) -> LoopDesign:
+def measured(spec: LoopSpec, name: str, method: str, controller: System, plants: PlantSet) -> LoopDesign:
     """Return a controller with its measures, compared with the limits and goals."""
+    K = controller._replace(dt=plants.period)
     measures = measure(plants, K, requirements_of(spec))
     results, goals = limits_and_goals(spec, name, plants, measures)
     return LoopDesign(
@@ -349,45 +306,45 @@ def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> Compl
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
 
-def completed(method: str, given: dict[str, float], defaults: dict[str, float]) -> dict[str, float]:
-    """Return `defaults` with the `given` numbers in place."""
-    unused = sorted(set(given) - set(defaults))
-    if unused:
-        close = nearest(unused[0], defaults)
-        hint = "" if close is None else f"did you mean {close!r}? "
-        raise DesignError(
-            f"{method}: option {unused[0]!r} has no meaning for this loop; {hint}its options are {', '.join(defaults)}"
-        )
-    out = defaults | given
-    wrong = [name for name, x in out.items() if not x > 0.0]
-    if wrong:
-        raise DesignError(f"{method}: {wrong[0]} must be > 0, got {out[wrong[0]]:g}")
+def with_largest_rates(design: LoopDesign) -> LoopDesign:
+    """Return a caging design with the rates that it can hold where it is closed.
+
+    What does not exist for a loop is left out: the largest Omega of torquers without limits, of an axis that loads
+    none, and of a loop that is not stable.
+    """
+    if design.measures is None or not design.measures.decay[0] > 0.0:
+        return design
+    return dataclasses.replace(design, claims=dict(design.claims) | largest_rates(design))
+
+
+def largest_rates(design: LoopDesign) -> dict[str, float]:
+    """Return the constant rates about the root axes at which the first torquer comes to its limit, rad/s.
+
+    Those of the nominal plant, and where they are all stable the least over the plants of the parameter uncertainty.
+    They follow from the torques in the steady state; while Omega changes the torques may be larger.
+    """
+    plants, measures = design.plants, design.measures
+    assert plants is not None, "a caging loop has plants"
+    assert measures is not None, "and is measured"
+    A, B, C, D, _ = Loop(plants, with_commands(plants, design.controller)).arrays
+    torques, rates = slice(len(plants.torques)), slice(len(plants.torques), len(plants.torques) + 3)
+    varied = plants.of(("nominal", "uncertainty"))
+    chosen = varied if np.all(measures.decay[varied] > 0.0) else np.arange(len(A)) == 0
+    A, B, C, D = A[chosen], B[chosen][..., rates], C[chosen][:, torques], D[chosen][:, torques, rates]
+    try:
+        steady = D + C @ np.linalg.solve(np.eye(A.shape[-1]) - A, B)
+    except np.linalg.LinAlgError:
+        return {}
+    # Per axis: share of its limit that the most loaded torquer needs for 1 rad/s.
+    share = np.abs(steady / plants.torque_limit[:, None]).max(axis=1)
+    out = {}
+    for axis in map(int, np.flatnonzero(share[0] > _NO_LOAD)):
+        out[largest_Omega_name(axis + 1)] = float(1.0 / share[0, axis])
+        if len(share) > 1:
+            out[largest_Omega_name(axis + 1, worst_case=True)] = float(1.0 / share[:, axis].max())
     return out
 
 
-def shaped(K: System, shaping: CommandShaping, directions: Channels, sense: FloatArray) -> System:
-    """Return the controller of readings and commands behind a reference filter, of K from the readings.
-
-    u = K (y − F r) + H F r. F = ω²/(s + ω)² does not overshoot. H is the inverse of the plant along the directions:
-    J s² + d s + c of an angle, inertia, viscous friction and spring, and J s + d of a rate. Both are sampled by
-    Tustin's rule. `sense` (n, p) leads from the readings to the directions, along which the inertias are known.
-    """
-    p, w = len(K.B.T), 2.0 * math.pi * shaping.filter_hz
-    derivatives = [low_pass(w, _DAMPING, K.dt, order) for order in range(directions.order + 1)]
-    A, B, C, D = (block_diag(*(part,) * p) for part in derivatives[0][:4])
-    fed_C, fed_D = np.zeros((len(K.C), len(A))), np.zeros((len(K.D), p))
-    if shaping.acceleration:
-        # By the derivative that they go with, the highest first.
-        needed = (directions.inertias, directions.damping, directions.stiffness)
-        for one, strength in zip(reversed(derivatives), needed, strict=False):
-            if strength is not None:
-                torque = strength[:, None] * sense
-                fed_C += torque @ block_diag(*(one.C,) * p)
-                fed_D += torque @ block_diag(*(one.D,) * p)
-    return System(
-        np.block([[K.A, -K.B @ C], [np.zeros((len(A), len(K.A))), A]]),
-        np.block([[K.B, -K.B @ D], [np.zeros((len(A), p)), B]]),
-        np.hstack([K.C, fed_C - K.D @ C]),
-        np.hstack([K.D, fed_D - K.D @ D]),
-        K.dt,
-    )
+def largest_Omega_name(axis: int, *, worst_case: bool = False) -> str:
+    """Return the name of the claim of the largest Omega without saturation about a root axis, 1 to 3."""
+    return f"largest {OMEGA_NAMES[axis - 1]} without saturation{', worst case' if worst_case else ''}, rad/s"

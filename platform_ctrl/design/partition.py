@@ -276,23 +276,15 @@ def augmented(plant: Partition, order: int) -> Partition:
     """Return the plant with the controller's `order` integrators beside it: u = [xK', u], y = [xK, y]."""
     if order == 0:
         return plant
-    n, (nz, nw), (ny, nu) = len(plant.A), plant.D11.shape, plant.D22.shape
-    A = np.zeros((n + order, n + order))
-    A[:n, :n] = plant.A
-    B2 = np.zeros((n + order, order + nu))
-    B2[:n, order:], B2[n:, :order] = plant.B2, np.eye(order)
-    C2 = np.zeros((order + ny, n + order))
-    C2[order:, :n], C2[:order, n:] = plant.C2, np.eye(order)
-    D22 = np.zeros((order + ny, order + nu))
-    D22[order:, order:] = plant.D22
+    n, own = len(plant.A), np.eye(order)
     return Partition(
-        A=A,
-        B1=np.vstack([plant.B1, np.zeros((order, nw))]),
-        B2=B2,
-        C1=np.hstack([plant.C1, np.zeros((nz, order))]),
-        C2=C2,
+        A=np.pad(plant.A, (0, order)),
+        B1=np.pad(plant.B1, ((0, order), (0, 0))),
+        B2=np.block([[np.zeros((n, order)), plant.B2], [own, np.zeros((order, plant.B2.shape[1]))]]),
+        C1=np.pad(plant.C1, ((0, 0), (0, order))),
+        C2=np.block([[np.zeros((order, n)), own], [plant.C2, np.zeros((len(plant.C2), order))]]),
         D11=plant.D11,
-        D12=np.hstack([np.zeros((nz, order)), plant.D12]),
-        D21=np.vstack([np.zeros((order, nw)), plant.D21]),
-        D22=D22,
+        D12=np.pad(plant.D12, ((0, 0), (order, 0))),
+        D21=np.pad(plant.D21, ((order, 0), (0, 0))),
+        D22=np.pad(plant.D22, ((order, 0), (order, 0))),
     )

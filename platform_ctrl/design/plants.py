@@ -17,7 +17,6 @@ from platform_ctrl.analysis.between_samples import (
     rows_between,
 )
 from platform_ctrl.analysis.feedback import commanded_loop, with_error_alone
-from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.poles import without_drift
@@ -48,8 +47,7 @@ from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed_system
 from platform_ctrl.mechanics.state_space import linear_system
-from platform_ctrl.plant.platform import OMEGA_NAMES, Torquer
-from platform_ctrl.plant.sensors import Sensor
+from platform_ctrl.plant.platform import OMEGA_NAMES
 
 # Open-loop motion slower than this share of the Nyquist frequency is no reference for the loop.
 _SLOW_MOTION = 1e-3
@@ -73,41 +71,21 @@ def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
 
 @value
 class LinearPlants:
-    """The plants of a loop before they are sampled: torques and platform rate → angles."""
+    """The plants of a loop before they are sampled."""
 
     cases: tuple[Case, ...]  # what each of them is, the nominal plant first
     signals: LoopSignals  # what the loop turns, reads and sets
-    # A, B, C, D, B_Omega, D_Omega: continuous; shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m), (N, n, 3), (N, p, 3).
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-    B_Omega: FloatArray
-    D_Omega: FloatArray
-    # C_sight, D_sight: of the line of sight, (N, q, n) and, from torques and Omega, (N, q, m + 3); then of
-    # `signals.fed`.
-    C_sight: FloatArray
-    D_sight: FloatArray
-    states: tuple[str, ...]  # names of the n states
+    # Continuous: from torques and Omega to what the loop reads, the line of sight and `signals.fed`, (N, ...).
+    system: System
+    states: tuple[str, ...]  # names of the states
     # drifting, held: angles among them that the loop does not read; gimbals that are held.
     drifting: tuple[str, ...]
     held: tuple[str, ...]
-
-    @property
-    def torquers(self) -> tuple[Torquer, ...]:
-        """Torquers of the loop, in its order."""
-        return self.signals.torquers
-
-    @property
-    def sensors(self) -> tuple[Sensor, ...]:
-        """Sensors of the loop, in its order."""
-        return self.signals.sensors
 
 
 def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     """Linearise `plants`, and keep what a loop sets, reads and shows."""
     torques, sensors = [t.name for t in signals.torquers], [s.name for s in signals.sensors]
-    inputs, p, m = [*torques, *OMEGA_NAMES], len(sensors), len(torques)
     gimbals = [*signals.gimbals, *signals.passive]
     outputs = [*sensors, *signals.sight, *(sensor.name for sensor in signals.fed)]
     systems = []
@@ -116,11 +94,11 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
         model = linearise(one.platform, Omega=one.Omega, q=one.q, rate_amplitude=rates)
         bare = linear_system(model, gimbals=gimbals, others="held" if signals.held else "coupled")
         systems.append(observed_system(bare, one.platform, list(dict.fromkeys(outputs)), model.q0, model.Omega0))
-    columns = [systems[0].input_labels.index(name) for name in inputs]
+    columns = [systems[0].input_labels.index(name) for name in [*torques, *OMEGA_NAMES]]
     rows = [systems[0].output_labels.index(name) for name in outputs]
-    A, C = np.array([system.A for system in systems]), np.array([system.C[rows] for system in systems])
-    B = np.array([system.B[:, columns] for system in systems])
-    D = np.array([system.D[np.ix_(rows, columns)] for system in systems])
+    A, B, C, D = (np.array([getattr(one, name) for one in systems]) for name in "ABCD")
+    share = np.array([[*one.torque, 1.0, 1.0, 1.0] for one in plants])[:, None, :]
+    B, C, D = B[..., columns] * share, C[:, rows], D[:, rows][..., columns] * share
     states = list(systems[0].state_labels)
     drifting: tuple[str, ...] = ()
     if signals.held:
@@ -130,18 +108,10 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
         platform = plants[0].platform
         read = {signal for sensor in signals.sensors for signal in sensor.signals(platform)}
         drifting = tuple(name for name in states if name in set(platform.angle_names) - read)
-    torque = np.array([one.torque for one in plants])[:, None, :]
     return LinearPlants(
         cases=tuple(plants),
         signals=signals,
-        A=A,
-        B=B[..., :m] * torque,
-        C=C[:, :p],
-        D=D[:, :p, :m] * torque,
-        B_Omega=B[..., m:],
-        D_Omega=D[:, :p, m:],
-        C_sight=C[:, p:],
-        D_sight=np.concatenate([D[:, p:, :m] * torque, D[:, p:, m:]], axis=-1),
+        system=System(A, B, C, D),
         states=tuple(states),
         drifting=drifting,
         held=tuple(name for name in plants[0].platform.gimbal_names if signals.held and name not in gimbals),
@@ -156,34 +126,29 @@ def sampled_plants(
     They are those of a loop that is computed at `every` how many samples; `used` says at every how many samples a
     reading is, where that is not the same.
     """
-    torques, names = (tuple(one.name for one in part) for part in (linear.torquers, linear.sensors))
-    A, lags = linear.A, np.array([t.lag for t in linear.torquers])
-    m, p, q = len(torques), len(names), len(linear.signals.sight)
+    signals, A = linear.signals, linear.system.A
+    torques, names = (tuple(one.name for one in part) for part in (signals.torquers, signals.sensors))
+    lags = np.array([t.lag for t in signals.torquers])
+    m, p, q = len(torques), len(names), len(signals.sight)
     period = every * sampling.period
     _expect_slow(A, linear.cases, period)
-    continuous = System(
-        A,
-        linear.B,
-        np.concatenate([linear.C, linear.C_sight], axis=1),
-        np.concatenate([linear.D, linear.D_sight[..., :m]], axis=1),
-        0.0,
-    )
+    continuous = linear.system.part(slice(None), slice(m))
     arrays = sampled(continuous, sampling.period, sampling.delay, lags)
-    B_Omega = held_rate(A, linear.B_Omega, sampling.period, arrays.A.shape[-1])
-    D_Omega = np.concatenate([linear.D_Omega, linear.D_sight[..., m:]], axis=1)
+    # Omega is held like the torques, but neither delayed nor lagging: it acts on the plant's own states, the first.
+    B_Omega = held_input(A, linear.system.B[..., m:], sampling.period)[1]
+    B_Omega = np.pad(B_Omega, ((0, 0), (0, arrays.A.shape[-1] - A.shape[-1]), (0, 0)))
+    D_Omega = linear.system.D[..., m:]
     states = sampled_states(linear.states, torques, lags, arrays.A.shape[-1])
-    shown = [*linear.sensors, *(None for _ in linear.signals.sight), *linear.signals.fed]
+    shown = [*signals.sensors, *(None for _ in signals.sight), *signals.fed]
     # What drives feed back is computed at every sample.
-    often = {one.name: every for one in linear.sensors} | {one.name: 1 for one in linear.signals.fed} | dict(used or {})
+    often = dict.fromkeys(names, every) | {one.name: 1 for one in signals.fed} | dict(used or {})
     late = [0 if one is None else one.periods_late(sampling.period, often[one.name]) for one in shown]
     states += late_states(["" if one is None else one.name for one in shown], late)
     at = instants(sampling.period, sampling.delay)
     times = np.append(0.0, at.times)
     shown_between = continuous.part(slice(p + q), slice(None))
     seen = rows_between(shown_between, sampling.period, sampling.delay, lags, times)
-    responses: DisturbanceResponses = _responses(
-        linear, continuous, arrays, late, [one[:, p + q :] for one in seen], at
-    )
+    responses: DisturbanceResponses = _responses(linear, arrays, late, [one[:, p + q :] for one in seen], at)
     # Readings, line of sight, the readings' signals between samples, and last what drives feed back.
     times = times[: None if every < _SLOW_LOOP else 1]
     rows = [k * (p + q) + j for k in range(len(times)) for j in range(p)]
@@ -213,12 +178,12 @@ def sampled_plants(
         torques=torques,
         angles=names,
         nutation=nutation,
-        noise=np.array([s.sampled_noise(sampling.period, often[s.name]) for s in linear.sensors]),
+        noise=np.array([s.sampled_noise(sampling.period, often[s.name]) for s in signals.sensors]),
         groups=tuple(one.group for one in linear.cases),
         Omega=Omega,
-        torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),
+        torque_limit=np.array([np.inf if t.limit is None else t.limit for t in signals.torquers]),
         states=tuple(states),
-        sight=linear.signals.sight,
+        sight=signals.sight,
         between=times,
         disturbances=responses,
         drifting=linear.drifting,
@@ -228,30 +193,19 @@ def sampled_plants(
 
 
 def _responses(
-    linear: LinearPlants,
-    continuous: System,
-    arrays: System,
-    late: Sequence[int],
-    seen: Sequence[FloatArray],
-    at: Instants,
+    linear: LinearPlants, arrays: System, late: Sequence[int], seen: Sequence[FloatArray], at: Instants
 ) -> PlantResponses:
     """Return what disturbances do to plants that are set at every sample.
 
-    `arrays` are `continuous` sampled, `seen` C and D of the readings' signals and the line of sight at instants.
+    `arrays` are the plants sampled, `seen` C and D of the readings' signals and the line of sight at instants.
     """
-    m, p, q = len(linear.torquers), len(linear.sensors), len(linear.signals.sight)
-    shares = np.array([one.torque for one in linear.cases])[:, None, :]
-    shares = np.where(shares > 0.0, shares, 1.0)
+    p, q = len(linear.signals.sensors), len(linear.signals.sight)
+    # Torques that add are not those of torquers, which may be weak.
+    share = np.array([[*one.torque, 1.0, 1.0, 1.0] for one in linear.cases])[:, None, :]
+    share = np.where(share > 0.0, share, 1.0)
     C, D = seen
-    D_rate = np.concatenate([linear.D_Omega, linear.D_sight[..., m:]], axis=1)
     return PlantResponses(
-        # Torques that add are not those of torquers, which may be weak.
-        smooth=System(
-            linear.A,
-            np.concatenate([linear.B / shares, linear.B_Omega], axis=-1),
-            continuous.C,
-            np.concatenate([continuous.D / shares, D_rate], axis=-1),
-        ),
+        smooth=linear.system._replace(B=linear.system.B / share, D=linear.system.D / share),
         stepped=late_outputs(
             arrays._replace(C=np.concatenate([arrays.C, C], axis=-2), D=np.concatenate([arrays.D, D], axis=-2)),
             [*late, *([0] * len(at.times) * (p + q))],
@@ -263,12 +217,6 @@ def _responses(
     )
 
 
-def tracking_signals(job: Job, spec: LoopSpec, inner: LoopSpec) -> LoopSignals:
-    """Return what the rate loop inside a tracking loop turns, reads and sets, and behind it what the latter reads."""
-    sensors, own = {sensor.name: sensor for sensor in job.platform.sensors}, job_signals(job, inner)
-    return dataclasses.replace(own, sensors=(*own.sensors, *(sensors[name] for name in spec.sensors)))
-
-
 def tracking_plants(
     job: Job, spec: LoopSpec, inner: LoopSpec, inside: PlantSet, controller: System
 ) -> tuple[PlantSet, Channels]:
@@ -277,20 +225,13 @@ def tracking_plants(
     `inside` are the plants of the rate loop's design, its feedforward in them, around each of which its `controller` is
     closed, with its commands behind what it measures where it does more with them than to compare.
     """
-    both = tracking_signals(job, spec, dataclasses.replace(inner, sensors=inside.angles))
-    plants = _loop_plants(job, both, job.every(inner), dict.fromkeys(spec.sensors, job.every(spec)))
-    return around(job, spec, plants, inside.feedforward, controller)
-
-
-def around(
-    job: Job, spec: LoopSpec, plants: PlantSet, feedforward: RateFeedforward | None, controller: System
-) -> tuple[PlantSet, Channels]:
-    """Return plants and directions of a tracking loop, of `plants` with the signals of `tracking_signals`.
-
-    Around each of them `controller` and `feedforward` of the rate loop inside are closed.
-    """
-    p, m = len(plants.angles) - len(spec.sensors), len(plants.torques)
-    K = controller if controller.D.shape[1] == 2 * p else with_error_alone(controller)
+    by_name = {sensor.name: sensor for sensor in job.platform.sensors}
+    own, sensors = job_signals(job, dataclasses.replace(inner, sensors=inside.angles)), spec.sensors
+    both = dataclasses.replace(own, sensors=(*own.sensors, *(by_name[name] for name in sensors)))
+    plants = _loop_plants(job, both, job.every(inner), dict.fromkeys(sensors, job.every(spec)))
+    p, m = len(inside.angles), len(plants.torques)
+    K, feedforward = controller, inside.feedforward
+    K = K if K.D.shape[1] == 2 * p else with_error_alone(K)
     whole = plants.whole if feedforward is None else feedforward.taken_up(plants.whole, m, p)
     closed = commanded_loop(whole, K, range(m), range(p))
     slower = 1 if spec.rate_hz is None else round(job.period_of(spec) / plants.period)
@@ -300,41 +241,40 @@ def around(
     times = plants.between[: None if slower < _SLOW_LOOP else 1]
     seen = [m + every + q + k * every + j for k in range(len(times)) for j in range(p, every)]
     inputs = [*range(m + 3, m + 3 + p), *range(m, m + 3)]
-    inner = closed.part([*range(m + p, m + every + q), *seen], inputs)
-    own = plants.disturbances if feedforward is None else feedforward.responses(plants.disturbances)
-    responses: DisturbanceResponses = ClosedResponses(plain=own, controller=K._replace(dt=plants.period))
+    outer = closed.part([*range(m + p, m + every + q), *seen], inputs)
+    plain = plants.disturbances if feedforward is None else feedforward.responses(plants.disturbances)
+    responses: DisturbanceResponses = ClosedResponses(plain=plain, controller=K._replace(dt=plants.period))
     if slower > 1:
-        inner = every_nth(inner, slower, len(spec.sensors) + q)[0]
+        outer = every_nth(outer, slower, len(sensors) + q)[0]
         times = np.add.outer(plants.period * np.arange(slower), times).ravel()
         responses = SlowerResponses(plain=responses, every=slower)
-    inner = without_drift(inner)
+    outer = without_drift(outer)
     commands = tuple(f"{name}{COMMAND}" for name in plants.angles[:p])
-    nutation = tracking_reference(job, spec, plants.nutation, inner.dt / job.every(spec))
+    nutation = tracking_reference(job, spec, plants.nutation, outer.dt / job.every(spec))
     found = PlantSet(
-        whole=inner,
+        whole=outer,
         labels=plants.labels,
         torques=commands,
-        angles=spec.sensors,
+        angles=sensors,
         nutation=nutation,
         noise=plants.noise[p:],
         groups=plants.groups,
         Omega=job.Omega,
         torque_limit=np.full(p, np.inf),
         sight=plants.sight,
-        states=tuple(f"x{k}" for k in range(inner.A.shape[-1])),
+        states=tuple(f"x{k}" for k in range(outer.A.shape[-1])),
         between=times,
         disturbances=responses,
         held=plants.held,
         dry_friction=plants.dry_friction,
-    ).on(tuning_grid(nutation, inner.dt))
-    z = np.exp(1j * (w := 0.1 * found.nutation) * inner.dt)
+    ).on(tuning_grid(nutation, outer.dt))
+    z = np.exp(1j * (w := 0.1 * found.nutation) * outer.dt)
     states = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
     effect = np.real(1j * w * (found.C[0] @ states + found.D[0]))
     if not shows_each(effect):
-        by_name = {sensor.name: sensor for sensor in job.platform.sensors}
-        why = unseen(job.platform, [by_name[name] for name in spec.sensors], effect)
+        why = unseen(job.platform, [by_name[name] for name in sensors], effect)
         raise InputError(
-            f"loop {spec.name!r}: sensors {', '.join(spec.sensors)} do not show what each of the commands "
+            f"loop {spec.name!r}: sensors {', '.join(sensors)} do not show what each of the commands "
             f"{', '.join(commands)} does{why}; add a sensor of an angle, or give the axis a rate loop by itself"
         )
     sense = np.linalg.pinv(effect)
@@ -354,12 +294,17 @@ def tracking_reference(job: Job, spec: LoopSpec, inside: float, period: float) -
 
 
 def loop_reference(linear: LinearPlants, period: float) -> float:
-    """Return the frequency that grids go by: of caged gimbals and those that carry rotors their fastest motion."""
+    """Return the frequency that grids and starting values go by: the fastest motion, as nutation.
+
+    That of caged gimbals and of those that carry rotors; without any, a tenth of Nyquist's.
+    """
     rotors = carried(linear.cases[0].platform, linear.signals.gimbals)
     angles = {gimbal.angle for gimbal in linear.cases[0].platform.gimbals}
     own = [k for k, name in enumerate(linear.states) if name.removeprefix("p_") in angles]
-    moving = bool(rotors) or not linear.signals.held
-    return reference_frequency(linear.A[0][np.ix_(own, own)] if moving else np.zeros((1, 1)), period)
+    nyquist, fastest = np.pi / period, 0.0
+    if rotors or not linear.signals.held:
+        fastest = float(np.abs(np.linalg.eigvals(linear.system.A[0][np.ix_(own, own)])).max())
+    return fastest if fastest > _SLOW_MOTION * nyquist else 0.1 * nyquist
 
 
 def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
@@ -404,7 +349,7 @@ def _passive(job: Job, signals: LoopSignals) -> tuple[str, ...]:
 
 def _with_drives(whole: System, linear: LinearPlants) -> System:
     """Return sampled plants with what drives feed back of the last outputs, without these outputs."""
-    count, m = len(linear.signals.fed), len(linear.torquers)
+    count, m = len(linear.signals.fed), len(linear.signals.torquers)
     if not count:
         return whole
     A, B, C, D, dt = whole
@@ -418,7 +363,7 @@ def _with_drives(whole: System, linear: LinearPlants) -> System:
 
 def _drive_gains(linear: LinearPlants) -> FloatArray:
     """Return what drives add to commands in proportion to their readings (N, m, f)."""
-    none = np.zeros((len(linear.torquers), len(linear.signals.fed)))
+    none = np.zeros((len(linear.signals.torquers), len(linear.signals.fed)))
     # A torquer's column has the share of its command, which is not that of what the drive adds.
     return np.array([none if one.feedback is None else one.feedback / one.torque[:, None] for one in linear.cases])
 
@@ -451,18 +396,3 @@ def _expect_slow(A: FloatArray, plants: Sequence[Case], period: float) -> None:
             f"rate_hz = {1.0 / period:.6g}: in a sample period {where} turns by {fastest[worst] * period:.3g} rad or "
             f"grows as fast, more than {_LARGEST_ANGLE:.0e}; choose a higher rate"
         )
-
-
-def held_rate(A: FloatArray, B: FloatArray, period: float, order: int) -> FloatArray:
-    """Return the sampled input of Omega: held like the torques, but neither delayed nor lagging."""
-    out = np.zeros((*A.shape[:-2], order, B.shape[-1]))
-    # The sampled states begin with the plant's own, on which Omega acts directly.
-    out[..., : A.shape[-1], :] = held_input(A, B, period)[1]
-    return out
-
-
-def reference_frequency(A: FloatArray, period: float) -> float:
-    """Return the frequency that grids and starting values go by: nutation; without any, a tenth of Nyquist's."""
-    nyquist = np.pi / period
-    fastest = float(np.abs(np.linalg.eigvals(A)).max())
-    return fastest if fastest > _SLOW_MOTION * nyquist else 0.1 * nyquist

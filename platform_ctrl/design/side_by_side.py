@@ -10,10 +10,9 @@ from concurrent.futures import BrokenExecutor, as_completed
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.processes import processes
 from platform_ctrl.common.progress import Progress
-from platform_ctrl.design.caging_claims import with_largest_rates
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, evaluated
+from platform_ctrl.design.loop import LoopDesign, evaluated, with_largest_rates
+from platform_ctrl.design.method import LoopProblem, known_method
 from platform_ctrl.errors import DesignError, began_with_interrupt
-from platform_ctrl.job.methods import known_method, resolved
 
 Made = LoopDesign | Exception
 
@@ -39,8 +38,6 @@ def _in_processes(problems: Sequence[LoopProblem], workers: int, progress: Progr
     # What the designs need is loaded once, before the processes are forked.
     import control  # noqa: F401
 
-    for problem in problems:
-        resolved(known_method(problem.design.method).design)
     out: list[Made | None] = [None] * len(problems)
     with processes(min(workers, len(problems)), "fork", _begin, problems) as executor:
         progress(f"{len(problems)} designs side by side; {problems[0].spec.name}: {problems[0].design.name}")
@@ -80,7 +77,7 @@ def _made(problem: LoopProblem) -> Made:
     spec, design = problem.spec, problem.design
     problem.progress(f"{spec.name}: {design.name}")
     try:
-        made = evaluated(problem, resolved(known_method(design.method).design)(problem), stable=False)
+        made = evaluated(problem, known_method(design.method).design(problem))
         return with_largest_rates(made) if spec.kind == "caging" and spec.use else made
     except Exception as error:
         if began_with_interrupt(error):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +13,10 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import LoopProblem
-from platform_ctrl.design.partition import gain
-from platform_ctrl.errors import DesignError, PlatformCtrlError
+from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.methods import METHODS, resolved
 from platform_ctrl.job.quantities import compared
-from platform_ctrl.job.requirements import LoopRequirement, loop_requirements
+from platform_ctrl.job.requirements import LoopRequirement
 
 BoolArray = NDArray[np.bool_]
 Builder = Callable[[dict[str, float]], System]
@@ -34,67 +30,6 @@ _SLOWEST, _FASTEST, _A_DECADE, _MOST_STARTS = 1e-6, 0.2, 3, 2
 _LARGE = 5.0
 # Plants that are kept in view while searching: the worst ones. All are looked at again after each search.
 _MOST_PLANTS = 8
-
-
-def tuned(
-    problem: LoopProblem,
-    options: dict[str, float],
-    tunable: Sequence[str],
-    build: Builder,
-    upper: dict[str, float],
-    starts: Sequence[dict[str, float]] | None = None,
-    reserve: float = 0.05,
-    evaluations: int = 1500,
-) -> dict[str, float]:
-    """Return the options of a design, with ``tune = true`` moved until its loop's limits are met: see `tune`.
-
-    Other `starts` are by default the options as given and those by rules of thumb, at crossovers over decades. Options
-    with which there is no design count as no control: no loop is stable then, and the search turns back.
-    """
-    spec, design, plants = problem.spec, problem.design, problem.plants
-    if not design.tune:
-        return options
-    movable = [name for name in tunable if name in options]
-    if starts is None:
-        starts = _starts(problem, options, movable)
-    nothing = gain(np.zeros((plants.B.shape[-1], plants.C.shape[-2])))
-
-    def built(numbers: dict[str, float]) -> System:
-        try:
-            return problem.with_commands(build(numbers))
-        except DesignError:
-            return nothing
-
-    return tune(
-        options,
-        movable,
-        built,
-        plants,
-        loop_requirements(spec.limits),
-        upper=upper,
-        starts=starts,
-        reserve=reserve,
-        evaluations=evaluations,
-        progress=lambda _, limiting: problem.progress(f"{spec.name}: {design.name}, {limiting}"),
-    )
-
-
-def _starts(problem: LoopProblem, options: dict[str, float], movable: Sequence[str]) -> list[dict[str, float]]:
-    """Return the options as given and those by rules of thumb, at crossovers over decades."""
-    design, plants = problem.design, problem.plants
-    fixed = {name: x for name, x in design.options.items() if name not in movable}
-    kept = {name: x for name, x in design.options.items() if name not in rates(design.method)} | fixed
-    by_rule = resolved(METHODS[design.method].defaults or "")(
-        replace(design, options=kept), problem.channel, plants.nutation, plants.period
-    )
-    bases = [options, options | {name: by_rule[name] for name in options if name in by_rule and name not in fixed}]
-    together = [name for name in rates(design.method) if name in options and name not in fixed]
-    return [one for base in bases for one in over_decades(base, together, plants.period)]
-
-
-def rates(method: str) -> list[str]:
-    """Return the options of a method that are scaled with its crossover."""
-    return list(METHODS[method].families.get("speed", ()))
 
 
 def over_decades(options: dict[str, float], together: Iterable[str], period: float) -> list[dict[str, float]]:

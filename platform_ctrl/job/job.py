@@ -101,7 +101,7 @@ class Sampling:
 
 @input_value
 class CommandShaping:
-    """What a controller does with commands of its readings before it compares them: see `design.loop.shaped`.
+    """What a controller does with commands of its readings before it compares them: see `design.method.shaped`.
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ class DesignSpec:
         name = table["method"]
         method = METHODS[name]
         known = ["name", "method", *(["structure"] if method.structures else ())]
-        known += ["responses"] if method.responses is not None else []
+        known += ["responses"] if method.responses else []
         known += ["tune", *DESIGN_SIGNALS, *sorted(method.options), "command"]
         for key, item in table.items():
             if key not in known:

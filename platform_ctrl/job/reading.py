@@ -17,7 +17,7 @@ from platform_ctrl.job.budget import Source, value_mistakes, with_logs
 from platform_ctrl.job.checks import job_mistakes, locked_mistakes
 from platform_ctrl.job.exercised import unexercised
 from platform_ctrl.job.job import MOTION, Job, manoeuvre_scenario
-from platform_ctrl.job.methods import METHODS, resolved
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.spectra import LogSpectrum
 from platform_ctrl.job.variation import campaign_misfits
 from platform_ctrl.plant.fields import PLANT, Expected, Unfit
@@ -146,13 +146,13 @@ def _with_responses(job: Job, folder: Path) -> tuple[Job, list[Mistake]]:
     for i, spec in enumerate(job.loops):
         designs = []
         for k, design in enumerate(spec.designs):
-            given_text, judge = design.responses, METHODS[design.method].responses
-            if given_text is not None and judge is not None:
+            given_text = design.responses
+            if given_text is not None:
                 try:
                     inside = "\n" in given_text
                     label = "the text" if inside else one_line(str(folder / given_text))
                     text = given_text if inside else read_text(folder / given_text, "a CSV file")
-                    resolved(judge)(job, spec, design, text, label)
+                    METHODS[design.method].expect_responses(job, spec, design, text, label)
                     design = replaced(design, {"responses": text})
                 except (InputError, ArgumentError) as error:
                     mistakes.append(Mistake(("loop", i, "design", k, "responses"), f"responses: {error}"))

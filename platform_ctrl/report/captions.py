@@ -18,9 +18,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.text import Rounding
-from platform_ctrl.design.caging_claims import largest_Omega_name
-from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import LoopDesign, LoopOutcome, largest_Omega_name
 from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.job.quantities import BOUND, HZ, compared, count, disk_words, listed, percent, plain, quantity
 from platform_ctrl.job.requirements import FAULTS, WORST_CASE, of_readings

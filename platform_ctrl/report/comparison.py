@@ -10,8 +10,7 @@ from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import Group as PlantGroup
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import LoopDesign, LoopOutcome
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import (
     BOUND,

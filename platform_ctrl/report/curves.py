@@ -21,8 +21,7 @@ from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
+from platform_ctrl.design.loop import LoopDesign, LoopOutcome, closed_loop_poles, sampled_plant
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.quantities import HZ
 from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import LoopDesign, LoopOutcome
+from platform_ctrl.design.methods import METHODS
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.quantities import BOUND, DASH, compared, count, listed, percent, plain
 from platform_ctrl.report import tables
 from platform_ctrl.report.blocks import (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import coupled_while_changing

@@ -18,20 +18,19 @@ import numpy as np
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.jobs import design_job, plant_job
 from platform_ctrl.design.loop import (
     LoopDesign,
-    LoopProblem,
+    LoopOutcome,
     designed,
-    in_signals,
     limits_and_goals,
     requirements_of,
     with_commands,
     with_controller,
 )
+from platform_ctrl.design.method import METHODS, LoopProblem
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import tracking_plants
-from platform_ctrl.design.reduced_jobs import design_job, plant_job
 from platform_ctrl.design.tuning import (
     SHARE,
     OptionEffects,
@@ -44,7 +43,6 @@ from platform_ctrl.design.tuning import (
 )
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.methods import METHODS, resolved
 from platform_ctrl.verification.budget import PreparedBudget
 from platform_ctrl.verification.coupled import coupled_check
 
@@ -337,8 +335,8 @@ class _Trials:
         problem = dataclasses.replace(problem, design=moved)
         if problem.plant_set is None:
             return designed(problem)
-        K = resolved(METHODS[closed.method].design)(problem).controller
-        return with_controller(closed, in_signals(problem, K))
+        K = METHODS[closed.method].design(problem).controller
+        return with_controller(closed, problem.in_signals(K))
 
     def _problem(self, outcome: LoopOutcome) -> LoopProblem | None:
         """Return what the method of a closed design is given; None where it does not build a design from options."""

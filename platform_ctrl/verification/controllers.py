@@ -12,11 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
-from platform_ctrl.design.caging_claims import with_largest_rates
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.jobs import FailedDesign, LoopOutcome, in_order
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, remeasured, with_commands
+from platform_ctrl.design.jobs import in_order
+from platform_ctrl.design.loop import (
+    FailedDesign,
+    LoopDesign,
+    LoopOutcome,
+    remeasured,
+    with_commands,
+    with_largest_rates,
+)
 from platform_ctrl.design.loop_signals import loop_signals
+from platform_ctrl.design.method import LoopProblem, known_method
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError, began_with_interrupt
@@ -245,11 +252,9 @@ def _measured(
     made = remeasured(spec, name, K, plants)
     for own in spec.designs:
         if own.name == name and own.responses is not None:
-            from platform_ctrl.design.measured.of_job import on_responses
-
             model = linearise(job.platform)
             problem = LoopProblem(job=job, spec=spec, design=own, model=model, plant_set=plants, directions=directions)
-            made = on_responses(problem, made)
+            made = known_method(own.method).judged(problem, made)
     return with_largest_rates(made) if spec.kind == "caging" and closed else made
 
 

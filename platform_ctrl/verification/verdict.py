@@ -9,7 +9,7 @@ from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.values import replaced, value
 from platform_ctrl.design.cases import subsystems_over
-from platform_ctrl.design.jobs import FailedDesign, LoopOutcome
+from platform_ctrl.design.loop import FailedDesign, LoopOutcome
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.quantities import assumed_words

@@ -8,10 +8,10 @@ import pytest
 from platform_ctrl.analysis import frequency_response, sampled
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import cases
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Faults, Uncertainty
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.state_space import state_space

@@ -78,9 +78,10 @@ def fine_steps(job, period: float, K: System) -> tuple[np.ndarray, np.ndarray]:
     """Steps of each command of u = K (y - r), held with its delay, through the continuous plant in steps of T/40."""
     from scipy.linalg import expm
 
-    linear = linear_plants(job_signals(job, job.loops[0]), loop_cases(job, job_signals(job, job.loops[0]))[:1])
-    A, B, C = linear.A[0], linear.B[0], linear.C[0]
-    lag = np.array([one.lag for one in linear.torquers])
+    signals = job_signals(job, job.loops[0])
+    plant = linear_plants(signals, loop_cases(job, signals)[:1]).system.at(0)
+    lag = np.array([one.lag for one in signals.torquers])
+    A, B, C = plant.A, plant.B[:, : len(lag)], plant.C[: len(signals.sensors)]
     n, m, fine = len(A), B.shape[1], 40
     whole = np.zeros((n + 2 * m, n + 2 * m))
     whole[:n, :n], whole[:n, n : n + m] = A, B

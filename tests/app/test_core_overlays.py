@@ -11,7 +11,7 @@ import pytest
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.pictures import Overlay, Picture
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.job.reading import read_job
+from platform_ctrl.design.methods import read_job
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 SERVO = "stabilisation"

@@ -12,7 +12,7 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings, with_options
 from platform_ctrl.cli import main
-from platform_ctrl.job.methods import METHODS
+from platform_ctrl.design.methods import METHODS
 
 CLASSICAL = METHODS["classical"]
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"

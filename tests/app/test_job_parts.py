@@ -13,7 +13,7 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.job_parts import ChipState
 from platform_ctrl.app.page.messages import strip_data, verdict_data
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.job.reading import read_job
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.coupled import coupled_check
 

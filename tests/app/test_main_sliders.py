@@ -12,8 +12,8 @@ pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
 from camera_job import camera_job, camera_loop
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.settings import Settings, Slider
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.reading import read_job
 
 INSTANT = ("speed", "robustness")
 

@@ -23,8 +23,8 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import LatestTasks
 from platform_ctrl.app.page.messages import REQUESTS, chosen, parse_request
 from platform_ctrl.app.page.tasks import target
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import InputError, PlatformCtrlError
-from platform_ctrl.job.reading import read_job
 from questions import Sleeping
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from platform_ctrl.app.saving import checked_settings, decode_state, encode_stat
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import DesignError, InputError
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import platform_source
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"

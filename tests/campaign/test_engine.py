@@ -22,8 +22,8 @@ import platform_ctrl as pc
 from campaign_runs import JOB, invented_columns, planned, processes_here, rows, undisturbed
 from platform_ctrl.campaign.engine import CampaignResult, run_campaign
 from platform_ctrl.campaign.planning import Plan, plan
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import platform_source
 
 pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")

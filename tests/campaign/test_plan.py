@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from platform_ctrl.campaign.planning import Plan, chosen, plan, quantiles, unit_points
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.parameters import parameters, varied_scenario
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import Campaign, CampaignFault, CampaignManoeuvre, Vary
 

@@ -178,17 +178,17 @@ BAD = {
 def test_a_design_that_fails_does_not_end_the_others(
     how: str, used: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from platform_ctrl.design.classical import caging
+    from platform_ctrl.design.methods.classical import Classical
 
     option, words = BAD[how]
-    made = caging.classical_design
+    made = Classical.design
 
-    def fails(problem: Any) -> Any:
+    def fails(method: Classical, problem: Any) -> Any:
         if problem.design.options.get("crossover_hz") == 39.0:
             raise np.linalg.LinAlgError("no luck")
-        return made(problem)
+        return made(method, problem)
 
-    monkeypatch.setattr(caging, "classical_design", fails)
+    monkeypatch.setattr(Classical, "design", fails)
     bad = f'{{ name = "bad", method = "classical", integral_hz = 2, {option} }}'
     text = one_gyro_job.JOB.replace("design = [{", f"design = [{bad}, {{")
     text = text.replace('use = "classical"', 'use = "bad"') if used else text

@@ -13,9 +13,9 @@ import pytest
 from one_gyro_job import JOB
 from platform_ctrl import design, export
 from platform_ctrl.cli import main
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.export.exporters import FORMS
 from platform_ctrl.export.systems import write_controllers
-from platform_ctrl.job.reading import read_job
 from refused_command import refused
 
 EVERYTHING = ("--c", "c", "--mat", "k.mat", "--models", "m.json", "--csv", "r", "--mjcf", "p.xml")

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from platform_ctrl.design import loops
-from platform_ctrl.design.caging_claims import largest_Omega_name, with_largest_rates
-from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopOutcome, largest_Omega_name, with_largest_rates
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.report import captions
 from platform_ctrl.verification.controllers import outcomes_from
 from platform_ctrl.verification.simulated import simulate_manoeuvre

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,6 @@ from platform_ctrl import read_job
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.errors import InputError
-from platform_ctrl.export import write_c
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.reading import job_data
@@ -182,37 +179,9 @@ def test_a_controller_that_was_written_is_measured_again_as_it_was() -> None:
     assert job_data(job)["loop"][0]["design"][0]["command"] == BOTH
 
 
-@pytest.mark.parametrize(
-    ("kind", "command", "words"),
-    [
-        ("rate", {"acceleration": True}, 'the key "filter_hz" is missing'),
-        ("rate", {"filter_hz": 0.0}, "filter_hz must be a number > 0, Hz"),
-        ("rate", {"filter_hz": 500.0}, "filter_hz must be below half the sample rate, 500 Hz"),
-        ("rate", {"filter": 2.0}, 'unknown key "filter"'),
-        ("caging", BOTH, "command has no effect in a caging loop"),
-    ],
-)
-def test_options_that_make_no_sense_are_refused(kind: str, command: dict[str, Any], words: str) -> None:
-    job = job_of("rate", command)
-    if kind == "caging":
-        loop = {"name": "loop", "kind": kind, "gimbals": ["yaw"], "use": "own", "design": job["loop"][0]["design"]}
-        job |= {"loop": [loop | {"design": [loop["design"][0] | {"method": "classical"}]}], "manoeuvre": []}
-    with pytest.raises(InputError) as found:
-        read_job(job)
-    assert words in str(found.value)
-
-
 def test_all_loops_together_are_checked_with_commands_at_zero() -> None:
     job = read_job(job_of("rate", BOTH))
     found = check_job(job, loops(job), prove=True)
     assert found.coupled.stable
     assert found.coupled.controller.input_labels == ["gyro"]
     assert found.proofs["", ""].proved == 1
-
-
-def test_generated_code_takes_the_command_by_its_name(tmp_path: Path) -> None:
-    job = read_job(job_of("rate", BOTH))
-    write_c(job, [made("rate", "both").controller], tmp_path)
-    [header] = [path.read_text(encoding="utf-8") for path in tmp_path.glob("commanded*.h")]
-    assert "double gyro; /* rad/s */" in header
-    assert "double gyro_command; /* rad/s */" in header

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.design.loop import LoopProblem, measured
+from platform_ctrl.design.loop import measured
+from platform_ctrl.design.method import LoopProblem
+from platform_ctrl.design.methods import read_job
+from platform_ctrl.design.methods.hinf import hinf_design, hinf_options, weighted_plant
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.design.riccati.weighted_loop import hinf_design, hinf_options, weighted_plant
-from platform_ctrl.errors import DesignError
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 
 
@@ -41,7 +41,7 @@ def test_both_routes_find_the_same_bound(loop, by_route):
 
 @pytest.mark.parametrize("route", ["lmi", "riccati"])
 def test_the_sampled_controller_meets_the_limits_of_the_job(loop, by_route, route):
-    design = measured(loop.spec, loop.design, by_route[route], loop.plants)
+    design = measured(loop.spec, loop.design.name, "hinf", by_route[route].controller, loop.plants)
     assert [r.name for r in design.results if not r.passed] == []
     assert {"bandwidth", "disk margin, worst case", "damping, worst case"} < {r.name for r in design.results}
 
@@ -81,12 +81,5 @@ def test_without_the_torque_disturbance_nutation_is_left_undamped(loop, by_route
 
 def test_the_weighted_plant_contains_the_delay(loop):
     """Two channels: gimbal angles and momenta, two lags, two held torques, two integrators: ten states, no Padé."""
-    options = hinf_options(loop.design, loop.channel, loop.plants.nutation, loop.plants.period)
+    options = hinf_options(loop.design.options, loop.channel, loop.plants.nutation, loop.plants.period)
     assert weighted_plant(options, loop.channel, loop.plants).arrays.A.shape == (10, 10)
-
-
-def test_wrong_options_are_named(loop):
-    with pytest.raises(DesignError, match="inertial_torque"):
-        hinf_design(with_options(loop, {"inertial_torque": 1.0}))
-    with pytest.raises(DesignError, match="must be > 0"):
-        hinf_design(with_options(loop, {"torque": 0.0}))

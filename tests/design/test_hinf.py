@@ -12,7 +12,7 @@ from scipy.linalg import solve_continuous_are
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.partition import partition, whole
-from platform_ctrl.design.riccati.hinf import _floor, _least_gamma, _normal_form, _trial
+from platform_ctrl.design.riccati import _floor, _least_gamma, _normal_form, _trial
 from platform_ctrl.design.scaling import autoscale, balance, require_stabilisable
 from platform_ctrl.design.synthesis import certify, hinf
 from platform_ctrl.errors import (
@@ -263,17 +263,12 @@ def test_a_mode_out_of_reach_is_named(B2, C2, word, pole, method):
     ("arguments", "options", "match"),
     [
         ((np.eye(3), 1, 1), {}, "must be a control.StateSpace"),
-        ((control.ss(0.5, [[1, 1]], [[1], [1]], 0, True), 1, 1), {}, "without a sample period"),
         ((control.ss([], [], [], np.eye(2)), 1, 1), {}, "has no states"),
         ((control.ss(-1, [[1, 1]], [[1], [1]], 0), 2, 1), {}, "nmeas must be a whole number from 1 to 1"),
-        ((control.ss(-1, [[1, 1]], [[np.nan], [1]], 0), 1, 1), {}, "C of the system is not finite"),
-        ((random_plant(1), 2, True), {}, "ncon must be .* got True"),
         ((random_plant(1), 2, 2), {"method": "h2"}, "method must .*got 'h2'"),
         ((random_plant(1), 2, 2), {"method": "lmi", "regularise": 1e-3}, 'regularise needs method="riccati"'),
         ((random_plant(1), 2, 2), {"backoff": 0.0}, "backoff must .*got 0.0"),
-        ((random_plant(1), 2, 2), {"backoff": [0.02, 0.03]}, "must be a number"),
         ((random_plant(1), 2, 2), {"time_limit": 0.0}, "time_limit must be .* got 0.0"),
-        ((random_plant(1), 2, 2), {"time_limit": None}, "time_limit must be .* got None"),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(arguments, options, match):

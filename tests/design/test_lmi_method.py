@@ -13,9 +13,9 @@ from scipy.linalg import block_diag, expm, solve_discrete_lyapunov
 import three_gyro_paper as paper
 from platform_ctrl import design
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.lmi.inequalities import LinearLoop, cp, half_plane, sector, solve
 from platform_ctrl.design.lmi.shared import sharing
+from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.design.partition import closed_loop, partition
 from platform_ctrl.design.scaling import autoscale, unscale
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, TimeLimitError

@@ -12,13 +12,13 @@ from scipy.linalg import block_diag
 from paper_loop import closed_by_hand, paper_plant
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design import loops
-from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.design.loop import LoopProblem
-from platform_ctrl.design.lqg import lqg_controller, lqg_design, lqg_gains, lqg_options, quadratic_problem
+from platform_ctrl.design.loop import LoopOutcome
+from platform_ctrl.design.method import LoopProblem
+from platform_ctrl.design.methods import read_job
+from platform_ctrl.design.methods.lqg import LQG, lqg_gains, lqg_options, quadratic_problem
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.errors import DesignError, NotStabilisableError
+from platform_ctrl.errors import NotStabilisableError
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 
 LOOPS = ("caging 4-5-7", "caging 9-10")
@@ -63,7 +63,7 @@ def test_the_gains_are_those_of_python_control_called_by_hand(problems: dict[str
     problem = problems[name]
     options, plants = problem.design.options, problem.plants
     posed = quadratic_problem(
-        lqg_options(problem.design, problem.channel, plants.nutation, plants.period), problem.channel, plants
+        lqg_options(problem.design.options, problem.channel, plants.nutation, plants.period), problem.channel, plants
     )
     A, B, C, D, T = posed.plant
     assert not D.any()
@@ -87,21 +87,6 @@ def test_the_gains_are_those_of_python_control_called_by_hand(problems: dict[str
 
 
 @BOTH
-def test_the_plant_is_that_of_the_paper_sampled(problems: dict[str, LoopProblem], name: str) -> None:
-    problem = problems[name]
-    plants, paper = problem.plants, paper_plant(problem.spec.gimbals)
-    options = lqg_options(problem.design, problem.channel, plants.nutation, plants.period)
-    posed = quadratic_problem(options, problem.channel, plants)
-    z = np.exp(1j * np.array([3.0, 100.0, 700.0, 4000.0]) * plants.period)
-    basis = problem.channel.basis
-    for one in z:
-        own = posed.plant.C @ np.linalg.solve(one * np.eye(len(posed.plant.A)) - posed.plant.A, posed.plant.B)
-        theirs = paper.C @ np.linalg.solve(one * np.eye(len(paper.A)) - paper.A, paper.B)
-        own = basis.T @ (posed.error[:, None] * own / posed.torque) @ basis
-        np.testing.assert_allclose(own, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
-
-
-@BOTH
 def test_every_limit_is_met_and_the_loop_closed_by_hand_has_the_values(
     outcomes: dict[str, LoopOutcome], name: str
 ) -> None:
@@ -118,7 +103,7 @@ def test_every_limit_is_met_and_the_loop_closed_by_hand_has_the_values(
 @BOTH
 def test_the_poles_are_those_of_the_feedback_and_of_the_estimator(problems: dict[str, LoopProblem], name: str) -> None:
     problem = with_options(problems[name])
-    plants, found = problem.plants, lqg_design(problem)
+    plants, found = problem.plants, LQG().design(problem)
     posed = quadratic_problem(found.options, problem.channel, plants)
     gains = lqg_gains(posed)
     expected = np.concatenate(
@@ -140,9 +125,10 @@ def test_an_estimator_that_expects_torques_alone_is_faster_and_noisier(
 ) -> None:
     """Omega moves the gyros without exciting nutation, so the estimator need not damp it as hard."""
     problem = problems["caging 9-10"]
-    expected = measure(problem.plants, lqg_design(with_options(problem)).controller)
+    expected = measure(problem.plants, LQG().design(with_options(problem)).controller)
     without = measure(
-        problem.plants, lqg_design(with_options(problem, platform_rate=1e-6, recovery=0.03, recovery2=0.03)).controller
+        problem.plants,
+        LQG().design(with_options(problem, platform_rate=1e-6, recovery=0.03, recovery2=0.03)).controller,
     )
     assert without.damping[0] > 1.5 * expected.damping[0]
     assert without.torque_noise.max() > 2.0 * expected.torque_noise.max()
@@ -152,22 +138,7 @@ def test_an_estimator_that_expects_torques_alone_is_faster_and_noisier(
 def test_without_anything_that_moves_nutation_the_estimator_is_none(problems: dict[str, LoopProblem]) -> None:
     problem = with_options(problems["caging 9-10"], recovery=1e-30, recovery2=1e-30)
     with pytest.raises(NotStabilisableError, match=r"^lqg: control.dlqe finds no estimator .* try a larger recovery"):
-        lqg_design(problem)
-
-
-def test_a_limit_that_cannot_be_met_is_a_sentence(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("platform_ctrl.design.tuning._MOST_STARTS", 0)
-    spec = job.loops[1]
-    limits = dataclasses.replace(spec, limits={**spec.limits, "bandwidth_hz": 400.0})
-    (outcome,) = loops(dataclasses.replace(job, loops=(limits,)))
-    missed = [one for one in outcome.closed.results if not one.passed]
-    assert "bandwidth" in {one.name for one in missed}
-    assert max(one.ratio for one in outcome.closed.results) > 1.0
-
-
-def test_options_of_other_loops_are_named(problems: dict[str, LoopProblem]) -> None:
-    with pytest.raises(DesignError, match="'inertial_recovery' has no meaning for this loop; did you mean 'recovery'"):
-        lqg_design(with_options(problems["caging 9-10"], inertial_recovery=1.0))
+        LQG().design(problem)
 
 
 def test_the_tuner_meets_the_limits_from_rules_of_thumb(problems: dict[str, LoopProblem]) -> None:
@@ -175,19 +146,8 @@ def test_the_tuner_meets_the_limits_from_rules_of_thumb(problems: dict[str, Loop
     kept = {"bandwidth_hz": 35.0, "disk_margin": 0.45, "torque_noise": 0.008}
     design = dataclasses.replace(problem.design, options={})
     problem = dataclasses.replace(problem, design=design, spec=dataclasses.replace(problem.spec, limits=kept))
-    found = lqg_design(problem)
+    found = LQG().design(problem)
     reached = measure(problem.plants, found.controller)
     assert reached.bandwidth >= 2.0 * np.pi * kept["bandwidth_hz"]
     assert reached.disk_margin[0] >= kept["disk_margin"]
     assert reached.torque_noise.max() <= kept["torque_noise"]
-
-
-def test_without_noise_in_the_plant_file_a_share_of_the_largest_error_is_taken(
-    problems: dict[str, LoopProblem],
-) -> None:
-    problem = problems["caging 9-10"]
-    quiet = dataclasses.replace(problem.plants, noise=np.zeros(2))
-    K = lqg_controller(
-        lqg_options(problem.design, problem.channel, quiet.nutation, quiet.period), problem.channel, quiet
-    )
-    assert measure(problem.plants, K).decay[0] > 0.0

@@ -2,7 +2,6 @@
 
 import io
 import itertools
-import re
 
 import control
 import numpy as np
@@ -12,17 +11,15 @@ import platform_ctrl as pc
 from platform_ctrl import analysis
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.design.measured.contour import contour, plant_integrators, unstable_poles
-from platform_ctrl.design.measured.data import measured_plants, read_measurement
 from platform_ctrl.design.measured.design import measured_pid
-from platform_ctrl.design.measured.pid import basis, controller_response, masks, realisation
-from platform_ctrl.design.measured.search import candidates, fitted_mechanics
+from platform_ctrl.design.measured.responses import contour, read_measurement, unstable_poles
+from platform_ctrl.design.measured.restriction import basis, controller_response, realisation
+from platform_ctrl.design.measured.search import candidates
 from platform_ctrl.errors import (
     ArgumentError,
     InfeasibleError,
     InputError,
     NotCertifiedError,
-    NotStabilisableError,
     TimeLimitError,
 )
 
@@ -86,53 +83,21 @@ def test_a_file_is_read_with_units_names_and_both_forms():
     assert other.dt == 0.1
 
 
-def test_columns_of_the_coherence_are_not_read():
-    whole = CSV.replace(" phase_deg\n", " phase_deg, a/P coherence, coherence\n")
-    whole = re.sub(r"(?m)^( *[\d.]+,.*)$", r"\1, 0.9, 0.5", whole)
-    np.testing.assert_array_equal(
-        read_measurement(io.StringIO(whole)).frdata, read_measurement(io.StringIO(CSV)).frdata
-    )
-
-
-def test_frequencies_and_phases_are_read_in_the_units_of_their_columns():
-    found = read_measurement(io.StringIO(CSV))
-    text = CSV.replace("phase_deg", "phase_rad").replace("frequency_hz", "Frequency (kHz)")
-    for degrees, radians in (("2.0, 90", f"2.0, {np.pi / 2}"), ("1.0, -90", f"1.0, {-np.pi / 2}")):
-        text = text.replace(degrees, radians)
-    other = read_measurement(io.StringIO(text))
-    np.testing.assert_allclose(other.omega, 1e3 * found.omega)
-    np.testing.assert_allclose(other.frdata, found.frdata, atol=1e-15)
-
-
 MISTAKES = {
     "no such file": (None, "nowhere.csv: there is no such file"),
     "empty": ("# nothing\n", "is empty; write a header"),
     "frequency": (CSV.replace("frequency_hz", "f"), "line 2: the first column must be frequency_hz or"),
-    "no pair": (CSV.replace("a/P re", "alpha"), "line 2: column 2 must have a name such as"),
     "part": (CSV.replace("a/P re", "a/P real"), 'holds "real": did you mean "re"?'),
-    "twice": (CSV.replace("a/P im", "a/P re"), '"a/P re" occurs twice'),
     "half": (
         CSV.replace("a/P im", "a/Q im"),
         "line 2: every pair of output and input must have re and im, or",
     ),
     "pair missing": (CSV.replace("a/P", "b/P"), "phase_deg, but b/Q is missing"),
-    "only frequency": ("frequency_hz\n1\n2\n3\n", "the only column is the frequency"),
     "word": (CSV.replace("0.4", "zero"), 'line 4: a/P re must be a finite number, got "zero"'),
-    "not finite": (CSV.replace("0.4", "nan"), 'line 4: a/P re must be a finite number, got "nan"'),
     "short line": (CSV.replace(", 1.0, -90", ""), "line 4: must have 5 columns as the header, got 3"),
     "falling": (CSV.replace("4.0, 0.3", "1.5, 0.3"), "line 6: frequency_hz must be > 0 and rise, got 1.5 after 2"),
-    "zero": (CSV.replace("1.0, 0.5", "0.0, 0.5"), "line 3: frequency_hz must be > 0 and rise, got 0"),
     "few": (CSV.partition("2.0, 0.4")[0], "at least 3 frequencies, got 1"),
-    "header alone": (CSV.partition("1.0, 0.5")[0], "at least 3 frequencies, got 0"),
-    "negative size": (CSV.replace("1.0, -90", "-1.0, -90"), "line 4: a/Q magnitude must be 0 or more, got -1"),
-    "large decibels": (
-        CSV.replace("a/Q magnitude", "a/Q magnitude_db").replace("1.0, -90", "1e6, -90"),
-        "line 4: a/Q must be less than",
-    ),
-    "large frequency": (
-        CSV.replace("4.0, 0.3", "1e308, 0.3"),
-        "line 6: frequency_hz must be at most 1e+100",
-    ),
+    "negative size": (CSV.replace("1.0, -90", "-1.0, -90"), "line 4: a/Q is not finite, or its magnitude is below 0"),
     "quote": (CSV.replace("2.0, 0.4", '"2.0, 0.4'), "line 4: is not CSV"),
     "beyond Nyquist": (
         CSV.replace("4.0, 0.3", "40.0, 0.3"),
@@ -153,21 +118,14 @@ def test_a_mistake_in_a_file_is_one_line_that_says_where(name, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_a_byte_order_mark_and_indented_comments_are_no_data():
-    plain = read_measurement(io.StringIO(CSV))
-    marked = read_measurement(io.StringIO("\ufeff" + CSV.replace("1.0, 0.5", "  # by hand\n1.0, 0.5")))
-    np.testing.assert_array_equal(plain.frdata, marked.frdata)
-
-
 # The controller
 
 
-@pytest.mark.parametrize("period", [0.0, PERIOD])
-def test_the_realised_controller_answers_like_its_actions(period):
+def test_the_realised_controller_answers_like_its_actions():
     gains = np.random.default_rng(1).standard_normal((3, 2, 2)) * np.array([1.0, 50.0, 0.02])[:, None, None]
     w = np.geomspace(1.0, 5000.0, 30)
-    K = realisation(gains, 1e-3, period).to_control(ANGLES, TORQUES)
-    expected = np.moveaxis(controller_response(gains, basis(1j * w, 1e-3, period)), 0, -1)
+    K = realisation(gains, 1e-3, PERIOD).to_control(ANGLES, TORQUES)
+    expected = np.moveaxis(controller_response(gains, basis(1j * w, 1e-3, PERIOD)), 0, -1)
     np.testing.assert_allclose(analysis.frequency_response(K, w), expected, rtol=1e-9)
     assert K.nstates == 4
 
@@ -212,19 +170,10 @@ def test_an_unstable_plant_needs_its_encirclements():
         gains = -np.array([gain, 0.01 * gain, 0.0]).reshape(3, 1, 1)
 
         def controller(s, gains=gains):
-            return controller_response(gains, basis(s, 1e-3, 0.0))
+            return controller_response(gains, basis(s, 1e-3, 1e-4))
 
         assert unstable_poles(path, controller, unstable=1) == count
         assert unstable_poles(path, controller) == count - 1
-
-
-def test_integrators_are_read_from_the_slope():
-    w = np.geomspace(0.1, 100.0, 60)
-    for k in range(4):
-        P = (3.0 / ((1j * w) ** k * (1j * w / 40.0 + 1.0)))[:, None, None]
-        assert plant_integrators(w, P) == k
-    with pytest.raises(NotCertifiedError, match="must fall with a whole power"):
-        plant_integrators(w, ((1j * w) ** -0.5)[:, None, None])
 
 
 def test_an_unresolved_resonance_is_found_between_its_neighbours(measured):
@@ -248,18 +197,7 @@ def test_data_that_do_not_decide_stability_say_what_is_missing(measured):
     w = np.geomspace(0.01, 100.0, 40)
     delayed = (30.0 * np.exp(-1j * w) / (1j * w + 1.0))[:, None, None]
     with pytest.raises(NotCertifiedError, match="measure more frequencies there"):
-        unstable_poles(contour(w, delayed), lambda s: controller_response(-np.ones((3, 1, 1)), basis(s, 1.0, 0.0)))
-
-
-# Where it starts
-
-
-def test_the_mechanics_are_read_from_noisy_data(measured):
-    fit = fitted_mechanics(measured.omega, np.moveaxis(measured.frdata, -1, 0))
-    np.testing.assert_allclose(np.diag(fit.M), [J9, J10], rtol=0.05)
-    np.testing.assert_allclose(fit.G, [[0.0, L], [-L, 0.0]], atol=0.05 * L)
-    # Delay, half a period of the hold, and the lag.
-    assert fit.dead_time == pytest.approx(DELAY + 0.5 * PERIOD + LAG, rel=0.05)
+        unstable_poles(contour(w, delayed), lambda s: controller_response(-np.ones((3, 1, 1)), basis(s, 1.0, 1e-3)))
 
 
 # The design
@@ -283,6 +221,10 @@ def test_every_limit_is_kept_at_every_measured_frequency(measured, design):
     assert design.unstable_poles == (0,)
     assert {"sensitivity_peak", "disk_margin", "torque_per_noise"} <= set(response.ratios)
     assert max(ratio.max() for ratio in response.ratios.values()) <= 1.0
+    # A limit is what stops the gain, which the iterations have raised by orders of magnitude.
+    assert max(ratio.max() for ratio in response.ratios.values()) > 0.99
+    assert design.objective > 100.0 * design.history[0, 0]
+    assert np.all(design.gains[1][[0, 1], [0, 1]] == 0.0)
     eye = np.eye(2)
     for S in (response.S, response.S_input):
         assert np.linalg.norm(S, 2, axis=(1, 2)).max() <= 2.0
@@ -290,23 +232,6 @@ def test_every_limit_is_kept_at_every_measured_frequency(measured, design):
     assert np.linalg.norm(response.torque_per_noise, 2, axis=(1, 2)).max() <= 400.0
     K = np.moveaxis(analysis.frequency_response(design.controller, measured.omega), -1, 0)
     np.testing.assert_allclose(np.linalg.inv(eye - np.moveaxis(measured.frdata, -1, 0) @ K), response.S, rtol=1e-6)
-
-
-def test_a_limit_is_what_stops_the_gain(design):
-    """Something binds at the end, and the iterations have raised the gain by orders of magnitude."""
-    assert max(ratio.max() for ratio in design.responses[0].ratios.values()) > 0.99
-    assert design.objective == pytest.approx(np.linalg.svd(design.gains[1], compute_uv=False)[-1])
-    assert design.objective > 100.0 * design.history[0, 0]
-    assert design.history[-1, 0] == pytest.approx(design.objective)
-    assert design.ended == "no more progress"
-
-
-def test_the_pattern_keeps_gains_at_zero(design):
-    assert np.all(design.gains[1][[0, 1], [0, 1]] == 0.0)
-    assert np.all(design.gains[2][[0, 1], [1, 0]] == 0.0)
-    assert list(design.controller.input_labels) == ANGLES
-    assert list(design.controller.output_labels) == TORQUES
-    assert design.controller.dt == PERIOD
 
 
 def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant, design):
@@ -317,10 +242,10 @@ def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant,
 
 
 @pytest.mark.slow
-def test_one_controller_serves_several_measured_plants(plant, design):
+def test_one_controller_serves_several_measured_plants(plant):
     """A second plant with 15 % more momentum: every limit on both, and stable on both."""
     both = [measurement(one, points=50) for one in (plant, second_plant())]
-    options = {"pattern": "cross-axis", "disk_margin": 0.6, "torque_per_noise": 400.0, "start": design.start}
+    options = {"pattern": "cross-axis", "disk_margin": 0.6, "torque_per_noise": 400.0}
     found = measured_pid(both, **options)
     assert found.unstable_poles == (0, 0)
     assert max(ratio.max() for response in found.responses for ratio in response.ratios.values()) <= 1.0
@@ -337,56 +262,16 @@ def second_plant():
     return analysis.sampled(sys, PERIOD, DELAY, [LAG, LAG])
 
 
-def test_dead_time_is_exact_and_not_rational():
-    """First-order lag with dead time, continuous: the limit on S binds on the exact response."""
-    w = np.geomspace(0.01, 100.0, 100)
-    plant = control.FRD((1.0 / (1j * w + 1.0))[None, None], w, inputs=["u"], outputs=["y"])
-    options = {"filter_time": 0.02, "sensitivity_peak": 1.4, "complementary_sensitivity_peak": 1.4}
-    found = measured_pid(plant, dead_time=0.3, **options)
-    inside = control.FRD((np.exp(-0.3j * w) / (1j * w + 1.0))[None, None], w, inputs=["u"], outputs=["y"])
-    exact, rational = (measured_plants(*one, None, False).response[0] for one in ((plant, 0.3), (inside, 0.0)))
-    np.testing.assert_allclose(exact, rational, rtol=1e-12)
-    K = controller_response(found.gains, basis(1j * w, 0.02, 0.0))[:, 0, 0]
-    S = 1.0 / (1.0 - np.exp(-0.3j * w) / (1j * w + 1.0) * K)
-    assert np.abs(S).max() == pytest.approx(1.4, rel=2e-2)
-    # No PI with the same limit integrates faster: a search over both gains.
-    best = 0.0
-    for kp, ki in itertools.product(np.linspace(0.0, 3.0, 61), np.linspace(0.05, 4.0, 80)):
-        loop = np.exp(-0.3j * w) / (1j * w + 1.0) * (kp + ki / (1j * w))
-        # Stable: kp below its ultimate gain, and the phase margin region is what the peaks leave.
-        if np.abs(1.0 / (1.0 + loop)).max() <= 1.4 and np.abs(loop / (1.0 + loop)).max() <= 1.4:
-            best = max(best, ki)
-    assert found.objective > best
-
-
-def test_a_hold_adds_its_half_period():
-    w = np.geomspace(0.1, 60.0, 80)
-    plant = control.FRD((1.0 / (1j * w))[None, None], w, inputs=["u"], outputs=["y"])
-    found = measured_pid(plant, period=0.05, hold=True, sensitivity_peak=1.6)
-    true = control.sample_system(control.tf([1], [1, 0]), 0.05, "zoh")
-    exact = analysis.frequency_response(control.ss(true), w)[0, 0]
-    K = analysis.frequency_response(found.controller, w)[0, 0]
-    # What the hold folds back is all that differs.
-    slow = w < 8.0
-    np.testing.assert_allclose(1.0 / (1.0 - exact * K)[slow], found.responses[0].S[slow, 0, 0], rtol=0.05)
-    assert found.controller.dt == 0.05
-
-
 # What cannot be
 
 
-def test_limits_that_cannot_be_met_are_named_with_their_frequency(measured, design):
+def test_limits_that_cannot_be_met_are_named_with_their_frequency(measured):
     with pytest.raises(
         InfeasibleError,
         match=r"measured_pid: (sensitivity_peak|resonance_damping) is [\d.]+ times its limit at [\d.]+ Hz",
     ) as caught:
-        measured_pid(measured, pattern="cross-axis", sensitivity_peak=1.02, start=design.start, steps=12)
+        measured_pid(measured, pattern="cross-axis", sensitivity_peak=1.02, steps=12)
     assert caught.value.problem is not None
-
-
-def test_a_start_that_does_not_stabilise_is_refused(measured, design):
-    with pytest.raises(NotStabilisableError, match="4 unstable poles"):
-        measured_pid(measured, start=-design.start)
 
 
 def test_a_time_limit_that_is_too_short_is_an_error(measured):
@@ -396,38 +281,20 @@ def test_a_time_limit_that_is_too_short_is_an_error(measured):
 
 def test_arguments_that_make_no_sense_are_named(measured, design):
     w = measured.omega
-    wide = control.FRD(measured.frdata[:, :1], w, PERIOD)
     cases = {
-        r"sensitivity_peak must be > 1, got 0\.9": {"sensitivity_peak": 0.9},
+        r"sensitivity_peak must be between 1 and inf, got 0\.9": {"sensitivity_peak": 0.9},
         "disk_margin must be between 0 and 2, got 2.5": {"disk_margin": 2.5},
-        "must have dt = period": {"period": 0.1},
-        "contains its hold": {"hold": True, "period": PERIOD},
         "pattern must be 'full', 'diagonal' or 'cross-axis', got 'cross'": {"pattern": "cross"},
-        "integral action on every angle": {"pattern": np.array([[1, 0], [1, 0]])},
-        "must be zero where the pattern is zero": {"pattern": "diagonal", "start": design.start},
-        "torque_per_noise must be a number, or a function": {"torque_per_noise": lambda w: w[:3]},
-        "angle_per_torque must be a number, or a function": {"angle_per_torque": lambda w: 1j * w},
-        "complementary_sensitivity_peak must be a number, or a function": {
-            "complementary_sensitivity_peak": lambda w: 1 / len([])
-        },
-        r"unstable must be a whole number.*, got 1\.5": {"unstable": 1.5},
-        "integrators must be a whole number.*, got 'x'": {"integrators": "x"},
-        "steps must be a whole number, 0 or more, got -1": {"steps": -1},
+        "steps must be a whole number >= 0, got -1": {"steps": -1},
     }
-    for size in (0.0, 1e-150, 1e150):
-        with pytest.raises(ArgumentError, match="must have a response"):
-            measured_pid(control.FRD(size * measured.frdata, w, PERIOD))
     for message, options in cases.items():
         with pytest.raises(ArgumentError, match=message):
             measured_pid(measured, **options)
-    with pytest.raises(ArgumentError, match=r"must be a control\.FRD"):
-        measured_pid(design.controller)
-    with pytest.raises(ArgumentError, match="as many outputs as inputs"):
-        measured_pid(wide)
-    with pytest.raises(ArgumentError, match="needs two angles"):
-        masks("cross-axis", 3)
-    continuous = control.FRD(measured.frdata, w)
-    with pytest.raises(ArgumentError, match="filter_time must be given"):
-        measured_pid(continuous)
-    with pytest.raises(ArgumentError, match="hold = True needs period"):
-        measured_pid(continuous, hold=True)
+    for wrong, message in (
+        (control.FRD(0.0 * measured.frdata, w, PERIOD), "must have a response"),
+        (control.FRD(measured.frdata[:, :1], w, PERIOD), "as many outputs as inputs"),
+        (control.FRD(measured.frdata, w), "give its period"),
+        (design.controller, r"must be a control\.FRD"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            measured_pid(wrong)

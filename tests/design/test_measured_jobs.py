@@ -10,12 +10,14 @@ import pytest
 from platform_ctrl import design
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.loop import LoopDesign, LoopProblem
-from platform_ctrl.design.measured.of_job import on_responses, read_responses
+from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.method import LoopProblem
+from platform_ctrl.design.methods import read_job
+from platform_ctrl.design.methods.measured import MeasuredPID, read_responses
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.reading import job_data, read_job
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.controllers import outcomes_from
 
@@ -132,7 +134,7 @@ def test_a_limit_that_is_met_on_the_model_and_missed_on_the_data_fails_the_loop(
     problem = LoopProblem(
         job=whole, spec=whole.loops[0], design=own, model=linearise(whole.platform), plant_set=exact.plants
     )
-    judged = on_responses(problem, exact)
+    judged = MeasuredPID().judged(problem, exact)
     results = {one.name: one for one in judged.results}
     assert results["disk margin"].passed
     assert not results["disk margin, measured responses"].passed

@@ -7,8 +7,7 @@ import platform_ctrl as pc
 from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop, camera_plant
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.feedback import gang
-from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.errors import DesignError, InputError, NotCertifiedError, PlatformCtrlError
+from platform_ctrl.errors import InputError, NotCertifiedError, PlatformCtrlError
 from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
@@ -86,10 +85,6 @@ def test_the_attenuation_of_a_band_is_the_least_between_its_edges():
     least, within = (one.check(found.plants, found.controller).value for one in (whole, band))
     assert within == pytest.approx(-20.0 * np.log10(ratio), abs=0.2)
     assert least < within - 3.0
-    # Both are measured at once, on the grid of a search too.
-    for exact in (True, False):
-        metrics = measure(found.plants, found.plants.joined(found.controller), [whole, band], exact=exact)
-        assert [float(one.values(metrics).min()) for one in (whole, band)] == pytest.approx([least, within], abs=0.3)
     limits = {"attenuation_db_worst_case": 1.0, "attenuation_from_hz": 80.0, "attenuation_hz": 200.0}
     same = camera_loop(limits=limits, design=camera_job()["loop"][0]["design"])
     [value] = [one.value for one in closed(loop=same).results if one.unit == "dB"]
@@ -172,27 +167,6 @@ def test_readings_that_are_late_cost_phase():
     np.testing.assert_allclose(found, expected * np.exp(-1j * w * 1.5e-3), rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("loops", "words"),
-    [
-        (camera_loop(sensors=["pitch_error"]), '"pitch_error" measures an angle; a rate loop reads sensors of rates'),
-        (camera_loop(sensors=["gyro"]), '"gyro" is no sensor of the plant'),
-        (camera_loop(gimbals=["az", "elevation"]), 'gimbals: "elevation" is no gimbal of the plant'),
-        (camera_loop(torquers=["Qaz", "Qx"]), 'torquers: "Qx" is no torquer on a gimbal of the loop'),
-        (camera_loop(around="rate"), 'around = "rate" has no effect in a rate loop'),
-        (
-            camera_loop(method="classical"),
-            'method must be one for a rate loop, "pi" or "hinf"',
-        ),
-        (camera_loop(limits={"attenuation_db": 40.0}), 'the key "attenuation_hz" is missing'),
-    ],
-)
-def test_a_loop_that_makes_no_sense_is_one_line(loops, words):
-    with pytest.raises(InputError) as caught:
-        pc.read_job(camera_job(loop=loops))
-    assert words in str(caught.value)
-
-
 def test_sensors_that_do_not_show_what_a_torquer_does_are_refused():
     job = pc.read_job(camera_job(loop=camera_loop(sensors=["pitch_gyro"])))
     with pytest.raises(InputError, match="do not show what each of the torquers Qaz, Qel does"):
@@ -203,9 +177,7 @@ def test_sensors_that_do_not_show_what_a_torquer_does_are_refused():
     ("gimbal", "gyro", "words"),
     [
         ([0, 0, 1], [0, 1, 0], "the gimbals az and el turn about parallel axes"),
-        ([0, 0, -3], [0, 1, 0], "the gimbals az and el turn about parallel axes"),
         ([0, 1, 0], [0, 0, 1], "the sensors yaw_gyro and pitch_gyro measure about parallel axes"),
-        ([0, 1, 0], [0, 0, -2], "the sensors yaw_gyro and pitch_gyro measure about parallel axes"),
         ([0, 1, 0], [1, 0, 0], "pitch_gyro measures about an axis that none of them turns"),
     ],
 )
@@ -215,19 +187,6 @@ def test_parallel_axes_are_named_as_such(gimbal, gyro, words):
     with pytest.raises(InputError, match="do not show what each of the torquers") as caught:
         design.loops(pc.read_job(data))
     assert words in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("method", "option"),
-    [
-        *(("hinf", name) for name in ("bandwidth_hz", "disturbance", "torque")),
-        *(("lqg", name) for name in ("largest_torque", "recovery")),
-    ],
-)
-def test_an_option_of_gyroscopic_loops_leads_to_the_one_that_this_loop_takes(method, option):
-    loops = camera_loop(use="x", design=[{"name": "x", "method": method, option: 10}])
-    with pytest.raises(DesignError, match=f"'{option}' has no meaning for this loop; did you mean 'inertial_{option}'"):
-        design.loops(pc.read_job(camera_job(loop=loops)))
 
 
 def test_a_reading_that_is_too_old_asks_for_a_shorter_delay():
@@ -241,21 +200,6 @@ def test_a_loop_that_is_too_fast_is_refused():
     loops = camera_loop(design=[{"name": "pi", "method": "pi", "crossover_hz": 700}])
     with pytest.raises(NotCertifiedError, match="it is unstable; try a lower crossover_hz"):
         design.loops(pc.read_job(camera_job(loop=loops)))
-
-
-@pytest.mark.parametrize(
-    ("angles", "words"),
-    [
-        ({"el": [0.1]}, "el is no angle of the plant"),
-        ({"q_el": [1.6]}, "q_el: 1.6 rad is outside the stops, -0.9 to 1.55 rad"),
-        ({"q_el": []}, "q_el must be one or more numbers"),
-        ({"q_az": list(np.linspace(-1, 1, 50)), "q_el": [0.1, 0.2, 0.3, 0.4, 0.5]}, "250 combinations"),
-    ],
-)
-def test_gimbal_angles_that_make_no_sense_are_one_line(angles, words):
-    with pytest.raises(InputError) as caught:
-        pc.read_job(camera_job(operation=STILL | {"angles": angles}))
-    assert words in str(caught.value)
 
 
 def test_an_elevation_near_the_keyhole_is_named():
@@ -312,20 +256,6 @@ def test_a_cascade_is_read_back_and_measured_the_same(tracked):
     assert [one.spec.name for one in again] == [one.spec.name for one in outcomes]
     for one, other in zip(outcomes, again, strict=True):
         np.testing.assert_allclose(other.closed.measures.disk_margin, one.closed.measures.disk_margin, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"around": "pan"}, 'around must be the name of a rate loop before this one, got "pan"'),
-        ({"sensors": ["yaw_gyro", "pitch_gyro"]}, '"yaw_gyro" is no sensor of an angle'),
-        ({"gimbals": ["az"]}, 'gimbals = ["az"] has no effect in a tracking loop'),
-    ],
-)
-def test_a_tracking_loop_that_makes_no_sense_is_one_line(change, words):
-    with pytest.raises(InputError) as caught:
-        pc.read_job(camera_job(loop=[*camera_loop(), TRACKING | change]))
-    assert words in str(caught.value)
 
 
 def test_trackers_with_parallel_axes_are_named_as_such():

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from platform_ctrl.design.riccati.equations import Equation, riccati_solution, stabilising
+from platform_ctrl.design.riccati import Equation, riccati_solution, stabilising
 from platform_ctrl.errors import UnscalableError
 
 TURN = np.eye(3) - 2.0 / 3.0  # orthogonal and symmetric

@@ -11,7 +11,8 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl.design import side_by_side
 from platform_ctrl.design.jobs import attempted_loops
-from platform_ctrl.design.loop import LoopDesign, LoopProblem
+from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.job.job import Job
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

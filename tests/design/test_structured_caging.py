@@ -12,7 +12,6 @@ from platform_ctrl.analysis import loop as closed
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import rows_of
-from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.fixed_structure.caging import (
     classical_structure,
     free_structure,
@@ -30,10 +29,11 @@ from platform_ctrl.design.fixed_structure.maps import (
 )
 from platform_ctrl.design.fixed_structure.pieces import at_least
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
+from platform_ctrl.design.methods import read_job
+from platform_ctrl.design.methods.classical import classical_controller, starting_values
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import DesignError
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import WORST_CASE, requirement
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.reading import read_platform
@@ -408,12 +408,9 @@ def gyro_job(limits, soft=None, faults=None, rate_hz=5000, **design_options):
     [
         ({"structure": "pid", "order": 3}, "option 'order' has no meaning"),
         ({"structure": "cross-axis", "starts": 2}, "option 'starts' has no meaning"),
-        ({"structure": "state-space", "order": 1.5}, "order must be a whole number from 1 to 1e.06, got 1.5"),
-        ({"starts": 2.5}, "starts must be a whole number from 1 to 1e.06, got 2.5"),
-        ({"evaluations": 1e30}, r"evaluations must be a whole number from 1 to 1e\+06, got 1e\+30"),
+        ({"structure": "state-space", "order": 1.5}, "order must be a whole number, got 1.5"),
         ({"reserve": 1.0}, "reserve must be less than 1, got 1"),
-        ({"integral_hz": 2500}, "integral_hz must be less than 2500 Hz, half the sample rate, got 2500"),
-        ({"rolloff_hz": 1e6}, "rolloff_hz must be less than 2500 Hz, half the sample rate, got 1e.06"),
+        ({"integral_hz": 2500}, "integral_hz must be below half the sample rate, got 2500"),
     ],
 )
 def test_options_without_sense_are_refused(options, said):

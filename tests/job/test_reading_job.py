@@ -14,9 +14,9 @@ import pytest
 from every_key import HERE, every_job_key
 from plant.test_reading_plant import plant, refusal, toml_file
 from platform_ctrl.common.values import replaced
+from platform_ctrl.design.methods import METHODS, read_job
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.reading import job_data, read_job
+from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.source import shipped_models

@@ -18,10 +18,10 @@ from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import Group
 from platform_ctrl.design.loop import remeasured
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Faults
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import (
     FAULTS,
     NOMINAL,

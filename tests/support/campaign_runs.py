@@ -21,8 +21,8 @@ from one_gyro_job import JOB as ONE_LOOP
 from platform_ctrl.campaign.engine import CampaignResult
 from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.single_run import inputs_of
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import SimulationError
-from platform_ctrl.job.reading import read_job
 
 MANOEUVRES = """
 [[manoeuvre]]

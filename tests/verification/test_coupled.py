@@ -8,7 +8,7 @@ import pytest
 
 from platform_ctrl import analysis, design, verification
 from platform_ctrl.analysis.interconnection import interconnected
-from platform_ctrl.job.reading import read_job
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.verification.coupled import coupled_check, coupled_plant

@@ -21,8 +21,8 @@ from platform_ctrl.design.fixed_structure.loops import ClosedLoops
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.sections import Named
 from platform_ctrl.design.fixed_structure.structures import Units
+from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.tuning import tune, worst_ratio
-from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import WORST_CASE, requirement
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.coupled import coupled_check

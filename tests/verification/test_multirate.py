@@ -27,7 +27,7 @@ from platform_ctrl.analysis.periodic import PeriodicLoop
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design import loops
-from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_files import write_c
 from platform_ctrl.job.job import Job, manoeuvre_scenario

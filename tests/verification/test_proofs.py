@@ -16,7 +16,7 @@ import platform_ctrl as pc
 from platform_ctrl.analysis import hinf_norm
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
-from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.errors import InputError
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.proofs import (

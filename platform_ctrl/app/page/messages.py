@@ -15,10 +15,10 @@ from platform_ctrl.app.pictures import Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
 from platform_ctrl.common.arguments import known_name, short, whole
 from platform_ctrl.common.values import value
+from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.tuning import SHARE, OptionEffects, OptionValue, candidates
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.quantities import BOUND, HZ, compared
 
 if TYPE_CHECKING:

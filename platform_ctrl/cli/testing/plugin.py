@@ -29,8 +29,9 @@ def closed_loop() -> Callable[..., JobResult]:
         __tracebackhide__ = True
         from platform_ctrl.campaign.store import source_hashes
         from platform_ctrl.design import loops
+        from platform_ctrl.design.methods import read_job
         from platform_ctrl.job.job import Job
-        from platform_ctrl.job.reading import job_hashes, read_job
+        from platform_ctrl.job.reading import job_hashes
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 

@@ -17,34 +17,24 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
-from platform_ctrl.design.classical.rate import rate_controller, rate_options
-from platform_ctrl.design.classical.rate import upper_bounds as rate_bounds
 from platform_ctrl.design.fixed_structure.descent import Found, Search
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.pid import PID
 from platform_ctrl.design.fixed_structure.sections import Named, Sampled, Series
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
 from platform_ctrl.design.fixed_structure.structures import StateSpaceOrder, Units
-from platform_ctrl.design.loop import Designed, LoopProblem, completed
+from platform_ctrl.design.method import Designed, LoopProblem, TunedMethod
+from platform_ctrl.design.methods.classical import Classical, classical_controller, starting_values
+from platform_ctrl.design.methods.hinf import hinf_design
+from platform_ctrl.design.methods.pi import PI, rate_controller, rate_options
 from platform_ctrl.design.partition import Channels, between, first_order, side_by_side
-from platform_ctrl.design.riccati.weighted_loop import hinf_design
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Structure
 from platform_ctrl.job.judging import STABLE
-from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, requirement
 
 # Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
 _INTEGRAL_KEPT = 0.5
-# Options of some structures alone, options that count something, and the largest count.
-_STRUCTURES: dict[str, tuple[Structure, ...]] = {
-    "order": ("state-space",),
-    "starts": ("pid", "state-space"),
-    "rolloff_hz": ("pid", "state-space"),
-}
-_COUNTS, _MOST = {"order", "starts", "evaluations"}, 1e6
-_DEFAULT: Structure = "pid"
 # Least damping of the PID's filter: with less it gains phase by a resonance, which would lift the gain at frequencies
 # where gimbals and mountings bend.
 _FILTER_DAMPING = 0.4
@@ -54,12 +44,10 @@ _INTEGRATOR = 1e-5
 _SHARES = {"cross-axis": 0.2, "pid": 0.3, "state-space": 0.5}
 
 
-def structured_design(problem: LoopProblem) -> Designed:
-    """Return the structured loop of a job: its limits as constraints, its goals minimised."""
+def structured_design(problem: LoopProblem, structure: Structure, options: dict[str, float]) -> Designed:
+    """Return the structured loop of a job for complete `options`: its limits as constraints, its goals minimised."""
     spec, design, channel = problem.spec, problem.design, problem.channel
     plants = problem.plants.regular()
-    structure = design.structure or _DEFAULT
-    options = default_options(design, channel, plants.nutation, plants.period)
     kept = {"integral_hz": options["integral_hz"]}
     if channel.order == 1:
         cross_axis = rate_structure(kept, channel, plants)
@@ -79,29 +67,6 @@ def structured_design(problem: LoopProblem) -> Designed:
     return tuned_controller(options, structure, cross_axis, channel, plants, (*hard, *soft), others, progress)
 
 
-def default_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options of a structure, those not given from rules of thumb."""
-    given, structure = design.options, design.structure or _DEFAULT
-    defaults = {
-        "order": 3.0 * len(channel.basis),
-        "starts": 1.0,
-        "integral_hz": 0.024 * nutation / (2.0 * np.pi),
-        "rolloff_hz": 0.4 / period,
-        "reserve": 0.01,
-        "evaluations": 400.0,
-    }
-    own = {name: x for name, x in defaults.items() if structure in _STRUCTURES.get(name, (structure,))}
-    out = completed(f'structured, structure = "{structure}"', given, own)
-    for name in sorted(_COUNTS & set(out)):
-        if not (float(out[name]).is_integer() and out[name] <= _MOST):
-            raise DesignError(f"structured: {name} must be a whole number from 1 to {_MOST:g}, got {out[name]:g}")
-    bounds = {"reserve": (1.0, ""), "integral_hz": (0.5 / period, " Hz, half the sample rate")}
-    for name, (bound, text) in (bounds | {"rolloff_hz": bounds["integral_hz"]}).items():
-        if not out.get(name, 0.0) < bound:
-            raise DesignError(f"structured: {name} must be less than {bound:g}{text}, got {out[name]:g}")
-    return out
-
-
 def tuned_controller(
     options: dict[str, float],
     structure: Structure,
@@ -114,7 +79,7 @@ def tuned_controller(
 ) -> Designed:
     """Return a controller of the given structure that meets the requirements, or comes nearest.
 
-    `options` are complete (see `default_options`). ``order``: states of "state-space" beside the integrators;
+    `options` are complete. ``order``: states of "state-space" beside the integrators;
     ``integral_hz``: of the PI, kept; ``rolloff_hz``: where the PID's filter starts; ``starts``: how many starting
     points there are. Every search starts at the classical loop `cross_axis`; `others` are tried in turn where
     ``starts`` asks for more. `progress` is called with the largest ratio of a limit and of a goal; infinite where a
@@ -174,30 +139,26 @@ def tuned_controller(
 
 def classical_structure(options: dict[str, float], channel: Channels, period: float) -> Parametrised:
     """Return the classical loop over the numbers that its tuner moves."""
-    return _named(TUNABLE, options, lambda trial: classical_controller(trial, channel, period), upper_bounds(period))
+    return _named(Classical(), options, lambda trial: classical_controller(trial, channel, period), period)
 
 
 def rate_structure(given: dict[str, float], channel: Channels, plants: PlantSet) -> Parametrised:
     """Return the classical rate loop, with a second integral, over the numbers that its tuner moves."""
     period = plants.period
-    spec = DesignSpec(name="rate", method="pi", options=given | {"double_integral_hz": 0.3 * given["integral_hz"]})
-    options = rate_options(spec, channel, plants.nutation, period)
-    moved = METHODS["pi"].tunable
-    return _named(moved, options, lambda trial: rate_controller(trial, channel, period), rate_bounds(period))
+    given = given | {"double_integral_hz": 0.3 * given["integral_hz"]}
+    options = rate_options(given, channel, plants.nutation, period)
+    return _named(PI(), options, lambda trial: rate_controller(trial, channel, period), period)
 
 
 def _named(
-    tunable: Sequence[str],
-    options: dict[str, float],
-    build: Callable[[dict[str, float]], System],
-    largest: dict[str, float],
+    method: TunedMethod, options: dict[str, float], build: Callable[[dict[str, float]], System], period: float
 ) -> Parametrised:
-    """Return a controller that a function builds, over those of its options that are tunable."""
-    moved = [name for name in tunable if name in options]
+    """Return a controller that a function builds, over those of its options that its method's tuner moves."""
+    moved = [name for name in method.tunable if name in options]
     fixed = {name: number for name, number in options.items() if name not in moved}
     values = {name: options[name] for name in (*moved, *fixed)}
     size = build(values).D.shape[0]
-    structure = Named(build=build, values=values, largest=largest, fixed=fixed)
+    structure = Named(build=build, values=values, largest=method.upper_bounds(period), fixed=fixed)
     return Parametrised(structure, size, size, Units(gain=np.ones((size, size)), rate=1.0))
 
 

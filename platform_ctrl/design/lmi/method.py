@@ -1,7 +1,7 @@
 """The method "lmi" of jobs: least torque noise for a weighted H-infinity norm, with the loop's limits as inequalities.
 
 In the channels of the gyros and in the w-plane of the exactly sampled plant, with the weights of the H-infinity method
-(see `design.riccati.weighted_loop`; e = n + angle is what is measured, y = W_e e),
+(see `design.methods.hinf`; e = n + angle is what is measured, y = W_e e),
 
     performance   ‖[n, d] → [W_e e, W_t angle, W_u u]‖∞ < γ           (6) at α = 1, β = γ²
     disk margin   ‖n → (S − T)/2‖∞ < 1/(share · limit)                (6)
@@ -37,18 +37,13 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.inequalities import LinearLoop, balancing, cp, half_plane, in_states, sector, solve
 from platform_ctrl.design.lmi.shared import sharing
-from platform_ctrl.design.loop import Designed, LoopProblem, completed
+from platform_ctrl.design.method import Designed, LoopProblem, tuned
+from platform_ctrl.design.methods.hinf import WEIGHTS, error_weight, signal_names, torque_units
 from platform_ctrl.design.partition import Channels, Partition, between, closed_loop, split, whole
-from platform_ctrl.design.riccati.weighted_loop import default_weights, error_weight, signal_names, torque_units
 from platform_ctrl.design.scaling import autoscale, balance, unscale
 from platform_ctrl.design.synthesis import hinf
-from platform_ctrl.design.tuning import tuned
 from platform_ctrl.errors import DesignError, InfeasibleError, UnscalableError
-from platform_ctrl.job.job import DesignSpec
-from platform_ctrl.job.methods import METHODS
 
-# Pole decay where it is not given, relative to the slowest bandwidth in rad/s.
-DECAY = 0.05
 # Separations of X and Y tried in turn, and by how much the norms may exceed their bounds for it.
 SEPARATIONS, SLACK = (1.15, 1.02), 0.03
 # Tolerance of the solver.
@@ -61,35 +56,20 @@ EVALUATIONS = 80
 CURE = "try a lower bandwidth_hz, a smaller share or pole_decay, or a larger backoff"
 
 
-def lmi_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options, those not given from rules of thumb; `pole_damping` is there only if it is given."""
-    weights = default_weights(channel, nutation)
-    slowest = min(design.options.get(name, x) for name, x in weights.items() if name.endswith("bandwidth_hz"))
-    decay = DECAY * 2.0 * np.pi * slowest
-    optional = {name: x for name, x in design.options.items() if name in ("pole_damping", "rejection_share")}
-    defaults = weights | {"backoff": 0.1, "share": 0.5, "pole_decay": decay, "time_limit": 30.0} | optional
-    return completed("lmi", design.options, defaults)
+def lmi_design(problem: LoopProblem, options: dict[str, float]) -> Designed:
+    """Return the loop of complete `options`.
 
-
-def lmi_design(problem: LoopProblem) -> Designed:
-    """Return the loop. Claims: ``gamma`` of the performance, its least value, ν, plants that share a matrix."""
+    Claims: ``gamma`` of the performance, its least value, ν, plants that share a matrix.
+    """
     channel, plants = problem.channel, problem.plants.regular()
-    options = lmi_options(problem.design, channel, plants.nutation, plants.period)
 
     def synthesis(numbers: dict[str, float]) -> tuple[System, dict[str, float]]:
         return _synthesis(problem, numbers, channel, plants)
 
     controller, claims = synthesis(options)
     if problem.design.tune:
-        options = tuned(
-            problem,
-            options,
-            METHODS["lmi"].tunable,
-            lambda numbers: synthesis(numbers)[0],
-            {},
-            (),
-            evaluations=EVALUATIONS,
-        )
+        movable = [name for name in WEIGHTS if name in options]
+        options = tuned(problem, options, movable, lambda numbers: synthesis(numbers)[0], evaluations=EVALUATIONS)
         controller, claims = synthesis(options)
     loops = Loop(plants, controller._replace(dt=plants.period))
     if loops.decay[0] > 0.0:

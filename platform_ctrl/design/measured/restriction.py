@@ -1,4 +1,26 @@
-"""One step of the convex-concave procedure: the limits, restricted to inequalities that are linear in the gains.
+"""The PID controllers u = K y with one gain matrix for each action, and the limits of their closed loops.
+
+    K = Kp + Ki / s + Kd s / (filter_time s + 1)
+
+Sampled by Tustin's rule, s = (2/T) (z − 1)/(z + 1); responses are taken at z = exp(jωT), exactly. All channels of one
+pick-off share their integrator and their filter.
+
+A limit is the largest gain of a closed-loop response, at every frequency.
+With Z = I − P K (at the angles) or I − K P (at the torques), S = Z⁻¹ and T = I − S,
+
+    sensitivity peak       ‖S‖ ≤ m                 c = 0
+    complementary sensitivity peak     ‖S − I‖ ≤ m             c = 1
+    disk margin            ‖S − I/2‖ ≤ m = 1/α     c = 1/2
+
+have one form: ‖S − c I‖ ≤ m exactly if the least singular value of Z + a I is at least r, with a = c/(m² − c²) and
+r = m/(m² − c²): Z has to stay out of a ball. The other two compare Z with something known or linear in K:
+
+    torque per noise       ‖K S‖ ≤ m               Z* Z ≥ K* K / m²
+    resonance damping ζ    ‖P S‖ ≤ m               Z* Z ≥ P* P / m²
+
+the last one near a pole jν with residue R that the data do not resolve, m = ‖R‖/(ζ ν).
+
+One step of the convex-concave procedure: the limits, restricted to inequalities that are linear in the gains.
 
 The least singular value of Y = Z + a I is at least r if Re(U* Y) ≥ r I for some unitary U; the polar factor of the
 present Y is exact there. So each limit becomes a convex set within what the limit allows, which contains the present
@@ -13,16 +35,95 @@ Limits of the form Z* Z ≥ N* N become Z* V + V* Z − V* V ≥ N* N, true for 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
-from platform_ctrl.analysis.system import ComplexArray
+from platform_ctrl.analysis.feedback import sensitivities_of_plants
+from platform_ctrl.analysis.sampling import from_w_plane
+from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.measured.pid import CENTRES, OF_ANGLE, Limit, controller_response, ratios
-from platform_ctrl.errors import TimeLimitError, UnscalableError
+from platform_ctrl.design.fixed_structure.pid import PID
+from platform_ctrl.design.measured.responses import Contour
+from platform_ctrl.errors import ArgumentError, TimeLimitError, UnscalableError
+
+Pattern = Literal["full", "diagonal", "cross-axis"]
+CENTRES = {"sensitivity_peak": 0.0, "complementary_sensitivity_peak": 1.0, "disk_margin": 0.5}
+# The limit of P S.
+OF_ANGLE = "resonance_damping"
+
+
+def basis(s: ComplexArray, filter_time: float, period: float) -> ComplexArray:
+    """Return the responses of the three actions at points s, complex (N, 3)."""
+    # Half the sample rate itself is infinity in Tustin's plane: kept a little below.
+    half = 0.5 * s * period
+    near = half.real + 1j * np.minimum(half.imag, 0.5 * np.pi * (1.0 - 1e-9))
+    p = np.asarray(2.0 / period * np.tanh(near), dtype=np.complex128)
+    return np.stack([np.ones_like(p), 1.0 / p, p / (filter_time * p + 1.0)], axis=-1)
+
+
+def controller_response(gains: FloatArray, actions: ComplexArray) -> ComplexArray:
+    """Return K, complex (N, n, n), from `gains` (3, n, n) and the responses of the actions (N, 3)."""
+    return np.asarray(np.einsum("kb,bij->kij", actions, gains), dtype=np.complex128)
+
+
+def realisation(gains: FloatArray, filter_time: float, period: float) -> System:
+    """Return the controller's state-space arrays: two states for each pick-off."""
+    n = gains.shape[-1]
+    # The gains and the bandwidth of each pick-off's filter, as `PID` orders its parameters.
+    parameters = np.append(gains, np.full(n, 1.0 / filter_time))
+    return from_w_plane(PID(filter_order=1, filtered="derivative").block(parameters, n, n), period)
+
+
+def masks(pattern: Pattern, n: int) -> FloatArray:
+    """Return which gains are free, (3, n, n) of zeros and ones.
+
+    ``"cross-axis"`` is that of a caged gyro: integral action across, rate action along, proportional action in both.
+    """
+    one_of("measured_pid: pattern", pattern, ("full", "diagonal", "cross-axis"))
+    if pattern == "cross-axis" and n != 2:
+        raise ArgumentError(f"measured_pid: pattern 'cross-axis' needs two angles, got {n}")
+    eye, full = np.eye(n), np.ones((n, n))
+    if pattern == "cross-axis":
+        return np.array([full, full - eye, eye])
+    return np.array([full if pattern == "full" else eye] * 3)
+
+
+@value
+class Limit:
+    """One limit over the frequencies of one plant: m, (N,); 1/margin of disks; infinite where none applies."""
+
+    name: str
+    bound: FloatArray
+
+
+def limits_along(path: Contour, requested: dict[str, float]) -> tuple[Limit, ...]:
+    """Return the limits that are requested, along the contour of a plant."""
+    out = []
+    for name, m in requested.items():
+        bound = np.full(len(path.s), 1.0 / m if name == "disk_margin" else m)
+        if name == OF_ANGLE:
+            bound = np.where(path.residue > 0.0, path.residue / (m * path.frequency), np.inf)
+        if np.isfinite(bound).any():
+            out.append(Limit(name=name, bound=bound))
+    return tuple(out)
+
+
+def ratios(limit: Limit, P: ComplexArray, K: ComplexArray) -> FloatArray:
+    """Return what is reached over the limit, (N,): at most 1 where it is kept."""
+    eye = np.eye(P.shape[-1])
+    S_output, S_input = sensitivities_of_plants(P, K)
+    if limit.name in CENTRES:
+        c = CENTRES[limit.name]
+        reached = np.maximum(largest_singular_values(S_output - c * eye), largest_singular_values(S_input - c * eye))
+    else:
+        reached = largest_singular_values(P @ S_input if limit.name == OF_ANGLE else K @ S_output)
+    return np.asarray(reached / limit.bound)
+
 
 Cones = list[tuple[str, int]]
 
@@ -185,7 +286,7 @@ class _Inequalities:
 def _sides(limit: Limit, n: int) -> tuple[str, ...]:
     if limit.name in CENTRES and n > 1:
         return ("output", "input")
-    return ("input",) if limit.name in OF_ANGLE else ("output",)
+    return ("input",) if limit.name == OF_ANGLE else ("output",)
 
 
 def _required(limit: Limit) -> NDArray[np.bool_]:
@@ -217,12 +318,12 @@ def _linearised(
         V = np.minimum(ratios(limit, P, K), 1.0)[:, None, None] * Z
         m = limit.bound * (1.0 - RESERVE)
         # In units of the other side.
-        unit = (m / np.linalg.norm(P if limit.name in OF_ANGLE else K, 2, axis=(-2, -1)))[:, None, None] ** 2
+        unit = (m / np.linalg.norm(P if limit.name == OF_ANGLE else K, 2, axis=(-2, -1)))[:, None, None] ** 2
         slope, offset = (
             2.0 * unit[:, None] * _hermitian(_star(V)[:, None] @ dZ),
             unit * (2.0 * _hermitian(_star(V)) - _star(V) @ V),
         )
-        if limit.name in OF_ANGLE:
+        if limit.name == OF_ANGLE:
             offset = offset - _star(P) @ P / np.linalg.norm(P, 2, axis=(-2, -1))[:, None, None] ** 2
         present = unit * (2.0 * _hermitian(_star(V) @ Z) - _star(V) @ V)
         weight = np.minimum(1.0, _FAR_FROM_LIMIT / np.linalg.norm(present, 2, axis=(-2, -1)))

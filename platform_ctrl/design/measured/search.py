@@ -1,21 +1,30 @@
-"""The convex-concave iterations: from a controller that stabilises to one within the limits, and on to more gain."""
+"""The measured plants, and the convex-concave iterations on them.
+
+From a controller that stabilises to one within the limits, and on to more gain.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import product
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.system import ComplexArray
-from platform_ctrl.common.arguments import real_array
+from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.measured.contour import contour, unstable_poles
-from platform_ctrl.design.measured.data import Measured
-from platform_ctrl.design.measured.pid import Bound, basis, controller_response, limits_along, ratios
-from platform_ctrl.design.measured.restriction import Restriction, Sample
+from platform_ctrl.design.measured.responses import contour, unstable_poles
+from platform_ctrl.design.measured.restriction import (
+    Restriction,
+    Sample,
+    basis,
+    controller_response,
+    limits_along,
+    ratios,
+)
 from platform_ctrl.errors import (
     ArgumentError,
     InfeasibleError,
@@ -24,6 +33,77 @@ from platform_ctrl.errors import (
     TimeLimitError,
     UnscalableError,
 )
+
+if TYPE_CHECKING:
+    import control
+
+FEWEST_POINTS = 10
+# Determinants of responses in any sensible units stay finite.
+_LARGEST_RESPONSE = 1e50
+
+
+@value
+class Measured:
+    """Frequency responses of one plant, or of several that one controller has to serve."""
+
+    frequency: tuple[FloatArray, ...]  # tuple of (N_k,): rad/s, rising, of every plant
+    response: tuple[ComplexArray, ...]  # tuple of complex (N_k, n, n): torques to angles, dead time and hold included
+    # torques, angles: names of the signals.
+    torques: tuple[str, ...]
+    angles: tuple[str, ...]
+    period: float  # of the controller, s
+
+
+def measured_plants(measurement: control.FRD | Sequence[control.FRD]) -> Measured:
+    """Return the responses of sampled plants as the controller sees them."""
+    several: list[Any] = list(measurement) if isinstance(measurement, list | tuple) else [measurement]
+    frequency, response = [], []
+    for k, one in enumerate(several, 1):
+        where = "measured_pid: the measurement" if len(several) == 1 else f"measured_pid: measurement {k}"
+        w, H, dt = _arrays(one, where)
+        first = several[0]
+        names = (list(one.input_labels), list(one.output_labels), dt)
+        if names != (list(first.input_labels), list(first.output_labels), float(first.dt)):
+            raise ArgumentError(f"{where} must have the inputs, outputs and period of the first one")
+        if H.shape[1] != H.shape[2]:
+            raise ArgumentError(f"{where} must have as many outputs as inputs, got {H.shape[1]} and {H.shape[2]}")
+        inside = w <= np.pi / dt * (1.0 + 1e-9)
+        w, H = w[inside], H[inside]
+        if len(w) < FEWEST_POINTS:
+            raise ArgumentError(
+                f"{where} must have {FEWEST_POINTS} or more frequencies below half the sample rate, got {len(w)}"
+            )
+        size = np.abs(H).max(axis=(1, 2))
+        for k in np.flatnonzero(~((size > 1.0 / _LARGEST_RESPONSE) & (size < _LARGEST_RESPONSE)))[:1]:
+            raise ArgumentError(
+                f"{where} must have a response in rad/(N m), not zero and below {_LARGEST_RESPONSE:g}, got "
+                f"{size[k]:.3g} at {w[k] / (2.0 * np.pi):.4g} Hz"
+            )
+        frequency.append(w)
+        response.append(H)
+    return Measured(
+        frequency=tuple(frequency),
+        response=tuple(response),
+        torques=tuple(several[0].input_labels),
+        angles=tuple(several[0].output_labels),
+        period=dt,
+    )
+
+
+def _arrays(one: control.FRD, where: str) -> tuple[FloatArray, ComplexArray, float]:
+    try:
+        H, w, dt = np.asarray(one.frdata), np.asarray(one.omega, dtype=np.float64), one.dt
+    except AttributeError:
+        raise ArgumentError(
+            f"{where} must be a control.FRD, see read_measurement, got {short(type(one).__name__)}"
+        ) from None
+    if dt is True or not dt:
+        raise ArgumentError(f"{where} must be that of the sampled plant, its hold included; give its period dt in s")
+    if not (np.all(np.isfinite(H)) and np.all(np.isfinite(w)) and np.all(np.diff(w) > 0.0) and w[0] >= 0.0):
+        raise ArgumentError(f"{where} must be finite, with frequencies that rise from >= 0")
+    kept = w > 0.0
+    return w[kept], np.asarray(np.moveaxis(H[:, :, kept], -1, 0), dtype=np.complex128), float(dt)
+
 
 _DELAYS = 60
 # d over the largest rate that dead time and data allow; ωc over d; ωi over ωc.
@@ -111,13 +191,12 @@ class Search:
         plants: Measured,
         free: FloatArray,
         filter_time: float,
-        requested: dict[str, Bound | None],
+        requested: dict[str, float],
         unstable: int,
-        integrators: int | None,
         end: float,
     ) -> None:
         self.plants, self.free, self.filter_time = plants, free, filter_time
-        self.unstable, self.integrators, self.end = unstable, integrators, end
+        self.unstable, self.end = unstable, end
         # Why the iterations ended.
         self.ended = ""
         self.contours = [contour(w, P) for w, P in zip(plants.frequency, plants.response, strict=True)]
@@ -132,9 +211,7 @@ class Search:
 
     def unstable_poles(self, gains: FloatArray) -> tuple[int, ...]:
         """Return the number of unstable poles of each closed loop."""
-        return tuple(
-            unstable_poles(path, self.controller(gains), self.unstable, self.integrators) for path in self.contours
-        )
+        return tuple(unstable_poles(path, self.controller(gains), self.unstable) for path in self.contours)
 
     def worst(self, gains: FloatArray) -> tuple[float, str, float]:
         """Return the largest ratio of all limits, the limit's name, and the frequency in rad/s."""
@@ -147,21 +224,9 @@ class Search:
                 found.append((float(ratio[k]), limit.name, float(path.frequency[k])))
         return max(found)
 
-    def start(self, given: ArrayLike | None) -> FloatArray:
+    def start(self) -> FloatArray:
         """Return gains that stabilise every plant."""
         n = self.free.shape[-1]
-        if given is not None:
-            gains = real_array("measured_pid: start", given, (3, n, n))
-            if np.any(gains[self.free == 0.0]):
-                raise ArgumentError("measured_pid: start must be zero where the pattern is zero")
-            unstable = self.unstable_poles(gains)
-            if any(unstable):
-                raise NotStabilisableError(
-                    f"measured_pid: with the given start the closed loop has {max(unstable)} unstable poles; "
-                    "leave start out, or give weaker gains",
-                    self.plants,
-                )
-            return gains
         best: tuple[float, FloatArray] | None = None
         undecided: NotCertifiedError | None = None
         for w, P in zip(self.plants.frequency, self.plants.response, strict=True):
@@ -180,8 +245,7 @@ class Search:
         if best is None:
             why = f"; for the strongest one: {undecided}" if undecided else ""
             raise NotStabilisableError(
-                "measured_pid: none of the weak controllers derived from the data provably stabilises every plant; "
-                f"give start, the gains (3, {n}, {n}) of one that does{why}",
+                f"measured_pid: no weak controller derived from the data provably stabilises every plant{why}",
                 self.plants,
             )
         return best[1]
@@ -212,8 +276,7 @@ class Search:
                 worst, name, at = self.worst(gains)
                 raise InfeasibleError(
                     f"measured_pid: {name} is {worst:.3g} times its limit at {at * _HZ:.4g} Hz after "
-                    f"{len(history) - 1} steps, and no step reduces it; loosen it, free more gains, or give another "
-                    "start",
+                    f"{len(history) - 1} steps, and no step reduces it; loosen it, or free more gains",
                     self.plants,
                 )
             step = restriction.step(gains, miss=_LARGEST_MISS, time_limit=self._left())

@@ -27,7 +27,7 @@ from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.text import at_least, at_most, greek
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, disk_gain_or_phase, plain
 from platform_ctrl.report.curves import broken_loops

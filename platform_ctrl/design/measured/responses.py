@@ -1,21 +1,184 @@
-"""The contour of the Nyquist criterion through measured data: the axis, and half circles round poles that lie on it.
+"""Measured frequency responses: from a CSV file, and what they say of the stability of a closed loop.
 
-A resonance narrower than the distance of the frequencies changes the sign of the response from one frequency to the
-next, and the data do not show on which side of the axis its pole is. It counts as stable: between the two frequencies
-the contour leaves the axis to the right, with the response of one pole fitted to the data. Limits on the half circle
-are no further restriction: what is bounded on the axis is bounded to the right of it.
+Of a file every pair of output and input is in two columns:
+
+::
+
+    frequency_hz, alpha9/Q9 re, alpha9/Q9 im, alpha9/Q10 re, alpha9/Q10 im, ...
+    0.5, -0.0012, ...
+
+The first column is ``frequency_hz`` or ``frequency_rad_s``. The others are named output/input and what they hold:
+``re`` and ``im``, or ``magnitude`` (or ``magnitude_db``) and ``phase_deg`` (or ``phase_rad``). A ``coherence`` beside
+them is not read. Lines that begin with # are comments. Columns are separated by commas, semicolons or tabs.
+
+The contour of the Nyquist criterion goes through the data along the axis, and round poles that lie on it in half
+circles. A resonance narrower than the distance of the frequencies changes the sign of the response from one frequency
+to the next, and the data do not show on which side of the axis its pole is. It counts as stable: between the two
+frequencies the contour leaves the axis to the right, with the response of one pole fitted to the data. Limits on the
+half circle are no further restriction: what is bounded on the axis is bounded to the right of it.
 """
 
 from __future__ import annotations
 
+import csv
+import io
+import os
 from collections.abc import Callable
+from importlib import import_module
+from itertools import product
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis.logs import column_unit
 from platform_ctrl.analysis.system import ComplexArray
+from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.errors import NotCertifiedError
+from platform_ctrl.errors import InputError, NotCertifiedError
+from platform_ctrl.plant.mistakes import given, one_line, suggestion
+from platform_ctrl.plant.source import path_of, read_text
+
+if TYPE_CHECKING:
+    import control
+
+_PARTS = ("re", "im", "magnitude", "magnitude_db", "phase_deg", "phase_rad")
+_FORMS = (
+    {"re", "im"},
+    *({size, phase} for size in ("magnitude", "magnitude_db") for phase in ("phase_deg", "phase_rad")),
+)
+_FEWEST = 3
+
+
+def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float | None = None) -> control.FRD:
+    """Return a measured frequency response with the names of its signals.
+
+    Parameters
+    ----------
+    source
+        Path of a CSV file, or an open text file. Its header names ``frequency_hz`` or ``frequency_rad_s`` first, then
+        two columns for every pair: ``alpha9/Q9 re`` and ``alpha9/Q9 im``, or ``alpha9/Q9 magnitude`` (or
+        ``magnitude_db``) and ``alpha9/Q9 phase_deg``. Columns of the ``coherence`` are not read.
+    period
+        Sample period, s, where commands and pick-off were sampled: the response is then that of the sampled plant, its
+        hold included.
+
+    Returns
+    -------
+    control.FRD
+        Inputs and outputs in the order in which the header names them first; ``dt`` the period, or 0.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a line of it makes no sense; the message names the line.
+    ArgumentError
+        `period` is not a number above zero.
+    """
+    if hasattr(source, "read"):
+        label, text = one_line(str(getattr(source, "name", "measurement"))), str(source.read())
+    else:
+        path = path_of(source, "the path of a CSV file")
+        label, text = one_line(str(path)), read_text(path, "a CSV file")
+    (number, header), *lines = _lines(label, text)
+    at = [f"{label}, line {k}" for k, _ in lines]
+    unit, columns = _columns(f"{label}, line {number}", header)
+    numbers = np.array([_numbers(where, header, row) for where, (_, row) in zip(at, lines, strict=True)])
+    if len(lines) < _FEWEST:
+        raise InputError(f"{label}: must have at least {_FEWEST} frequencies, got {len(lines)}")
+    rising = np.append(0.0, numbers[:, 0])
+    for k in np.flatnonzero(~(np.diff(rising) > 0.0))[:1]:
+        raise InputError(f"{at[k]}: {header[0]} must be > 0 and rise, got {rising[k + 1]:g} after {rising[k]:g}")
+    dt = 0.0 if period is None else positive("read_measurement: period", period)
+    if dt * unit * rising[-1] > np.pi * (1.0 + 1e-9):
+        raise InputError(
+            f"{at[-1]}: {header[0]} must not exceed half the sample rate, {np.pi / dt / unit:g}, got {rising[-1]:g}"
+        )
+    outputs, inputs = (list(dict.fromkeys(names)) for names in zip(*columns, strict=True))
+    response = np.array([[_values(numbers, columns[one, other]) for other in inputs] for one in outputs])
+    for i, j, k in np.argwhere(~np.isfinite(response))[:1]:
+        raise InputError(f"{at[k]}: {outputs[i]}/{inputs[j]} is not finite, or its magnitude is below 0")
+    return import_module("control").FRD(response, unit * rising[1:], dt, inputs=inputs, outputs=outputs)
+
+
+def _lines(label: str, text: str) -> list[tuple[int, list[str]]]:
+    """Return the lines that are neither empty nor comments, with their numbers; the header is the first."""
+    numbered = enumerate(text.removeprefix("\ufeff").splitlines(), 1)
+    kept = [(k, line) for k, line in numbered if line.strip() and not line.lstrip().startswith("#")]
+    if not kept:
+        raise InputError(f"{label}: is empty; write a header such as: frequency_hz,alpha9/Q9 re,alpha9/Q9 im")
+    head = kept[0][1]
+    mark = max(",;\t", key=head.count)
+    out = []
+    for k, line in kept:
+        try:
+            [cells] = csv.reader(io.StringIO(line), delimiter=mark, strict=True)
+        except (csv.Error, ValueError) as error:
+            raise InputError(f"{label}, line {k}: is not CSV: {one_line(str(error))}") from None
+        out.append((k, [cell.strip() for cell in cells]))
+    return out
+
+
+def _columns(where: str, header: list[str]) -> tuple[float, dict[tuple[str, str], dict[str, int]]]:
+    """Return rad/s in a unit of the first column, and the other columns by (output, input) and by their part."""
+    base, unit = column_unit(header[0])
+    if base.lower() != "frequency" or unit is None or unit.quantity != "rate":
+        raise InputError(f"{where}: the first column must be frequency_hz or frequency_rad_s, got {given(header[0])}")
+    columns: dict[tuple[str, str], dict[str, int]] = {}
+    for k, name in enumerate(header[1:], 1):
+        pair, _, part = name.rpartition(" ")
+        if part == "coherence":
+            continue
+        output, slash, an_input = (word.strip() for word in pair.partition("/"))
+        if not (output and slash and an_input):
+            raise InputError(f'{where}: column {k + 1} must have a name such as "alpha9/Q9 re", got {given(name)}')
+        if part not in _PARTS:
+            raise InputError(
+                f"{where}: column {k + 1} is {given(name)}, which holds {given(part)}: {suggestion(part, _PARTS)}"
+            )
+        parts = columns.setdefault((output, an_input), {})
+        if part in parts:
+            raise InputError(f"{where}: the column {given(name)} occurs twice")
+        parts[part] = k
+    if not columns:
+        raise InputError(f'{where}: the only column is the frequency; add columns such as "alpha9/Q9 re"')
+    for output, an_input in product(*zip(*columns, strict=True)):
+        parts = columns.get((output, an_input), {})
+        if set(parts) not in _FORMS:
+            has = f"has {', '.join(parts)}" if parts else "is missing"
+            raise InputError(
+                f"{where}: every pair of output and input must have re and im, or magnitude (or magnitude_db) and "
+                f"phase_deg, but {output}/{an_input} {has}"
+            )
+    return unit.factor, columns
+
+
+def _numbers(where: str, header: list[str], row: list[str]) -> list[float]:
+    if len(row) != len(header):
+        raise InputError(f"{where}: must have {len(header)} columns as the header, got {len(row)}")
+    out = []
+    for name, cell in zip(header, row, strict=True):
+        try:
+            number = float(cell)
+        except ValueError:
+            number = np.nan
+        if not np.isfinite(number):
+            raise InputError(f"{where}: {name} must be a finite number, got {given(cell)}")
+        out.append(number)
+    return out
+
+
+def _values(numbers: FloatArray, parts: dict[str, int]) -> ComplexArray:
+    """Return a response of its parts; nan where a magnitude is negative."""
+    of = {part: numbers[:, k] for part, k in parts.items()}
+    if "re" in of:
+        return np.asarray(of["re"] + 1j * of["im"], dtype=np.complex128)
+    with np.errstate(over="ignore"):
+        size = of["magnitude"] if "magnitude" in of else 10.0 ** (of["magnitude_db"] / 20.0)
+    phase = of["phase_rad"] if "phase_rad" in of else np.radians(of["phase_deg"])
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(size < 0.0, np.nan, size) * np.exp(1j * phase), dtype=np.complex128)
+
 
 # A pole between two frequencies: the response turns by more than this, rad, and exceeds its neighbours by this factor.
 _RESONANCE_TURN = np.radians(110.0)
@@ -127,18 +290,17 @@ _HZ = 1.0 / (2.0 * np.pi)
 Controller = Callable[[ComplexArray], ComplexArray]
 
 
-def unstable_poles(plant: Contour, controller: Controller, unstable: int = 0, integrators: int | None = None) -> int:
+def unstable_poles(plant: Contour, controller: Controller, unstable: int = 0) -> int:
     """Return the number of unstable poles of the closed loop u = K y, y = P u, with P along the contour.
 
     K integrates in every channel; its own poles are not unstable. `unstable` is the number of unstable poles of the
-    plant, `integrators` that of its poles at s = 0 (z = 1), by default read from the slope of det P at the lowest
-    frequencies.
+    plant; that of its poles at s = 0 (z = 1) is read from the slope of det P at the lowest frequencies.
     """
     frequency, P = plant.frequency, plant.P
     L = P @ controller(plant.s)
     _require_gains_at_ends(frequency, L)
     _require_gain_at_resonances(plant, L)
-    turned = _below(frequency, P, L, controller, integrators)
+    turned = _below(frequency, P, L, controller)
     turned += _between(frequency, np.asarray(np.eye(P.shape[-1]) - L, dtype=np.complex128))
     turned -= float(np.angle(1.0 - np.linalg.eigvals(L[-1])).sum())
     return unstable - round(turned / np.pi)
@@ -177,23 +339,21 @@ def plant_integrators(frequency: FloatArray, P: ComplexArray) -> int:
     if abs(slope - round(slope)) > _SLOPE_TOLERANCE or round(slope) < 0:
         raise NotCertifiedError(
             f"stability from data: below {frequency[near - 1] * _HZ:.3g} Hz det P must fall with a whole power of "
-            f"frequency, but falls with {slope:.2f}; measure lower frequencies, or give integrators"
+            f"frequency, but falls with {slope:.2f}; measure lower frequencies"
         )
     return round(slope)
 
 
-def _below(
-    frequency: FloatArray, P: ComplexArray, L: ComplexArray, controller: Controller, integrators: int | None
-) -> float:
+def _below(frequency: FloatArray, P: ComplexArray, L: ComplexArray, controller: Controller) -> float:
     """Return the phase of s^k det Z from 0 to the lowest frequency, less the k quarter turns of s^k."""
     n, w0 = P.shape[-1], frequency[0]
-    k = plant_integrators(frequency, P) if integrators is None else integrators
+    k = plant_integrators(frequency, P)
     at_rest = np.linalg.det(-P[0]) * (1j) ** k
     of_plant = float(np.angle(at_rest**2)) / 2.0
     if abs(of_plant) > _PHASE_TOLERANCE:
         raise NotCertifiedError(
             f"stability from data: at {w0 * _HZ:.3g} Hz the phase of s^{k} det P must be near 0 or 180°, but is "
-            f"{np.degrees(of_plant):.0f}° off; measure lower frequencies, or give integrators"
+            f"{np.degrees(of_plant):.0f}° off; measure lower frequencies"
         )
     down = w0 * np.geomspace(_LOWEST_SHARE, 1.0, _LOW_POINTS)
     K = np.asarray(controller(np.asarray(1j * down, dtype=np.complex128)) * down[:, None, None], dtype=np.complex128)

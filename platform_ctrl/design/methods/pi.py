@@ -12,43 +12,78 @@ angle, a tracker's, has the same plant with J = 1. Every block is sampled by Tus
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.classical.caging import integrated, notch_stage
-from platform_ctrl.design.loop import Designed, LoopProblem, completed
+from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz
+from platform_ctrl.design.methods.classical import OPTIONS as CLASSICAL
+from platform_ctrl.design.methods.classical import integrated, notch_stage
 from platform_ctrl.design.partition import Channels, first_order, gain
 from platform_ctrl.design.sections import Section, flattened
-from platform_ctrl.design.tuning import tuned
-from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec
-from platform_ctrl.job.methods import METHODS
 
 # Default crossover over the frequency that the plants' grids go by, and the integral's corner over the crossover.
 _CROSSOVER, _INTEGRAL = 0.4, 0.15
 
 
-def rate_design(problem: LoopProblem) -> Designed:
-    """Return the rate loop of a job, with ``tune = true`` moved until its limits are met."""
-    channel, plants = problem.channel, problem.plants
+OPTIONS: dict[str, Option] = {
+    "crossover_hz": hertz("crossover ωc", "gains", "gain over inertia: where each channel crosses over", high=0.2),
+    "integral_hz": hertz("integral", "gains", "below this frequency the integral acts"),
+    "double_integral_hz": hertz(
+        "second integral", "gains", "below this frequency a second integral acts, against friction", part="second"
+    ),
+    "rolloff_hz": hertz("roll-off", "lead", "pole of the low-pass behind", high=0.45, below_nyquist=True),
+    **{name: option for name, option in CLASSICAL.items() if name.startswith(("notch_", "lag_"))},
+}
 
-    def build(options: dict[str, float]) -> System:
+
+class PI(TunedMethod):
+    """The classical rate loop."""
+
+    key = "pi"
+    kinds = ("rate", "tracking")
+    options = OPTIONS
+    advice = "a lower crossover_hz, or tune = true"
+    tunable = ("crossover_hz", "integral_hz", "double_integral_hz", "notch_hz", "notch_depth", "notch_width")
+    instant = True
+    parts: ClassVar = {
+        "second": ("second integral", "takes out what dry friction does at low frequencies"),
+        "lag": ("lag", "raises the gain at low frequencies"),
+        "notch": ("notch", "takes gain out at a resonance"),
+    }
+    families: ClassVar = {
+        "speed": dict.fromkeys(("crossover_hz", "integral_hz", "double_integral_hz", "lag_hz"), 1.0),
+        "robustness": dict.fromkeys(("integral_hz", "double_integral_hz", "lag_hz"), -1.0),
+    }
+
+    def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
+        """Return the sampled controller of complete options."""
         return rate_controller(options, channel, plants.period)
 
-    start = rate_options(problem.design, channel, plants.nutation, plants.period)
-    options = tuned(problem, start, METHODS["pi"].tunable, build, upper_bounds(plants.period))
-    return Designed(controller=build(options), options=options)
+    def upper_bounds(self, period: float) -> dict[str, float]:
+        """Return the largest values that the tuner may use."""
+        return {"crossover_hz": 0.2 / period, "notch_hz": 0.4 / period, "notch_depth": 0.999, "notch_width": 1.0}
+
+    def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+        """Return all options, those that are not given by rules of thumb."""
+        return rate_options(design.options, channel, nutation, period)
+
+    def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
+        """Return the controller section by section, from the readings to the torques of the loop."""
+        channel, plants = problem.channel, problem.plant_set
+        assert plants is not None, "a rate loop has plants"
+        if channel.sense is None:
+            return _along(options, channel, plants.period, plants.angles, plants.torques)
+        rates = tuple(f"rate_{k + 1}" for k in range(len(channel.sense)))
+        into = Section("directions", "mix", "readings along the channels", gain(channel.sense), plants.angles, rates)
+        return (into, *_along(options, channel, plants.period, rates, plants.torques))
 
 
-def upper_bounds(period: float) -> dict[str, float]:
-    """Return the largest values that the tuner may use."""
-    return {"crossover_hz": 0.2 / period, "notch_hz": 0.4 / period, "notch_depth": 0.999, "notch_width": 1.0}
-
-
-def rate_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+def rate_options(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
     """Return all options of the rate loop, those not given from rules of thumb."""
-    given = design.options
     crossover = given.get("crossover_hz", _CROSSOVER * nutation / (2.0 * np.pi))
     out = {"crossover_hz": crossover, "integral_hz": _INTEGRAL * crossover, "rolloff_hz": 0.4 / period}
     if "double_integral_hz" in given:
@@ -57,11 +92,7 @@ def rate_options(design: DesignSpec, channel: Channels, nutation: float, period:
         out |= {"lag_hz": 0.1 * crossover, "lag_ratio": 3.0}
     if any(name.startswith("notch") for name in given):
         out |= {"notch_hz": 3.0 * crossover, "notch_depth": 0.3, "notch_width": 0.3}
-    out = completed("pi", given, out)
-    for name in ("notch_hz", "rolloff_hz"):
-        if out.get(name, 0.0) >= 0.5 / period:
-            raise DesignError(f"pi: {name} must be below half the sample rate, got {out[name]:g}")
-    return out
+    return PI.completed(given, out, period)
 
 
 def rate_controller(options: dict[str, float], channel: Channels, period: float) -> System:
@@ -69,17 +100,6 @@ def rate_controller(options: dict[str, float], channel: Channels, period: float)
     names = [f"{name}_{k + 1}" for name in ("rate", "torque") for k in range(len(channel.inertias))]
     inputs, outputs = names[: len(channel.inertias)], names[len(channel.inertias) :]
     return flattened(_along(options, channel, period, inputs, outputs), inputs, outputs)
-
-
-def rate_sections(problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
-    """Return the same controller section by section, from the readings to the torques of the loop."""
-    channel, plants = problem.channel, problem.plant_set
-    assert plants is not None, "a rate loop has plants"
-    if channel.sense is None:
-        return _along(options, channel, plants.period, plants.angles, plants.torques)
-    rates = tuple(f"rate_{k + 1}" for k in range(len(channel.sense)))
-    into = Section("directions", "mix", "readings along the channels", gain(channel.sense), plants.angles, rates)
-    return (into, *_along(options, channel, plants.period, rates, plants.torques))
 
 
 def _along(

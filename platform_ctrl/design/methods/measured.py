@@ -18,12 +18,13 @@ from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import Designed, LoopDesign, LoopProblem, completed, requirements_of
+from platform_ctrl.design.loop import LoopDesign, requirements_of
 from platform_ctrl.design.loop_signals import loop_signals
-from platform_ctrl.design.measured.contour import contour, unstable_poles
-from platform_ctrl.design.measured.data import FEWEST_POINTS, read_measurement
 from platform_ctrl.design.measured.design import ClosedLoopResponse, MeasuredDesign, measured_pid
-from platform_ctrl.design.measured.pid import CENTRES
+from platform_ctrl.design.measured.responses import contour, read_measurement, unstable_poles
+from platform_ctrl.design.measured.restriction import CENTRES
+from platform_ctrl.design.measured.search import FEWEST_POINTS
+from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import ArgumentError, DesignError, InputError, NotCertifiedError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
@@ -64,47 +65,84 @@ class Responses:
     response: ComplexArray
 
 
-def default_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options; those that are not given are the same for every loop, but for the roll-off."""
-    defaults = {"rolloff_hz": 0.4 / period, "sensitivity_peak": 2.0, "resonance_damping": 0.03, "steps": 40.0}
-    out = completed("measured", design.options, defaults)
-    if not out["rolloff_hz"] < 0.5 / period:
-        raise DesignError(
-            f"measured: rolloff_hz must be less than {0.5 / period:g} Hz, half the sample rate, got "
-            f"{out['rolloff_hz']:g}"
-        )
-    if not out["sensitivity_peak"] > 1.0:
-        raise DesignError(f"measured: sensitivity_peak must be more than 1, got {out['sensitivity_peak']:g}")
-    if not out["resonance_damping"] < 1.0:
-        raise DesignError(f"measured: resonance_damping must be less than 1, got {out['resonance_damping']:g}")
-    if not (out["steps"].is_integer() and out["steps"] <= 1000.0):
-        raise DesignError(f"measured: steps must be a whole number from 1 to 1000, got {out['steps']:g}")
-    return out
+OPTIONS: dict[str, Option] = {
+    "rolloff_hz": hertz("roll-off", "design", "where the rate action ends", high=0.45, below_nyquist=True),
+    "sensitivity_peak": number("sensitivity peak", "largest gain of S where no limit is lower", 1.05, 20),
+    "resonance_damping": number(
+        "resonance damping", "damping ratio that unresolved resonances get at least", 1e-3, 0.7
+    ),
+    "steps": number("steps", "most convex problems", 5, 200, whole=True),
+}
 
 
-def measured_design(problem: LoopProblem) -> Designed:
-    """Return the PID with the largest integral gain within the loop's limits, on responses from a file or of plants."""
-    plants = problem.plants.regular()
-    options = default_options(problem.design, problem.channel, plants.nutation, plants.period)
-    if len(plants.torques) != len(plants.angles):
-        raise DesignError(
-            f"measured: a loop must have as many torquers as directions, got {len(plants.torques)} and "
-            f"{len(plants.angles)}; choose another method"
+class MeasuredPID(Method):
+    """The PID with the largest integral gain within the loop's limits, on responses from a file or of plants."""
+
+    key = "measured"
+    options = OPTIONS
+    advice = "a smaller sensitivity_peak, or responses of the plant as it is"
+    responses = True
+
+    def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+        """Return all options; those that are not given are the same for every loop, but for the roll-off."""
+        defaults = {"rolloff_hz": 0.4 / period, "sensitivity_peak": 2.0, "resonance_damping": 0.03, "steps": 40.0}
+        return self.completed(design.options, defaults, period)
+
+    def design(self, problem: LoopProblem) -> Designed:
+        """Return the PID; its claims say what the integral gain is and how many plants and steps it took."""
+        plants = problem.plants.regular()
+        options = self.defaults(problem.design, problem.channel, plants.nutation, plants.period)
+        if len(plants.torques) != len(plants.angles):
+            raise DesignError(
+                f"measured: a loop must have as many torquers as directions, got {len(plants.torques)} and "
+                f"{len(plants.angles)}; choose another method"
+            )
+        bounds = _bounds(requirements_of(problem.spec))
+        bounds["sensitivity_peak"] = min(bounds.get("sensitivity_peak", np.inf), options["sensitivity_peak"])
+        settings = bounds | {
+            "filter_time": 1.0 / (2.0 * np.pi * options["rolloff_hz"]),
+            "resonance_damping": options["resonance_damping"],
+            "steps": int(options["steps"]),
+        }
+        found, view = _searched(problem, settings)
+        claims = {
+            "least integral gain": found.objective,
+            "plants": float(len(view)),
+            "steps": float(len(found.history) - 1),
+        }
+        return Designed(controller=System.of(found.controller, "measured"), options=options, claims=claims)
+
+    def expect_responses(self, job: Job, spec: LoopSpec, design: DesignSpec, text: str, label: str) -> None:
+        """Raise an InputError where a file's text holds no responses of a loop of the job."""
+        if spec.kind == "tracking":
+            inner = next((one for one in job.loops if one.name == spec.around), None)
+            if inner is None:
+                return
+            torques = [f"{name}{COMMAND}" for name in inner.sensors]
+        else:
+            torques = [one.name for one in loop_signals(job.platform, spec.read_by(design)).torquers]
+        signals = spec.read_by(design)
+        readings = list(signals.sensors) or [one.name for one in loop_signals(job.platform, signals).sensors]
+        read_responses(text, label, torques, readings, job.period_of(spec))
+
+    def judged(self, problem: LoopProblem, design: LoopDesign) -> LoopDesign:
+        """Return a design that is judged on its measured responses too: a plant beside those of the model."""
+        if problem.design.responses is None:
+            return design
+        plants = problem.plant_set
+        assert plants is not None, "the loop has plants"
+        where = f"responses of {problem.spec.name}, {problem.design.name}"
+        data = read_responses(problem.design.responses, where, plants.torques, plants.angles, plants.period)
+        model = plants.on(data.frequency).response[0]
+        apart = largest_singular_values(data.response - model) / largest_singular_values(model)
+        k = int(apart.argmax())
+        claims = {"responses from model, relative": float(apart[k]), "at, Hz": float(_HZ * data.frequency[k])}
+        results = _results(problem, design, data, plants)
+        problem.progress(
+            f"{problem.spec.name}: {problem.design.name}, the measured responses are up to {apart[k]:.1%} from the "
+            f"nominal plant's (at {_HZ * data.frequency[k]:.4g} Hz)"
         )
-    bounds = _bounds(requirements_of(problem.spec))
-    bounds["sensitivity_peak"] = min(bounds.get("sensitivity_peak", np.inf), options["sensitivity_peak"])
-    settings = bounds | {
-        "filter_time": 1.0 / (2.0 * np.pi * options["rolloff_hz"]),
-        "resonance_damping": options["resonance_damping"],
-        "steps": int(options["steps"]),
-    }
-    found, view = _searched(problem, settings)
-    claims = {
-        "least integral gain": found.objective,
-        "plants": float(len(view)),
-        "steps": float(len(found.history) - 1),
-    }
-    return Designed(controller=System.of(found.controller, "measured"), options=options, claims=claims)
+        return dataclasses.replace(design, claims=design.claims | claims, results=(*design.results, *results))
 
 
 def _strictest(requirements: Sequence[LoopRequirement]) -> dict[str, LoopRequirement]:
@@ -273,40 +311,7 @@ def _in_SI(labels: Sequence[str], names: Sequence[str]) -> tuple[list[str], Floa
     return out, np.array(factors)
 
 
-def expect_fitting(job: Job, spec: LoopSpec, design: DesignSpec, text: str, label: str) -> None:
-    """Raise an InputError where a file's text holds no responses of a loop of the job."""
-    if spec.kind == "tracking":
-        inner = next((one for one in job.loops if one.name == spec.around), None)
-        if inner is None:
-            return
-        torques = [f"{name}{COMMAND}" for name in inner.sensors]
-    else:
-        torques = [one.name for one in loop_signals(job.platform, spec.read_by(design)).torquers]
-    signals = spec.read_by(design)
-    readings = list(signals.sensors) or [one.name for one in loop_signals(job.platform, signals).sensors]
-    read_responses(text, label, torques, readings, job.period_of(spec))
-
-
-def on_responses(problem: LoopProblem, design: LoopDesign) -> LoopDesign:
-    """Return a design that is judged on its measured responses too: a plant beside those of the model."""
-    plants = problem.plant_set
-    assert plants is not None, "the loop has plants"
-    assert problem.design.responses is not None, "the design has responses"
-    where = f"responses of {problem.spec.name}, {problem.design.name}"
-    data = read_responses(problem.design.responses, where, plants.torques, plants.angles, plants.period)
-    model = plants.on(data.frequency).response[0]
-    apart = largest_singular_values(data.response - model) / largest_singular_values(model)
-    k = int(apart.argmax())
-    claims = {"responses from model, relative": float(apart[k]), "at, Hz": float(_HZ * data.frequency[k])}
-    results = _judged(problem, design, data, plants)
-    problem.progress(
-        f"{problem.spec.name}: {problem.design.name}, the measured responses are up to {apart[k]:.1%} from the nominal "
-        f"plant's (at {_HZ * data.frequency[k]:.4g} Hz)"
-    )
-    return dataclasses.replace(design, claims=design.claims | claims, results=(*design.results, *results))
-
-
-def _judged(problem: LoopProblem, design: LoopDesign, data: Responses, plants: PlantSet) -> list[CheckResult]:
+def _results(problem: LoopProblem, design: LoopDesign, data: Responses, plants: PlantSet) -> list[CheckResult]:
     """Return the limits that responses can be held against, and stability, on a file's responses."""
     K = plants.feedback(plants.joined(design.own_controller))
     sense = np.eye(len(plants.angles)) if problem.channel.sense is None else problem.channel.sense

@@ -16,7 +16,7 @@ import numpy as np
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition, partition
-from platform_ctrl.design.riccati.equations import Equation, Solution, riccati_solution
+from platform_ctrl.design.riccati import Equation, Solution, riccati_solution
 from platform_ctrl.design.scaling import autoscaled_with_gain, require_assumptions, require_stabilisable, unscale
 from platform_ctrl.design.synthesis import Synthesis, certify, or_regularised
 from platform_ctrl.errors import IllPosedError, UnscalableError

@@ -18,54 +18,130 @@ Every block is sampled by Tustin's rule; channels share their states, so that no
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.loop import Designed, LoopProblem, completed
+from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz, number
 from platform_ctrl.design.partition import Channels, between, first_order, gain, notch
 from platform_ctrl.design.sections import Section, flattened
-from platform_ctrl.design.tuning import tuned
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec
-from platform_ctrl.job.methods import METHODS
 
-# Moved by the tuner, in this order: the simplex depends on it.
-TUNABLE = METHODS["classical"].tunable
+# Highest frequencies are shares of the sample rate.
+OPTIONS: dict[str, Option] = {
+    "crossover_hz": hertz(
+        "crossover ωc", "gains", "cross-axis gain of the gyroscopic pairs: where the loop crosses over, about"
+    ),
+    "integral_hz": hertz("integral", "gains", "below this frequency the integral acts: trades ramp error for margin"),
+    "damping_hz": hertz("damping 1", "gains", "direct-axis gain on the first axis of a pair: damps nutation"),
+    "damping2_hz": hertz("damping 2", "gains", "direct-axis gain on the second axis of a pair: damps nutation"),
+    "inertial_crossover_hz": hertz("inertial crossover", "gains", "crossover where no gyro stiffens the gimbals"),
+    "lead_hz": hertz("lead zero", "lead", "zero of the direct-axis lead"),
+    "rolloff_hz": hertz("lead roll-off", "lead", "pole of the direct-axis lead", high=0.45),
+    "inertial_lead_hz": hertz("inertial lead zero", "lead", "zero of the lead where no gyro acts"),
+    "inertial_rolloff_hz": hertz("inertial roll-off", "lead", "pole of that lead", high=0.45),
+    "notch_hz": hertz(
+        "notch", "notch", "centre of the notch in the cross-axis path", high=0.4, part="notch", below_nyquist=True
+    ),
+    "notch_depth": number("notch depth", "gain at its centre", 0.01, 0.999, "notch", part="notch"),
+    "notch_width": number("notch width", "its damping ratio", 0.01, 1.0, "notch", part="notch"),
+    "spin_notch_hz": hertz(
+        "spin notch",
+        "notch",
+        "centre of the notch in front of everything: the rotors' spin",
+        high=0.4,
+        part="spin_notch",
+        below_nyquist=True,
+    ),
+    "spin_notch_depth": number("spin notch depth", "gain at its centre", 0.01, 0.999, "notch", part="spin_notch"),
+    "spin_notch_width": number("spin notch width", "its damping ratio", 0.01, 1.0, "notch", part="spin_notch"),
+    "lag_hz": hertz("lag", "lag", "below this frequency the lag raises the gain", part="lag"),
+    "lag_ratio": number("lag ratio", "by how much it raises it", 1.01, 100.0, "lag", part="lag"),
+}
 
 
-def classical_design(problem: LoopProblem) -> Designed:
-    """Return the classical loop of a job, with ``tune = true`` moved until its limits are met."""
-    channel, plants = problem.channel, problem.plants
+class Classical(TunedMethod):
+    """The classical caging loop."""
 
-    def build(options: dict[str, float]) -> System:
+    key = "classical"
+    kinds = ("caging", "pointing")
+    options = OPTIONS
+    advice = "a lower crossover_hz, or tune = true"
+    # In this order: the simplex depends on it. The integral action is the user's: it trades ramp error for margin.
+    tunable = (
+        "crossover_hz",
+        "damping_hz",
+        "damping2_hz",
+        "lead_hz",
+        "rolloff_hz",
+        "inertial_crossover_hz",
+        "inertial_lead_hz",
+        "inertial_rolloff_hz",
+        "notch_hz",
+        "notch_depth",
+        "notch_width",
+    )
+    instant = True
+    parts: ClassVar = {
+        "lag": ("lag", "raises the gain at low frequencies"),
+        "notch": ("notch", "takes gain out of the cross-axis path, at nutation as a rule"),
+        "spin_notch": ("spin notch", "keeps what an unbalanced rotor shakes from the torquers"),
+    }
+    # Rules of thumb keep these frequencies in proportion. More lead and less integral action at one crossover: margin.
+    families: ClassVar = {
+        "speed": dict.fromkeys(
+            (
+                *("crossover_hz", "inertial_crossover_hz", "integral_hz", "damping_hz", "damping2_hz"),
+                *("lead_hz", "inertial_lead_hz", "lag_hz"),
+            ),
+            1.0,
+        ),
+        "robustness": dict.fromkeys(("integral_hz", "lead_hz", "lag_hz", "inertial_lead_hz"), -1.0),
+    }
+
+    def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
+        """Return the sampled controller of complete options."""
         return classical_controller(options, channel, plants.period)
 
-    start = default_options(problem.design, channel, plants.nutation, plants.period)
-    # Without a gyroscopic pair nothing crosses over across.
-    tunable = [name for name in TUNABLE if name != "crossover_hz" or len(channel.momenta)]
-    options = tuned(problem, start, tunable, build, upper_bounds(plants.period))
-    return Designed(controller=build(options), options=options)
+    def movable(self, options: dict[str, float], channel: Channels) -> list[str]:
+        """Return the options that the tuner moves: without a gyroscopic pair nothing crosses over across."""
+        return [name for name in super().movable(options, channel) if name != "crossover_hz" or len(channel.momenta)]
 
+    def upper_bounds(self, period: float) -> dict[str, float]:
+        """Return the largest values that the tuner may use.
 
-def default_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options of the classical loop, those not given from rules of thumb."""
-    return starting_values(design.options, channel, nutation, period)
+        A roll-off at 0.45 of the sample rate: beyond 1/π of it Tustin's pole turns negative, and near −1 it rings.
+        """
+        rate_hz = 1.0 / period
+        return {
+            "rolloff_hz": 0.45 * rate_hz,
+            "inertial_rolloff_hz": 0.45 * rate_hz,
+            "notch_hz": 0.4 * rate_hz,
+            "notch_depth": 0.999,
+            "notch_width": 1.0,
+        }
 
+    def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+        """Return all options, those that are not given by rules of thumb."""
+        return starting_values(design.options, channel, nutation, period)
 
-def upper_bounds(period: float) -> dict[str, float]:
-    """Return the largest values that the tuner may use.
-
-    A roll-off at 0.45 of the sample rate: beyond 1/π of it Tustin's pole turns negative, and near −1 it rings.
-    """
-    rate_hz = 1.0 / period
-    return {
-        "rolloff_hz": 0.45 * rate_hz,
-        "inertial_rolloff_hz": 0.45 * rate_hz,
-        "notch_hz": 0.4 * rate_hz,
-        "notch_depth": 0.999,
-        "notch_width": 1.0,
-    }
+    def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
+        """Return the controller section by section, from the readings to the torques of the loop."""
+        channel, plants = problem.channel, problem.plant_set
+        assert plants is not None, "a caging loop has plants"
+        count = range(len(channel.basis))
+        into, out = tuple(_measured(k) for k in count), tuple(_set(k) for k in count)
+        directions = channel.basis if channel.sense is None else channel.basis @ channel.sense
+        return (
+            Section(
+                "directions", "mix", "angles in the directions of the gyros", gain(directions), plants.angles, into
+            ),
+            *_along(options, channel, plants.period),
+            Section("torques", "mix", "torques back on the gimbals", gain(channel.basis.T), out, plants.torques),
+        )
 
 
 def starting_values(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
@@ -95,10 +171,7 @@ def starting_values(given: dict[str, float], channel: Channels, nutation: float,
             "inertial_lead_hz": 0.2 * nutation_hz,
             "inertial_rolloff_hz": 0.4 * rate_hz,
         }
-    out = completed("classical", given, out)
-    for name in ("notch_hz", "spin_notch_hz"):
-        if out.get(name, 0.0) >= 0.5 * rate_hz:
-            raise DesignError(f"classical: {name} must be below half the sample rate, got {out[name]:g}")
+    out = Classical.completed(given, out, period)
     if not out.get("lag_ratio", 2.0) > 1.0:
         raise DesignError(f"classical: lag_ratio, the gain at low frequencies, must exceed 1, got {out['lag_ratio']:g}")
     return out
@@ -127,20 +200,6 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
     directions, torques = [_measured(k) for k in count], [_set(k) for k in count]
     along = flattened(_along(options, channel, period), directions, torques)
     return between(channel.basis, along, channel.basis.T)
-
-
-def classical_sections(problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
-    """Return the same controller section by section, from the readings to the torques of the loop."""
-    channel, plants = problem.channel, problem.plant_set
-    assert plants is not None, "a caging loop has plants"
-    count = range(len(channel.basis))
-    into, out = tuple(_measured(k) for k in count), tuple(_set(k) for k in count)
-    directions = channel.basis if channel.sense is None else channel.basis @ channel.sense
-    return (
-        Section("directions", "mix", "angles in the directions of the gyros", gain(directions), plants.angles, into),
-        *_along(options, channel, plants.period),
-        Section("torques", "mix", "torques back on the gimbals", gain(channel.basis.T), out, plants.torques),
-    )
 
 
 def _along(options: dict[str, float], channel: Channels, period: float) -> list[Section]:

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.loop_signals import parallel
+from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.partition import between, first_order, gain, low_pass
 from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.errors import DesignError
@@ -22,6 +22,73 @@ from platform_ctrl.mechanics.linearisation import LinearModel
 
 # A gyro torque whose share in a rate is smaller than this (relative to the largest) is not measured for it.
 _NO_SHARE = 1e-9
+
+
+OPTIONS: dict[str, Option] = {
+    "crossover_hz": hertz(
+        "crossover ωc", "gains", "gain over inertia: where the rate loop of the platform crosses over", high=0.1
+    ),
+    "position_hz": hertz("position", "gains", "angle over rate feedback: below this frequency the angle is held"),
+    "filter_hz": hertz(
+        "rate filter", "lead", "low-pass on the rates that the gyros show", high=0.45, below_nyquist=True
+    ),
+    "filter_damping": number("filter damping", "its damping ratio", 0.1, 2.0, "lead"),
+}
+
+
+class PlatformServo(Method):
+    """The servo of the three root axes."""
+
+    key = "platform-servo"
+    kinds = ("stabilisation",)
+    options = OPTIONS
+    advice = "a lower crossover_hz"
+    tunable = tuple(OPTIONS)
+    instant = True
+
+    def design(self, problem: LoopProblem) -> Designed:
+        """Return the servo of the three root axes for the options of the design.
+
+        ``crossover_hz`` ωc of the rate loop, ``position_hz`` ωp, ``filter_hz`` and ``filter_damping`` of the low-pass.
+        """
+        job, model, spec, design = problem.job, problem.model, problem.spec, problem.design
+        crossover = design.options.get("crossover_hz", 5.0)
+        defaults = {
+            "crossover_hz": crossover,
+            "position_hz": 0.3 * crossover,
+            "filter_hz": 10.0 * crossover,
+            "filter_damping": 0.7,
+        }
+        options = self.completed(design.options, defaults, job.sampling.period)
+        estimate, used = rate_estimate(model)
+        torquers, roots = _torquers(job)
+        missing = [model.gimbal_names[k] for k in used if model.gimbal_names[k] not in torquers]
+        if missing or set(roots) != {1, 2, 3}:
+            wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
+            raise DesignError(f"{spec.name}: there is no torquer on {wanted}; add one to the plant file", model)
+        period = job.sampling.period
+        turns, speeds = _per_axis("turn"), _per_axis("speed")
+        servo = between(estimate, flattened(_axis_sections(options, period), turns, speeds), _strength(options, model))
+        return Designed(
+            controller=servo,
+            options=options,
+            inputs=tuple(torquers[model.gimbal_names[k]] for k in used),
+            outputs=tuple(roots[k] for k in (1, 2, 3)),
+        )
+
+    def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
+        """Return the servo section by section, from the gyros' torques to those on the root."""
+        model, period = problem.model, problem.job.sampling.period
+        estimate, used = rate_estimate(model)
+        gimbals, roots = _torquers(problem.job)
+        measured, set_ = tuple(gimbals[model.gimbal_names[k]] for k in used), tuple(roots[axis] for axis in (1, 2, 3))
+        turns, speeds = _per_axis("turn"), _per_axis("speed")
+        note = f"inertia of the platform times {options['crossover_hz']:.6g} Hz"
+        return (
+            Section("rates", "mix", "platform rates by least squares from L Omega", gain(estimate), measured, turns),
+            *_axis_sections(options, period),
+            Section("servo", "mix", note, gain(_strength(options, model)), speeds, set_),
+        )
 
 
 def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
@@ -41,60 +108,10 @@ def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
     return inverse[:, used], used
 
 
-def platform_servo(problem: LoopProblem) -> Designed:
-    """Return the servo of the three root axes for the options of the design.
-
-    ``crossover_hz`` ωc of the rate loop, ``position_hz`` ωp, ``filter_hz`` and ``filter_damping`` of the low-pass.
-    """
-    job, model, spec, design = problem.job, problem.model, problem.spec, problem.design
-    crossover = design.options.get("crossover_hz", 5.0)
-    defaults = {
-        "crossover_hz": crossover,
-        "position_hz": 0.3 * crossover,
-        "filter_hz": 10.0 * crossover,
-        "filter_damping": 0.7,
-    }
-    options = completed(design.method, design.options, defaults)
-    if options["filter_hz"] >= 0.5 / job.sampling.period:
-        raise DesignError(
-            f"{spec.name}: filter_hz must be below half the sample rate, got {options['filter_hz']:g}", model
-        )
-    estimate, used = rate_estimate(model)
-    torquers, roots = _torquers(job)
-    missing = [model.gimbal_names[k] for k in used if model.gimbal_names[k] not in torquers]
-    if missing or set(roots) != {1, 2, 3}:
-        wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
-        raise DesignError(f"{spec.name}: there is no torquer on {wanted}; add one to the plant file", model)
-    period = job.sampling.period
-    turns, speeds = _per_axis("turn"), _per_axis("speed")
-    servo = between(estimate, flattened(_axis_sections(options, period), turns, speeds), _strength(options, model))
-    return Designed(
-        controller=servo,
-        options=options,
-        inputs=tuple(torquers[model.gimbal_names[k]] for k in used),
-        outputs=tuple(roots[k] for k in (1, 2, 3)),
-    )
-
-
 def _torquers(job: Job) -> tuple[dict[str, str], dict[int, str]]:
     """Return the names of the torquers by gimbal, and of those on the root by axis."""
     gimbals = {t.gimbal: t.name for t in job.platform.torquers if t.gimbal is not None}
     return gimbals, {t.root_axis: t.name for t in job.platform.torquers if t.root_axis is not None}
-
-
-def servo_sections(problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
-    """Return the servo section by section, from the gyros' torques to those on the root."""
-    model, period = problem.model, problem.job.sampling.period
-    estimate, used = rate_estimate(model)
-    gimbals, roots = _torquers(problem.job)
-    measured, set_ = tuple(gimbals[model.gimbal_names[k]] for k in used), tuple(roots[axis] for axis in (1, 2, 3))
-    turns, speeds = _per_axis("turn"), _per_axis("speed")
-    note = f"inertia of the platform times {options['crossover_hz']:.6g} Hz"
-    return (
-        Section("rates", "mix", "platform rates by least squares from L Omega", gain(estimate), measured, turns),
-        *_axis_sections(options, period),
-        Section("servo", "mix", note, gain(_strength(options, model)), speeds, set_),
-    )
 
 
 def _axis_sections(options: dict[str, float], period: float) -> list[Section]:

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,12 +27,10 @@ from scipy.linalg import block_diag
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System, seen_states, state_scaling
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import Designed, LoopProblem, completed
+from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz
 from platform_ctrl.design.partition import Channels, between
-from platform_ctrl.design.tuning import tuned
 from platform_ctrl.errors import DesignError, NotStabilisableError
 from platform_ctrl.job.job import DesignSpec
-from platform_ctrl.job.methods import METHODS
 
 # Rules of thumb. The largest error over the noise of a sample; without noise the largest error, rad or rad per sample.
 _ERROR, _NO_NOISE = 20.0, 1e-4
@@ -48,6 +45,70 @@ _ON_CIRCLE = 1e-9
 _RESERVE = 0.02
 # Other starts of the tuner: the torques by the rules of thumb times these.
 _STARTS = (0.1, 0.3, 1.0, 3.0, 10.0)
+
+
+_AMPLITUDE, _MARGIN = (
+    "amplitude that counts as much as the largest error",
+    "torque noise of the estimator: larger, more margin",
+)
+
+
+def _newton_metres(label: str, tip: str) -> Option:
+    return Option(label=label, unit="N m", tip=tip)
+
+
+OPTIONS: dict[str, Option] = {
+    "largest_error": Option(label="largest error", unit="rad", tip="amplitude of what is measured; rate loops: rad/s"),
+    "largest_rate": Option(label="largest rate", unit="rad/s", tip="amplitude of its rate; rate loops: rad/s²"),
+    "largest_torque": _newton_metres("largest torque", _AMPLITUDE),
+    "largest_torque2": _newton_metres("largest torque 2", f"{_AMPLITUDE}: second axis of a pair"),
+    "inertial_largest_torque": _newton_metres("inertial largest torque", f"{_AMPLITUDE}: where no gyro acts"),
+    "integral_hz": hertz("integral", "design", "below this frequency the integral acts", high=0.4, below_nyquist=True),
+    "platform_rate": Option(label="platform rate", unit="rad/s", tip="white platform rate that the estimator expects"),
+    "recovery": _newton_metres("recovery", _MARGIN),
+    "recovery2": _newton_metres("recovery 2", f"{_MARGIN}: second axis of a pair"),
+    "inertial_recovery": _newton_metres("inertial recovery", f"{_MARGIN}: where no gyro acts"),
+}
+
+
+class LQG(TunedMethod):
+    """LQG loops."""
+
+    key = "lqg"
+    options = OPTIONS
+    advice = "a smaller largest_torque, a larger recovery, or tune = true"
+    # The integral action is the user's; only ratios of the other amplitudes count.
+    tunable = (
+        "largest_torque",
+        "largest_torque2",
+        "inertial_largest_torque",
+        "platform_rate",
+        "recovery",
+        "recovery2",
+        "inertial_recovery",
+    )
+    reserve = _RESERVE
+
+    def seen(self, plants: PlantSet) -> PlantSet:
+        """Return the plants, their drifting angles held weakly."""
+        return plants.regular()
+
+    def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
+        """Return the sampled controller of complete options."""
+        return lqg_controller(options, channel, plants)
+
+    def starts(self, problem: LoopProblem, options: dict[str, float]) -> list[dict[str, float]]:
+        """Return other starts of the tuner: torques around those by the rules of thumb."""
+        design, channel, plants = problem.design, problem.channel, problem.plants
+        movable = self.movable(options, channel)
+        kept = {name: x for name, x in design.options.items() if name not in movable}
+        by_rule = lqg_options(kept, channel, plants.nutation, plants.period)
+        torques = [name for name in movable if "largest_torque" in name]
+        return [by_rule | {name: factor * by_rule[name] for name in torques} for factor in _STARTS]
+
+    def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+        """Return all options, those that are not given by rules of thumb."""
+        return lqg_options(design.options, channel, nutation, period)
 
 
 @value
@@ -89,30 +150,9 @@ class Gains(NamedTuple):
     M: FloatArray
 
 
-def lqg_design(problem: LoopProblem) -> Designed:
-    """Return the LQG loop of a job, with ``tune = true`` its weights moved until the loop's limits are met."""
-    channel, plants, design = problem.channel, problem.plants.regular(), problem.design
-
-    def build(options: dict[str, float]) -> System:
-        return lqg_controller(options, channel, plants)
-
-    start = lqg_options(design, channel, plants.nutation, plants.period)
-    movable = [name for name in METHODS["lqg"].tunable if name in start]
-    by_rule = lqg_options(
-        replace(design, options={name: x for name, x in design.options.items() if name not in movable}),
-        channel,
-        plants.nutation,
-        plants.period,
-    )
-    torques = [name for name in movable if "largest_torque" in name]
-    starts = [by_rule | {name: factor * by_rule[name] for name in torques} for factor in _STARTS]
-    options = tuned(problem, start, movable, build, {}, starts, reserve=_RESERVE)
-    return Designed(controller=build(options), options=options)
-
-
-def lqg_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+def lqg_options(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
     """Return all options of the LQG loop, those not given from rules of thumb."""
-    given, pairs = design.options, 2 * len(channel.momenta)
+    pairs = 2 * len(channel.momenta)
     measured = 0.0 if channel.noise is None else float(channel.noise.max(initial=0.0))
     unit = 1.0 if channel.order > 1 else nutation
     error = given.get("largest_error", _ERROR * measured if measured > 0.0 else _NO_NOISE * unit)
@@ -129,7 +169,7 @@ def lqg_options(design: DesignSpec, channel: Channels, nutation: float, period: 
             "inertial_largest_torque": torque * error,
             "inertial_recovery": _RECOVERY[channel.order] * torque * noise,
         }
-    return completed("lqg", given, out)
+    return LQG.completed(given, out, period)
 
 
 def quadratic_problem(options: dict[str, float], channel: Channels, plants: PlantSet) -> QuadraticProblem:
@@ -218,12 +258,3 @@ def lqg_controller(options: dict[str, float], channel: Channels, plants: PlantSe
     own = block_diag(A - L @ C, np.eye(p))
     made = System(own + into @ C_K, np.vstack([L, np.diag(problem.sums)]) + into @ D_K, C_K, D_K, period)
     return between(channel.basis / problem.error[:, None], made, channel.basis.T * problem.torque)
-
-
-def read_by_sensors(options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
-    """Return the same controller from the readings of the loop's plants, not in directions of `channel`."""
-    sense = channel.sense
-    if sense is None:
-        return lqg_controller(options, channel, plants.regular())
-    K = lqg_controller(options, channel, plants.in_directions(sense).regular())
-    return K._replace(B=K.B @ sense, D=K.D @ sense)

@@ -1,0 +1,341 @@
+"""A way to design a loop: what it is given, what it returns, and what the app and the documentation show of it."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.system import System
+from platform_ctrl.common.arguments import known_name, nearest
+from platform_ctrl.common.progress import Progress
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.loop_signals import loop_channels, loop_signals
+from platform_ctrl.design.partition import Channels, gain, low_pass
+from platform_ctrl.design.sections import Section
+from platform_ctrl.design.tuning import Builder, over_decades, tune
+from platform_ctrl.errors import DesignError
+from platform_ctrl.job import methods
+from platform_ctrl.job.job import CommandShaping, DesignSpec, Job, LoopSpec
+from platform_ctrl.job.requirements import loop_requirements
+from platform_ctrl.mechanics.linearisation import LinearModel
+
+if TYPE_CHECKING:
+    from platform_ctrl.design.loop import LoopDesign
+
+OptionGroup = Literal["gains", "lead", "notch", "lag", "design"]
+Family = Literal["speed", "robustness"]
+# Of the reference filter: it answers a step without overshoot.
+_DAMPING = 1.0
+
+
+@value
+class Option:
+    """A number that a method takes, all > 0, and how the app's slider shows it.
+
+    Attributes
+    ----------
+    label, unit, group, tip
+        What the slider is called and says; `group` is the heading that it stands under.
+    low, high
+        Ends of the slider; for frequencies `high` is a share of the sample rate.
+    logarithmic, whole
+        Whether the slider is logarithmic, and whether the number counts something.
+    part
+        The optional part of the controller that it belongs to, or an empty text.
+    below_nyquist
+        Whether the method refuses it from half the sample rate on.
+    """
+
+    label: str
+    tip: str
+    unit: str = ""
+    group: OptionGroup = "design"
+    low: float = 0.0
+    high: float = math.inf
+    logarithmic: bool = True
+    whole: bool = False
+    part: str = ""
+    below_nyquist: bool = False
+
+
+@value
+class LoopProblem:
+    """What a design method is given."""
+
+    # job, spec, design: the job, one of its loops, and one of that loop's designs.
+    job: Job
+    spec: LoopSpec
+    design: DesignSpec
+    model: LinearModel  # the platform linearised at rest
+    plant_set: PlantSet | None = None  # the plants of the loop, the nominal one first; None for a stabilisation loop
+    # Those that `channel` has, where they are known already, as those of a loop around another one have to be.
+    directions: Channels | None = None
+    progress: Progress = lambda line: None  # called with a line during long work
+
+    @property
+    def plants(self) -> PlantSet:
+        """The plants, the nominal one first; their outputs are the directions of `channel` where it has `sense`."""
+        assert self.plant_set is not None, "the loop has plants"
+        sense = self.channel.sense
+        return self.plant_set if sense is None else self.plant_set.in_directions(sense)
+
+    @property
+    def channel(self) -> Channels:
+        """Gyroscopic pairs and inertial directions of the loop's gimbals."""
+        if self.directions is not None:
+            return self.directions
+        signals = loop_signals(self.model.platform, self.spec.read_by(self.design))
+        return loop_channels(self.model, signals, self.job.period_of(self.spec))
+
+    def with_commands(self, K: System, sense: FloatArray | None = None) -> System:
+        """Return a controller with its commands, if the design says what to do with them; else K.
+
+        It is one of `plants`, or with `sense` one of the readings that this leads to the directions.
+        """
+        if self.design.command is None:
+            return K
+        own = K._replace(dt=self.job.period_of(self.spec))
+        return shaped(own, self.design.command, self.channel, np.eye(len(K.B.T)) if sense is None else sense)
+
+    def in_signals(self, K: System) -> System:
+        """Return what a method made, from the readings of the loop's plants, with the commands that it shapes."""
+        sense = self.channel.sense
+        return self.with_commands(K if sense is None else K._replace(B=K.B @ sense, D=K.D @ sense), sense)
+
+
+@value
+class Designed:
+    """What a design method returns; `design.loop.designed` measures the closed loop and does not rely on the claims."""
+
+    controller: System  # u = K y, sampled with the job's period or a static gain
+    options: dict[str, float]  # the method's numbers as finally used, in the units of the job file
+    claims: dict[str, float] = field(default_factory=dict)  # what the method claims, by name, in SI units
+    # inputs, outputs: names of the signals; by default the pick-offs and the torquers of the loop's plants.
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+
+
+class Method(methods.JobMethod, ABC):
+    """A way to design a loop of a job; `register_method` makes a subclass known.
+
+    Attributes
+    ----------
+    advice
+        What to try where its loop is not stable.
+    tunable
+        Options that the app and, with ``tune = true``, the method itself may move.
+    goals
+        Whether it works on the loop's goals: then its claims are the largest ratios of limits and goals.
+    instant
+        Whether the app builds it while a slider moves; others are designed in the background.
+    parts
+        Optional parts of the controller that the app switches on and off: label and tip by name.
+    families
+        Options that the app moves together for speed and for robustness: by how many per cent each for one per cent.
+        The first of a loop's options in ``"speed"`` is shown as its speed.
+    """
+
+    options: ClassVar[Mapping[str, Option]]
+    advice: ClassVar[str]
+    tunable: ClassVar[tuple[str, ...]] = ()
+    goals: ClassVar[bool] = False
+    instant: ClassVar[bool] = False
+    parts: ClassVar[Mapping[str, tuple[str, str]]] = {}
+    families: ClassVar[Mapping[Family, Mapping[str, float]]] = {}
+
+    @property
+    def rates(self) -> tuple[str, ...]:
+        """Options that are scaled with the crossover."""
+        return tuple(self.families.get("speed", ()))
+
+    @abstractmethod
+    def design(self, problem: LoopProblem) -> Designed:
+        """Return the controller of a loop; a `DesignError` says why there is none."""
+
+    def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+        """Return all options of a design, those that are not given by rules of thumb.
+
+        `nutation` is the frequency that the plants' grids go by, rad/s, `period` that of the loop, s.
+        """
+        return dict(design.options)
+
+    @classmethod
+    def completed(
+        cls, given: dict[str, float], defaults: dict[str, float], period: float, name: str | None = None
+    ) -> dict[str, float]:
+        """Return `defaults` with the `given` numbers in place, all judged; `name` is what messages call the method."""
+        name = cls.key if name is None else name
+        for key in sorted(set(given) - set(defaults)):
+            close = nearest(key, defaults)
+            hint = "" if close is None else f"did you mean {close!r}? "
+            raise DesignError(
+                f"{name}: option {key!r} has no meaning for this loop; {hint}its options are {', '.join(defaults)}"
+            )
+        out = defaults | given
+        for key, x in out.items():
+            option = cls.options[key]
+            if not x > 0.0:
+                raise DesignError(f"{name}: {key} must be > 0, got {x:g}")
+            if option.below_nyquist and x * period >= 0.5:
+                raise DesignError(f"{name}: {key} must be below half the sample rate, got {x:g}")
+            if option.whole and not float(x).is_integer():
+                raise DesignError(f"{name}: {key} must be a whole number, got {x:g}")
+        return out
+
+    def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
+        """Return the controller of complete options section by section, in their order; none: it is matrices alone."""
+        return ()
+
+    def judged(self, problem: LoopProblem, design: LoopDesign) -> LoopDesign:
+        """Return a design that is judged on what the method alone knows too, as measured responses."""
+        return design
+
+
+def hertz(
+    label: str, group: OptionGroup, tip: str, high: float = math.inf, part: str = "", below_nyquist: bool = False
+) -> Option:
+    """Return an option that is a frequency; the end of its slider is a share of the sample rate."""
+    return Option(label=label, unit="Hz", group=group, tip=tip, high=high, part=part, below_nyquist=below_nyquist)
+
+
+def number(label: str, tip: str, low: float, high: float, group: OptionGroup = "design", **more: Any) -> Option:
+    """Return an option that is no frequency, with the ends of its slider."""
+    return Option(label=label, tip=tip, low=low, high=high, group=group, **more)
+
+
+# The registry of the job reader: `register_method` is given classes of this kind alone.
+METHODS = cast("dict[str, Method]", methods.METHODS)
+
+
+def known_method(key: str) -> Method:
+    """Return the method with this key; an `ArgumentError` names those that are there."""
+    keys = tuple(METHODS)
+    return METHODS[keys[known_name("method", key, keys)]]
+
+
+class TunedMethod(Method):
+    """A method whose controller follows from its options at once; ``tune = true`` moves them until limits are met."""
+
+    tunes = True
+    # Share by which the tuner meets limits.
+    reserve: ClassVar[float] = 0.05
+
+    @abstractmethod
+    def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
+        """Return the sampled controller u = K y of complete options."""
+
+    def seen(self, plants: PlantSet) -> PlantSet:
+        """Return the plants that the controller is made for."""
+        return plants
+
+    def upper_bounds(self, period: float) -> dict[str, float]:
+        """Return the largest values that the tuner may use."""
+        return {}
+
+    def movable(self, options: dict[str, float], channel: Channels) -> list[str]:
+        """Return the options that the tuner moves."""
+        return [name for name in self.tunable if name in options]
+
+    def starts(self, problem: LoopProblem, options: dict[str, float]) -> list[dict[str, float]]:
+        """Return other starts of the tuner: the options as given and by rules of thumb, at crossovers over decades."""
+        design, plants, channel = problem.design, problem.plants, problem.channel
+        movable = self.movable(options, channel)
+        fixed = {name: x for name, x in design.options.items() if name not in movable}
+        kept = {name: x for name, x in design.options.items() if name not in self.rates} | fixed
+        by_rule = self.defaults(replace(design, options=kept), channel, plants.nutation, plants.period)
+        bases = [options, options | {name: by_rule[name] for name in options if name in by_rule and name not in fixed}]
+        together = [name for name in self.rates if name in options and name not in fixed]
+        return [one for base in bases for one in over_decades(base, together, plants.period)]
+
+    def design(self, problem: LoopProblem) -> Designed:
+        """Return the loop of a job, with ``tune = true`` its options moved until the limits are met."""
+        channel, plants = problem.channel, self.seen(problem.plants)
+
+        def build(options: dict[str, float]) -> System:
+            return self.controller(options, channel, plants)
+
+        options = self.defaults(problem.design, channel, plants.nutation, plants.period)
+        if problem.design.tune:
+            options = tuned(
+                problem,
+                options,
+                self.movable(options, channel),
+                build,
+                upper=self.upper_bounds(plants.period),
+                starts=self.starts(problem, options),
+                reserve=self.reserve,
+            )
+        return Designed(controller=build(options), options=options)
+
+
+def tuned(
+    problem: LoopProblem,
+    options: dict[str, float],
+    movable: Sequence[str],
+    build: Builder,
+    *,
+    upper: dict[str, float] | None = None,
+    starts: Sequence[dict[str, float]] = (),
+    reserve: float = 0.05,
+    evaluations: int = 1500,
+) -> dict[str, float]:
+    """Return the options of a design, moved until its loop's limits are met: see `tune`.
+
+    Options with which there is no design count as no control: no loop is stable then, and the search turns back.
+    """
+    spec, design, plants = problem.spec, problem.design, problem.plants
+    nothing = gain(np.zeros((plants.B.shape[-1], plants.C.shape[-2])))
+
+    def built(numbers: dict[str, float]) -> System:
+        try:
+            return problem.with_commands(build(numbers))
+        except DesignError:
+            return nothing
+
+    return tune(
+        options,
+        movable,
+        built,
+        plants,
+        loop_requirements(spec.limits),
+        upper=upper,
+        starts=starts,
+        reserve=reserve,
+        evaluations=evaluations,
+        progress=lambda _, limiting: problem.progress(f"{spec.name}: {design.name}, {limiting}"),
+    )
+
+
+def shaped(K: System, shaping: CommandShaping, directions: Channels, sense: FloatArray) -> System:
+    """Return the controller of readings and commands behind a reference filter, of K from the readings.
+
+    u = K (y − F r) + H F r. F = ω²/(s + ω)² does not overshoot. H is the inverse of the plant along the directions:
+    J s² + d s + c of an angle, inertia, viscous friction and spring, and J s + d of a rate. Both are sampled by
+    Tustin's rule. `sense` (n, p) leads from the readings to the directions, along which the inertias are known.
+    """
+    p, w = len(K.B.T), 2.0 * math.pi * shaping.filter_hz
+    derivatives = [low_pass(w, _DAMPING, K.dt, order) for order in range(directions.order + 1)]
+    A, B, C, D = (block_diag(*(part,) * p) for part in derivatives[0][:4])
+    fed_C, fed_D = np.zeros((len(K.C), len(A))), np.zeros((len(K.D), p))
+    if shaping.acceleration:
+        # By the derivative that they go with, the highest first.
+        needed = (directions.inertias, directions.damping, directions.stiffness)
+        for one, strength in zip(reversed(derivatives), needed, strict=False):
+            if strength is not None:
+                torque = strength[:, None] * sense
+                fed_C += torque @ block_diag(*(one.C,) * p)
+                fed_D += torque @ block_diag(*(one.D,) * p)
+    return System(
+        np.block([[K.A, -K.B @ C], [np.zeros((len(A), len(K.A))), A]]),
+        np.block([[K.B, -K.B @ D], [np.zeros((len(A), p)), B]]),
+        np.hstack([K.C, fed_C - K.D @ C]),
+        np.hstack([K.D, fed_D - K.D @ D]),
+        K.dt,
+    )

@@ -1,0 +1,294 @@
+"""The full-order H-infinity loops: mixed sensitivity on the exactly sampled plant.
+
+In the channels of the gyros (see `channels`), in the w-plane of the exactly sampled plant,
+
+    ::
+
+        n ──────────────►(+)──► W_e ──► z1, and to K
+                          ▲
+        d ──►(+)──► P ────┴───► W_t ──► z2
+              ▲
+        u ────┴───► W_u ──────────────► z3
+
+    W_e = 1/M + ω_e/s,   W_t constant,   W_u constant,   d scaled by `disturbance`.
+
+W_e's integrator is in the path to the controller, so that the loop has integral action and norms stay finite. The
+torque disturbance d is what sets the damping of nutation: from the noise n alone nutation would be cancelled, not
+damped. Torques count in units of h ω_nutation (pairs) and J ω_nutation² (inertial directions).
+
+The plant with hold, delay and torquer lag is carried to the w-plane by the bilinear map, which keeps stability and the
+H-infinity norm: no Padé, no reduction. W_e bounds S by a line that rises through the bandwidth to the peak M, W_t
+bounds T.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
+from platform_ctrl.analysis.system import System
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.loop import LoopOutcome, remeasured
+from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, hertz, number
+from platform_ctrl.design.partition import Channels, between
+from platform_ctrl.design.synthesis import HinfMethod, hinf
+from platform_ctrl.errors import ArgumentError, DesignError
+from platform_ctrl.job.job import DesignSpec
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+
+@value
+class WeightedPlant:
+    """The plant of the synthesis and what leads back."""
+
+    arrays: System  # w-plane arrays with inputs [n, d, u] and outputs [z1, z2, z3, measurement]
+    size: int  # number of channels
+    # weight_gain, weight_rate: (size,): W_e = weight_gain + weight_rate/s, channel by channel.
+    weight_gain: FloatArray
+    weight_rate: FloatArray
+    torque_unit: FloatArray  # (size,): N m
+
+    def weight(self) -> System:
+        """Return W_e in the w-plane. Its integrator belongs to the controller: W_e is in series before K."""
+        return error_weight(self.weight_gain, self.weight_rate)
+
+    def at_gimbals(self, controller: System, channel: Channels) -> System:
+        """Return a controller of the channels, in units of torque, as one from angles to torques in N m."""
+        return between(channel.basis, controller, channel.basis.T * self.torque_unit)
+
+
+def signal_names(size: int) -> tuple[list[str], list[str]]:
+    """Return the names of a weighted plant's inputs and outputs, for `size` channels."""
+    inputs = [f"{kind}{k + 1}" for kind in ("n", "d", "u") for k in range(size)]
+    outputs = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque", "measured") for k in range(size)]
+    return inputs, outputs
+
+
+def error_weight(gain: FloatArray, rate: FloatArray) -> System:
+    """Return W_e = gain + rate/s, channel by channel, (size,) each."""
+    size = len(rate)
+    return System(np.zeros((size, size)), np.eye(size), np.diag(rate), np.diag(gain))
+
+
+def torque_units(channel: Channels, nutation: float) -> FloatArray:
+    """Return the units of the channels' torques, N m, for 1 rad or, where rates are measured, 1 rad/s.
+
+    h ω_nutation of pairs, J ω_nutation² or J ω_nutation of inertial directions.
+    """
+    pairs = 2 * len(channel.momenta)
+    inertial = channel.inertias[pairs:] * nutation**channel.order
+    return np.concatenate([np.repeat(channel.momenta, 2) * nutation, inertial])
+
+
+def mixed_sensitivity(
+    plant: System, disturbed: System, gain: FloatArray, rate: FloatArray, constant: tuple[FloatArray, ...]
+) -> System:
+    """Return the weighted plant from [n, d, u] to [z1, z2, z3, measurement], states those of the plant and of W_e.
+
+    `plant` leads from u to the angles, `disturbed`, with the same states, from d; `constant` are W_t and W_u.
+    """
+    A, B, C, D, _ = plant
+    B_d, D_d = disturbed.B, disturbed.D
+    n, size = len(A), len(C)
+    eye, none, wide = np.eye(size), np.zeros((size, size)), np.zeros((n, size))
+    angle, torque = constant
+    A_w = np.block([[A, wide], [C, none]])
+    B_w = np.block([[wide, B_d, B], [eye, D_d, D]])
+    error, error_direct = np.hstack([gain[:, None] * C, np.diag(rate)]), gain[:, None] * np.hstack([eye, D_d, D])
+    C_w = np.vstack([error, angle @ np.hstack([C, none]), np.zeros((size, n + size)), error])
+    D_w = np.vstack([error_direct, angle @ np.hstack([none, D_d, D]), np.hstack([none, none, torque]), error_direct])
+    return System(A_w, B_w, C_w, D_w, 0.0)
+
+
+def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:
+    """Return the weighted w-plane plant of the nominal loop for complete `options`."""
+    pairs, single = 2 * len(channel.momenta), channel.inertial
+    size = pairs + single
+
+    def by_channel(name: str) -> FloatArray:
+        return np.array([options.get(name, 0.0)] * pairs + [options.get(f"inertial_{name}", 0.0)] * single)
+
+    unit = torque_units(channel, plants.nutation)
+    flat = to_w_plane(between(channel.basis.T * unit, plants.of_torques(), channel.basis))
+    gain, rate = np.full(size, 1.0 / options["sensitivity_peak"]), 2.0 * np.pi * by_channel("bandwidth_hz")
+    disturbed = between(np.diag(by_channel("disturbance")), flat, np.eye(size))
+    constant = options["complementary"] * np.eye(size), np.diag(by_channel("torque"))
+    arrays = mixed_sensitivity(flat, disturbed, gain, rate, constant)
+    return WeightedPlant(arrays=arrays, size=size, weight_gain=gain, weight_rate=rate, torque_unit=unit)
+
+
+def default_weights(channel: Channels, nutation: float) -> dict[str, float]:
+    """Return the options of the weights from rules of thumb."""
+    out = {"sensitivity_peak": 1.9, "complementary": 0.5}
+    bandwidth = 0.5 * nutation / (2.0 * np.pi)
+    if len(channel.momenta):
+        out |= {"bandwidth_hz": bandwidth, "disturbance": 0.25, "torque": 0.1}
+    if channel.inertial:
+        out |= {"inertial_bandwidth_hz": bandwidth, "inertial_disturbance": 0.04, "inertial_torque": 0.15}
+    return out
+
+
+WEIGHTS: dict[str, Option] = {
+    "bandwidth_hz": hertz("bandwidth", "design", "where the bound on S rises"),
+    "sensitivity_peak": number("sensitivity peak", "height to which the bound on S rises", 1.05, 20),
+    "complementary": number("weight on T", "bounds T", 0.01, 10.0),
+    "disturbance": number("disturbance", "torque disturbance: damps nutation", 1e-3, 10.0),
+    "torque": number("weight on torque", "larger: less torque", 1e-3, 10.0),
+    "inertial_bandwidth_hz": hertz("inertial bandwidth", "design", "the same where no gyro acts"),
+    "inertial_disturbance": number("inertial disturbance", "the same where no gyro acts", 1e-3, 10.0),
+    "inertial_torque": number("inertial weight on torque", "the same where no gyro acts", 1e-3, 10.0),
+}
+BACKOFF = number("backoff", "relative distance from the least norm", 1e-3, 1.0)
+
+
+class MixedSensitivity(Method):
+    """The full-order H-infinity loops."""
+
+    key = "hinf"
+    options: ClassVar = WEIGHTS | {"backoff": BACKOFF}
+    advice = "a lower bandwidth_hz, or a larger backoff"
+
+    def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+        """Return all options, those that are not given by rules of thumb."""
+        return hinf_options(design.options, channel, nutation, period)
+
+    def design(self, problem: LoopProblem) -> Designed:
+        """Return the H-infinity loop. Claims: ``gamma`` and ``gamma_optimal``."""
+        return hinf_design(problem)
+
+
+def hinf_options(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options of the H-infinity loop, those not given from rules of thumb."""
+    return MixedSensitivity.completed(given, default_weights(channel, nutation) | {"backoff": 0.05}, period)
+
+
+def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Designed:
+    """Return the H-infinity loop; `method` as for `design.hinf`. Claims: ``gamma`` and ``gamma_optimal``."""
+    channel, plants = problem.channel, problem.plants.regular()
+    options = hinf_options(problem.design.options, channel, plants.nutation, plants.period)
+    weighted = weighted_plant(options, channel, plants)
+    P = weighted.arrays.to_control(*signal_names(weighted.size))
+    found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])
+    sampled = from_w_plane(weighted.weight().series(System.of(found.controller, "controller")), plants.period)
+    claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
+    return Designed(controller=weighted.at_gimbals(sampled, channel), options=options, claims=claims)
+
+
+# Methods whose options are these weights.
+WEIGHTED = ("hinf", "lmi")
+
+
+def generalised_plant(loop: LoopOutcome, **weights: float) -> StateSpace:
+    """Weighted plant of a loop of a job, for `control.hinfsyn` or a convex problem of your own.
+
+    ::
+
+        n ──────────────►(+)──► W_e ──► error, and measured
+                          ▲
+        d ──►(+)──► P ────┴───► W_t ──► angle
+              ▲
+        u ────┴───► W_u ──────────────► torque
+
+    P is the exactly sampled nominal plant with delay and torquer lag, in the w-plane, w = (2/T) (z − 1)/(z + 1): the
+    plant is continuous, its norms and stability are those of the sampled loop. Its channels are the gyroscopic pairs
+    and inertial directions of the loop. W_e = 1/M + ω_e/s is in the path to the controller.
+
+    Parameters
+    ----------
+    loop
+        From `loops`, with at least one design.
+    weights
+        Options of the method ``hinf`` (``bandwidth_hz``, ``sensitivity_peak``, ...); those not given are those of the
+        closed design where it has them, else by rules of thumb.
+
+    Returns
+    -------
+    control.StateSpace
+        Inputs w = [n, d] and u, outputs z = [error, angle, torque] and y = measured, with a number for each channel;
+        dimensionless, angles in rad, torques in units of h ω_nutation or J ω_nutation². There are as many measurements
+        and controls as channels.
+
+    Raises
+    ------
+    ArgumentError
+        A loop without plants of its own, or an unknown weight.
+
+    See Also
+    --------
+    with_controller : the loop closed by what was found.
+
+    Examples
+    --------
+    >>> loop = platform_ctrl.design.loops(job)[0]  # doctest: +SKIP
+    >>> K, _, gamma, _ = control.hinfsyn(generalised_plant(loop), 2, 2)  # doctest: +SKIP
+    >>> with_controller(loop, K).closed.results  # doctest: +SKIP
+    """
+    weighted, _ = _weighted(loop, weights)
+    return weighted.arrays.to_control(*signal_names(weighted.size))
+
+
+def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "given", **weights: float) -> LoopOutcome:
+    """Close a loop of a job with a controller that was found outside, and measure it as every other design.
+
+    Parameters
+    ----------
+    loop
+        From `loops`.
+    controller
+        u = K y (positive feedback): a continuous one belongs to `generalised_plant`, W_e is put before it and it is
+        sampled; a sampled one leads from the loop's readings to its torques, and is taken as it is.
+    name
+        Of the new design.
+    weights
+        As of `generalised_plant`.
+
+    Returns
+    -------
+    LoopOutcome
+        With the new design closed, its limits judged in ``closed.results``; `verification.check_job` takes it.
+
+    Raises
+    ------
+    ArgumentError
+        The controller does not fit.
+    """
+    plants = loop.closed.plants
+    if plants is None:
+        raise ArgumentError(f"with_controller: the loop {loop.spec.name!r} has no plants of its own; give another")
+    if controller.dt:
+        given = controller
+    else:
+        (weighted, channel), K = _weighted(loop, weights), System.of(controller, "controller")
+        if K.D.shape != (weighted.size, weighted.size):
+            raise ArgumentError(
+                f"controller: must have {weighted.size} inputs and outputs, as the generalised plant has "
+                f"{weighted.size} measurements and controls, got {K.D.shape[1]} and {K.D.shape[0]}"
+            )
+        sampled = weighted.at_gimbals(from_w_plane(weighted.weight().series(K), plants.period), channel)
+        if channel.sense is not None:
+            sampled = sampled._replace(B=sampled.B @ channel.sense, D=sampled.D @ channel.sense)
+        given = sampled.to_control(plants.angles, plants.torques)
+    made = remeasured(loop.spec, name, given, plants)
+    kept = tuple(one for one in loop.designs if one.name != name)
+    return replace(loop, designs=(*kept, replace(made, directions=loop.closed.directions)), use=name)
+
+
+def _weighted(loop: LoopOutcome, weights: dict[str, float]) -> tuple[WeightedPlant, Channels]:
+    closed = loop.closed
+    plants, channel = closed.plants, closed.directions
+    if plants is None or channel is None:
+        raise ArgumentError(f"generalised_plant: the loop {loop.spec.name!r} has no plants of its own; give another")
+    own = plants.regular() if channel.sense is None else plants.in_directions(channel.sense).regular()
+    rules = default_weights(channel, own.nutation)
+    options = rules | {key: x for key, x in closed.options.items() if key in rules and closed.method in WEIGHTED}
+    try:
+        complete = MixedSensitivity.completed(weights, options, own.period, "generalised_plant")
+        return weighted_plant(complete, channel, own), channel
+    except DesignError as error:
+        raise ArgumentError(str(error)) from None
