@@ -28,9 +28,6 @@ def test_check_says_of_saved_controllers_what_design_said_of_them():
     ("before", "after", "said"),
     [
         (1.0, 1.0 + 1e-8, "relative 1.0e-08"),
-        (0.0, 1e-15, "relative 1.0e+00"),
-        ([[1.0, 0.0]], [[1.0, 1e-11]], "[0, 1]"),
-        ([1.0, 2.0], [1.0], "shape"),
         (np.nan, 1.0, "nan was expected"),
         (None, 1.0, "None was expected"),
         (True, False, "True was expected"),
@@ -41,16 +38,3 @@ def test_check_says_of_saved_controllers_what_design_said_of_them():
 def test_what_differs_is_said(before, after, said):
     lines = list(frozen.differences({"it": before}, {"it": after}, frozen.Part(dict)))
     assert any(said in line for line in lines), lines
-
-
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [
-        (1.0, 1.0 + 1e-10),
-        ([[1.0, 0.0]], [[1.0, 1e-13]]),
-        (np.nan, np.nan),
-        ("peak 1.5", "peak 1.50000000001"),
-    ],
-)
-def test_last_digits_are_not_said(before, after):
-    assert list(frozen.differences({"it": before}, {"it": after}, frozen.Part(dict))) == []

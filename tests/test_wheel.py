@@ -95,36 +95,3 @@ def test_the_installed_package_is_complete_and_finds_its_models(site: Path, tmp_
     assert seen["commands"] == ["platform-ctrl"]
     assert seen["version"] == pc.__version__
     assert seen["licence"] == "BSD-3-Clause"
-
-
-@pytest.mark.slow
-def test_type_checkers_follow_an_editable_install(source: Path, tmp_path: Path) -> None:
-    """An import hook alone they could not follow: a file outside the checkout would see Any everywhere."""
-    build = "import sys; from setuptools.build_meta import build_editable; build_editable(sys.argv[1])"
-    run(sys.executable, "-c", build, tmp_path, cwd=source)
-    run(sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv", cwd=tmp_path)
-    [python] = [path for path in (tmp_path / "venv").glob("*/python*") if path.stem == "python"]
-    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
-    site = Path(run(python, "-c", code, cwd=tmp_path).strip())
-    [built] = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(built) as archive:
-        archive.extractall(site)
-    # The dependencies come from the environment; what it may hold of the package itself comes behind.
-    (site / "zz_dependencies.pth").write_text("\n".join(path for path in sys.path if path), encoding="utf-8")
-
-    found = "import importlib.resources as r, platform_ctrl as p; print(p.__file__, r.files('platform_ctrl.models'))"
-    package, models = run(python, "-c", found, cwd=tmp_path).split()
-    assert Path(package).is_relative_to(source)
-    assert Path(models) == source / "models"
-
-    seen = tmp_path / "seen.py"
-    seen.write_text(
-        "import platform_ctrl as pc\n"
-        "from platform_ctrl import design\n"
-        "reveal_type(pc.linearise(pc.read_platform('rate_gyro')))\n"
-        "reveal_type(design.hinf)\n",
-        encoding="utf-8",
-    )
-    told = run(sys.executable, "-m", "mypy", "--strict", "--python-executable", python, seen, cwd=tmp_path)
-    assert 'Revealed type is "platform_ctrl.mechanics.linearisation.LinearModel"' in told
-    assert "-> platform_ctrl.design.synthesis.Synthesis" in told

@@ -10,6 +10,7 @@ from contextlib import chdir, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from blocks import Picture, pictures, pieces
 
@@ -48,8 +49,10 @@ def of_script(path: Path, digest: str) -> str:
 
 
 def _figure(text: str, name: str) -> Any:
-    """Return what a script binds to `figure`; the file that it saves is left behind."""
-    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+    """Return what a script binds to `figure`; the file that it would save is not drawn."""
+    from matplotlib.figure import Figure
+
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), patch.object(Figure, "savefig"):
         return _run(text, name)["figure"]
 
 
