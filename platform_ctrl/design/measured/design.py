@@ -27,7 +27,7 @@ from platform_ctrl.design.measured.restriction import (
     ratios,
     realisation,
 )
-from platform_ctrl.design.measured.search import Search, measured_plants
+from platform_ctrl.design.measured.search import PIDSearch, measured_plants
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
 
 if TYPE_CHECKING:
@@ -188,12 +188,12 @@ def measured_pid(  # noqa: PLR0913 - options by keyword
     whole("measured_pid: unstable", unstable, 0)
     whole("measured_pid: steps", steps, 0)
     end = time.monotonic() + positive("measured_pid: time_limit", time_limit)
-    search = Search(plants, free, tau, requested, unstable, end)
+    search = PIDSearch(plants, free, tau, requested, unstable, end)
     gains, history = search.improved(search.start(), steps)
     return _result(search, gains, history)
 
 
-def _result(search: Search, gains: FloatArray, history: FloatArray) -> MeasuredDesign:
+def _result(search: PIDSearch, gains: FloatArray, history: FloatArray) -> MeasuredDesign:
     """Return the design, recomputed from gains and data."""
     plants = search.plants
     worst, name, at = search.worst(gains)

@@ -39,7 +39,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
 
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.sampling import from_w_plane
@@ -157,7 +156,7 @@ class Sample:
 
 
 @value
-class Step:
+class ConvexStep:
     """The result of a step: gains (3, n, n), and the largest violation of a restricted limit as a share of it."""
 
     gains: FloatArray
@@ -174,7 +173,7 @@ class Restriction:
         self.samples, self.problem, self.n = samples, problem, free.shape[-1]
         self.entries, self.shape = np.argwhere(free > 0.0), free.shape
 
-    def step(self, gains: FloatArray, *, miss: float, time_limit: float) -> Step:
+    def step(self, gains: FloatArray, *, miss: float, time_limit: float) -> ConvexStep:
         """Return the best controller in the restriction about `gains`.
 
         With `miss` 0 the integral gain is maximised; otherwise the violation is minimised, to at most `miss`.
@@ -212,7 +211,7 @@ class Restriction:
             except UnscalableError:
                 if (growth, tolerance) == _TRIALS[-1]:
                     raise
-        return Step(gains=np.einsum("v,vbij->bij", x[:v], directions), miss=float(x[v + 1]))
+        return ConvexStep(gains=np.einsum("v,vbij->bij", x[:v], directions), miss=float(x[v + 1]))
 
     def _limits(self, gains: FloatArray, directions: FloatArray) -> tuple[list[_Inequalities], float]:
         """Return the restricted limits, and the distance of the sensitivity over its limit."""
@@ -243,6 +242,7 @@ def _minimised(
 ) -> FloatArray:
     """Return the x that minimises q'x with b − A x in the product of `cones`, Clarabel's names with their sizes."""
     import clarabel
+    from scipy.sparse import csc_matrix
 
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.chordal_decomposition_enable, settings.time_limit = False, False, time_limit

@@ -43,7 +43,7 @@ _LARGEST_RESPONSE = 1e50
 
 
 @value
-class Measured:
+class MeasuredPlants:
     """Frequency responses of one plant, or of several that one controller has to serve."""
 
     frequency: tuple[FloatArray, ...]  # tuple of (N_k,): rad/s, rising, of every plant
@@ -54,7 +54,7 @@ class Measured:
     period: float  # of the controller, s
 
 
-def measured_plants(measurement: control.FRD | Sequence[control.FRD]) -> Measured:
+def measured_plants(measurement: control.FRD | Sequence[control.FRD]) -> MeasuredPlants:
     """Return the responses of sampled plants as the controller sees them."""
     several: list[Any] = list(measurement) if isinstance(measurement, list | tuple) else [measurement]
     frequency, response = [], []
@@ -81,7 +81,7 @@ def measured_plants(measurement: control.FRD | Sequence[control.FRD]) -> Measure
             )
         frequency.append(w)
         response.append(H)
-    return Measured(
+    return MeasuredPlants(
         frequency=tuple(frequency),
         response=tuple(response),
         torques=tuple(several[0].input_labels),
@@ -183,12 +183,12 @@ IndexArray = NDArray[np.intp]
 Record = tuple[float, float]
 
 
-class Search:
+class PIDSearch:
     """The plants with their limits, and the steps that improve a controller."""
 
     def __init__(
         self,
-        plants: Measured,
+        plants: MeasuredPlants,
         free: FloatArray,
         filter_time: float,
         requested: dict[str, float],

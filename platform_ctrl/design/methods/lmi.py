@@ -1,18 +1,70 @@
-"""The method "lmi" of jobs: its options; the design is in `design.lmi.method`, which needs cvxpy."""
+"""The method "lmi" of jobs: least torque noise for a weighted H-infinity norm, with the loop's limits as inequalities.
+
+In the channels of the gyros and in the w-plane of the exactly sampled plant, with the weights of the H-infinity method
+(see `design.methods.hinf`; e = n + angle is what is measured, y = W_e e),
+
+    performance   ‖[n, d] → [W_e e, W_t angle, W_u u]‖∞ < γ           (6) at α = 1, β = γ²
+    disk margin   ‖n → (S − T)/2‖∞ < 1/(share · limit)                (6)
+    rejection     ‖Omega → angle‖∞ < limit/rejection_share            (6)
+    torque noise  ‖n → torque‖₂ < ν, the largest of all torquers      (7), its first part is a part of the performance
+    poles         decay and, if it is given, damping                  (8)
+
+share one Lyapunov matrix; the numbers are those of `inequalities`. The least γ is that of two Riccati equations. At
+(1 + backoff) times it the least ν is found among X and Y that keep a distance from X Y = I (9): the controller would
+have arbitrarily fast poles otherwise. Because of the common matrix the norms of the loop are below their bounds:
+`share` says which part of a limit its inequality has to prove. The rejection is required
+only if `rejection_share` is given: W_e bounds it too, as a rate of the platform is above all an angle that ramps.
+Channels that the plant does not couple are designed one after the other: the effort grows with the sixth power of the
+number of states. D̂ = 0: the controller has a zero at the Nyquist frequency, and ν is above the rms of the sampled loop.
+"""
 
 from __future__ import annotations
 
-from typing import ClassVar
+import itertools
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag, solve_continuous_are
 
-from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, number
-from platform_ctrl.design.methods.hinf import BACKOFF, WEIGHTS, default_weights
-from platform_ctrl.design.partition import Channels
+from platform_ctrl.analysis.loop import Loop
+from platform_ctrl.analysis.norms import hinf_norm
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
+from platform_ctrl.analysis.system import System
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, number, tuned
+from platform_ctrl.design.methods.hinf import (
+    BACKOFF,
+    WEIGHTS,
+    default_weights,
+    error_weight,
+    signal_names,
+    torque_units,
+)
+from platform_ctrl.design.partition import Channels, Partition, between, closed_loop, split, whole
+from platform_ctrl.design.scaling import autoscale, balance, unscale
+from platform_ctrl.design.synthesis import hinf
+from platform_ctrl.errors import DesignError, InfeasibleError, UnscalableError
 from platform_ctrl.job.job import DesignSpec
+
+if TYPE_CHECKING:
+    from platform_ctrl.design.lmi.inequalities import LinearLoop
 
 # Pole decay where it is not given, relative to the slowest bandwidth in rad/s.
 _DECAY = 0.05
+# Separations of X and Y tried in turn, and by how much the norms may exceed their bounds for it.
+SEPARATIONS, SLACK = (1.15, 1.02), 0.03
+# Tolerance of the solver.
+TOLERANCE = 1e-3
+# Gain between channels, relative to those of the channels, below which it counts as zero; relative singular values of
+# the observability matrix below which states count as not seen.
+UNCOUPLED, UNSEEN = 1e-7, 1e-9
+# Evaluations of the tuner: each is a design.
+EVALUATIONS = 80
+CURE = "try a lower bandwidth_hz, a smaller share or pole_decay, or a larger backoff"
+
 
 OPTIONS: dict[str, Option] = (
     WEIGHTS
@@ -49,8 +101,260 @@ class LMI(Method):
         return self.completed(design.options, defaults, period)
 
     def design(self, problem: LoopProblem) -> Designed:
-        """Return the loop, as `design.lmi.method` says."""
-        from platform_ctrl.design.lmi.method import lmi_design
+        """Return the loop.
 
-        plants = problem.plants
-        return lmi_design(problem, self.defaults(problem.design, problem.channel, plants.nutation, plants.period))
+        Claims: ``gamma`` of the performance, its least value, ν, plants that share a matrix.
+        """
+        from platform_ctrl.design.lmi.shared import sharing
+
+        channel, plants = problem.channel, problem.plants.regular()
+        options = self.defaults(problem.design, channel, plants.nutation, plants.period)
+
+        def synthesis(numbers: dict[str, float]) -> tuple[System, dict[str, float]]:
+            return _synthesis(problem, numbers, channel, plants)
+
+        controller, claims = synthesis(options)
+        if problem.design.tune:
+            movable = [name for name in self.tunable if name in options]
+            options = tuned(problem, options, movable, lambda numbers: synthesis(numbers)[0], evaluations=EVALUATIONS)
+            controller, claims = synthesis(options)
+        loops = Loop(plants, controller._replace(dt=plants.period))
+        if loops.decay[0] > 0.0:
+            shared = sharing(loops.own_arrays.A, options["time_limit"])
+            claims |= {"plants with one Lyapunov matrix": float(shared), "plants": float(len(plants.labels))}
+        return Designed(controller=controller, options=options, claims=claims)
+
+
+def _synthesis(
+    problem: LoopProblem, options: dict[str, float], channel: Channels, plants: PlantSet
+) -> tuple[System, dict[str, float]]:
+    """Return the sampled controller of the plants, and claims."""
+    unit = torque_units(channel, plants.nutation)
+    flat = _flat(channel, plants, unit)
+    noise = channel.basis.T * unit * np.sqrt(np.mean(plants.noise**2) * plants.period)
+    if not noise.any():
+        raise DesignError(
+            "the least torque noise is asked for, but no sensor of the loop has noise: give noise_rms of its"
+            " [[pickoff]] or noise_density of its [[rate_sensor]], or take another method"
+        )
+    parts = [_weighted(flat, group, 2 * len(channel.momenta), noise, options) for group in _uncoupled(flat, len(unit))]
+    found = [_designed(problem, part, options) for part in parts]
+    back = np.argsort([k for part in parts for k in part.channels])
+    A, B, C, D = (block_diag(*(K[k] for K, _, _ in found)) for k in range(4))
+    W_e = error_weight(*(np.concatenate([part.weight[k] for part in parts])[back] for k in (0, 1)))
+    K = W_e.series(System(A, B[:, back], C[back], D[np.ix_(back, back)]))
+    claims = {
+        "gamma": max(_gamma(part, made) for part, (made, _, _) in zip(parts, found, strict=True)),
+        "gamma_optimal": max(gamma for _, gamma, _ in found),
+        "torque noise bound, N m": float(np.linalg.norm([bound for _, _, bound in found])),
+    }
+    return between(channel.basis, from_w_plane(K, plants.period), channel.basis.T * unit), claims
+
+
+def _flat(channel: Channels, plants: PlantSet, unit: FloatArray) -> System:
+    """Return the nominal plant in the w-plane, from the channels' torques in their units and Omega to the channels."""
+    A, B, C, D, period = plants.of_torques()
+    into = channel.basis.T * unit
+    B, D = np.hstack([B @ into, plants.B_Omega[0, : len(A)]]), np.hstack([D @ into, plants.D_Omega[0]])
+    return to_w_plane(System(A, B, channel.basis @ C, channel.basis @ D, period))
+
+
+def _uncoupled(flat: System, size: int) -> list[list[int]]:
+    """Return the channels in groups that the plant does not couple."""
+    from scipy.sparse.csgraph import connected_components
+
+    rate, X = np.linalg.norm(flat.A, 2), flat.B[:, :size]
+    coupling = np.abs(flat.D[:, :size])
+    for _ in range(len(flat.A)):
+        coupling = np.maximum(coupling, np.abs(flat.C @ X))
+        X = flat.A @ X / rate
+    own = np.sqrt(np.diag(coupling))
+    _, label = connected_components(coupling > UNCOUPLED * np.outer(own, own), directed=False)
+    return [[int(k) for k in np.flatnonzero(label == one)] for one in np.unique(label)]
+
+
+def _seen(flat: System, rows: list[int]) -> System:
+    """Return some of a system's outputs, with the states that they see alone."""
+    rate = np.linalg.norm(flat.A, 2)
+    d = balance(flat.A / rate, flat.B / rate, flat.C)
+    A, B, C = flat.A / d[:, None] * d, flat.B / d[:, None], flat.C[rows] * d
+    blocks = [C]
+    for _ in range(len(A) - 1):
+        blocks.append(blocks[-1] @ A / np.linalg.norm(blocks[-1] @ A))
+    _, sigma, Vt = np.linalg.svd(np.vstack(blocks))
+    V = Vt[: int(np.sum(sigma > UNSEEN * sigma[0]))].T
+    return System(V.T @ A @ V, V.T @ B, C @ V, flat.D[rows])
+
+
+@value
+class _Weighted:
+    """The weighted plant of some channels, from [n, d, Omega, u] to [z1, z2, z3, (S − T)/2 n, angle, torques, y]."""
+
+    channels: list[int]
+    plant: Partition
+    weight: tuple[FloatArray, FloatArray]  # gain and rate of W_e = gain + rate/s
+    unit: float  # of the torques among z, for n as white noise of unit density, N m √s
+
+    @property
+    def w(self) -> list[list[int]]:
+        """Indices of n, d and Omega in w."""
+        k = len(self.channels)
+        return _ranges([k, k, self.plant.B1.shape[1] - 2 * k])
+
+    @property
+    def z(self) -> list[list[int]]:
+        """Indices in z: performance, disk margin, angle, torques."""
+        k = len(self.channels)
+        return _ranges([3 * k, k, k, len(self.plant.C1) - 5 * k])
+
+
+def _ranges(sizes: list[int]) -> list[list[int]]:
+    return [list(range(end - size, end)) for size, end in zip(sizes, itertools.accumulate(sizes), strict=True)]
+
+
+def _weighted(flat: System, rows: list[int], pairs: int, noise: FloatArray, options: dict[str, float]) -> _Weighted:
+    """Return the weighted plant of the channels `rows`; the first `pairs` of all channels are gyroscopic."""
+    gains, rates, disturbance, torque = (
+        np.array([options[name if k < pairs or name == "sensitivity_peak" else f"inertial_{name}"] for k in rows])
+        for name in ("sensitivity_peak", "bandwidth_hz", "disturbance", "torque")
+    )
+    gains, rates, size = 1.0 / gains, 2.0 * np.pi * rates, len(flat.C)
+    A, B, C, D, _ = _seen(flat, rows)
+    n, k = len(A), len(rows)
+    eye, none, tall = np.eye(k), np.zeros((k, k)), np.zeros((n, k))
+    # Columns of d, Omega and u behind the k of n.
+    B_x, D_x = (np.hstack([X[:, rows] * disturbance, X[:, size:], X[:, rows]]) for X in (B, D))
+    angle = np.hstack([C, none]), np.hstack([none, D_x])
+    error = np.hstack([C, none]), np.hstack([eye, D_x])
+    control = np.hstack([np.zeros((k, D_x.shape[1])), eye])
+    unit = float(np.linalg.norm(noise[:, rows], 2) / torque.min())
+    y = gains[:, None] * error[0] + np.hstack([tall.T, np.diag(rates)]), gains[:, None] * error[1]
+    still = np.zeros((k, n + k))
+    C_w = np.vstack(
+        [y[0], options["complementary"] * angle[0], still, angle[0], angle[0], noise[:, rows] @ still, y[0]]
+    )
+    D_w = np.vstack([
+        y[1], options["complementary"] * angle[1], torque[:, None] * control, 0.5 * (error[1] + angle[1]), angle[1],
+        noise[:, rows] / unit @ control, y[1],
+    ])  # fmt: skip
+    A_w = np.block([[A, tall], [C, none]])
+    B_w = np.vstack([np.hstack([tall, B_x]), error[1]])
+    return _Weighted(
+        channels=rows,
+        plant=split(System(A_w, B_w, C_w, D_w), len(C_w) - k, B_w.shape[1] - k),
+        weight=(gains, rates),
+        unit=unit,
+    )
+
+
+class _Norm(NamedTuple):
+    """An H-infinity norm from w to z (indices) that is to be below a bound, with the level α of its inequality."""
+
+    name: str
+    w: list[int]
+    z: list[int]
+    bound: float
+    alpha: float = 1.0
+
+    @property
+    def beta(self) -> float:
+        """Level of z."""
+        return self.bound**2 / self.alpha
+
+
+def _norms(
+    p: Partition, part: _Weighted, options: dict[str, float], limits: Mapping[str, float], gamma: float
+) -> list[_Norm]:
+    """Return the norms: performance, disk margin, rejection."""
+    (n, d, Omega), (performance, margin, angle, _) = part.w, part.z
+    out = [_Norm("the performance", n + d, performance, (1.0 + options["backoff"]) * gamma)]
+    if "disk_margin" in limits:
+        out.append(_Norm("the disk margin", n, margin, 1.0 / (options["share"] * limits["disk_margin"])))
+    if "Omega_rejection" in limits and "rejection_share" in options:
+        # One matrix serves all norms best where their inputs are of similar size.
+        of_n, of_d, of_Omega = (float(np.linalg.norm(p.B1[:, w])) for w in part.w)
+        bound = limits["Omega_rejection"] / options["rejection_share"]
+        out.append(_Norm("the rejection of Omega", Omega, angle, bound, of_Omega**2 / (of_n * of_d)))
+    return out
+
+
+def _designed(problem: LoopProblem, part: _Weighted, options: dict[str, float]) -> tuple[System, float, float]:
+    """Return the controller of a weighted plant, the least γ, and the bound ν, N m."""
+    from platform_ctrl.design.lmi.inequalities import LinearLoop, cp, half_plane, in_states, sector, solve
+
+    where, scaled = f"{problem.spec.name}, {problem.design.name}", autoscale(part.plant)
+    p, gamma = in_states(scaled.plant, _first_states(scaled.plant, part)), _least(part)
+    norms = _norms(p, part, options, problem.spec.limits, gamma)
+    regions = [half_plane(options["pole_decay"] / scaled.rate)]
+    if "pole_damping" in options:
+        regions.append(sector(options["pole_damping"]))
+
+    def posed(noise: Any, looser: Any, separation: float) -> tuple[LinearLoop, list[Any], list[Any]]:
+        """Return a loop, the inequalities of the norms, with bounds squared times `looser`, and all others."""
+        loop, slack = LinearLoop(p, direct=False), (1.0 + SLACK) ** 2
+        own = [loop.hinf_below(one.w, one.z, one.alpha, looser * slack * one.beta) for one in norms]
+        rest = [*loop.outputs_below(part.z[-1], noise), *(loop.poles_in(*region) for region in regions)]
+        return loop, own, [loop.separated(separation), *rest]
+
+    def least_noise(separation: float) -> tuple[LinearLoop, float]:
+        noise = cp.Variable()
+        loop, own, rest = posed(noise, 1.0, separation)
+        run(noise, own + rest, "the least torque noise")
+        return loop, float(noise.value)
+
+    def run(goal: Any, inequalities: list[Any], step: str) -> None:
+        problem = cp.Problem(cp.Minimize(goal), inequalities)
+        solve(problem, f"{where}: {step}", CURE, options["time_limit"], TOLERANCE, part.plant)
+
+    try:
+        try:
+            loop, least = least_noise(SEPARATIONS[0])
+        except (InfeasibleError, UnscalableError):
+            loop, least = least_noise(SEPARATIONS[1])
+    except (InfeasibleError, UnscalableError) as error:
+        looser = cp.Variable()
+        _, own, rest = posed(cp.Variable(), looser, SEPARATIONS[1])
+        run(looser, own + rest, "the nearest bounds")
+        if looser.value <= 1.0:
+            raise error from None
+        k = range(len(norms))
+        tightest = max(
+            k, key=lambda k: np.trace(own[k].dual_value[-len(norms[k].z) :, -len(norms[k].z) :]) * norms[k].beta
+        )
+        raise InfeasibleError(
+            f"{where}: none found: with one Lyapunov matrix, {', '.join(one.name for one in norms)} are possible at "
+            f"{(1.0 + SLACK) * np.sqrt(looser.value):.4g} times their bounds at best; the tightest is "
+            f"{norms[tightest].name}; {CURE}",
+            part.plant,
+        ) from None
+    return unscale(loop.controller(), scaled), gamma, float(np.sqrt(least * scaled.rate)) * part.unit
+
+
+def _performance(part: _Weighted) -> Partition:
+    """Return the weighted plant with the signals of the performance alone."""
+    (n, d, _), (z, *_), p = part.w, part.z, part.plant
+    return replace(p, B1=p.B1[:, n + d], D21=p.D21[:, n + d], C1=p.C1[z], D12=p.D12[z], D11=p.D11[np.ix_(z, n + d)])
+
+
+def _least(part: _Weighted) -> float:
+    """Return the least γ of the performance alone, by Riccati equations."""
+    k = len(part.channels)
+    found = hinf(whole(_performance(part)).to_control(*signal_names(k)), k, k, method="riccati")
+    return found.level / (1.0 + found.backoff)
+
+
+def _gamma(part: _Weighted, controller: System) -> float:
+    """Return γ of the performance with a controller; infinite where it does not stabilise."""
+    loop = closed_loop(_performance(part), controller)
+    return float(hinf_norm(loop)[0]) if np.linalg.eigvals(loop.A).real.max() < 0.0 else float("inf")
+
+
+def _first_states(p: Partition, part: _Weighted) -> FloatArray:
+    """Return states in which the solutions of the LQ and the filter problem of the performance are balanced."""
+    from platform_ctrl.design.lmi.inequalities import balancing
+
+    w, z, solutions = part.w[0] + part.w[1], part.z[0], []
+    for A, B, C, D in ((p.A, p.B2, p.C1[z], p.D12[z]), (p.A.T, p.C2.T, p.B1[:, w].T, p.D21[:, w].T)):
+        weight = D.T @ D + 1e-6 * np.eye(len(D.T))
+        solutions.append(np.linalg.inv(solve_continuous_are(A, B, C.T @ C, weight, s=C.T @ D)))
+    return balancing(*solutions)

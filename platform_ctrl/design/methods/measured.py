@@ -57,7 +57,7 @@ _SIGNALS = ("angle", "rate", "torque")
 
 
 @value
-class Responses:
+class LoopData:
     """Measured responses of the plant of a loop, in the order of its signals."""
 
     frequency: FloatArray  # (F,): rad/s
@@ -278,7 +278,7 @@ def _pid(data: Sequence[control.FRD], settings: dict[str, float], unstable: Sequ
         raise DesignError(str(error)) from None
 
 
-def read_responses(text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float) -> Responses:
+def read_responses(text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float) -> LoopData:
     """Return the responses of a file's text, its signals in the order of a loop's; an InputError says what is wrong."""
     source = io.StringIO(text)
     setattr(source, "name", label)  # noqa: B010 - what messages call it
@@ -297,7 +297,7 @@ def read_responses(text: str, label: str, torques: Sequence[str], readings: Sequ
         raise InputError(f"{label}: must have {FEWEST_POINTS} or more frequencies, got {len(P)}")
     if not np.all(np.abs(P).max(axis=(1, 2)) > 0.0):
         raise InputError(f"{label}: must have a response that is not zero at every frequency")
-    return Responses(frequency=np.asarray(data.omega, dtype=np.float64), response=np.asarray(P, dtype=np.complex128))
+    return LoopData(frequency=np.asarray(data.omega, dtype=np.float64), response=np.asarray(P, dtype=np.complex128))
 
 
 def _in_SI(labels: Sequence[str], names: Sequence[str]) -> tuple[list[str], FloatArray]:
@@ -311,7 +311,7 @@ def _in_SI(labels: Sequence[str], names: Sequence[str]) -> tuple[list[str], Floa
     return out, np.array(factors)
 
 
-def _results(problem: LoopProblem, design: LoopDesign, data: Responses, plants: PlantSet) -> list[CheckResult]:
+def _results(problem: LoopProblem, design: LoopDesign, data: LoopData, plants: PlantSet) -> list[CheckResult]:
     """Return the limits that responses can be held against, and stability, on a file's responses."""
     K = plants.feedback(plants.joined(design.own_controller))
     sense = np.eye(len(plants.angles)) if problem.channel.sense is None else problem.channel.sense
