@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,7 @@ from platform_ctrl.design import loops
 from platform_ctrl.design.loop import LoopOutcome, largest_Omega_name, with_largest_rates
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.job.job import Job
-from platform_ctrl.report import captions
 from platform_ctrl.verification.controllers import outcomes_from
-from platform_ctrl.verification.simulated import simulate_manoeuvre
 
 DATA: dict[str, Any] = {
     "schema": 2,
@@ -35,18 +32,6 @@ DATA: dict[str, Any] = {
                 {"name": "other", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
                 {"name": "closed", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
             ],
-        }
-    ],
-    "manoeuvre": [
-        {
-            "name": "turn",
-            "mode": "caged",
-            "axis": 1,
-            "rate": 1.0,
-            "rise": 0.2,
-            "hold": 0.1,
-            "duration": 0.6,
-            "limits": {"torque_share": 1.0},
         }
     ],
 }
@@ -100,17 +85,3 @@ def test_where_one_uncertain_plant_is_not_stable_the_nominal_claim_stays(outcome
     claims = with_largest_rates(one).claims
     assert claims[largest_Omega_name(1)] == outcome.closed.claims[largest_Omega_name(1)]
     assert largest_Omega_name(1, worst_case=True) not in claims
-
-
-def test_the_caption_of_a_run_says_which_rates_the_torquers_hold(job: Job, outcome: LoopOutcome) -> None:
-    run = simulate_manoeuvre(job, job.manoeuvres[0], [outcome.closed.controller])
-    caption = captions.run(run, spinning=True, loops=[outcome])
-    shown = [float(number) for number in re.findall(r"(\d\.\d+) (?:rad/s|in the worst)", caption)]
-    held = [outcome.closed.claims[largest_Omega_name(1, worst_case=worst)] for worst in (False, True)]
-    assert shown == pytest.approx(held, rel=0.01)
-    # Never more than that.
-    assert all(number <= claim for number, claim in zip(shown, held, strict=True))
-    assert caption.endswith("this run goes to 1.")
-    # About axis 2 the loop carries no load.
-    turned = dataclasses.replace(run, manoeuvre=dataclasses.replace(run.manoeuvre, axis=2))
-    assert "keep below" not in captions.run(turned, spinning=True, loops=[outcome])
