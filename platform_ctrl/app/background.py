@@ -201,7 +201,7 @@ class Tuning:
         """Return the tuned options."""
         from platform_ctrl.design.method import TunedMethod, shaped
         from platform_ctrl.design.methods import METHODS
-        from platform_ctrl.design.tuning import over_decades, tune
+        from platform_ctrl.design.tuning import Tuner, over_decades
         from platform_ctrl.job.requirements import loop_requirements
 
         plants, channel, design = self.plants, self.directions, self.design
@@ -216,16 +216,16 @@ class Tuning:
             K = K._replace(B=K.B @ sense, D=K.D @ sense)
             return K if design.command is None else shaped(K, design.command, channel, sense)
 
-        return tune(
-            self.options,
-            self.movable,
-            controller,
-            plants,
-            loop_requirements(self.spec.limits),
+        tuner = Tuner(
+            movable=self.movable,
+            build=controller,
+            plants=plants,
+            requirements=loop_requirements(self.spec.limits),
             upper=method.upper_bounds(plants.period),
-            starts=over_decades(self.options, [name for name in method.rates if name in self.movable], plants.period),
             progress=lambda _, limiting: progress(limiting),
         )
+        together = [name for name in method.rates if name in self.movable]
+        return tuner.run(self.options, over_decades(self.options, together, plants.period))
 
 
 @value

@@ -10,5 +10,5 @@ from .measured.design import measured_pid as measured_pid
 from .measured.responses import read_measurement as read_measurement
 from .methods.hinf import generalised_plant as generalised_plant
 from .methods.hinf import with_controller as with_controller
-from .riccati import h2 as h2
+from .synthesis import h2 as h2
 from .synthesis import hinf as hinf

@@ -19,7 +19,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels, gain, low_pass
 from platform_ctrl.design.sections import Section
-from platform_ctrl.design.tuning import Builder, over_decades, tune
+from platform_ctrl.design.tuning import Builder, Tuner, over_decades
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job import methods
 from platform_ctrl.job.job import CommandShaping, DesignSpec, Job, LoopSpec
@@ -286,7 +286,7 @@ def tuned(
     reserve: float = 0.05,
     evaluations: int = 1500,
 ) -> dict[str, float]:
-    """Return the options of a design, moved until its loop's limits are met: see `tune`.
+    """Return the options of a design, moved until its loop's limits are met: see `Tuner`.
 
     Options with which there is no design count as no control: no loop is stable then, and the search turns back.
     """
@@ -299,18 +299,17 @@ def tuned(
         except DesignError:
             return nothing
 
-    return tune(
-        options,
-        movable,
-        built,
-        plants,
-        loop_requirements(spec.limits),
-        upper=upper,
-        starts=starts,
+    tuner = Tuner(
+        movable=movable,
+        build=built,
+        plants=plants,
+        requirements=loop_requirements(spec.limits),
+        upper=upper or {},
         reserve=reserve,
         evaluations=evaluations,
         progress=lambda _, limiting: problem.progress(f"{spec.name}: {design.name}, {limiting}"),
     )
+    return tuner.run(options, starts)
 
 
 def shaped(K: System, shaping: CommandShaping, directions: Channels, sense: FloatArray) -> System:

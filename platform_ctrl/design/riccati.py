@@ -27,9 +27,8 @@ import numpy as np
 
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Partition, partition
-from platform_ctrl.design.scaling import autoscaled_with_gain, require_assumptions, require_stabilisable, unscale
-from platform_ctrl.design.synthesis import Synthesis, certify, or_regularised
+from platform_ctrl.design.partition import Partition
+from platform_ctrl.design.scaling import autoscaled_with_gain, require_assumptions, unscale
 from platform_ctrl.errors import IllPosedError, UnscalableError
 
 if TYPE_CHECKING:
@@ -163,8 +162,6 @@ def stabilising(equation: Equation) -> FloatArray | None:
 
 
 WHERE, H2 = "hinf, riccati", "h2, riccati"
-# The recomputed norm may exceed the optimum by this share.
-H2_TOLERANCE = 1e-6
 # A direct path below this share of D11 counts as zero.
 NO_DIRECT_PATH = 1e-10
 # The least gamma is found to this relative accuracy.
@@ -348,46 +345,7 @@ def _central(p: Partition, gamma: float, X: FloatArray, Y: FloatArray, share: fl
     return System(A=A + B2 @ Q @ C2, B=B1 + B2 @ Q @ D21, C=C1 + D12 @ Q @ C2, D=D11 + D12 @ Q @ D21)
 
 
-def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True, regularise: float | None = None) -> Synthesis:
-    """Full-order H2 output feedback (LQG in its general form), certified by the actual closed loop.
-
-    Parameters
-    ----------
-    P
-        Continuous or sampled plant with inputs [w, u] and outputs [z, y], as in `control.h2syn`. The norm is the rms of
-        z for white w of unit density (sampled: unit variance).
-    nmeas, ncon
-        Number of measurements y and of controls u: the last outputs and the last inputs.
-    direct
-        Sampled plants: whether u[k] may use y[k]. False gives the best strictly proper controller.
-    regularise
-        As in `hinf`, relative.
-
-    Returns
-    -------
-    Synthesis
-        With ``norm = "h2"``.
-
-    Raises
-    ------
-    ArgumentError
-        P, nmeas, ncon or an option do not make sense.
-    NotStabilisableError, IllPosedError
-        A mode is out of reach, or an assumption does not hold; the message names it.
-    UnscalableError
-        The equations have no accurate solution.
-    NotCertifiedError
-        The controller does not reach what was promised.
-    """
-    plant = partition(P, nmeas, ncon, sampled=True)
-    require_stabilisable(plant, P, "h2")
-    made, least, residual = or_regularised(functools.partial(_optimal, direct=direct, P=P), plant, regularise, "norm")
-    return certify(
-        P, plant, made, least=least, backoff=0.0, method=H2, residual=residual, norm="h2", tolerance=H2_TOLERANCE
-    )
-
-
-def _optimal(plant: Partition, direct: bool, P: StateSpace) -> tuple[System, float, dict[str, float]]:
+def h2_riccati(plant: Partition, direct: bool, P: StateSpace) -> tuple[System, float, dict[str, float]]:
     """Return the controller in the units of `plant`, the least norm, and the residuals (scaled).
 
     Of a sampled plant present state and disturbance are estimated as x̂ + Y C2' S⁻¹ e and D21' S⁻¹ e, with S the

@@ -44,6 +44,8 @@ Norm = Literal["hinf", "h2"]
 
 # How much more than the backed-off bound the recomputed norm may be, relative to the bound.
 NORM_TOLERANCE = 0.01
+# The recomputed norm may exceed the optimum by this share.
+H2_TOLERANCE = 1e-6
 CURE = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
 # A direct term of a closed loop below this share of what it is the sum of is rounding.
 DIRECT_ROUNDING = 1e-9
@@ -234,6 +236,47 @@ def hinf(
         return by("lmi", str(refused).rpartition(";")[0])
     except DesignError as error:
         raise type(error)(f"{error} (the other route fails, too: {refused})", P) from None
+
+
+def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True, regularise: float | None = None) -> Synthesis:
+    """Full-order H2 output feedback (LQG in its general form), certified by the actual closed loop.
+
+    Parameters
+    ----------
+    P
+        Continuous or sampled plant with inputs [w, u] and outputs [z, y], as in `control.h2syn`. The norm is the rms of
+        z for white w of unit density (sampled: unit variance).
+    nmeas, ncon
+        Number of measurements y and of controls u: the last outputs and the last inputs.
+    direct
+        Sampled plants: whether u[k] may use y[k]. False gives the best strictly proper controller.
+    regularise
+        As in `hinf`, relative.
+
+    Returns
+    -------
+    Synthesis
+        With ``norm = "h2"``.
+
+    Raises
+    ------
+    ArgumentError
+        P, nmeas, ncon or an option do not make sense.
+    NotStabilisableError, IllPosedError
+        A mode is out of reach, or an assumption does not hold; the message names it.
+    UnscalableError
+        The equations have no accurate solution.
+    NotCertifiedError
+        The controller does not reach what was promised.
+    """
+    from platform_ctrl.design.riccati import H2, h2_riccati
+
+    plant = partition(P, nmeas, ncon, sampled=True)
+    require_stabilisable(plant, P, "h2")
+    made, least, residual = or_regularised(partial(h2_riccati, direct=direct, P=P), plant, regularise, "norm")
+    return certify(
+        P, plant, made, least=least, backoff=0.0, method=H2, residual=residual, norm="h2", tolerance=H2_TOLERANCE
+    )
 
 
 def or_regularised(solve: Callable[[Partition], Found], plant: Partition, size: float | None, what: str) -> Found:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,151 +87,149 @@ def limited_by(results: Sequence[CheckResult]) -> str:
     return f"limited by {one.name}: {found}, {one.sense} {limit}"
 
 
-def tune(  # noqa: PLR0913 - the parts of one search
-    start: dict[str, float],
-    movable: Sequence[str],
-    build: Builder,
-    plants: PlantSet,
-    requirements: Sequence[LoopRequirement],
-    *,
-    upper: dict[str, float] | None = None,
-    starts: Sequence[dict[str, float]] = (),
-    reserve: float = 0.05,
-    evaluations: int = 1500,
-    progress: Callable[[float, str], None] | None = None,
-) -> dict[str, float]:
-    """Return `start` with the `movable` options changed so that the worst ratio is at most 1 − reserve, or least.
+@value
+class Tuner:
+    """A search for options with which the worst ratio of all requirements is at most 1 − reserve, or least.
 
     A simplex search over the logarithms (Nelder and Mead, adaptive), on the nominal plant and the worst few of the set,
     repeated until the plants in view are the worst of all. What meets the limits on the grid of frequencies is measured
-    exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid. Where limits
-    are not met, the search is repeated from the best of the other `starts`. Deterministic. `start` and `upper` bounds
-    are positive; `build` makes the sampled controller; `progress` gets the worst ratio so far and what limits it.
+    exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid. Deterministic.
+
+    Attributes
+    ----------
+    movable
+        Options that it changes.
+    build
+        Makes the sampled controller of all options.
+    plants, requirements
+        On which plants, and what is required of the loops.
+    upper
+        Largest values of options, positive.
+    reserve
+        Share by which limits are met.
+    evaluations
+        Most evaluations of a search.
+    progress
+        Called with the worst ratio so far and what limits it.
     """
-    upper = upper or {}
-    if any(one.metric.of_disturbances for one in requirements):
-        plants = plants.with_disturbances()
-    told = np.inf
 
-    def tell(ratio: float, line: str) -> None:
-        nonlocal told
-        if progress is not None and ratio <= told:
-            told = ratio
-            progress(ratio, line)
+    movable: Sequence[str]
+    build: Builder
+    plants: PlantSet
+    requirements: Sequence[LoopRequirement]
+    upper: Mapping[str, float] = field(default_factory=dict)
+    reserve: float = 0.05
+    evaluations: int = 1500
+    progress: Callable[[float, str], None] = lambda ratio, line: None
 
-    def found_from(first: dict[str, float]) -> tuple[dict[str, float], float]:
-        return _search(first, movable, build, plants, requirements, upper, 1.0 - reserve, evaluations, tell)
+    def run(self, start: dict[str, float], starts: Sequence[dict[str, float]] = ()) -> dict[str, float]:
+        """Return `start`, all positive, with the movable options changed.
 
-    best, ratio = found_from(start)
-    others = iter(_best_starts(starts, upper, build, plants, requirements) if ratio > 1.0 else ())
-    for other in others:
-        found, reached = found_from(other)
-        if reached < ratio:
-            best, ratio = found, reached
-        if ratio <= 1.0:
-            break
-    return best
+        Where limits are not met, the search is repeated from the best of the other `starts`.
+        """
+        plants, told = self.plants, np.inf
+        if any(one.metric.of_disturbances for one in self.requirements):
+            plants = plants.with_disturbances()
 
+        def tell(ratio: float, line: str) -> None:
+            nonlocal told
+            if ratio <= told:
+                told = ratio
+                self.progress(ratio, line)
 
-def _best_starts(
-    starts: Sequence[dict[str, float]],
-    upper: dict[str, float],
-    build: Builder,
-    plants: PlantSet,
-    requirements: Sequence[LoopRequirement],
-) -> list[dict[str, float]]:
-    """Return the best of the starts, of neighbours the better one."""
-    within = [{name: min(x, upper.get(name, np.inf)) for name, x in one.items()} for one in starts]
-    ratios = []
-    for one in within:
-        try:
-            ratios.append(worst_ratio(build(one), plants, requirements))
-        except PlatformCtrlError:
-            ratios.append(np.inf)
-    edged = [np.inf, *ratios, np.inf]
-    valleys = [k for k, x in enumerate(ratios) if x < np.inf and x <= edged[k] and x < edged[k + 2]]
-    return [within[k] for k in sorted(valleys, key=ratios.__getitem__)[:_MOST_STARTS]]
+        best, ratio = self._searched(start, plants, tell)
+        for other in self._best(starts, plants) if ratio > 1.0 else ():
+            found, reached = self._searched(other, plants, tell)
+            if reached < ratio:
+                best, ratio = found, reached
+            if ratio <= 1.0:
+                break
+        return best
 
+    def _best(self, starts: Sequence[dict[str, float]], plants: PlantSet) -> list[dict[str, float]]:
+        """Return the best of the starts, of neighbours the better one."""
+        within = [{name: min(x, self.upper.get(name, np.inf)) for name, x in one.items()} for one in starts]
+        ratios = []
+        for one in within:
+            try:
+                ratios.append(worst_ratio(self.build(one), plants, self.requirements))
+            except PlatformCtrlError:
+                ratios.append(np.inf)
+        edged = [np.inf, *ratios, np.inf]
+        valleys = [k for k, x in enumerate(ratios) if x < np.inf and x <= edged[k] and x < edged[k + 2]]
+        return [within[k] for k in sorted(valleys, key=ratios.__getitem__)[:_MOST_STARTS]]
 
-def _search(  # noqa: PLR0913 - the parts of one search
-    start: dict[str, float],
-    movable: Sequence[str],
-    build: Builder,
-    plants: PlantSet,
-    requirements: Sequence[LoopRequirement],
-    upper: dict[str, float],
-    target: float,
-    evaluations: int,
-    progress: Callable[[float, str], None],
-) -> tuple[dict[str, float], float]:
-    """Return the options that a search from `start` ends with, and their worst ratio: see `tune`."""
-    from scipy.optimize import minimize
+    def _searched(
+        self, start: dict[str, float], plants: PlantSet, tell: Callable[[float, str], None]
+    ) -> tuple[dict[str, float], float]:
+        """Return the options that a search from `start` ends with, and their worst ratio."""
+        from scipy.optimize import minimize
 
-    bounds = np.array([np.log(upper.get(name, np.inf)) for name in movable])
-    best = np.minimum(np.log([start[name] for name in movable]), bounds)
-    lower, bounds = best - np.log(_LARGEST_FACTOR), np.minimum(bounds, best + np.log(_LARGEST_FACTOR))
+        bounds = np.array([np.log(self.upper.get(name, np.inf)) for name in self.movable])
+        best = np.minimum(np.log([start[name] for name in self.movable]), bounds)
+        lower, bounds = best - np.log(_LARGEST_FACTOR), np.minimum(bounds, best + np.log(_LARGEST_FACTOR))
 
-    def options(x: FloatArray) -> dict[str, float]:
-        # What has not moved keeps its number to the last digit.
-        ratios = np.exp(np.clip(x, lower, bounds) - [math.log(start[name]) for name in movable])
-        return start | {name: start[name] * float(ratio) for name, ratio in zip(movable, ratios, strict=True)}
+        def built(x: FloatArray) -> System:
+            return self.build(self._moved(start, np.clip(x, lower, bounds)))
 
-    def beyond(x: FloatArray) -> float:
-        return float(np.maximum(np.maximum(x - bounds, lower - x), 0.0).max(initial=0.0))
+        def beyond(x: FloatArray) -> float:
+            return float(np.maximum(np.maximum(x - bounds, lower - x), 0.0).max(initial=0.0))
 
-    def ratio(x: FloatArray, on: PlantSet) -> float:
-        return worst_ratio(build(options(x)), on, requirements) + beyond(x)
-
-    view = [0]
-    left = evaluations
-    best_ratio, line = np.inf, ""
-    current = best
-    while left > 0:
-        measures = _on_grid(build(options(current)), plants, requirements)
-        overall = _worst(measures, plants, requirements) + beyond(current)
-        refined = False
-        if overall <= 1.0:
-            exact, finer = _exactly(build(options(current)), plants, requirements)
-            exactly = _worst(exact, plants, requirements)
-            if exactly > 1.0:
-                measures, plants, refined, overall = exact, finer, True, exactly + beyond(current)
-        if overall < best_ratio:
-            best, best_ratio, line = current, overall, limiting(measures, plants, requirements)
-        progress(best_ratio, line)
-        if best_ratio <= target:
-            break
-        if refined:
-            measures = _on_grid(build(options(current)), plants, requirements)
-        added = [k for k in _worst_plants(measures, requirements) if k not in view]
-        if current is not best and not added and not refined:
-            break
-        view = sorted({*view, *added[:_MOST_PLANTS]})
-        near = plants.only(view)
+        def ratio(x: FloatArray, on: PlantSet) -> float:
+            return worst_ratio(built(x), on, self.requirements) + beyond(x)
 
         def stop(intermediate_result: object) -> None:
-            if getattr(intermediate_result, "fun", np.inf) <= 0.995 * target:
+            if getattr(intermediate_result, "fun", np.inf) <= 0.995 * (1.0 - self.reserve):
                 raise StopIteration
 
-        found = minimize(
-            ratio,
-            current,
-            args=(near,),
-            method="Nelder-Mead",
-            callback=stop,
-            options={"maxfev": min(left, 60 * len(movable)), "adaptive": True, "xatol": 2e-3, "fatol": 2e-4},
-        )
-        left -= int(found.nfev) + 1
-        current = np.asarray(found.x, dtype=np.float64)
-    return options(best), best_ratio
+        view, left, best_ratio, line, current = [0], self.evaluations, np.inf, "", best
+        while left > 0:
+            measures, finer, overall = self._looked(built(current), plants, beyond(current))
+            if overall < best_ratio:
+                best, best_ratio, line = current, overall, limiting(measures, finer, self.requirements)
+            tell(best_ratio, line)
+            if best_ratio <= 1.0 - self.reserve:
+                break
+            refined, plants = finer is not plants, finer
+            if refined:
+                measures = _on_grid(built(current), plants, self.requirements)
+            added = [k for k in _worst_plants(measures, self.requirements) if k not in view]
+            if current is not best and not added and not refined:
+                break
+            view = sorted({*view, *added[:_MOST_PLANTS]})
+            most = min(left, 60 * len(self.movable))
+            found = minimize(
+                ratio,
+                current,
+                args=(plants.only(view),),
+                method="Nelder-Mead",
+                callback=stop,
+                options={"maxfev": most, "adaptive": True, "xatol": 2e-3, "fatol": 2e-4},
+            )
+            left -= int(found.nfev) + 1
+            current = np.asarray(found.x, dtype=np.float64)
+        return self._moved(start, np.clip(best, lower, bounds)), best_ratio
 
+    def _moved(self, start: dict[str, float], x: FloatArray) -> dict[str, float]:
+        """Return `start` with the movable options at these logarithms; what has not moved keeps its last digit."""
+        ratios = np.exp(x - [math.log(start[name]) for name in self.movable])
+        return start | {name: start[name] * float(one) for name, one in zip(self.movable, ratios, strict=True)}
 
-def _exactly(
-    controller: System, plants: PlantSet, requirements: Sequence[LoopRequirement]
-) -> tuple[LoopMetrics, PlantSet]:
-    """Return the metrics over all frequencies, and the plants on a grid that has those at which they are reached."""
-    loops = Loop(plants, controller._replace(dt=plants.period))
-    measures = measure(plants, loops.controller, requirements, loops=loops)
-    return measures, plants.finer(loops.peak_frequencies)
+    def _looked(self, controller: System, plants: PlantSet, beyond: float) -> tuple[LoopMetrics, PlantSet, float]:
+        """Return metrics of all plants, and the worst ratio, `beyond` added.
+
+        Where exact values exceed a limit that those on the grid meet, the plants are on a grid that shows them.
+        """
+        measures = _on_grid(controller, plants, self.requirements)
+        overall = _worst(measures, plants, self.requirements) + beyond
+        if overall > 1.0:
+            return measures, plants, overall
+        loops = Loop(plants, controller._replace(dt=plants.period))
+        exact = measure(plants, loops.controller, self.requirements, loops=loops)
+        exactly = _worst(exact, plants, self.requirements)
+        if exactly > 1.0:
+            return exact, plants.finer(loops.peak_frequencies), exactly + beyond
+        return measures, plants, overall
 
 
 def _worst_plants(measures: LoopMetrics, requirements: Sequence[LoopRequirement]) -> list[int]:

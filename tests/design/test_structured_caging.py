@@ -12,13 +12,6 @@ from platform_ctrl.analysis import loop as closed
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import rows_of
-from platform_ctrl.design.fixed_structure.caging import (
-    classical_structure,
-    free_structure,
-    of_order,
-    pid_structure,
-    without_integrators,
-)
 from platform_ctrl.design.fixed_structure.descent import finer, pieces
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops
 from platform_ctrl.design.fixed_structure.maps import (
@@ -31,6 +24,13 @@ from platform_ctrl.design.fixed_structure.pieces import at_least
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
+from platform_ctrl.design.methods.structured import (
+    classical_structure,
+    free_structure,
+    of_order,
+    pid_structure,
+    without_integrators,
+)
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import DesignError

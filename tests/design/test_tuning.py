@@ -57,7 +57,9 @@ def test_options_stay_within_reach_of_their_start(direction: float, monkeypatch:
         return 9.0 / (1.0 + math.exp(0.01 * direction * math.log(tried[-1])))
 
     monkeypatch.setattr(tuning, "worst_ratio", downhill)
-    tuned = tuning.tune(start, ["crossover_hz"], build, plants, loop_requirements(spec.limits), evaluations=100)
+    required = loop_requirements(spec.limits)
+    tuner = tuning.Tuner(movable=["crossover_hz"], build=build, plants=plants, requirements=required, evaluations=100)
+    tuned = tuner.run(start)
     assert max(direction * math.log10(one) for one in tried) > 5.9
     assert all(0.99e-6 <= one <= 1.01e6 for one in tried)
     assert math.isfinite(tuned["crossover_hz"])
@@ -77,7 +79,8 @@ def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:
     def build(options: dict[str, float]) -> System:
         return classical_controller(options, channel, plants.period)
 
-    assert tuning.tune(start, list(start), build, plants, required, evaluations=5) == start
+    tuner = tuning.Tuner(movable=list(start), build=build, plants=plants, requirements=required, evaluations=5)
+    assert tuner.run(start) == start
 
 
 def _camera_with_cables(start: dict[str, float], kind: str, **limits: float) -> Job:

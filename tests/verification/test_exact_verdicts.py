@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.sections import Named
 from platform_ctrl.design.fixed_structure.structures import Units
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.design.tuning import tune, worst_ratio
+from platform_ctrl.design.tuning import Tuner, worst_ratio
 from platform_ctrl.job.requirements import WORST_CASE, requirement
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.coupled import coupled_check
@@ -231,22 +232,16 @@ def test_the_tuner_goes_on_where_a_limit_is_missed_between_the_points_of_its_gri
         return narrow_loop(**options)
 
     assert worst_ratio(build(start), plants, asked) < 0.95
-    found = tune(start, list(start), build, plants, asked, upper={"depth": 1.0, "width": 1.0})
-    K = narrow_loop(**found)
+    tuner = Tuner(
+        movable=list(start), build=build, plants=plants, requirements=asked, upper={"depth": 1.0, "width": 1.0}
+    )
+    K = narrow_loop(**tuner.run(start))
     true = worst_of("sensitivity peak", plants, K)
     assert true <= 3.0
     # Where the limits cannot be met, what is told is not better than what is there.
     told: list[float] = []
-    tune(
-        start,
-        ["width"],
-        build,
-        plants,
-        asked,
-        upper={"width": 0.00619},
-        evaluations=60,
-        progress=lambda ratio, _: told.append(ratio),
-    )
+    cramped = replace(tuner, movable=["width"], upper={"width": 0.00619}, evaluations=60)
+    replace(cramped, progress=lambda ratio, _: told.append(ratio)).run(start)
     assert min(told) > 1.0
 
 
