@@ -37,7 +37,7 @@ from platform_ctrl.app.excitation import caged_excitation
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Measured, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import limits_and_goals, requirements_of
+from platform_ctrl.design.loop import limits_and_goals
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.requirements import WORST_CASE, of_readings
 
@@ -86,7 +86,7 @@ CachedMetrics = Callable[[Callable[[], LoopMetrics]], LoopMetrics]
 
 def loop_metrics(loop: CagedLoop, whole: Loop | None = None) -> LoopMetrics:
     """Return the metrics that the page shows of a loop: peaks are norms unless it has too many states for that."""
-    requests = requirements_of(loop.spec)
+    requests = loop.spec.requests
     if loop.exact:
         return measure(loop.plants, loop.delivered, requests, loops=whole)
     return measure(loop.plants, loop.delivered, requests, exact=False)

@@ -12,7 +12,7 @@ from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.plants import Bounded
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import value
-from platform_ctrl.design.loop import limits_and_goals, requirements_of
+from platform_ctrl.design.loop import limits_and_goals
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import CheckResult
@@ -77,7 +77,7 @@ def _parts(loops: ClosedLoops, settings: Settings) -> Iterator[JobPart]:
     for spec in job.loops:
         chip = Chip(key=f"loop {spec.name}", label=spec.name, loop=spec.name)
         if spec.has_plants:
-            count, stamp = sum(one.hard for one in requirements_of(spec)), loop_stamp(loops, settings, spec)
+            count, stamp = sum(one.hard for one in spec.requests), loop_stamp(loops, settings, spec)
             yield JobPart(chip=chip, count=count, stamp=stamp, measure=partial(_loop_results, loops, settings, spec))
         else:
             yield coupled(chip, spec.name)

@@ -10,7 +10,6 @@ from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import requirements_of
 from platform_ctrl.design.tuning import SHARE, OptionEffects, deciding, largest_ratios, option_effects
 from platform_ctrl.job.judging import CheckResult
 
@@ -50,7 +49,7 @@ def slider_effects(
 
 def _of_caging_loop(loops: ClosedLoops, settings: Settings) -> tuple[list[str], Ratios]:
     loop, _ = loops.caged(settings)
-    requests = [one for one in requirements_of(loop.spec) if one.hard]
+    requests = [one for one in loop.spec.requests if one.hard]
     view = deciding(measure(loop.plants, loop.delivered, requests, exact=False), requests)
 
     def ratios(now: Settings) -> FloatArray:

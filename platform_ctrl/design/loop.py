@@ -21,7 +21,7 @@ from platform_ctrl.design.sections import Section
 from platform_ctrl.errors import NotCertifiedError, reason
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, of_readings
+from platform_ctrl.job.requirements import LoopRequirement
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
@@ -192,19 +192,6 @@ def instability(design: LoopDesign, tuned: bool) -> NotCertifiedError | None:
     )
 
 
-def requirements_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:
-    """Return all limits and goals of a loop."""
-    hard, soft = _hard_and_soft(spec)
-    return (*hard, *soft)
-
-
-def _hard_and_soft(spec: LoopSpec) -> list[tuple[LoopRequirement, ...]]:
-    def named(one: LoopRequirement) -> LoopRequirement:
-        return dataclasses.replace(one, name=of_readings(one.name, spec.kind), unit=of_readings(one.unit, spec.kind))
-
-    return [tuple(map(named, part)) for part in hard_and_soft(spec.limits, spec.soft)]
-
-
 def limits_and_goals(
     spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMetrics
 ) -> tuple[tuple[CheckResult, ...], tuple[CheckResult, ...]]:
@@ -216,8 +203,7 @@ def limits_and_goals(
         late = shaping is not None and requirement.kind in _LATE
         return found.because(filter_lag(shaping.filter_hz)) if late and shaping is not None else found
 
-    hard, soft = (tuple(map(result, requirements)) for requirements in _hard_and_soft(spec))
-    return hard, soft
+    return tuple(map(result, spec.requirements)), tuple(map(result, spec.goals))
 
 
 def filter_lag(hz: float) -> str:
@@ -233,7 +219,7 @@ def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants
 def measured(spec: LoopSpec, name: str, method: str, controller: System, plants: PlantSet) -> LoopDesign:
     """Return a controller with its measures, compared with the limits and goals."""
     K = controller._replace(dt=plants.period)
-    measures = measure(plants, K, requirements_of(spec))
+    measures = measure(plants, K, spec.requests)
     results, goals = limits_and_goals(spec, name, plants, measures)
     return LoopDesign(
         loop=spec.name,

@@ -17,7 +17,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.drive import Drive, angle_sensors, drive_law
 from platform_ctrl.job.faults import FAULT_KINDS, PART_WORDS, Fault, part_names
 from platform_ctrl.job.job import OWN_RATES, WITH_SIGNALS, DesignSpec, Feedforward, Job, LoopSpec, Manoeuvre
-from platform_ctrl.job.requirements import SCOPES, limit_keys
+from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.scenario import Command
 from platform_ctrl.plant.fields import TURN
 from platform_ctrl.plant.mistakes import (
@@ -33,7 +33,6 @@ from platform_ctrl.plant.mistakes import (
     wrong,
 )
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
-from platform_ctrl.plant.tables import unknown_key
 
 # Sample periods from sample to torque at most: each is a state of every torquer in every plant.
 LONGEST_DELAY = 100
@@ -154,29 +153,12 @@ def _loop(job: Job, k: int) -> Iterator[Misfit]:
 
 
 def _limits(job: Job, loop: LoopSpec, limits: Mapping[str, float]) -> Iterator[Misfit]:
-    """Walk what is wrong with the limits or the goals of a loop."""
+    """Walk limits or goals of a loop that the plant or the kind of the loop does not have."""
     known = limit_keys()
     faulty = job.faults.slow_rotor is not None or job.faults.weak_torquer is not None
     for key in sorted(limits):
-        if key not in known:
-            yield key, unknown_key((key,), limits[key], list(known)).words
-        elif known[key][1] == "faults" and not faulty:
+        if known[key][1] == "faults" and not faulty:
             yield key, f"{key} needs plants with faults; add [faults] with slow_rotor or weak_torquer"
-    for metric in METRICS.values():
-        edge, lowest = metric.frequency_key, metric.lowest_key
-        of = [key for key, (name, scope) in known.items() if METRICS[name] is metric and scope in SCOPES]
-        of = [key for key in of if key in limits]
-        if edge in limits and not of:
-            yield missing(metric.key, f"{edge} has no effect without it")
-        elif of and metric.needs_frequency and edge not in limits:
-            yield missing(edge, f"{of[0]} has no effect without it")
-        if lowest not in limits:
-            continue
-        if edge not in limits:
-            words = f"{lowest} has no effect without {edge}, where the band ends; add it, or leave this out"
-            yield lowest, words
-        elif limits[edge] <= limits[lowest]:
-            yield wrong(limits, lowest, f"below {edge} = {limits[edge]:g}", "; the band begins there")
     named = [key for key in limits if key.startswith("attenuation_db")]
     if named and loop.kind not in WITH_SIGNALS:
         yield named[0], f"{named[0]} is a limit of rate and pointing loops alone; leave it out of this loop"

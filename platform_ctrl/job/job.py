@@ -20,6 +20,7 @@ from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.methods import LoopKind as LoopKind
 from platform_ctrl.job.methods import Structure as Structure
+from platform_ctrl.job.requirements import LoopRequirement, limit_misfits, loop_goals, loop_requirements
 from platform_ctrl.job.scenario import (
     COMMANDS,
     Command,
@@ -40,7 +41,7 @@ from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key
 MOST_LOOPS, MOST_DRIVES, MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 100, 100, 20, 100, 100
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate, lambda period: 1.0 / period)
 _LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
-_LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says: see job.checks
+_LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says
 _ANGLES = Shape(dict, {}, others=("", fields.NUMBERS))
 _INITIAL = Shape(dict, {}, others=("", fields.NUMBER))
 
@@ -252,6 +253,8 @@ class LoopSpec:
     soft
         Goals, by the same keys and in the same units: a method that optimises makes their largest ratio small within
         the limits. No part of the verdict.
+    requirements, goals
+        What limits and goals require of metrics, stability of all plants included.
     """
 
     name: fields.SystemName
@@ -265,6 +268,13 @@ class LoopSpec:
     use: fields.Text
     limits: Annotated[dict[str, float], _LOOP_LIMITS] = field(default_factory=dict)
     soft: Annotated[dict[str, float], _LOOP_LIMITS] = field(default_factory=dict)
+    requirements: tuple[LoopRequirement, ...] = field(init=False, default=())
+    goals: tuple[LoopRequirement, ...] = field(init=False, default=())
+
+    def __post_init__(self) -> None:
+        """Read the requirements."""
+        object.__setattr__(self, "requirements", loop_requirements(self.limits, self.kind))
+        object.__setattr__(self, "goals", loop_goals(self.soft, self.kind))
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
@@ -276,9 +286,16 @@ class LoopSpec:
             yield useless(table, "rate_hz", f"in a {kind} loop; leave it out: {slower}")
         for k, design in enumerate(designs):
             yield from ((("design", k, key), text) for key, text in _of_kind(design, kind))
+        for key in ("limits", "soft"):
+            yield from within((key,), limit_misfits(table.get(key, {})))
         names = [design["name"] for design in designs]
         if table["use"] not in names:
             yield wrong(table, "use", "the name of a design of this loop", f"; {suggestion(table['use'], names)}")
+
+    @property
+    def requests(self) -> tuple[LoopRequirement, ...]:
+        """Requirements and goals, for `analysis.loop_metrics.measure`."""
+        return (*self.requirements, *self.goals)
 
     @property
     def has_plants(self) -> bool:

@@ -7,7 +7,7 @@ a plant set and a controller (`LoopRequirement.check`), or on metrics that were 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
@@ -18,9 +18,11 @@ from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import known_name, one_of, positive
-from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.common.values import FloatArray, input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
+from platform_ctrl.plant.mistakes import Misfit, missing, wrong
+from platform_ctrl.plant.tables import unknown_key
 
 if TYPE_CHECKING:
     import control
@@ -350,42 +352,62 @@ def limit_keys() -> dict[str, tuple[str, str]]:
     return out
 
 
-def loop_requirements(limits: Mapping[str, float]) -> tuple[LoopRequirement, ...]:
-    """Return the requirements of a loop; every plant that a limit is about has to be stable."""
-    scopes = [scope for scope in SCOPES if scope != "faults" or any(key.endswith("_faults") for key in limits)]
+def limit_misfits(limits: Mapping[str, float]) -> Iterator[Misfit]:
+    """Walk what is wrong with the limits or the goals of a loop: keys, and edges of bands without their metric."""
+    known = limit_keys()
+    for key in sorted(limits):
+        if key not in known:
+            yield key, unknown_key((key,), limits[key], list(known)).words
+    for metric in METRICS.values():
+        edge, lowest = metric.frequency_key, metric.lowest_key
+        of = [key for key, (name, scope) in known.items() if METRICS[name] is metric and scope in SCOPES]
+        of = [key for key in of if key in limits]
+        if edge in limits and not of:
+            yield missing(metric.key, f"{edge} has no effect without it")
+        elif of and metric.needs_frequency and edge not in limits:
+            yield missing(edge, f"{of[0]} has no effect without it")
+        if lowest not in limits:
+            continue
+        if edge not in limits:
+            words = f"{lowest} has no effect without {edge}, where the band ends; add it, or leave this out"
+            yield lowest, words
+        elif limits[edge] <= limits[lowest]:
+            yield wrong(limits, lowest, f"below {edge} = {limits[edge]:g}", "; the band begins there")
+
+
+def loop_requirements(limits: Mapping[str, float], kind: str = "caging") -> tuple[LoopRequirement, ...]:
+    """Return the requirements of a loop of a kind; every plant that a limit is about has to be stable."""
     stable = METRICS["stability"].name
     always = [
-        requirement("stability", STABLE.limit, over=SCOPES[scope], name=stable + SCOPE_WORDS[scope]) for scope in scopes
+        requirement("stability", STABLE.limit, over=SCOPES[scope], name=stable + SCOPE_WORDS[scope])
+        for scope in SCOPES
+        if scope != "faults" or any(key.endswith("_faults") for key in limits)
     ]
-    return (*always, *_required(limits, hard=True))
+    return (*always, *_required(limits, kind, hard=True))
 
 
-def hard_and_soft(
-    limits: Mapping[str, float], soft: Mapping[str, float]
-) -> tuple[tuple[LoopRequirement, ...], tuple[LoopRequirement, ...]]:
-    """Return the limits of a loop, stability among them, and its goals, which no verdict rests on."""
-    return loop_requirements(limits), _required(soft, hard=False)
+def loop_goals(soft: Mapping[str, float], kind: str = "caging") -> tuple[LoopRequirement, ...]:
+    """Return the goals of a loop of a kind, which no verdict rests on."""
+    return _required(soft, kind, hard=False)
 
 
-def _required(limits: Mapping[str, float], hard: bool) -> tuple[LoopRequirement, ...]:
+def _required(limits: Mapping[str, float], kind: str, hard: bool) -> tuple[LoopRequirement, ...]:
     known = limit_keys()
     for key in limits:
         known_name("limits", key, tuple(known))
     out = []
-    for key, (kind, scope) in known.items():
+    for key, (name, scope) in known.items():
         if key in limits and scope in SCOPES:
-            metric = METRICS[kind]
+            metric = METRICS[name]
             edge = limits.get(metric.frequency_key)
-            name = metric.name + SCOPE_WORDS[scope]
-            out.append(
-                requirement(
-                    kind,
-                    limits[key],
-                    over=SCOPES[scope],
-                    hard=hard,
-                    frequency=None if edge is None else 2.0 * np.pi * edge,
-                    lowest=2.0 * np.pi * limits.get(metric.lowest_key, 0.0),
-                    name=name if hard else f"goal: {name}",
-                )
+            one = requirement(
+                name,
+                limits[key],
+                over=SCOPES[scope],
+                hard=hard,
+                frequency=None if edge is None else 2.0 * np.pi * edge,
+                lowest=2.0 * np.pi * limits.get(metric.lowest_key, 0.0),
             )
+            words = f"{'' if hard else 'goal: '}{of_readings(metric.name, kind)}{SCOPE_WORDS[scope]}"
+            out.append(replaced(one, {"name": words, "unit": of_readings(one.unit, kind)}))
     return tuple(out)

@@ -24,7 +24,6 @@ from platform_ctrl.design.loop import (
     LoopOutcome,
     designed,
     limits_and_goals,
-    requirements_of,
     with_commands,
     with_controller,
 )
@@ -371,5 +370,5 @@ def _own(outcome: LoopOutcome, design: LoopDesign, exact: bool) -> Results:
     """Return the requirements of a loop with a design of it."""
     plants = design.plants
     assert plants is not None, "the loop has plants"
-    measures = measure(plants, with_commands(plants, design.controller), requirements_of(outcome.spec), exact=exact)
+    measures = measure(plants, with_commands(plants, design.controller), outcome.spec.requests, exact=exact)
     return keyed(limits_and_goals(outcome.spec, design.name, plants, measures)[0])

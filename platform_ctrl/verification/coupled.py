@@ -38,7 +38,6 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import at_angles, secant_gains
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
-from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
@@ -488,5 +487,5 @@ def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:
             out.append((ALL_LOOPS, required))
     for spec in job.loops:
         if spec.kind == "stabilisation":
-            out += [(spec.name, one) for one in loop_requirements(spec.limits) if one.metric.of_torquers]
+            out += [(spec.name, one) for one in spec.requirements if one.metric.of_torquers]
     return tuple(out)

@@ -26,7 +26,7 @@ from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, replaced, value
-from platform_ctrl.design.loop import LoopDesign, requirements_of
+from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.design.partition import side_by_side
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import LoopSpec
@@ -141,7 +141,7 @@ def proofs_of(spec: LoopSpec, design: LoopDesign) -> Proofs:
     if left_out := _too_many(plants.A.shape[-1] + len(K.A)):
         return Proofs(left_out=left_out)
     required = np.zeros(len(plants.labels))
-    for one in requirements_of(spec):
+    for one in spec.requests:
         if one.kind == "disk margin" and one.hard:
             np.maximum.at(required, measures.of(one.over), one.limit)
     claims: list[Claim] = []

@@ -27,8 +27,8 @@ from platform_ctrl.job.requirements import (
     NOMINAL,
     WORST_CASE,
     Requirement,
-    hard_and_soft,
     limit_keys,
+    loop_goals,
     loop_requirements,
     requirement,
 )
@@ -323,8 +323,9 @@ def test_every_limit_of_a_job_becomes_one_requirement():
         assert [one.limit for one in new] == [0.7], name
         scope = limit_keys()[name][1]
         assert new[0].over == {"worst_case": WORST_CASE, "faults": FAULTS}.get(scope, NOMINAL)
-    whole = hard_and_soft(dict.fromkeys(names, 1.0) | edges, dict.fromkeys(names, 1.0) | edges)
-    assert len({one.name for group in whole for one in group}) == len(names) + 3 + len(names)
+    everything = dict.fromkeys(names, 1.0) | edges
+    whole = [*loop_requirements(everything), *loop_goals(everything)]
+    assert len({one.name for one in whole}) == len(names) + 3 + len(names)
 
 
 def test_plants_with_a_fault_have_to_be_stable_only_where_something_is_asked_of_them():
@@ -339,9 +340,8 @@ def test_plants_with_a_fault_have_to_be_stable_only_where_something_is_asked_of_
 def test_goals_are_soft_and_no_verdict_rests_on_them(job, plants, controller):
     (spec,) = job.loops
     spec = dataclasses.replace(spec, limits={"damping": 0.01}, soft={"bandwidth_hz": 500.0, "damping": 0.01})
-    hard, soft = hard_and_soft(spec.limits, spec.soft)
-    assert all(one.hard for one in hard)
-    assert not any(one.hard for one in soft)
+    assert all(one.hard for one in spec.requirements)
+    assert not any(one.hard for one in spec.goals)
     made = remeasured(spec, "by hand", controller, plants)
     assert made.passed
     assert {one.name: one.passed for one in made.goals} == {"goal: bandwidth": False, "goal: damping": True}

@@ -18,7 +18,7 @@ from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import LoopDesign, requirements_of
+from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.measured.design import ClosedLoopResponse, MeasuredDesign, measured_pid
 from platform_ctrl.design.measured.responses import contour, read_measurement, unstable_poles
@@ -97,7 +97,7 @@ class MeasuredPID(Method):
                 f"measured: a loop must have as many torquers as directions, got {len(plants.torques)} and "
                 f"{len(plants.angles)}; choose another method"
             )
-        bounds = _bounds(requirements_of(problem.spec))
+        bounds = _bounds(problem.spec.requests)
         bounds["sensitivity_peak"] = min(bounds.get("sensitivity_peak", np.inf), options["sensitivity_peak"])
         settings = bounds | {
             "filter_time": 1.0 / (2.0 * np.pi * options["rolloff_hz"]),
@@ -173,7 +173,7 @@ def _searched(problem: LoopProblem, settings: dict[str, float]) -> tuple[Measure
     """
     plants, own = problem.plants.regular(), problem.plant_set
     assert own is not None, "the loop has plants"
-    requirements = requirements_of(problem.spec)
+    requirements = problem.spec.requests
     counts = [_unstable(A) for A in plants.A]
     plants = plants.on(_frequencies(plants))
     of_file = None
@@ -333,7 +333,7 @@ def _results(problem: LoopProblem, design: LoopDesign, data: LoopData, plants: P
         stable = Requirement(name=f"unstable poles{_ON_DATA}", limit=0.0, unit="", sense="at most")
         out.append(stable.judge(count, evidence=why, **stated))  # type: ignore[arg-type]
     S, S_input = sensitivities_of_plants(data.response, _at(K, np.asarray(1j * data.frequency)))
-    for key, one in _strictest(requirements_of(problem.spec)).items():
+    for key, one in _strictest(problem.spec.requests).items():
         c = CENTRES[key]
         peaks = [largest_singular_values(part - c * np.eye(part.shape[-1])) for part in (S, S_input)]
         worst = np.maximum(*peaks)

@@ -1,0 +1,268 @@
+"""The structured caging loop: a controller of fixed structure, tuned on the loop's own requirements over its plants.
+
+The requirements themselves are optimised, without weights: limits are hard, goals are soft. The search starts from
+physics and goes up in steps: the cross-axis loop of the classical design, its numbers moved; a full PID with filter;
+from there, if requested, every matrix entry of a controller of fixed order behind a PI in every channel.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.system import System
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.fixed_structure.descent import Found, Search
+from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.pid import PID
+from platform_ctrl.design.fixed_structure.sections import Named, Sampled, Series
+from platform_ctrl.design.fixed_structure.starts import balanced_truncation
+from platform_ctrl.design.fixed_structure.structures import StateSpaceOrder, Units
+from platform_ctrl.design.method import Designed, LoopProblem, TunedMethod
+from platform_ctrl.design.methods.classical import Classical, classical_controller, starting_values
+from platform_ctrl.design.methods.hinf import hinf_design
+from platform_ctrl.design.methods.pi import PI, rate_controller, rate_options
+from platform_ctrl.design.partition import Channels, between, first_order, side_by_side
+from platform_ctrl.errors import DesignError
+from platform_ctrl.job.job import DesignSpec, Structure
+from platform_ctrl.job.judging import STABLE
+from platform_ctrl.job.requirements import LoopRequirement, requirement
+
+# Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
+_INTEGRAL_KEPT = 0.5
+# Least damping of the PID's filter: with less it gains phase by a resonance, which would lift the gain at frequencies
+# where gimbals and mountings bend.
+_FILTER_DAMPING = 0.4
+# Poles this near to z = 1 are integrators.
+_INTEGRATOR = 1e-5
+# Shares of the evaluations that each structure gets on the way to the next.
+_SHARES = {"cross-axis": 0.2, "pid": 0.3, "state-space": 0.5}
+
+
+def structured_design(problem: LoopProblem, structure: Structure, options: dict[str, float]) -> Designed:
+    """Return the structured loop of a job for complete `options`: its limits as constraints, its goals minimised."""
+    spec, design, channel = problem.spec, problem.design, problem.channel
+    plants = problem.plants.regular()
+    kept = {"integral_hz": options["integral_hz"]}
+    if channel.order == 1:
+        cross_axis = rate_structure(kept, channel, plants)
+    else:
+        first = starting_values(kept, channel, plants.nutation, plants.period)
+        cross_axis = classical_structure(first, channel, plants.period)
+    full_order = dataclasses.replace(problem, design=DesignSpec(name=design.name, method="hinf", options={}))
+
+    def progress(limits: float, goals: float) -> None:
+        ratios = f"limits at {limits:.0%}" + (f", goals at {goals:.0%}" if spec.goals else "")
+        problem.progress(
+            f"{spec.name}: {design.name}, {ratios if math.isfinite(limits) else 'not stable with all plants yet'}"
+        )
+
+    others = [lambda: hinf_design(full_order, "riccati").controller]
+    return tuned_controller(options, structure, cross_axis, channel, plants, spec.requests, others, progress)
+
+
+def tuned_controller(
+    options: dict[str, float],
+    structure: Structure,
+    cross_axis: Parametrised,
+    channel: Channels,
+    plants: PlantSet,
+    requirements: Sequence[LoopRequirement],
+    others: Sequence[Callable[[], System]],
+    progress: Callable[[float, float], None],
+) -> Designed:
+    """Return a controller of the given structure that meets the requirements, or comes nearest.
+
+    `options` are complete. ``order``: states of "state-space" beside the integrators;
+    ``integral_hz``: of the PI, kept; ``rolloff_hz``: where the PID's filter starts; ``starts``: how many starting
+    points there are. Every search starts at the classical loop `cross_axis`; `others` are tried in turn where
+    ``starts`` asks for more. `progress` is called with the largest ratio of a limit and of a goal; infinite where a
+    loop is not stable yet.
+    """
+    integral = 2.0 * np.pi * options["integral_hz"]
+    # A rate loop against a spring leaves the angle free, which integrals do not change.
+    kept = _INTEGRAL_KEPT * integral if channel.order == 2 else STABLE.limit
+    requested = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
+    if not any(r.kind == "stability" for r in requested):
+        requested.append(requirement("stability", kept))
+    spent = 0
+
+    def search(family: Parametrised, share: float) -> Found:
+        nonlocal spent
+        most = int(share * options["evaluations"])
+        found = Search(plants, requested, options["reserve"], most, progress).run(family)
+        spent += found.evaluations
+        return found
+
+    first = search(cross_axis, 1.0 if structure == "cross-axis" else _SHARES["cross-axis"])
+    best: tuple[Found, Parametrised] = first, cross_axis
+    starts: list[Callable[[], System]] = [lambda: cross_axis.block(first.x), *others]
+    starts = starts[: int(options["starts"])] if structure != "cross-axis" else []
+    for start in starts:
+        try:
+            block = start()
+        except DesignError:
+            # Another method that finds nothing is no reason to give up the first start.
+            continue
+        rolloff = min(2.0 * np.pi * options["rolloff_hz"], 0.8 * np.pi / plants.period)
+        pid = pid_structure(block, channel, plants.period, plants.nutation, integral, rolloff)
+        found = search(pid, _SHARES["pid"] if structure == "state-space" else 1.0 - _SHARES["cross-axis"])
+        if found.better_than(best[0], options["reserve"]):
+            best = found, pid
+        if structure == "state-space":
+            inner = without_integrators(pid.block(found.x), channel, integral, plants.period)
+            if inner is None:
+                continue
+            inner = of_order(inner, int(options["order"]), plants.nutation * plants.period)
+            free = free_structure(inner, channel, plants.period, plants.nutation, integral)
+            found = search(free, _SHARES["state-space"])
+            if found.better_than(best[0], options["reserve"]):
+                best = found, free
+    found, family = best
+    controller = family.block(found.x)
+    claims = {
+        "parameters": float(len(family.start)),
+        "order": float(len(controller.A)),
+        "starts": float(max(1, len(starts))),
+        "evaluations": float(spent),
+    }
+    if structure == "cross-axis":
+        options = options | cross_axis.named(found.x)
+    return Designed(controller=controller, options=options, claims=claims)
+
+
+def classical_structure(options: dict[str, float], channel: Channels, period: float) -> Parametrised:
+    """Return the classical loop over the numbers that its tuner moves."""
+    return _named(Classical(), options, lambda trial: classical_controller(trial, channel, period), period)
+
+
+def rate_structure(given: dict[str, float], channel: Channels, plants: PlantSet) -> Parametrised:
+    """Return the classical rate loop, with a second integral, over the numbers that its tuner moves."""
+    period = plants.period
+    given = given | {"double_integral_hz": 0.3 * given["integral_hz"]}
+    options = rate_options(given, channel, plants.nutation, period)
+    return _named(PI(), options, lambda trial: rate_controller(trial, channel, period), period)
+
+
+def _named(
+    method: TunedMethod, options: dict[str, float], build: Callable[[dict[str, float]], System], period: float
+) -> Parametrised:
+    """Return a controller that a function builds, over those of its options that its method's tuner moves."""
+    moved = [name for name in method.tunable if name in options]
+    fixed = {name: number for name, number in options.items() if name not in moved}
+    values = {name: options[name] for name in (*moved, *fixed)}
+    size = build(values).D.shape[0]
+    structure = Named(build=build, values=values, largest=method.upper_bounds(period), fixed=fixed)
+    return Parametrised(structure, size, size, Units(gain=np.ones((size, size)), rate=1.0))
+
+
+def pid_structure(
+    like: System, channel: Channels, period: float, nutation: float, integral: float, rolloff: float
+) -> Parametrised:
+    """Return a matrix PID with a second-order low-pass, at first at `rolloff`, in every channel of the gyros.
+
+    The start resembles the response of `like`, which has a PI with `integral`, between a tenth of the nutation and a
+    fifth of the sample rate. Frequencies and rates are in rad/s.
+    """
+    n = len(channel.basis)
+    K_P, K_I, K_D = _fitted(like, channel, period, nutation, rolloff)
+    unit = float(np.abs(K_P).max() + nutation * np.abs(K_D).max()) or 1.0
+    start = {
+        f"{name}{i + 1}{j + 1}": float(K[i, j])
+        for name, K in (("kp", K_P), ("ki", K_I), ("kd", K_D))
+        for i, j in np.ndindex(n, n)
+    }
+    bounds: dict[str, tuple[float, float]] = {}
+    for k in range(n):
+        start |= {f"filter{k + 1}": rolloff, f"damping{k + 1}": 0.8}
+        # Beyond 1/π of the sample rate Tustin's poles turn negative, and ring.
+        bounds |= {f"filter{k + 1}": (0.0, 0.9 * np.pi / period), f"damping{k + 1}": (_FILTER_DAMPING, 2.0)}
+    structure = Sampled(inner=PID(start=start, bounds=bounds), period=period, basis=channel.basis)
+    return Parametrised(structure, n, n, Units(gain=np.full((n, n), unit), rate=nutation, integral=integral))
+
+
+def _fitted(like: System, channel: Channels, period: float, nutation: float, rolloff: float) -> FloatArray:
+    """Return the gains K_P, K_I, K_D of the PID whose response is nearest to a controller's, by least squares."""
+    n = len(channel.basis)
+    w = np.geomspace(0.1 * nutation, min(4.0 * nutation, 0.4 * np.pi / period), 40)
+    target = channel.basis @ frequency_response(like, w, -3) @ channel.basis.T
+    s = 2.0 / period * 1j * np.tan(0.5 * w * period)
+    F = rolloff**2 / (s**2 + 1.6 * rolloff * s + rolloff**2)
+    terms = np.array([F, F / s, F * s]).T
+    weight = 1.0 / np.linalg.norm(target, axis=(1, 2))
+    left, right = terms * weight[:, None], target.reshape(len(w), -1) * weight[:, None]
+    found = np.linalg.lstsq(np.vstack([left.real, left.imag]), np.vstack([right.real, right.imag]), rcond=None)[0]
+    return np.asarray(found.reshape(3, n, n), dtype=np.float64)
+
+
+def free_structure(inner: System, channel: Channels, period: float, nutation: float, integral: float) -> Parametrised:
+    """Return a controller of fixed order behind a PI, 1 + integral/s, in every channel: so integral action stays.
+
+    `inner` is what is behind the PI, sampled, in the channels of the gyros (see `without_integrators`). The unit of
+    rates is the nutation frequency; it and `integral` are in rad/s.
+    """
+    n, rate = len(channel.basis), nutation
+    A, B, C, D, _ = inner
+    # In (z − 1)/period the search is among the entries of the sampled matrices themselves.
+    A, B = (A - np.eye(len(A))) / period, B / period
+    unit = float(np.abs(D).max()) or float(np.linalg.norm(C) * np.linalg.norm(B)) or 1.0
+    # States in units in which they are as large in B, in units of the rate, as in C, in units of the gain.
+    scale = float(np.sqrt(np.linalg.norm(C) * rate / (np.linalg.norm(B) * unit))) if len(A) else 1.0
+    entries = (("a", A), ("b", B * scale), ("c", C / scale), ("d", D))
+    start = {f"{name}{i + 1}{j + 1}": float(K[i, j]) for name, K in entries for i, j in np.ndindex(*K.shape)}
+    # 1 + integral/s by Tustin's rule.
+    gains = {f"kp{k + 1}{k + 1}": 1.0 + 0.5 * integral * period for k in range(n)}
+    gains |= {f"ki{k + 1}{k + 1}": integral for k in range(n)}
+    pi = PID(P="diagonal", I="diagonal", D="none", filter_order=0, fixed=gains)
+    blocks = (pi, StateSpaceOrder(states=len(A), start=start))
+    structure = Sampled(inner=Series(blocks=blocks), period=period, basis=channel.basis, forward=True)
+    return Parametrised(structure, n, n, Units(gain=np.full((n, n), unit), rate=rate))
+
+
+def without_integrators(controller: System, channel: Channels, integral: float, period: float) -> System | None:
+    """Return a controller without its PI, 1 + integral/s, in the channels of the gyros; None if unstable then."""
+    from scipy.linalg import schur, solve_sylvester
+
+    basis = channel.basis
+    undone = side_by_side(*[first_order(1.0, 0.0, 1.0, integral, period)] * len(basis))
+    A, B, C, D, _ = undone.series(between(basis.T, controller, basis))
+    triangle, vectors, kept = schur(A, sort=lambda re, im=0.0: bool(abs(complex(re, im) - 1.0) > _INTEGRATOR))
+    left, right = triangle[:kept, :kept], triangle[kept:, kept:]
+    if kept and np.abs(np.linalg.eigvals(left)).max() >= 1.0:
+        return None
+    # The integrators are no longer excited: what remains is split from them.
+    X = solve_sylvester(left, -right, -triangle[:kept, kept:]) if kept < len(A) else np.zeros((kept, 0))
+    B, C = vectors.T @ B, C @ vectors
+    return System(left, B[:kept] - X @ B[kept:], C[:, :kept], D, period)
+
+
+def of_order(system: System, order: int, rate: float) -> System:
+    """Return a stable sampled system with `order` states: balanced truncation, or with faint modes of its own added.
+
+    These lie, well damped, at `rate`, the nutation frequency times the period.
+    """
+    less = balanced_truncation(system, order)
+    A, B, C, D, period = less
+    missing = order - len(A)
+    if missing <= 0:
+        return less
+    size = len(D)
+    own = np.zeros((missing, missing))
+    for k in range(0, missing, 2):
+        pair = slice(k, min(k + 2, missing))
+        turn = np.array([[-0.7, 1.0], [-1.0, -0.7]]) * (1.0 + 0.15 * k)
+        own[pair, pair] = np.eye(2)[: missing - k, : missing - k] + rate * turn[: missing - k, : missing - k]
+    # Every mode sees and drives another mixture of channels, faintly.
+    phase = np.pi * np.outer(np.arange(missing) + 0.5, np.arange(size) + 0.5) / max(missing, size)
+    unit = float(np.abs(D).max()) or 1.0
+    turn_size = float(np.sqrt(np.linalg.norm(C) / np.linalg.norm(B) / unit)) if len(A) else 1.0
+    into, out = np.sqrt(rate) / turn_size * 0.3 * np.cos(phase), unit * np.sqrt(rate) * turn_size * 0.02 * np.sin(phase)
+    first = len(A)
+    whole = np.zeros((order, order))
+    whole[:first, :first], whole[first:, first:] = A, own
+    return System(whole, np.vstack([B, into]), np.hstack([C, out.T]), D, period)
