@@ -45,7 +45,7 @@ G = 9.80665  # m/s², standard gravity
 _TURN, _DEGREE = 2.0 * math.pi, math.pi / 180.0
 
 
-class Unit(NamedTuple):
+class ColumnUnit(NamedTuple):
     """A unit: how it is written, what it is of, and SI units (s, rad, rad/s, m/s², N m) in it."""
 
     name: str
@@ -54,32 +54,32 @@ class Unit(NamedTuple):
 
 
 # By the end of a column's name, in small letters. A frequency is a rate: 1 Hz is 2π rad/s.
-SUFFIXES: dict[str, Unit] = {
-    "s": Unit("s", "time", 1.0),
-    "ms": Unit("ms", "time", 1e-3),
-    "us": Unit("µs", "time", 1e-6),
-    "ns": Unit("ns", "time", 1e-9),
-    "rad": Unit("rad", "angle", 1.0),
-    "mrad": Unit("mrad", "angle", 1e-3),
-    "urad": Unit("µrad", "angle", 1e-6),
-    "deg": Unit("deg", "angle", _DEGREE),
-    "arcmin": Unit("arcmin", "angle", _DEGREE / 60.0),
-    "arcsec": Unit("arcsec", "angle", _DEGREE / 3600.0),
-    "rad_s": Unit("rad/s", "rate", 1.0),
-    "mrad_s": Unit("mrad/s", "rate", 1e-3),
-    "urad_s": Unit("µrad/s", "rate", 1e-6),
-    "deg_s": Unit("deg/s", "rate", _DEGREE),
-    "dps": Unit("deg/s", "rate", _DEGREE),
-    "rpm": Unit("rpm", "rate", _TURN / 60.0),
-    "hz": Unit("Hz", "rate", _TURN),
-    "khz": Unit("kHz", "rate", 1e3 * _TURN),
-    "m_s2": Unit("m/s2", "acceleration", 1.0),
-    "mps2": Unit("m/s2", "acceleration", 1.0),
-    "g": Unit("g", "acceleration", G),
-    "mg": Unit("mg", "acceleration", 1e-3 * G),
-    "nm": Unit("N m", "torque", 1.0),
-    "mnm": Unit("mN m", "torque", 1e-3),
-    "unm": Unit("µN m", "torque", 1e-6),
+SUFFIXES: dict[str, ColumnUnit] = {
+    "s": ColumnUnit("s", "time", 1.0),
+    "ms": ColumnUnit("ms", "time", 1e-3),
+    "us": ColumnUnit("µs", "time", 1e-6),
+    "ns": ColumnUnit("ns", "time", 1e-9),
+    "rad": ColumnUnit("rad", "angle", 1.0),
+    "mrad": ColumnUnit("mrad", "angle", 1e-3),
+    "urad": ColumnUnit("µrad", "angle", 1e-6),
+    "deg": ColumnUnit("deg", "angle", _DEGREE),
+    "arcmin": ColumnUnit("arcmin", "angle", _DEGREE / 60.0),
+    "arcsec": ColumnUnit("arcsec", "angle", _DEGREE / 3600.0),
+    "rad_s": ColumnUnit("rad/s", "rate", 1.0),
+    "mrad_s": ColumnUnit("mrad/s", "rate", 1e-3),
+    "urad_s": ColumnUnit("µrad/s", "rate", 1e-6),
+    "deg_s": ColumnUnit("deg/s", "rate", _DEGREE),
+    "dps": ColumnUnit("deg/s", "rate", _DEGREE),
+    "rpm": ColumnUnit("rpm", "rate", _TURN / 60.0),
+    "hz": ColumnUnit("Hz", "rate", _TURN),
+    "khz": ColumnUnit("kHz", "rate", 1e3 * _TURN),
+    "m_s2": ColumnUnit("m/s2", "acceleration", 1.0),
+    "mps2": ColumnUnit("m/s2", "acceleration", 1.0),
+    "g": ColumnUnit("g", "acceleration", G),
+    "mg": ColumnUnit("mg", "acceleration", 1e-3 * G),
+    "nm": ColumnUnit("N m", "torque", 1.0),
+    "mnm": ColumnUnit("mN m", "torque", 1e-3),
+    "unm": ColumnUnit("µN m", "torque", 1e-6),
 }
 _SPELLINGS = {"sec": "s", "msec": "ms", "usec": "us", "nsec": "ns"}
 _IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]")
@@ -88,7 +88,7 @@ _IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]")
 _IN_CAPITALS = re.compile(r"(.*[a-z])([UMN]S)")
 
 
-def column_unit(column: str) -> tuple[str, Unit | None]:
+def column_unit(column: str) -> tuple[str, ColumnUnit | None]:
     """Return the name of a column without its unit, and the unit that it states, or None."""
     if bracketed := _IN_BRACKETS.fullmatch(column):
         end = bracketed[2].lower().replace("/", "_").replace("²", "2").replace("°", "deg")
@@ -162,7 +162,7 @@ def read_log(path: Path, columns: Sequence[str], time: str = "time") -> Log:
     return Log(label=label, time=t, signals={name: values[:, wanted.index(name)] for name in columns})
 
 
-def _doubtful_clock(name: str, unit: Unit | None, t: FloatArray) -> str:
+def _doubtful_clock(name: str, unit: ColumnUnit | None, t: FloatArray) -> str:
     """Return in words why a clock cannot be in the unit that its name states, or in s; empty where it may be."""
     own = SUFFIXES["s"] if unit is None else unit
     step = float(np.median(np.diff(t)))

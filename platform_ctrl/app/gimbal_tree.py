@@ -9,7 +9,7 @@ import numpy as np
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics.kinematics import topology
-from platform_ctrl.plant.drawing import Shape, bodies, camera, disc_axis
+from platform_ctrl.plant.drawing import Outline, bodies, camera, disc_axis
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.closed_loop import Trajectory
 
@@ -76,7 +76,7 @@ def run_data(trajectory: Trajectory) -> dict[str, Any]:
     return {name: np.round(array, 9).tolist() for name, array in named.items()}
 
 
-def _side_by_side(groups: list[list[Shape]], right: FloatArray) -> list[Shape]:
+def _side_by_side(groups: list[list[Outline]], right: FloatArray) -> list[Outline]:
     """Return the bodies that the root carries in a row, about the origin."""
     k = int(np.argmax(np.abs(right)))
     along = np.sign(right[k]) * np.eye(3)[k]
@@ -89,7 +89,7 @@ def _side_by_side(groups: list[list[Shape]], right: FloatArray) -> list[Shape]:
     return [one.moved(-0.5 * (end - _CLEAR) * along) for one in out]
 
 
-def _line(one: Shape) -> FloatArray:
+def _line(one: Outline) -> FloatArray:
     """Return the points of a shape: of a disc those of its rim."""
     if one.kind != "disc":
         return np.vstack([one.points, one.points[:1]]) if one.kind == "plate" else one.points
@@ -100,7 +100,7 @@ def _line(one: Shape) -> FloatArray:
     return np.asarray(one.points.mean(axis=0) + np.cos(turn) * side + np.sin(turn) * np.cross(axis, side))
 
 
-def _pivot(shapes: list[Shape], name: str) -> FloatArray:
+def _pivot(shapes: list[Outline], name: str) -> FloatArray:
     """Return the point that a body turns about: midway between its pins, or the middle of its disc."""
     pins = [one.points for one in shapes if one.body == name and one.kind in ("pin", "disc")]
     return np.asarray(np.concatenate(pins).mean(axis=0))

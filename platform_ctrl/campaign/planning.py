@@ -16,7 +16,7 @@ from platform_ctrl.common.values import FloatArray, read_only, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.job.parameters import Parameter, parameters, varied_scenario
+from platform_ctrl.job.parameters import RunParameter, parameters, varied_scenario
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import Campaign, Points, Vary, campaign_misfits
 
@@ -151,7 +151,7 @@ class Plan:
     step: float
     nominal: tuple[Scenario, ...]
     weights: tuple[float, ...]
-    varied: tuple[Parameter, ...]
+    varied: tuple[RunParameter, ...]
     failing: tuple[Fault, ...]
     noise_seed: int
 

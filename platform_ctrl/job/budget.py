@@ -12,11 +12,11 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.logs import G, Log, Quantity, Unit, column_unit, read_log
+from platform_ctrl.analysis.logs import ColumnUnit, G, Log, Quantity, column_unit, read_log
 from platform_ctrl.common.values import FloatArray, input_value, replaced, value
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.profiles import PROFILES
-from platform_ctrl.job.spectra import SPECTRA, Lines, LogSpectrum, Spectrum
+from platform_ctrl.job.spectra import SPECTRA, Lines, LogSpectrum, SourceSpectrum
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, given, missing, of_length, useless, wrong
 from platform_ctrl.plant.tables import TABLE, Array, OneOf, record_value
@@ -113,7 +113,7 @@ class Source:
     gimbal: fields.Text | None = None
     unit: Annotated[str, fields.one_of(UNITS)] | None = None
     limit: fields.Positive | None = None
-    spectrum: Annotated[Spectrum, OneOf(SPECTRA)]
+    spectrum: Annotated[SourceSpectrum, OneOf(SPECTRA)]
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
@@ -147,7 +147,7 @@ class Source:
         return 1.0 if self.stated_unit is None else self.stated_unit.factor
 
     @property
-    def stated_unit(self) -> Unit | None:
+    def stated_unit(self) -> ColumnUnit | None:
         """The unit that the name of a log's column states, where `unit` does not say it; None: none."""
         if self.unit is not None or not isinstance(self.spectrum, LogSpectrum):
             return None
@@ -216,7 +216,7 @@ class Correlation:
 
 
 @input_value
-class Budget:
+class BudgetSpec:
     """What disturbs the line of sight, and how much of that it may follow.
 
     Attributes
@@ -268,7 +268,7 @@ class Budget:
 NEAR_ONE = 0.05
 
 
-def with_logs(budget: Budget, folder: FilePath) -> tuple[Budget, list[Mistake]]:
+def with_logs(budget: BudgetSpec, folder: FilePath) -> tuple[BudgetSpec, list[Mistake]]:
     """Return a budget whose logs are read, and what is wrong with them."""
     sources, mistakes, logs = [], [], _logs(budget, folder)
     for k, source in enumerate(budget.sources):
@@ -289,7 +289,7 @@ def with_logs(budget: Budget, folder: FilePath) -> tuple[Budget, list[Mistake]]:
     return replaced(budget, {"sources": tuple(sources)}), mistakes
 
 
-def _logs(budget: Budget, folder: FilePath) -> dict[tuple[str, str], Log]:
+def _logs(budget: BudgetSpec, folder: FilePath) -> dict[tuple[str, str], Log]:
     """Return the logs that can be read by their paths and columns of time, each read once for all of its columns."""
     columns: dict[tuple[str, str], list[str]] = {}
     for source in budget.sources:
@@ -312,7 +312,7 @@ def _gravity_in_g(source: Source, spectrum: LogSpectrum) -> str:
     return f'{words}; write unit = "g", or unit = "m/s2" if it is meant'
 
 
-def value_mistakes(budget: Budget) -> Iterator[Mistake]:
+def value_mistakes(budget: BudgetSpec) -> Iterator[Mistake]:
     """Walk what the values show: sources outside of the band, coherences of no signals."""
     for k, source in enumerate(budget.sources):
         path: Path = ("budget", "source", k)

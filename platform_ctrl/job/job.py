@@ -14,7 +14,7 @@ import numpy as np
 from platform_ctrl.analysis.feedforward import Into
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.common.values import FloatArray, input_value
-from platform_ctrl.job.budget import Budget
+from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.drive import Drive, DriveLaw, drive_law
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.methods import METHODS
@@ -36,7 +36,7 @@ from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, suggestion, useless, within, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
-from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key, Shape, unknown_key
+from platform_ctrl.plant.tables import TABLE, Array, Collected, Instead, InTable, Key, Shape, unknown_key
 
 MOST_LOOPS, MOST_DRIVES, MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 100, 100, 20, 100, 100
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate, lambda period: 1.0 / period)
@@ -504,11 +504,13 @@ class Job:
     name: fields.Text
     plant: str
     platform: Platform
-    Omega: Annotated[fields.Rates, At("operation", "Omega")]
-    Omega_grid: Annotated[fields.GridPoints, At("operation", "Omega_grid")] = 2
-    seed: Annotated[fields.Seed, At("operation", "seed")] = 0
-    angles: Annotated[dict[str, tuple[float, ...]], At("operation", "angles"), _ANGLES] = field(default_factory=dict)
-    locked: Annotated[fields.Names, At("operation", "locked")] = ()
+    Omega: Annotated[fields.Rates, InTable("operation", "Omega")]
+    Omega_grid: Annotated[fields.GridPoints, InTable("operation", "Omega_grid")] = 2
+    seed: Annotated[fields.Seed, InTable("operation", "seed")] = 0
+    angles: Annotated[dict[str, tuple[float, ...]], InTable("operation", "angles"), _ANGLES] = field(
+        default_factory=dict
+    )
+    locked: Annotated[fields.Names, InTable("operation", "locked")] = ()
     uncertainty: Annotated[Uncertainty, TABLE] = field(default_factory=Uncertainty)
     faults: Annotated[Faults, TABLE] = field(default_factory=Faults)
     sampling: Annotated[Sampling, TABLE]
@@ -518,7 +520,7 @@ class Job:
     manoeuvres: Annotated[tuple[Manoeuvre, ...], Array("manoeuvre", unique=("name",))] = ()
     fault_events: Annotated[tuple[Fault, ...], Array("fault", unique=("name",))] = ()
     campaign: Annotated[Campaign | None, TABLE] = None
-    budget: Annotated[Budget | None, TABLE] = None
+    budget: Annotated[BudgetSpec | None, TABLE] = None
     tolerance: fields.Part = 0.01
 
     @property

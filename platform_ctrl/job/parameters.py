@@ -54,7 +54,7 @@ def _numbers(record: type) -> dict[str, Expected]:
 
 
 @value
-class Parameter:
+class RunParameter:
     """A number of a run.
 
     Attributes
@@ -79,19 +79,19 @@ class Parameter:
     factor: bool = False
 
 
-def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, Parameter]:
+def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, RunParameter]:
     """Return what may be varied, by its path."""
     if not scenarios:
         return {}
     found = [
         *_of_plant(scenarios[0].platform),
-        Parameter(path="sampling.delay", group="sampling", key="delay"),
+        RunParameter(path="sampling.delay", group="sampling", key="delay"),
         *_initial(scenarios),
         *_of_manoeuvres(scenarios),
         *_of_drives(scenarios[0]),
         *_of_commands(scenarios),
         *(
-            Parameter(path=f"fault.{f.name}.{key}", group="fault", part=f.name, key=key)
+            RunParameter(path=f"fault.{f.name}.{key}", group="fault", part=f.name, key=key)
             for f in faults
             for key in ("at", *FAULT_KINDS[f.kind].keys)
         ),
@@ -99,11 +99,11 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
     return {one.path: one for one in found}
 
 
-def _of_plant(platform: Platform) -> Iterator[Parameter]:
-    yield Parameter(path="root.inertia", group="root", key="inertia", factor=True)
+def _of_plant(platform: Platform) -> Iterator[RunParameter]:
+    yield RunParameter(path="root.inertia", group="root", key="inertia", factor=True)
     for axis in (1, 2, 3):
         key = f"specific_force{axis}"
-        yield Parameter(path=f"root.{key}", group="root", key=key, index=axis - 1)
+        yield RunParameter(path=f"root.{key}", group="root", key=key, index=axis - 1)
     parts = {word: key for word, key in shape(Platform).keys.items() if key.array is not None}
     for word, of in parts.items():
         group, numbers = of.field, _numbers(of.holds.make)  # type: ignore[union-attr, arg-type]
@@ -115,7 +115,7 @@ def _of_plant(platform: Platform) -> Iterator[Parameter]:
             for key in numbers:
                 if not _there(part, key):
                     continue
-                yield Parameter(
+                yield RunParameter(
                     path=f"{word}.{title}.{key}",
                     group=group,
                     part=name,
@@ -126,7 +126,7 @@ def _of_plant(platform: Platform) -> Iterator[Parameter]:
     having = {one.body: k for k, one in reversed([*enumerate(platform.unbalances)])}
     for body in (platform.root_name, *platform.gimbal_names):
         for axis in (1, 2, 3):
-            yield Parameter(
+            yield RunParameter(
                 path=f"unbalance.{body}.moment{axis}",
                 group="unbalances",
                 part=body,
@@ -148,42 +148,42 @@ def _there(part: Any, key: str) -> bool:
             return True
 
 
-def _initial(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
+def _initial(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
     gimbals = scenarios[0].platform.gimbals
     for k, gimbal in enumerate(gimbals):
-        yield Parameter(path=f"initial.{gimbal.angle}_rate", group="initial", key="rate", index=k)
-        yield Parameter(path=f"initial.{gimbal.angle}", group="initial", key="q", index=k)
+        yield RunParameter(path=f"initial.{gimbal.angle}_rate", group="initial", key="rate", index=k)
+        yield RunParameter(path=f"initial.{gimbal.angle}", group="initial", key="q", index=k)
     if any(one.mode == "stabilised" for one in scenarios):
         for k, name in enumerate(OMEGA_NAMES):
-            yield Parameter(path=f"initial.{name}", group="initial", key="Omega", index=k)
+            yield RunParameter(path=f"initial.{name}", group="initial", key="Omega", index=k)
 
 
-def _of_manoeuvres(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
+def _of_manoeuvres(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
     for key in _OF_MANOEUVRES:
         if any(in_manoeuvre(key, one) is not None for one in scenarios):
             scale = key.endswith("_scale")
-            yield Parameter(path=f"manoeuvre.{key}", group="manoeuvre", key=key, factor=scale)
+            yield RunParameter(path=f"manoeuvre.{key}", group="manoeuvre", key=key, factor=scale)
     if any(one.vibrations or one.sines for one in scenarios):
-        yield Parameter(path="vibration.scale", group="vibration", key="scale", factor=True)
+        yield RunParameter(path="vibration.scale", group="vibration", key="scale", factor=True)
 
 
-def _of_drives(scenario: Scenario) -> Iterator[Parameter]:
+def _of_drives(scenario: Scenario) -> Iterator[RunParameter]:
     """Walk the numbers of drives: of friction where some is fed forward, of the gain where it follows an angle."""
     for k, law in enumerate(scenario.drives):
         for key in _numbers(Drive):
             if law.secant_of is not None if key == "secant_limit" else law.friction:
                 path = f"drive.{law.torquer}.{key}"
-                yield Parameter(path=path, group="drives", part=law.torquer, key=key, index=k)
+                yield RunParameter(path=path, group="drives", part=law.torquer, key=key, index=k)
 
 
-def _of_commands(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
+def _of_commands(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
     """Walk the numbers of commands, the k-th of its reading in every run that has it."""
     for reading in dict.fromkeys(one.reading for scenario in scenarios for one in scenario.commands):
         most = max(len(_commands_of(scenario, reading)) for scenario in scenarios)
         for k in range(most):
             title = reading if k == 0 else f"{reading}#{k + 1}"
             for key in _numbers(Command):
-                found = Parameter(path=f"command.{title}.{key}", group="commands", part=reading, key=key, index=k)
+                found = RunParameter(path=f"command.{title}.{key}", group="commands", part=reading, key=key, index=k)
                 if any(_of_command(found, scenario) is not None for scenario in scenarios):
                     yield found
 
@@ -192,7 +192,7 @@ def _commands_of(scenario: Scenario, reading: str) -> list[int]:
     return [k for k, one in enumerate(scenario.commands) if one.reading == reading]
 
 
-def _of_command(parameter: Parameter, scenario: Scenario) -> float | None:
+def _of_command(parameter: RunParameter, scenario: Scenario) -> float | None:
     """Return the number of a command; None where the run has no such command, or the command no such part."""
     places = _commands_of(scenario, parameter.part)
     if parameter.index >= len(places):
@@ -209,7 +209,7 @@ def unknown_parameter(path: str, known: Iterable[str]) -> str:
     return suggestion(path, alike or dict.fromkeys(heads.values()))
 
 
-def allowed(parameter: Parameter, scenario: Scenario) -> Expected:
+def allowed(parameter: RunParameter, scenario: Scenario) -> Expected:
     """Return what is expected of a drawn number; of a factor: what is expected of the factor."""
     key, k = parameter.key, parameter.index
     match parameter.group:
@@ -236,7 +236,7 @@ def _between(low: float, high: float) -> Expected:
     return Expected(f"an angle between the stops, {low:.6g} to {high:.6g} rad", judge)
 
 
-def nominal(parameter: Parameter, scenario: Scenario, faults: Sequence[Fault]) -> float | None:
+def nominal(parameter: RunParameter, scenario: Scenario, faults: Sequence[Fault]) -> float | None:
     """Return the nominal value; None where the run or the plant does not have the parameter."""
     if parameter.factor and parameter.group not in ("manoeuvre", "vibration"):
         return 1.0
@@ -282,7 +282,7 @@ def in_manoeuvre(key: str, scenario: Scenario) -> float | None:
 
 def varied_scenario(
     scenario: Scenario,
-    drawn: Sequence[tuple[Parameter, float, bool]],
+    drawn: Sequence[tuple[RunParameter, float, bool]],
     *,
     faults: tuple[Fault, ...] | None = None,
     seed: int | None = None,
@@ -333,7 +333,7 @@ def varied_scenario(
 
 
 def _with_part(
-    parts: tuple[Any, ...], parameter: Parameter, scenario: Scenario, number: float, relative: bool
+    parts: tuple[Any, ...], parameter: RunParameter, scenario: Scenario, number: float, relative: bool
 ) -> tuple[Any, ...]:
     """Return drives or commands with a drawn number in one of them, if the run has it."""
     k = parameter.index

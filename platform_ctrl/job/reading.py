@@ -25,7 +25,7 @@ from platform_ctrl.plant.locking import with_locked
 from platform_ctrl.plant.mistakes import Mistake, one_line, report
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import judge_plant, open_plant
-from platform_ctrl.plant.source import Document, open_file, open_mapping, path_of, read_text
+from platform_ctrl.plant.source import InputData, open_file, open_mapping, path_of, read_text
 from platform_ctrl.plant.tables import Key, made, read_table, shape, written
 from platform_ctrl.plant.writing import plant_data
 
@@ -115,14 +115,14 @@ def _variation(job: Job) -> Iterator[Mistake]:
             yield Mistake(("campaign", "vary", k, key), one_line(line))
 
 
-def _plant(document: Document, folder: Path) -> tuple[Platform | None, list[Mistake]]:
+def _plant(document: InputData, folder: Path) -> tuple[Platform | None, list[Mistake]]:
     """Return the platform of a job, or None and what is wrong with it, by its place in the job."""
     plant = document.data.get("plant")
     kind: type[Platform] = type(plant) if isinstance(plant, Platform) else Platform
     if isinstance(plant, Platform):
         plant = document.data["plant"] = open_plant(plant, folder).data
     if isinstance(plant, dict):
-        platform, mistakes = judge_plant(Document(document.label, plant, [], folder), kind)
+        platform, mistakes = judge_plant(InputData(document.label, plant, [], folder), kind)
         return platform, [Mistake(("plant", *mistake.path), mistake.text) for mistake in mistakes]
     if not isinstance(plant, str) or not plant.strip():
         return None, []

@@ -1,7 +1,7 @@
 """What a disturbance is over frequency: a class for each way to describe it, listed in `SPECTRA`.
 
-Densities are one-sided and lines are sines, in the unit of the quantity u that they describe: u²/Hz and u. A new way is
-a subclass of `Spectrum` and a line of `SPECTRA`; the reader of jobs, the writer and the budget take it from there.
+Densities are one-sided and lines are sines, in the unit of the quantity u that they describe: u²/Hz and u. A new way
+is a subclass of `SourceSpectrum` and a line of `SPECTRA`; reader, writer and budget take it from there.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Lines:
 _NO_LINES = Lines(frequencies_hz=np.zeros(0), amplitudes=np.zeros(0))
 
 
-class Spectrum:
+class SourceSpectrum:
     """What all descriptions of a disturbance have in common."""
 
     __slots__ = ()
@@ -114,7 +114,7 @@ class Spectrum:
 
 
 @record_value
-class TableSpectrum(Spectrum):
+class TableSpectrum(SourceSpectrum):
     """A density that is given at points; zero outside of them.
 
     Attributes
@@ -155,7 +155,7 @@ def interpolated(
 
 
 @record_value
-class ProfileSpectrum(Spectrum):
+class ProfileSpectrum(SourceSpectrum):
     """A standard profile that comes with the package.
 
     Attributes
@@ -177,7 +177,7 @@ class ProfileSpectrum(Spectrum):
 
 
 @record_value
-class SineSpectrum(Spectrum):
+class SineSpectrum(SourceSpectrum):
     """Sines a sin(2π f t + φ) of known phase: those of one frequency add up, whichever source they are of.
 
     Attributes
@@ -202,7 +202,7 @@ class SineSpectrum(Spectrum):
 
 
 @record_value
-class HarmonicSpectrum(Spectrum):
+class HarmonicSpectrum(SourceSpectrum):
     """Cogging and ripple of a turning motor: sines whose frequencies are multiples of its rate.
 
     At one rate these are lines of unknown phase. Where the rate may be anything in a range, each harmonic of amplitude
@@ -253,7 +253,7 @@ class HarmonicSpectrum(Spectrum):
 
 
 @input_value
-class LogSpectrum(Spectrum):
+class LogSpectrum(SourceSpectrum):
     """A signal that was recorded; its density is estimated once the job is read.
 
     Attributes
@@ -314,7 +314,7 @@ class LogSpectrum(Spectrum):
 
 
 # By the key of a source that says how it is described.
-SPECTRA: dict[str, type[Spectrum]] = {
+SPECTRA: dict[str, type[SourceSpectrum]] = {
     "frequencies_hz": TableSpectrum,
     "profile": ProfileSpectrum,
     "log": LogSpectrum,

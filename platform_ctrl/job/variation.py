@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from platform_ctrl.common.values import input_value
 from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.parameters import Parameter, allowed, drawn_value, nominal, parameters, unknown_parameter
+from platform_ctrl.job.parameters import RunParameter, allowed, drawn_value, nominal, parameters, unknown_parameter
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Unfit
@@ -242,7 +242,7 @@ def campaign_misfits(
 
 def _misfit(
     vary: Vary,
-    parameter: Parameter,
+    parameter: RunParameter,
     scenarios: Sequence[Scenario],
     faults: Sequence[Fault],
     drawn: set[str],
@@ -282,7 +282,7 @@ def _fits(expected: Expected, low: float, high: float, continuous: bool) -> bool
 
 
 def _misfits_together(
-    varied: dict[str, Vary], known: dict[str, Parameter], scenario: Scenario, faults: Sequence[Fault]
+    varied: dict[str, Vary], known: dict[str, RunParameter], scenario: Scenario, faults: Sequence[Fault]
 ) -> Iterator[tuple[str, str]]:
     """Walk numbers of one part that could be drawn so that its record would refuse them together, by their path."""
     parts: dict[tuple[str, int, str], dict[str, str]] = {}

@@ -24,14 +24,14 @@ _CLEAR = 0.3  # between bodies
 _TURN = 0.36  # radius of a turn arrow
 
 
-class Shape(NamedTuple):
+class Outline(NamedTuple):
     """A piece in space: its kind, its points (k, 3), and the body that it belongs to."""
 
     kind: str
     points: FloatArray
     body: str = ""
 
-    def moved(self, by: FloatArray) -> Shape:
+    def moved(self, by: FloatArray) -> Outline:
         """Return it at another place."""
         return self._replace(points=self.points + by)
 
@@ -43,7 +43,7 @@ class Item(NamedTuple):
     axis: FloatArray
     reach: float  # from the centre to where its shaft begins
     signs: tuple[str, ...]  # of what acts and measures at its joint
-    shapes: list[Shape]
+    shapes: list[Outline]
 
 
 def camera(platform: Platform) -> FloatArray:
@@ -87,20 +87,20 @@ def camera(platform: Platform) -> FloatArray:
     return best
 
 
-def _closest_tips(shapes: list[Shape], rows: FloatArray) -> float:
+def _closest_tips(shapes: list[Outline], rows: FloatArray) -> float:
     """Return how near to one another two arrows are seen to end."""
     tips = np.array([shape.points[-1] @ rows[:2].T for shape in shapes if shape.kind in ("axis", "spin")])
     apart = np.linalg.norm(tips[:, None] - tips, axis=2)
     return float(apart[np.triu_indices(len(tips), 1)].min(initial=2.0))
 
 
-def bodies(platform: Platform, toward: FloatArray) -> list[list[Shape]]:
+def bodies(platform: Platform, toward: FloatArray) -> list[list[Outline]]:
     """Return what the root carries, body by body in the file's order, gimbals first, each about its own origin."""
     out = []
     for item in _carried(platform, platform.root_name, toward):
         end = _beyond(item)
         mounts = [
-            Shape("mount", np.array([side * end * item.axis, side * (end + 0.1) * item.axis])) for side in (1, -1)
+            Outline("mount", np.array([side * end * item.axis, side * (end + 0.1) * item.axis])) for side in (1, -1)
         ]
         out.append([*item.shapes, *_shaft(item, end, toward), *mounts])
     return out
@@ -144,7 +144,7 @@ def spin_direction(rotor: Rotor) -> FloatArray:
 def _rotor(rotor: Rotor) -> Item:
     axis = spin_direction(rotor)
     face = HALF_THICKNESS * axis
-    return Item(rotor, axis, HALF_THICKNESS, (), [Shape("disc", np.array([-face, face]), rotor.name)])
+    return Item(rotor, axis, HALF_THICKNESS, (), [Outline("disc", np.array([-face, face]), rotor.name)])
 
 
 def _gimbal(platform: Platform, gimbal: Gimbal, toward: FloatArray) -> Item:
@@ -155,7 +155,7 @@ def _gimbal(platform: Platform, gimbal: Gimbal, toward: FloatArray) -> Item:
     b = _across(a, [item.axis for item in items])
     if not items:
         plate = np.array([0.8 * a + 0.5 * b, 0.8 * a - 0.5 * b, -0.8 * a - 0.5 * b, -0.8 * a + 0.5 * b])
-        return Item(gimbal, a, 0.8, own, [Shape("plate", plate, gimbal.name)])
+        return Item(gimbal, a, 0.8, own, [Outline("plate", plate, gimbal.name)])
     n = np.cross(a, b)
     alone = len(items) == 1
     along_b = [_reach(item.shapes, b) + _CLEAR for item in items]
@@ -166,11 +166,11 @@ def _gimbal(platform: Platform, gimbal: Gimbal, toward: FloatArray) -> Item:
         c = item.axis
         if _lies(c, b) or (abs(c @ n) < 1e-6 and abs(c @ b) > 0.5):
             end = width / abs(float(c @ b))
-            extra: list[Shape] = []
+            extra: list[Outline] = []
         elif abs(c @ n) < 1e-6 and abs(c @ a) > 1e-6:
             end = _beyond(item)
             bars = [np.array([s * end * c - (s * end * (c @ b)) * b - w * b for w in (width, -width)]) for s in (1, -1)]
-            extra = [] if alone else [Shape("bar", bar, gimbal.name) for bar in bars]
+            extra = [] if alone else [Outline("bar", bar, gimbal.name) for bar in bars]
         else:
             # Its axis leaves the plane: a second frame across the first holds it.
             end = max(_beyond(item), _reach(item.shapes, c) + _CLEAR)
@@ -211,16 +211,16 @@ def _beyond(item: Item) -> float:
     return item.reach + (_PIN + more if isinstance(item.body, Gimbal) else 0.4)
 
 
-def _sides(corners: FloatArray, body: str) -> list[Shape]:
+def _sides(corners: FloatArray, body: str) -> list[Outline]:
     """Return a frame as its four sides, each in two halves, so that near ones can be drawn over far ones."""
     out = []
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         middle = 0.5 * (start + end)
-        out += [Shape("bar", np.array([start, middle]), body), Shape("bar", np.array([middle, end]), body)]
+        out += [Outline("bar", np.array([start, middle]), body), Outline("bar", np.array([middle, end]), body)]
     return out
 
 
-def _shaft(item: Item, end: float, toward: FloatArray) -> list[Shape]:
+def _shaft(item: Item, end: float, toward: FloatArray) -> list[Outline]:
     """Return what joins a body to its bearings at ± `end` along its axis, and the arrows of the positive direction."""
     c, start, name = item.axis, item.reach, item.body.name
     if isinstance(item.body, Rotor):
@@ -230,26 +230,26 @@ def _shaft(item: Item, end: float, toward: FloatArray) -> list[Shape]:
             # L points away from the viewer: its tip has to come out from behind the disc.
             tip = max(tip, min((away + 0.5) / math.sqrt(1.0 - min(away, 0.97) ** 2), 3.0))
         return [
-            Shape("shaft", np.array([-end * c, -start * c]), name),
-            Shape("bearing", np.array([-end * c])),
-            Shape("bearing", np.array([end * c])),
-            Shape("spin", np.array([start * c, tip * c]), name),
+            Outline("shaft", np.array([-end * c, -start * c]), name),
+            Outline("bearing", np.array([-end * c])),
+            Outline("bearing", np.array([end * c])),
+            Outline("spin", np.array([start * c, tip * c]), name),
         ]
     out = [
-        Shape("pin", np.array([-end * c, -start * c]), name),
-        Shape("pin", np.array([start * c, end * c]), name),
-        Shape("bearing", np.array([-end * c])),
-        Shape("bearing", np.array([end * c])),
-        Shape("axis", np.array([end * c, (end + _TIP) * c]), name),
+        Outline("pin", np.array([-end * c, -start * c]), name),
+        Outline("pin", np.array([start * c, end * c]), name),
+        Outline("bearing", np.array([-end * c])),
+        Outline("bearing", np.array([end * c])),
+        Outline("axis", np.array([end * c, (end + _TIP) * c]), name),
         *_turn(c, 0.5 * (start + end), toward, name),
     ]
     for k, kind in enumerate(item.signs):
         at = -(start + (end - start) * (k + 1.0) / (len(item.signs) + 1.0))
-        out.append(Shape("sign " + kind, np.array([at * c]), name))
+        out.append(Outline("sign " + kind, np.array([at * c]), name))
     return out
 
 
-def _turn(c: FloatArray, at: float, toward: FloatArray, name: str) -> list[Shape]:
+def _turn(c: FloatArray, at: float, toward: FloatArray, name: str) -> list[Outline]:
     """Return a right-handed turn about `c` in stretches behind and before the axis; the last ends in the tip."""
     front = _across(c, [toward])
     side = np.cross(c, front)
@@ -257,10 +257,10 @@ def _turn(c: FloatArray, at: float, toward: FloatArray, name: str) -> list[Shape
     points = at * c + _TURN * (np.cos(angles)[:, None] * front + np.sin(angles)[:, None] * side)
     cuts = [0, *(np.flatnonzero(np.diff(np.cos(angles) > 0.0)) + 1), len(angles)]
     stretches = [points[max(low - 1, 0) : high] for low, high in itertools.pairwise(cuts)]
-    return [Shape("turn" if k < len(stretches) - 1 else "turn-tip", p, name) for k, p in enumerate(stretches)]
+    return [Outline("turn" if k < len(stretches) - 1 else "turn-tip", p, name) for k, p in enumerate(stretches)]
 
 
-def _span(shapes: list[Shape], d: FloatArray) -> tuple[float, float]:
+def _span(shapes: list[Outline], d: FloatArray) -> tuple[float, float]:
     low, high = 0.0, 0.0
     for shape in shapes:
         x = shape.points @ d
@@ -271,12 +271,12 @@ def _span(shapes: list[Shape], d: FloatArray) -> tuple[float, float]:
     return low, high
 
 
-def _reach(shapes: list[Shape], d: FloatArray) -> float:
+def _reach(shapes: list[Outline], d: FloatArray) -> float:
     low, high = _span(shapes, d)
     return max(-low, high)
 
 
-def disc_axis(shape: Shape) -> FloatArray:
+def disc_axis(shape: Outline) -> FloatArray:
     """Return the unit vector from the back face of a disc to its front face, the direction of L."""
     return np.asarray((shape.points[1] - shape.points[0]) / (2.0 * HALF_THICKNESS))
 

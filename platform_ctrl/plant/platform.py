@@ -28,7 +28,7 @@ from platform_ctrl.plant.sensors import (
     Sensor,
     gimbal_rate,
 )
-from platform_ctrl.plant.tables import TABLE, Array, At, Instead, Shape, either, shape
+from platform_ctrl.plant.tables import TABLE, Array, Instead, InTable, Shape, either, shape
 from platform_ctrl.plant.writing import plant_data, toml
 
 RotorControl = Literal["regulated", "free", "servo"]
@@ -226,8 +226,8 @@ class Platform:
     """
 
     name: fields.Text
-    root_name: Annotated[fields.Text, At("root", "name")]
-    root_inertia: Annotated[fields.Inertia, At("root", "inertia")]
+    root_name: Annotated[fields.Text, InTable("root", "name")]
+    root_inertia: Annotated[fields.Inertia, InTable("root", "inertia")]
     # The kinds of parts: `Array` names the table of the plant file, whose keys are the fields of the class.
     gimbals: Annotated[tuple[Gimbal, ...], Array("gimbal", most=MOST_GIMBALS, unique=("name",))] = ()
     rotors: Annotated[tuple[Rotor, ...], Array("rotor", most=MOST_PARTS, unique=("name",))] = ()
@@ -244,7 +244,7 @@ class Platform:
     cages: Annotated[tuple[Cage, ...], Array("cage", most=MOST_PARTS, unique=("gimbal",))] = ()
     unbalances: Annotated[tuple[Unbalance, ...], Array("unbalance", most=MOST_PARTS)] = ()
     erections: Annotated[tuple[Erection, ...], Array("erection", most=MOST_PARTS)] = ()
-    specific_force: Annotated[fields.Vector, At("root", "specific_force")] = field(
+    specific_force: Annotated[fields.Vector, InTable("root", "specific_force")] = field(
         default_factory=lambda: read_only((0.0, 0.0, 0.0))
     )
     source: fields.AnyText = ""

@@ -17,7 +17,7 @@ import numpy as np
 from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Gimbal, Platform
-from platform_ctrl.plant.source import Document, is_shipped_name, open_file, open_mapping, open_shipped, path_of
+from platform_ctrl.plant.source import InputData, is_shipped_name, open_file, open_mapping, open_shipped, path_of
 from platform_ctrl.plant.tables import Key, Shape, made, read_table, references, shape
 from platform_ctrl.plant.writing import plant_data
 
@@ -76,7 +76,7 @@ def read_platform(source: str | os.PathLike[str] | Mapping[str, Any] | Platform)
     return platform
 
 
-def open_plant(source: object, folder: FilePath) -> Document:
+def open_plant(source: object, folder: FilePath) -> InputData:
     """Return the document of a plant: a platform, a dict, a shipped model, or a file whose path starts in `folder`."""
     if isinstance(source, Platform):
         return open_mapping(plant_data(source), f"platform {given(source.name)}", folder)
@@ -88,7 +88,7 @@ def open_plant(source: object, folder: FilePath) -> Document:
     return open_file(folder / path)
 
 
-def judge_plant(document: Document, kind: type[Platform] = Platform) -> tuple[Platform | None, list[Mistake]]:
+def judge_plant(document: InputData, kind: type[Platform] = Platform) -> tuple[Platform | None, list[Mistake]]:
     """Return the platform, of class `kind`, that a document describes, or None and its mistakes."""
     if "root" not in document.data and {"plant", "loop"} <= set(document.data):
         its_plant = given(document.data["plant"])

@@ -20,7 +20,7 @@ MOST_OF_ANY, MOST_OF_TOML = 64 * 2**20, 2**20
 
 
 @dataclass(frozen=True)
-class Document:
+class InputData:
     """An input in plain types, what it is called in messages, and the folder that its paths start from."""
 
     label: str
@@ -81,12 +81,12 @@ def is_shipped_name(source: str) -> bool:
     return not any(separator in source for separator in separators) and not Path(source).suffix
 
 
-def open_shipped(name: str) -> Document:
+def open_shipped(name: str) -> InputData:
     """Return a shipped plant."""
     return _document(f"shipped model {name}", platform_source(name), Path())
 
 
-def open_file(path: Path) -> Document:
+def open_file(path: Path) -> InputData:
     """Return the file at `path`."""
     return _document(one_line(str(path)), read_text(path, "a TOML file", MOST_OF_TOML), path.parent)
 
@@ -130,10 +130,10 @@ def read_json(path: str | os.PathLike[str], expected: str) -> tuple[str, object]
         raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
 
 
-def open_mapping(source: Mapping[str, Any], label: str, folder: Path) -> Document:
+def open_mapping(source: Mapping[str, Any], label: str, folder: Path) -> InputData:
     """Return a dict given in Python, in plain types."""
     data, mistakes = plain(source)
-    return Document(label, data, mistakes, folder)
+    return InputData(label, data, mistakes, folder)
 
 
 def path_of(source: object, expected: str) -> Path:
@@ -143,7 +143,7 @@ def path_of(source: object, expected: str) -> Path:
     return Path(os.fsdecode(source))
 
 
-def _document(label: str, text: str, folder: Path) -> Document:
+def _document(label: str, text: str, folder: Path) -> InputData:
     try:
         parsed = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

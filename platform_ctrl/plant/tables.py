@@ -36,7 +36,7 @@ class Array:
 
 
 @dataclass(frozen=True, eq=False)
-class At:
+class InTable:
     """Mark of a field that is read from `key` of another table: ``[table]``."""
 
     table: str
@@ -173,7 +173,7 @@ def _shape(record: type) -> Shape:
     for one in dataclasses.fields(record):
         kind, marks = _marks(hints[one.name])
         needed = one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
-        at = next((mark for mark in marks if isinstance(mark, At)), None)
+        at = next((mark for mark in marks if isinstance(mark, InTable)), None)
         instead = next((mark for mark in marks if isinstance(mark, Instead)), None)
         for mark in marks:
             if isinstance(mark, Collected):

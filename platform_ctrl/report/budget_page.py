@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from platform_ctrl.job.budget import Budget
+from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.quantities import plain, quantity
 from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.report.blocks import Block, Paragraph, Part, Table, drawn, sentence, table
@@ -111,7 +111,7 @@ def _percent(share: float) -> str:
     return f"{plain(100.0 * share, 3)} %" if share > _ROUNDING else ""
 
 
-def budget_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
+def budget_figure(budget: BudgetSpec, found: LineOfSightBudget) -> Figure:
     """Draw the rms of both axes across the line of sight up to a frequency: all sources, and the largest ones."""
     largest = found.ranking[:_CURVES]
     names = ["all sources", *(found.names[k] for k in largest)]
@@ -159,7 +159,7 @@ def simulated_figure(runs: SimulatedBudget) -> Figure:
     return figure
 
 
-def waterfall_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
+def waterfall_figure(budget: BudgetSpec, found: LineOfSightBudget) -> Figure:
     """Draw how the mean squares of the sources add up to the total, the largest first: by axis, and both together."""
     falls = waterfalls(budget, found)
     rows = 1 + max(len(fall.names) for fall in falls)

@@ -23,7 +23,7 @@ from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.packing import sight_of
 from platform_ctrl.simulation.run_plan import (
     Batch,
-    Controller,
+    ControllerRows,
     Prepared,
     batch,
     controller_rows,
@@ -164,7 +164,7 @@ def simulate_batch(
     members = [prepared(scenario, period, longest) for scenario in scenarios]
     for place, member in enumerate(members):
         groups.setdefault(member.key, []).append(place)
-    modes: dict[tuple[object, ...], Controller] = {}
+    modes: dict[tuple[object, ...], ControllerRows] = {}
 
     def put_together(places: list[int]) -> Batch:
         own = [members[place] for place in places]
@@ -238,7 +238,7 @@ def merged_controller(
     mode: Mode,
     commanded: Sequence[str] = (),
     drives: Sequence[DriveLaw] = (),
-) -> Controller:
+) -> ControllerRows:
     """Return one state space from all sensors, and commands of some readings, to all torquers, in the kernel's form.
 
     Where Omega is prescribed controllers that act on the root are left out. Behind it are the rates of drives. The last
@@ -310,7 +310,7 @@ def batch_metrics(batched: Batch, threads: int = 1, record: FloatArray = _NO_REC
     return metrics.transpose(0, 2, 1).reshape(groups * LANES, slots)[:runs]
 
 
-def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
+def recorded(member: Prepared, controller: ControllerRows, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
     """Simulate one scenario alone; return its record, a row a sample, and its metrics (slots,)."""
     batched = batch([member], controller, period, noise)
     at, shared = batched.packed.at, batched.shared

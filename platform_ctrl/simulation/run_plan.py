@@ -45,7 +45,7 @@ from platform_ctrl.simulation.step_limit import check_steps
 _STREAM = {arrays.PICKOFF_DROPOUT: 3, arrays.OVERRUN: 4}
 
 
-class Controller(NamedTuple):
+class ControllerRows(NamedTuple):
     """All controllers as one state space in the form of rows without zeros: next states, torques, rates of drives.
 
     `others` are the bounds of the rows of next states and torques at samples at which not all of them are computed, and
@@ -79,7 +79,7 @@ class Prepared(NamedTuple):
     key: tuple[object, ...]
 
 
-def controller_rows(by_sample: Sequence[System], rates: FloatArray) -> Controller:
+def controller_rows(by_sample: Sequence[System], rates: FloatArray) -> ControllerRows:
     """Return discrete state spaces, and the weights (drives, inputs) in the rates of drives, in the kernel's form.
 
     There is one of every sample until they repeat; those that are one object are stored once.
@@ -97,7 +97,7 @@ def controller_rows(by_sample: Sequence[System], rates: FloatArray) -> Controlle
     order = [*range(1, len(kinds)), 0]
     width = states + len(kinds[0].C) + 1
     place = {id(one): k - 1 for k, one in enumerate(kinds)}
-    return Controller(
+    return ControllerRows(
         states,
         (first + ends[-1]).astype(np.int64),
         np.concatenate([columns[k] for k in order]).astype(np.int64),
@@ -162,7 +162,7 @@ class Batch(NamedTuple):
     keys: NDArray[np.uint64]
 
 
-def batch(members: Sequence[Prepared], controller: Controller, period: float, noise: bool) -> Batch:
+def batch(members: Sequence[Prepared], controller: ControllerRows, period: float, noise: bool) -> Batch:
     """Put scenarios of equal keys together."""
     one = members[0]
     shape, free = one.skeleton, one.scenario.mode == "stabilised"
@@ -208,7 +208,7 @@ def _shared(
     one: Prepared,
     order: list[FaultKey],
     members: Sequence[Prepared],
-    controller: Controller,
+    controller: ControllerRows,
     period: float,
     free: bool,
 ) -> tuple[Shared, list[int]]:
@@ -257,7 +257,7 @@ def _shared(
     return shared, places
 
 
-def _bounds(controller: Controller, parts: NDArray[np.int64]) -> NDArray[np.int64]:
+def _bounds(controller: ControllerRows, parts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return `Shared.first`."""
     if len(controller.cycle) == 1:
         return np.concatenate([controller.first, parts])
@@ -266,7 +266,7 @@ def _bounds(controller: Controller, parts: NDArray[np.int64]) -> NDArray[np.int6
     return np.concatenate([controller.first, parts, controller.others.ravel(), np.array(cycle, np.int64)])
 
 
-def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controller) -> Layout:
+def _layout(packed: Packed, shared: Shared, one: Prepared, controller: ControllerRows) -> Layout:
     at = packed.at
     n, nu, ny, sight = at.n, len(shared.targets), len(one.skeleton.sensors), len(one.skeleton.sight)
     commands, drives = len(commanded_readings(one.scenario)), len(one.scenario.drives)

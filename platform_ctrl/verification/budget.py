@@ -34,7 +34,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import at_angles
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.budget import Budget
+from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.verification.budget_loop import BudgetLoop
@@ -49,7 +49,7 @@ _TOLERANCE, _QUICK = 1e-5, 1e-4
 _EXTENT = math.sqrt(12.0)
 
 
-def expect_budget(job: Job) -> Budget:
+def expect_budget(job: Job) -> BudgetSpec:
     """Return the budget of a job whose plant has a line of sight."""
     if job.budget is None:
         raise ArgumentError(

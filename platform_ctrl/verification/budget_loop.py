@@ -24,7 +24,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import secant_gains
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.budget import Budget, Source
+from platform_ctrl.job.budget import BudgetSpec, Source
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import connected, linearise
@@ -44,7 +44,7 @@ _PER_OCTAVE = 24
 class BudgetLoop:
     """The loop of a job, for one damping of its bearings after the other."""
 
-    def __init__(self, job: Job, budget: Budget, controllers: Sequence[control.StateSpace]) -> None:
+    def __init__(self, job: Job, budget: BudgetSpec, controllers: Sequence[control.StateSpace]) -> None:
         self.job, self.budget = job, budget
         self.free = acts_on_root(job, controllers)
         self.dry = [one for one in job.platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]

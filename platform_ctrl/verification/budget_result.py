@@ -11,7 +11,7 @@ import numpy as np
 from platform_ctrl.analysis.dry_friction import FrictionBalance
 from platform_ctrl.analysis.metrics import BUDGET_METRICS
 from platform_ctrl.common.values import FloatArray, replaced, value
-from platform_ctrl.job.budget import Budget
+from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.plant.sensors import LOS_ANGLES
@@ -183,7 +183,7 @@ def rms_ticks(end: float) -> FloatArray:
     return np.array([0.0, *(one for one in kept[::-1] if one**2 > _APART * end)])
 
 
-def waterfall(budget: Budget, found: LineOfSightBudget, axis: int | None = None) -> Waterfall:
+def waterfall(budget: BudgetSpec, found: LineOfSightBudget, axis: int | None = None) -> Waterfall:
     """Return how the sources add up to the motion of the line of sight.
 
     Parameters
@@ -228,7 +228,7 @@ def waterfall(budget: Budget, found: LineOfSightBudget, axis: int | None = None)
     )
 
 
-def waterfalls(budget: Budget, found: LineOfSightBudget) -> tuple[Waterfall, ...]:
+def waterfalls(budget: BudgetSpec, found: LineOfSightBudget) -> tuple[Waterfall, ...]:
     """Return those of both axes across the line of sight, and of both together, as plots show them."""
     return tuple(waterfall(budget, found, axis) for axis in (0, 1, None))
 
@@ -256,7 +256,7 @@ def balance_holds(friction: FrictionBalance | None) -> bool:
 
 
 def judged(
-    budget: Budget,
+    budget: BudgetSpec,
     rms: FloatArray,
     total: FloatArray,
     windows: Sequence[WindowBudget],
@@ -316,7 +316,7 @@ def by_simulation(results: Sequence[CheckResult], simulated: SimulatedBudget) ->
     return tuple(out)
 
 
-def _requirements(budget: Budget) -> list[tuple[tuple[str, str], Requirement]]:
+def _requirements(budget: BudgetSpec) -> list[tuple[tuple[str, str], Requirement]]:
     """Return the limits with their keys and the names of the sources that they are of, if they are of one."""
     out = []
     for key, metric in BUDGET_METRICS.items():

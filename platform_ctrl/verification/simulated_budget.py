@@ -18,7 +18,7 @@ import numpy as np
 from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import SimulationError
-from platform_ctrl.job.budget import Budget, BudgetLimits, Source
+from platform_ctrl.job.budget import BudgetLimits, BudgetSpec, Source
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Scenario, Sine, Vibration
 from platform_ctrl.simulation.batch import simulate_batch
@@ -167,7 +167,7 @@ def simulated_budget(
     )
 
 
-def _linear(job: Job, budget: Budget, controllers: Sequence[control.StateSpace], length: float) -> FloatArray:
+def _linear(job: Job, budget: BudgetSpec, controllers: Sequence[control.StateSpace], length: float) -> FloatArray:
     """Return the linear rms about the mean within a length of time from sources that are independent, rad."""
     same = dataclasses.replace(
         budget, correlations=(), limits=BudgetLimits(), exposure=(length,), spatial_frequencies=()
@@ -176,7 +176,7 @@ def _linear(job: Job, budget: Budget, controllers: Sequence[control.StateSpace],
     return line_of_sight_budget(at_rest, controllers).windows[0].about_mean
 
 
-def _vibrations(source: Source, budget: Budget) -> list[Vibration]:
+def _vibrations(source: Source, budget: BudgetSpec) -> list[Vibration]:
     """Return a source's density within the band as a sum of sines."""
     knots = source.knots_hz
     if not knots.size or max(budget.from_hz, knots[0]) >= min(budget.to_hz, knots[-1]):
@@ -198,7 +198,7 @@ def _vibrations(source: Source, budget: Budget) -> list[Vibration]:
     ]
 
 
-def _sines(source: Source, budget: Budget, rng: np.random.Generator) -> list[Sine]:
+def _sines(source: Source, budget: BudgetSpec, rng: np.random.Generator) -> list[Sine]:
     """Return a source's sines within the band; phases that are not given are drawn."""
     lines = source.lines
     drawn = rng.uniform(0.0, 2.0 * math.pi, len(lines.frequencies_hz))
@@ -217,5 +217,5 @@ def _sines(source: Source, budget: Budget, rng: np.random.Generator) -> list[Sin
     ]
 
 
-def _left_out(budget: Budget) -> tuple[str, ...]:
+def _left_out(budget: BudgetSpec) -> tuple[str, ...]:
     return ("correlations: the sources of a run are independent",) if budget.correlations else ()

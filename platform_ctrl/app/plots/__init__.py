@@ -14,7 +14,7 @@ from platform_ctrl.app.plots.frequency import BodePanel, NicholsPanel
 from platform_ctrl.app.plots.locus import LocusPanel
 from platform_ctrl.app.plots.panel import Theme
 from platform_ctrl.app.plots.responses import RatePanel, StepPanel
-from platform_ctrl.job.budget import Budget
+from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.verification.budget_result import LineOfSightBudget
 
 
@@ -30,7 +30,7 @@ class Plots:
         Bokeh's column data sources by name: what is drawn, in the units of the axes.
     """
 
-    def __init__(self, dark: bool = False, budget: Budget | None = None) -> None:
+    def __init__(self, dark: bool = False, budget: BudgetSpec | None = None) -> None:
         self._theme, sources = Theme(dark), Sources()
         self._picture: Drawing | None = None
         # One view for all that is over frequency: zooming one zooms all.

@@ -8,7 +8,7 @@ import numpy as np
 
 from platform_ctrl.app.plots.data import SMALL, Sources, View, column, dashes, round_bounds, series
 from platform_ctrl.app.plots.panel import Panel, Theme, limit_key
-from platform_ctrl.job.budget import Budget
+from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.quantities import plain
 from platform_ctrl.verification.budget_result import TOGETHER, LineOfSightBudget, Waterfall, rms_ticks, waterfalls
 
@@ -32,7 +32,7 @@ def _rising(low: float, high: float) -> tuple[float, float]:
 class CumulativePanel(Panel):
     """The rms of an axis up to a frequency, of all sources and of the largest."""
 
-    def __init__(self, theme: Theme, sources: Sources, budget: Budget, frequency: View, axis: int) -> None:
+    def __init__(self, theme: Theme, sources: Sources, budget: BudgetSpec, frequency: View, axis: int) -> None:
         super().__init__(f"cumulative{axis}", "Cumulative rms", theme, sources)
         self._budget, self._axis, self._source = budget, axis, f"cumulative{axis}"
         self._size = View(0.0, 1.0, _rising)
@@ -137,7 +137,7 @@ def _turned(low: float, high: float) -> tuple[float, float]:
 class BudgetPlots:
     """The plots of a budget, in the order of the page: two axes over frequency, then the waterfalls below them."""
 
-    def __init__(self, budget: Budget, theme: Theme, sources: Sources) -> None:
+    def __init__(self, budget: BudgetSpec, theme: Theme, sources: Sources) -> None:
         self._budget = budget
         frequency = View(budget.from_hz, budget.to_hz, lambda low, high: (low, high), logarithmic=True)
         frequency.fit((budget.from_hz, budget.to_hz))

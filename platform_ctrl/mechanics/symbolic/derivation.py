@@ -16,7 +16,7 @@ from platform_ctrl.mechanics.linearisation import Terms, connected
 from platform_ctrl.mechanics.symbolic.polynomials import Array, Expression, Polynomial, Polynomials
 from platform_ctrl.mechanics.symbolic.symbols import (
     NamedSymbol,
-    Names,
+    SymbolNames,
     elements,
     inertia_symbols,
     motion_symbols,
@@ -248,7 +248,7 @@ class _Derivation:
         self.tree = tree = topology(platform)
         if order is None:
             _not_too_large(platform, tree)
-        names = Names()
+        names = SymbolNames()
         self.motion = motion = motion_symbols(platform, names)
         self.inertias = inertia_symbols(platform, tree, names)
         C, L = rotor_symbols(platform, names)

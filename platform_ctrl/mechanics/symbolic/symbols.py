@@ -39,7 +39,7 @@ class NamedSymbol:
     value: float | None = None  # the platform's number, SI; None for what changes with time
 
 
-class Names:
+class SymbolNames:
     """Makes symbols with names and texts that occur only once."""
 
     def __init__(self) -> None:
@@ -89,7 +89,7 @@ class Motion(NamedTuple):
     root_torques: tuple[NamedSymbol, ...]
 
 
-def motion_symbols(platform: Platform, names: Names) -> Motion:
+def motion_symbols(platform: Platform, names: SymbolNames) -> Motion:
     """Return the symbols of angles, rates and torques: they take their names first."""
     root, gimbals = platform.root_name, platform.gimbals
 
@@ -109,7 +109,9 @@ def motion_symbols(platform: Platform, names: Names) -> Motion:
     return Motion(Omega, Omega_dot, accelerations, rates, angles, Q, M)
 
 
-def inertia_symbols(platform: Platform, tree: Topology, names: Names) -> list[tuple[NamedSymbol, tuple[int, int, int]]]:
+def inertia_symbols(
+    platform: Platform, tree: Topology, names: SymbolNames
+) -> list[tuple[NamedSymbol, tuple[int, int, int]]]:
     """Return the symbols of what turns with each body at zero angles, without C; their body (0: all), row, column."""
     composites: FloatArray = tree.inertias.copy()
     for k in reversed(tree.order):
@@ -132,7 +134,7 @@ def inertia_symbols(platform: Platform, tree: Topology, names: Names) -> list[tu
     return out
 
 
-def rotor_symbols(platform: Platform, names: Names) -> tuple[list[NamedSymbol | None], list[NamedSymbol]]:
+def rotor_symbols(platform: Platform, names: SymbolNames) -> tuple[list[NamedSymbol | None], list[NamedSymbol]]:
     """Return the symbols of the rotors' axial inertias, None of free ones, and of their momenta."""
     C = [
         None
@@ -163,7 +165,7 @@ class Element(NamedTuple):
     constant: FloatArray  # (n,)
 
 
-def elements(platform: Platform, names: Names) -> tuple[list[Element], list[str]]:
+def elements(platform: Platform, names: SymbolNames) -> tuple[list[Element], list[str]]:
     """Return the force elements about zero angles, under the platform's specific force, and notes."""
     n, f = len(platform.gimbals), platform.specific_force
     out, notes = list[Element](), list[str]()

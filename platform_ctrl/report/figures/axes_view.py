@@ -13,7 +13,7 @@ import numpy as np
 from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import axis_text
-from platform_ctrl.plant.drawing import Shape, bodies, disc_axis, levels
+from platform_ctrl.plant.drawing import Outline, bodies, disc_axis, levels
 from platform_ctrl.plant.platform import Gimbal, Platform
 
 # What XML 1.0 cannot hold, escaped or not.
@@ -184,7 +184,7 @@ def _flat(rows: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(points @ rows[:2].T * np.array([1.0, -1.0]))
 
 
-def _box(shapes: list[Shape], rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _box(shapes: list[Outline], rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     points = []
     for shape in shapes:
         flat = _flat(rows, shape.points)
@@ -241,14 +241,16 @@ def _origins(
 class _Body:
     """One body of the root with all that it carries, in pixels."""
 
-    def __init__(self, shapes: list[Shape], rows: FloatArray, scale: float, origin: FloatArray, looks: _Looks) -> None:
+    def __init__(
+        self, shapes: list[Outline], rows: FloatArray, scale: float, origin: FloatArray, looks: _Looks
+    ) -> None:
         self.shapes, self.rows, self.scale, self.origin, self.looks = shapes, rows, scale, origin, looks
         self.small = min(1.0, scale / 40.0)
         order = sorted(range(len(shapes)), key=lambda k: (round(self._depth(shapes[k]), 6), k))
         self.pieces = [piece for k in order for piece in self._drawn(shapes[k])]
         self.ink = np.concatenate([self._ink(shape) for shape in shapes])
 
-    def _depth(self, shape: Shape) -> float:
+    def _depth(self, shape: Outline) -> float:
         points = shape.points
         # Signs on a pin are seen whichever end of it is nearer.
         ahead = 0.45 if shape.kind.startswith("sign ") else 1e-3 if shape.kind == "bearing" else 0.0
@@ -257,7 +259,7 @@ class _Body:
     def _flat(self, points: FloatArray) -> FloatArray:
         return self.origin + self.scale * _flat(self.rows, points)
 
-    def _drawn(self, shape: Shape) -> Iterable[str]:
+    def _drawn(self, shape: Outline) -> Iterable[str]:
         flat, kind = self._flat(shape.points), shape.kind
         if kind == "disc":
             return self._disc(shape, flat)
@@ -278,7 +280,7 @@ class _Body:
             kind = f"{kind} {self.looks.level[shape.body]}"
         return [line(_shorter(flat), "halo"), line(flat, kind)]
 
-    def _arrow(self, shape: Shape, flat: FloatArray) -> list[str]:
+    def _arrow(self, shape: Outline, flat: FloatArray) -> list[str]:
         size = (11.0 if shape.kind == "axis" else 13.0) * max(self.small, 0.7)
         end = flat[1] - 0.6 * size * direction(flat[0], flat[1])
         return [
@@ -288,7 +290,7 @@ class _Body:
             "</g>",
         ]
 
-    def _disc(self, shape: Shape, flat: FloatArray) -> list[str]:
+    def _disc(self, shape: Outline, flat: FloatArray) -> list[str]:
         s = disc_axis(shape)
         seen = _flat(self.rows, s)
         across = direction(np.zeros(2), np.array([-seen[1], seen[0]]))
@@ -320,7 +322,7 @@ class _Body:
                 out.append(line(np.array([foot, foot + 0.6 * unit * (along + 0.5 * side * across)]), "hatch"))
         return out
 
-    def _ink(self, shape: Shape) -> FloatArray:
+    def _ink(self, shape: Outline) -> FloatArray:
         """Return points on everything drawn, close enough for labels to keep clear of it."""
         flat = self._flat(shape.points)
         if shape.kind == "disc":
