@@ -202,7 +202,6 @@ class Tuning:
         from platform_ctrl.design.method import TunedMethod, shaped
         from platform_ctrl.design.methods import METHODS
         from platform_ctrl.design.tuning import Tuner, over_decades
-        from platform_ctrl.job.requirements import loop_requirements
 
         plants, channel, design = self.plants, self.directions, self.design
         method = METHODS[design.method]
@@ -220,7 +219,7 @@ class Tuning:
             movable=self.movable,
             build=controller,
             plants=plants,
-            requirements=loop_requirements(self.spec.limits),
+            requirements=self.spec.requirements,
             upper=method.upper_bounds(plants.period),
             progress=lambda _, limiting: progress(limiting),
         )

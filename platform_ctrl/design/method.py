@@ -23,7 +23,6 @@ from platform_ctrl.design.tuning import Builder, Tuner, over_decades
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job import methods
 from platform_ctrl.job.job import CommandShaping, DesignSpec, Job, LoopSpec
-from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.mechanics.linearisation import LinearModel
 
 if TYPE_CHECKING:
@@ -303,7 +302,7 @@ def tuned(
         movable=movable,
         build=built,
         plants=plants,
-        requirements=loop_requirements(spec.limits),
+        requirements=spec.requirements,
         upper=upper or {},
         reserve=reserve,
         evaluations=evaluations,

@@ -31,7 +31,7 @@ from platform_ctrl.design.partition import Channels, between, first_order, side_
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Structure
 from platform_ctrl.job.judging import STABLE
-from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, requirement
+from platform_ctrl.job.requirements import LoopRequirement, requirement
 
 # Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
 _INTEGRAL_KEPT = 0.5
@@ -100,16 +100,15 @@ class Structured(Method):
             first = starting_values(kept, channel, plants.nutation, plants.period)
             cross_axis = classical_structure(first, channel, plants.period)
         full_order = dataclasses.replace(problem, design=DesignSpec(name=design.name, method="hinf", options={}))
-        hard, soft = hard_and_soft(spec.limits, spec.soft)
 
         def progress(limits: float, goals: float) -> None:
-            ratios = f"limits at {limits:.0%}" + (f", goals at {goals:.0%}" if soft else "")
+            ratios = f"limits at {limits:.0%}" + (f", goals at {goals:.0%}" if spec.goals else "")
             problem.progress(
                 f"{spec.name}: {design.name}, {ratios if math.isfinite(limits) else 'not stable with all plants yet'}"
             )
 
         others = [lambda: hinf_design(full_order, "riccati").controller]
-        return tuned_controller(options, structure, cross_axis, channel, plants, (*hard, *soft), others, progress)
+        return tuned_controller(options, structure, cross_axis, channel, plants, spec.requests, others, progress)
 
 
 def tuned_controller(
