@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import platform_ctrl as pc
 from platform_ctrl.job.job import Job
-from platform_ctrl.verification.simulated_budget import simulated_budget
+from platform_ctrl.verification.simulated import simulated_budget
 
 JOB = Path(__file__).parent.parent / "examples" / "camera_gimbal.toml"
 DESIGN = "PI2"  # the one that takes no tuning

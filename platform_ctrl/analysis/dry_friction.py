@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.disturbances import Density
+from platform_ctrl.analysis.budget_records import Density
 from platform_ctrl.analysis.frequency_grids import KRONROD, between, nodes
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, real_array, short

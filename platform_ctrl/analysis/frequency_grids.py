@@ -148,3 +148,16 @@ def halves(panel: Panel) -> list[Panel]:
     if low == 0.0:
         middle = high / 16.0
     return [(low, middle), (middle, high)]
+
+
+# Poles with less damping than this have panels of their own, unless panels around are within so many of their widths.
+_SHARP, WIDE = 0.1, 30.0
+
+
+def edges_around(s: ComplexArray) -> FloatArray:
+    """Return edges around the resonances of poles."""
+    sharp = (s.imag > 0.0) & (np.abs(s.real) < _SHARP * np.abs(s))
+    centre, width = s[sharp].imag, np.maximum(np.abs(s[sharp].real), 1e-6 * s[sharp].imag)
+    edges = [np.abs(s[np.isfinite(s)]), *(centre + k * width for k in (-12.0, -3.0, 0.0, 3.0, 12.0))]
+    out: FloatArray = np.concatenate(edges)
+    return out[out > 0.0]

@@ -46,6 +46,7 @@ from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
+MOST_OF_SOURCES = 1_000  # images on each side that sources may need
 # A pole this near to the unit circle counts as one on it; a direction is not seen below this share of the matrix.
 _BOUNDARY, _UNSEEN = 1e-10, 1e-11
 # Remainders of sums over all images below this share of the whole are rounding.
@@ -90,6 +91,11 @@ class HybridPlant:
     def turn(self) -> float:
         """ω_s/N: the distance of the frequencies that the controller takes for one, rad/s."""
         return self.sample_frequency / self.cycle
+
+    @property
+    def highest(self) -> float:
+        """Frequency, rad/s, up to which sources may reach."""
+        return MOST_OF_SOURCES * self.turn
 
     @property
     def disturbances(self) -> int:

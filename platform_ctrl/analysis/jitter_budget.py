@@ -16,33 +16,51 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.budget_result import BudgetResult, Contribution, assembled, between_nodes, thinned
-from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance
-from platform_ctrl.analysis.frequency_grids import GAUSS, KRONROD, Panel, between, halves, nodes
-from platform_ctrl.analysis.hybrid_plant import HybridPlant, Modulator, OpenLoop
+from platform_ctrl.analysis.budget_integrals import (
+    Contribution,
+    aliased,
+    alike,
+    assembled,
+    between_nodes,
+    exclusive,
+    moved_by_samples,
+    packed,
+    packed_matrix,
+    packed_product,
+    thinned,
+    through,
+)
+from platform_ctrl.analysis.budget_records import (
+    BudgetResult,
+    Disturbance,
+    RandomDisturbance,
+    SampleNoise,
+    SineDisturbance,
+    window_shares,
+)
+from platform_ctrl.analysis.frequency_grids import GAUSS, KRONROD, WIDE, Panel, between, edges_around, halves, nodes
+from platform_ctrl.analysis.hybrid_plant import MOST_OF_SOURCES, HybridPlant, Modulator, OpenLoop
 from platform_ctrl.analysis.interconnection import MultiRate
-from platform_ctrl.analysis.pointing_windows import window_shares
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import positive, within
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
-# Images on each side to begin with, those of outputs to which they may grow, and those that sources may need.
-_IMAGES, _MOST_IMAGES, _MOST_OF_SOURCES = 5, 320, 1_000
+# Images on each side to begin with, and those of outputs to which they may grow.
+_IMAGES, _MOST_IMAGES = 5, 320
 # Samples of a cycle from which on an image has so short a way that curves over frequency have points enough.
 _MANY_SAMPLES = 100
 # Panels are halved so often.
 _HALVINGS = 48
 # The errors of so many panels may add up.
 _ADDING = 30.0
-# Poles with less damping than this have panels of their own, unless panels around are within so many of their widths.
-_SHARP, _WIDE = 0.1, 30.0
 # A source counts in the error at least as much as this share of all sources.
 _SMALL = 1e-6
 # Numbers that are kept for the next controller, of a cycle less of them; numbers of densities at once.
@@ -70,11 +88,6 @@ class _Prepared(NamedTuple):
     weights: FloatArray
 
 
-def most_of_sources(plant: HybridPlant) -> float:
-    """Return the frequency, rad/s, up to which sources may reach."""
-    return _MOST_OF_SOURCES * plant.turn
-
-
 class JitterBudget:
     """A plant with sampler and hold and its disturbances, prepared for budgets with one controller after the other.
 
@@ -100,16 +113,18 @@ class JitterBudget:
         self._random = [one for one in self.sources if isinstance(one, RandomDisturbance)]
         self._noise = [one for one in self.sources if isinstance(one, SampleNoise)]
         self._sines = [one for one in self.sources if isinstance(one, SineDisturbance)]
-        self._starts = np.cumsum([0, *(len(one.inputs) for one in self._random)])[:-1]
+        starts = np.cumsum([0, *(len(one.inputs) for one in self._random)])[:-1]
+        # Sums over the last axis, the columns of all random sources, for each source.
+        self._of_sources = partial(np.add.reduceat, indices=starts, axis=-1)
         ends = [s.knots[-1] for one in self._random for s in one.spectra]
         highest = max([*ends, *(one.frequency for one in self._sines)], default=0.0)
         # Every frequency of a source is the image of one below half of what the controller takes for one, and every
         # component has an image.
         self._images = max(_IMAGES, math.ceil(0.5 * plant.cycle), math.ceil(highest / plant.turn))
-        if self._images > _MOST_OF_SOURCES:
+        if self._images > MOST_OF_SOURCES:
             raise ArgumentError(
                 f"jitter budget: a source reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
-                f"at most {_MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
+                f"at most {MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
             )
         self._known: dict[Panel, _Prepared] = {}
         self._kept = 0
@@ -151,7 +166,7 @@ class JitterBudget:
         if not dense:
             # What is wider than the way of an image needs no panels of its own.
             own = own[(np.abs(own.real) < turn) | (np.abs(own) < turn)]
-        found = np.concatenate([np.array(knots), _around(own)])
+        found = np.concatenate([np.array(knots), edges_around(own)])
         folded = np.abs(found - turn * np.round(found / turn))
         slow = np.abs(own)[np.abs(own) > 1e-9 * turn]
         least = min([1e-4 * turn, *(k for k in knots if k > 0.0), *(0.1 * slow)])
@@ -172,7 +187,7 @@ class JitterBudget:
         width = np.array([high - low for low, high in base])[
             np.minimum(np.searchsorted(ends, np.abs(s.imag)), len(ends) - 1)
         ]
-        active = between(np.concatenate([fixed, _around(s[width > _WIDE * np.abs(s.real)])]), 0.0, half)
+        active = between(np.concatenate([fixed, edges_around(s[width > WIDE * np.abs(s.real)])]), 0.0, half)
         done: list[Contribution] = []
         for _ in range(_HALVINGS):
             found = self._contributions(active, controller, over_frequency)
@@ -285,8 +300,8 @@ class JitterBudget:
             (family.direct * family.integral)[:, list(inside)] @ columns,
             measured,
             held[:, list(inside)],
-            _packed(held),
-            _packed_matrix(self.open_loop.remaining_images(theta, family.held)),
+            packed(held),
+            packed_matrix(self.open_loop.remaining_images(theta, family.held)),
             family.sampled,
             self._weights(family.frequency),
         )
@@ -313,8 +328,8 @@ class JitterBudget:
         if count and inside.size:
             moved[..., :count], own = self._moved(at, M, component[inside])
         for j, one in enumerate(self._noise):
-            moved[..., count + j] = 2.0 * self.plant.period * one.rms**2 * _moved_by_samples(M, one.measured)
-        density = _aliased(at.outer, moved[:, :, component] if R > 1 else moved)
+            moved[..., count + j] = 2.0 * self.plant.period * one.rms**2 * moved_by_samples(M, one.measured)
+        density = aliased(at.outer, moved[:, :, component] if R > 1 else moved)
         density[:, inside, :count] = own
         rest = at.rest.swapaxes(1, 2).reshape(N, q, -1) @ moved.swapaxes(1, 2).reshape(N, R * packed, -1)
         return density, rest.swapaxes(-1, -2)
@@ -335,26 +350,22 @@ class JitterBudget:
         u = M.own[:, active, None] @ y
         signal = M.heard[:, active, None] @ y
         out = np.zeros((N, m * m, R, len(self._random)))
-        for place, some in _alike(M):
+        for place, some in alike(M):
             seen = signal[..., place, :]
-            alone = self._by_source(seen[..., :, None, :] * seen[..., None, :, :].conj()).sum(axis=2)
+            alone = self._of_sources(seen[..., :, None, :] * seen[..., None, :, :].conj()).sum(axis=2)
             others = np.repeat(alone.sum(axis=1, keepdims=True), R, axis=1)
-            others[:, active] = _exclusive(alone, 1)
-            out[:, :, some] = _through(M.held[:, some], others[:, some])
+            others[:, active] = exclusive(alone, 1)
+            out[:, :, some] = through(M.held[:, some], others[:, some])
             here = np.isin(active, some)
             u[:, here] += M.held[:, active[here], None] @ seen[:, here]
-        each = self._by_source(_packed_product(np.moveaxis(u, 3, 1)))
+        each = self._of_sources(packed_product(np.moveaxis(u, 3, 1)))
         # Sums over the others, not the whole less its own: what feedback cancels would leave rounding.
-        others = out[:, :, active, None] + _exclusive(each, 3)
+        others = out[:, :, active, None] + exclusive(each, 3)
         out[:, :, active] += each.sum(axis=3)
         rows, columns = np.nonzero(side >= 0)
         order = np.argsort(side[rows, columns])
         rows, columns = rows[order], columns[order]
         return out, self._where_sources_are(at, u[:, rows, columns], others[:, :, rows, columns])
-
-    def _by_source(self, columns: NDArray[Any]) -> NDArray[Any]:
-        """Return sums over the last axis, the columns of all random sources, for each source."""
-        return np.add.reduceat(columns, self._starts, axis=-1)
 
     def _where_sources_are(self, at: _Prepared, u: ComplexArray, others: FloatArray) -> FloatArray:
         """Return the densities (N, I, G, q) at images that have sources of their own.
@@ -364,22 +375,18 @@ class JitterBudget:
         own = at.direct.copy()
         for r in range(self.plant.controls):
             own += at.held[..., r, None] * u[:, :, r, None, :]
-        power = self._by_source(own.real**2 + own.imag**2)
+        power = self._of_sources(own.real**2 + own.imag**2)
         aliased = at.outer[:, list(at.inside)] @ others.transpose(0, 2, 1, 3)
         return np.asarray((power + aliased).swapaxes(-1, -2))
 
     # Sines.
 
-    def _coherent(self) -> list[tuple[SineDisturbance, ...]]:
-        """Return the sines in groups that add as they come."""
-        groups: dict[object, list[SineDisturbance]] = {}
-        for one in self._sines:
-            groups.setdefault(one.frequency if one.phase is not None else id(one), []).append(one)
-        return [tuple(group) for group in groups.values()]
-
     def _lines(self, controller: MultiRate, over_frequency: bool) -> list[Contribution]:
-        """Return the lines of sines, those of one frequency together: of each alone, and last of all of them."""
-        groups = self._coherent()
+        """Return the lines of sines, those that add as they come together: of each alone, and last of all of them."""
+        by_frequency: dict[object, list[SineDisturbance]] = {}
+        for one in self._sines:
+            by_frequency.setdefault(one.frequency if one.phase is not None else id(one), []).append(one)
+        groups = list(by_frequency.values())
         step = max(1, _MOST_AT_ONCE // ((2 * self._images + 1) * self.open_loop.size))
         return [
             line
@@ -388,7 +395,7 @@ class JitterBudget:
         ]
 
     def _lines_of(
-        self, groups: list[tuple[SineDisturbance, ...]], controller: MultiRate, over_frequency: bool
+        self, groups: list[list[SineDisturbance]], controller: MultiRate, over_frequency: bool
     ) -> list[Contribution]:
         plant, omega = self.plant, np.array([group[0].frequency for group in groups])
         # One at a multiple of what the controller takes for zero has an image there, to the last bit.
@@ -428,91 +435,6 @@ class JitterBudget:
                 )
             )
         return out
-
-
-def _around(s: ComplexArray) -> FloatArray:
-    """Return edges around the resonances of poles."""
-    sharp = (s.imag > 0.0) & (np.abs(s.real) < _SHARP * np.abs(s))
-    centre, width = s[sharp].imag, np.maximum(np.abs(s[sharp].real), 1e-6 * s[sharp].imag)
-    edges = [np.abs(s[np.isfinite(s)]), *(centre + k * width for k in (-12.0, -3.0, 0.0, 3.0, 12.0))]
-    out: FloatArray = np.concatenate(edges)
-    return out[out > 0.0]
-
-
-def _pairs(m: int) -> list[tuple[int, int]]:
-    return [(r, s) for r in range(m) for s in range(r + 1, m)]
-
-
-def _packed(rows: ComplexArray) -> FloatArray:
-    """Return the conjugate rows' outer products (..., m) as m² real numbers whose sums of products are traces."""
-    return _stacked([rows[..., r] for r in range(rows.shape[-1])], conjugate=True, axis=-1)
-
-
-def _packed_product(V: ComplexArray) -> FloatArray:
-    """Return V V' of columns (N, m, ...) as m² real numbers (N, m², ...)."""
-    return _stacked([V[:, r] for r in range(V.shape[1])], conjugate=False, axis=1)
-
-
-def _stacked(parts: list[ComplexArray], conjugate: bool, axis: int) -> FloatArray:
-    out = [one.real**2 + one.imag**2 for one in parts]
-    for r, s in _pairs(len(parts)):
-        product = math.sqrt(2.0) * (parts[r] * parts[s].conj())
-        out += [product.real, -product.imag if conjugate else product.imag]
-    return np.stack(out, axis=axis)
-
-
-def _packed_matrix(matrices: ComplexArray) -> FloatArray:
-    """Return Hermitian matrices L' L (..., m, m) in the same way."""
-    m = matrices.shape[-1]
-    out = [matrices[..., r, r].real for r in range(m)]
-    for r, s in _pairs(m):
-        item = math.sqrt(2.0) * matrices[..., r, s]
-        out += [item.real, item.imag]
-    return np.stack(out, axis=-1)
-
-
-def _exclusive(each: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Return the sums over all others along an axis, without a subtraction."""
-    each = np.moveaxis(each, axis, 0)
-    before, after = np.zeros_like(each), np.zeros_like(each)
-    before[1:] = np.cumsum(each, axis=0)[:-1]
-    after[:-1] = np.cumsum(each[::-1], axis=0)[-2::-1]
-    return np.moveaxis(before + after, 0, axis)
-
-
-def _alike(M: Modulator) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Return the places of what the slower loops hold, and the components that share them."""
-    if not M.place.size:
-        return []
-    places, group = np.unique(M.place, axis=0, return_inverse=True)
-    return [(place, np.flatnonzero(group.ravel() == k)) for k, place in enumerate(places)]
-
-
-def _through(held: ComplexArray, signals: ComplexArray) -> FloatArray:
-    """Return packed powers (N, m², R, G) of controls, `held` (N, R, m, h) of signals with powers (N, R, h, h, G)."""
-    found = np.einsum("nrah,nrhkg->nragk", held, signals) @ held.conj().swapaxes(-1, -2)[:, :, None]
-    return np.moveaxis(_packed_matrix(found.swapaxes(2, 3)), -1, 1)
-
-
-def _moved_by_samples(M: Modulator, measured: int) -> FloatArray:
-    """Return what white samples of a reading do to the controls (N, m², R): all components alike and apart."""
-    N, R, m, _ = M.held.shape
-    signal, u = M.heard[..., measured], np.array(M.own[..., measured])
-    out = np.zeros((N, m * m, R))
-    for place, some in _alike(M):
-        seen = signal[..., place]
-        others = _exclusive(seen[..., :, None] * seen[..., None, :].conj(), 1)
-        out[:, :, some] = _through(M.held[:, some], others[:, some, ..., None])[..., 0]
-        u[:, some] += (M.held[:, some] @ seen[:, some, :, None])[..., 0]
-    return out + _packed_product(np.moveaxis(u, 2, 1))
-
-
-def _aliased(outer: FloatArray, moved: FloatArray) -> FloatArray:
-    """Return densities (N, F, G, q) of rows (N, F, q, m²), and what moves the controls (N, m², F or 1, G)."""
-    N, F, q, packed = outer.shape
-    if moved.shape[2] == 1:
-        return (outer.reshape(N, F * q, packed) @ moved[:, :, 0]).reshape(N, F, q, -1).swapaxes(-1, -2)
-    return (outer @ moved.swapaxes(1, 2)).swapaxes(-1, -2)
 
 
 def _cut(block: _Prepared, rows: slice) -> _Prepared:

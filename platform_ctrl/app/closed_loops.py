@@ -29,7 +29,8 @@ from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, InputError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
-from platform_ctrl.verification.coupled import CoupledCheck, coupled_check, sensed_rates
+from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
+from platform_ctrl.verification.coupled_plant import sensed_rates
 
 if TYPE_CHECKING:
     import control

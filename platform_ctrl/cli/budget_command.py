@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from platform_ctrl.job.job import Job
     from platform_ctrl.verification.budget_result import LineOfSightBudget
-    from platform_ctrl.verification.simulated_budget import SimulatedBudget
+    from platform_ctrl.verification.simulated import SimulatedBudget
 
 _MICRO = 1e6
 # Shares of the mean square that are none.
@@ -109,7 +109,7 @@ def _simulated(
         raise InputError("--simulate: give at least 2 runs, and a seed of 0 or more")
     import os
 
-    from platform_ctrl.verification.simulated_budget import simulated_budget
+    from platform_ctrl.verification.simulated import simulated_budget
 
     say(f"budget: {runs} runs of the non-linear plant")
     return simulated_budget(

@@ -29,7 +29,8 @@ from platform_ctrl.job.job import Faults, Job, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.verification.controllers import outcomes_from
-from platform_ctrl.verification.coupled import coupled_plant, one_controller
+from platform_ctrl.verification.coupled import one_controller
+from platform_ctrl.verification.coupled_plant import coupled_plant
 
 if TYPE_CHECKING:
     import control

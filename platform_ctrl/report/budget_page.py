@@ -26,7 +26,7 @@ from platform_ctrl.report.style import (
     panels,
 )
 from platform_ctrl.verification.budget_result import TOGETHER, LineOfSightBudget, Waterfall, rms_ticks, waterfalls
-from platform_ctrl.verification.simulated_budget import SimulatedBudget
+from platform_ctrl.verification.simulated import SimulatedBudget
 from platform_ctrl.verification.verdict import JobResult
 
 # Shares of the mean square that are none.

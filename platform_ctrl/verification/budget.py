@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.budget_result import BudgetResult
-from platform_ctrl.analysis.disturbances import Density, RandomDisturbance
+from platform_ctrl.analysis.budget_records import BudgetResult, Density, RandomDisturbance, motion_transfer
 from platform_ctrl.analysis.dry_friction import (
     FedFriction,
     FoundRate,
@@ -27,8 +26,7 @@ from platform_ctrl.analysis.dry_friction import (
 )
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate
-from platform_ctrl.analysis.jitter_budget import JitterBudget, most_of_sources
-from platform_ctrl.analysis.pointing_windows import motion_transfer
+from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.poles import poles
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, replaced
@@ -302,7 +300,7 @@ def _highest(loop: BudgetLoop, balance: FrictionBalance, q: FloatArray) -> float
         return math.inf
     plant = loop.damped(balance.viscous, q)
     modes = np.abs(poles(plant.plant.A)).max(initial=0.0)
-    return min(max(_SAMPLING * plant.sample_frequency, _MODES * float(modes)), most_of_sources(plant))
+    return min(max(_SAMPLING * plant.sample_frequency, _MODES * float(modes)), plant.highest)
 
 
 def _within(spectrum: Density, highest: float) -> Density:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.disturbances import (
+from platform_ctrl.analysis.budget_records import (
     Density,
     Disturbance,
     RandomDisturbance,
@@ -32,7 +32,7 @@ from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import LOS_RATES
-from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, used_signals
+from platform_ctrl.verification.coupled_plant import acts_on_root, coupled_plant, used_signals
 
 if TYPE_CHECKING:
     import control

@@ -17,7 +17,7 @@ from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.plant.sensors import LOS_ANGLES
 
 if TYPE_CHECKING:
-    from platform_ctrl.verification.simulated_budget import SimulatedBudget
+    from platform_ctrl.verification.simulated import SimulatedBudget
 
 # A step that is smaller than this share of the total is added to those of the others, so are those beyond so many.
 _SMALL, _STEPS = 1e-3, 8

@@ -31,17 +31,22 @@ from platform_ctrl.analysis.poles import (
     unseen_equilibria,
     without_drift,
 )
-from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
-from platform_ctrl.analysis.system import ComplexArray, System, seen_states, state_scaling
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.cases import at_angles, secant_gains
+from platform_ctrl.design.cases import at_angles
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.plant.platform import OMEGA_NAMES
+from platform_ctrl.verification.coupled_plant import (
+    CoupledPlant,
+    acts_on_root,
+    coupled_plant,
+    one_way_plant,
+    root_torquers,
+    sensed_rates,
+    used_signals,
+)
 
 if TYPE_CHECKING:
     import control
@@ -168,7 +173,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
             "exact",
         ),
     }
-    roots = [k for k, name in enumerate(channels) if name in _root_torquers(job)]
+    roots = [k for k, name in enumerate(channels) if name in root_torquers(job)]
     if roots:
         noisiest = max(roots, key=lambda k: float(torque_noise[k]))
         evidence = f"torquer {channels[noisiest]}"
@@ -209,19 +214,6 @@ def _conditions(job: Job, together: _Together, growing: str) -> str:
 
 def _dry(job: Job) -> str:
     return "; without dry friction" if any(max(one.breakaway) > 0.0 for one in job.platform.frictions) else ""
-
-
-class CoupledPlant(NamedTuple):
-    """The sampled model that all controllers work in, and what it leaves out.
-
-    `left_out`: angles on which nothing depends. `uncontrolled`: gimbals on which nothing depends that a controller
-    reads; they grow at `growth`, 1/s.
-    """
-
-    system: control.StateSpace
-    left_out: tuple[str, ...]
-    uncontrolled: tuple[str, ...]
-    growth: float
 
 
 class _Together:
@@ -302,11 +294,6 @@ class _Together:
         return np.array([np.linalg.norm(drifting_rms(one, np.ones(one.B.shape[1]), DRIFT_TIME)) for one in parts])
 
 
-# A gimbal that no loop acts on grows by itself where its pole is this much larger than rounding may make it: that of
-# poles that coincide, as those of a body that turns freely, may be anything.
-_GROWS = 1e3
-
-
 class _Worst(NamedTuple):
     """The slowest decay and the least simultaneous margin over the job's gimbal angles, and where they are.
 
@@ -333,86 +320,6 @@ def _worst_trims(job: Job, controllers: Sequence[control.StateSpace], first: _To
     return out
 
 
-def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledPlant:
-    """Return the sampled model in which all `controllers` work, from torquers (in the file's order) to what they read.
-
-    With a controller that acts on the root the platform is free and reacts. Without one nothing would hold it: it
-    counts as carried by the vehicle, Omega given.
-    """
-    platform, free = job.platform, acts_on_root(job, controllers)
-    system = state_space(model, root="free" if free else "prescribed")
-    torquers = [t for t in platform.torquers if free or t.gimbal is not None]
-    read = {name for K in controllers for name in K.input_labels}
-    outputs = [*(name for name in model.angle_names if name in read), *sensed_rates(job, controllers)]
-    whole = observed(system, platform, outputs, model.q0, model.Omega0)
-    states, columns = list(whole.state_labels), [whole.input_labels.index(t.signal) for t in torquers]
-    seen = seen_states(whole.A[None], whole.C[None])
-    kept, growth = list(range(whole.nstates)), 0.0
-    uncontrolled: tuple[str, ...] = ()
-    if not free and len(seen) < whole.nstates:
-        # What is not seen does not act on what is: it is judged by itself.
-        kept = seen
-        rest = [k for k in range(whole.nstates) if k not in seen]
-        growth = _growth(whole.A[np.ix_(rest, rest)])
-        momenta = {states[k].removeprefix("p_") for k in rest if states[k].startswith("p_")}
-        uncontrolled = tuple(g.name for g in platform.gimbals if g.angle in momenta)
-    names = [t.name for t in torquers]
-    gains = secant_gains(job, model.q0, names)
-    arrays = System(
-        whole.A[np.ix_(kept, kept)],
-        gains * whole.B[np.ix_(kept, columns)],
-        whole.C[:, kept],
-        gains * whole.D[:, columns],
-        0.0,
-    )
-    named = arrays.to_control(names, outputs, [states[k] for k in kept])
-    at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
-    left_out = tuple(
-        name for name in model.angle_names if (k := states.index(name)) not in kept and not whole.A[:, k].any()
-    )
-    return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth)
-
-
-def _growth(A: FloatArray) -> float:
-    """Return the growth of the fastest growing pole of a continuous system, 1/s; 0 where rounding may make it."""
-    from scipy.linalg import eig
-
-    scale = state_scaling(A, np.zeros((len(A), 0)), np.zeros((0, len(A))))
-    A = A * scale / scale[:, None]
-    s, left, right = eig(A, left=True)
-    condition = np.abs(np.sum(left.conj() * right, axis=0))
-    moved = np.einsum("ik,ij,jk->k", np.abs(left), np.abs(A), np.abs(right)) * np.finfo(float).eps
-    return float(s.real[s.real * condition > _GROWS * moved].max(initial=0.0))
-
-
-def _read_late(job: Job, plant: control.StateSpace) -> control.StateSpace:
-    """Return a sampled plant whose sensors' readings are as late as they are."""
-    often = job.often_read
-    late = {s.name: s.periods_late(job.sampling.period, often.get(s.name, 1)) for s in job.platform.sensors}
-    outputs = list(plant.output_labels)
-    periods = [late.get(name, 0) for name in outputs]
-    if not any(periods):
-        return plant
-    arrays = late_outputs(System.of(plant, "coupled plant"), periods)
-    states = [*plant.state_labels, *late_states(outputs, periods)]
-    return arrays.to_control(list(plant.input_labels), outputs, states)
-
-
-def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
-    """Return what a sensor measures beside the angles, such as rates, and one of the controllers takes in."""
-    used = {name for K in controllers for name in K.input_labels} - set(job.platform.angle_names)
-    return [s.name for s in job.platform.sensors if s.name in used]
-
-
-def _root_torquers(job: Job) -> set[str]:
-    return {t.name for t in job.platform.torquers if t.root_axis is not None}
-
-
-def acts_on_root(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
-    """Return whether a controller sets a torque on the root: the platform is free then."""
-    return any(_root_torquers(job) & set(K.output_labels) for K in controllers)
-
-
 def one_controller(
     job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
 ) -> control.StateSpace:
@@ -421,15 +328,6 @@ def one_controller(
     names = [name for K in controllers for name in K.state_labels]
     whole = interconnected(controllers, seen, torquers, job.sampling.period)
     return whole.to_control(seen, torquers, names, name="all loops")
-
-
-def used_signals(
-    job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
-) -> tuple[list[str], list[str]]:
-    """Return the sensors that a plant shows, and its torquers that are used."""
-    used = {name for K in controllers for name in K.output_labels}
-    torquers = [name for name in plant.input_labels if name in used]
-    return [s.name for s in job.platform.sensors if s.name in plant.output_labels], torquers
 
 
 def _decoupled_margins(
@@ -453,28 +351,6 @@ def _decoupled_margins(
         together = _Together(job, controllers, plant)
         margins = dict(zip(together.channels, together.loop_margins, strict=True)) | margins
     return np.array([margins[name] for name in channels])
-
-
-def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> CoupledPlant:
-    """The platform turns under M alone, J ω' = M, and the gimbals see its rate: no reaction."""
-    system = state_space(model)
-    n, torquers = system.nstates, job.platform.torquers
-    B_Omega = system.B[:, [system.input_labels.index(name) for name in OMEGA_NAMES]]
-    mobility = np.linalg.inv(model.root_inertia)
-    A = np.block([[system.A, B_Omega], [np.zeros((3, n + 3))]])
-    B = np.zeros((n + 3, len(torquers)))
-    for column, torquer in enumerate(torquers):
-        if torquer.root_axis is None:
-            B[:n, column] = system.B[:, system.input_labels.index(torquer.name)]
-        else:
-            B[n:, column] = mobility[:, torquer.root_axis - 1]
-    C = np.block([[system.C, np.zeros((system.noutputs, 3))], [np.zeros((3, n)), np.eye(3)]])
-    arrays = System(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
-    states = [*system.state_labels, *OMEGA_NAMES]
-    named = arrays.to_control([t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
-    named = observed(named, job.platform, [*model.angle_names, *rates], model.q0, model.Omega0)
-    at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
-    return CoupledPlant(_read_late(job, at_samples), (), (), 0.0)
 
 
 def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:

@@ -30,8 +30,7 @@ from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.budget_result import LineOfSightBudget
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import Proofs
-from platform_ctrl.verification.simulated import Run, largest
-from platform_ctrl.verification.simulated_budget import SimulatedBudget
+from platform_ctrl.verification.simulated import Run, SimulatedBudget, largest
 from platform_ctrl.verification.verdict import JobResult
 
 Record = dict[str, Any]

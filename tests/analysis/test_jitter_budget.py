@@ -11,8 +11,7 @@ import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from noise_over_a_period import continuous_rms
-from platform_ctrl.analysis.budget_result import BudgetResult
-from platform_ctrl.analysis.disturbances import Density, RandomDisturbance, SampleNoise, SineDisturbance
+from platform_ctrl.analysis.budget_records import BudgetResult, Density, RandomDisturbance, SampleNoise, SineDisturbance
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates, interconnected_by_sample
 from platform_ctrl.analysis.jitter_budget import JitterBudget

@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis.disturbances import Density, RandomDisturbance
+from platform_ctrl.analysis.budget_records import Density, RandomDisturbance, motion_transfer, window_shares
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.jitter_budget import JitterBudget
-from platform_ctrl.analysis.pointing_windows import motion_transfer, window_shares
 from platform_ctrl.analysis.system import System
 
 POINT, WEIGHT = np.polynomial.legendre.leggauss(60)

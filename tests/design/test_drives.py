@@ -16,7 +16,7 @@ from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import simulate
-from platform_ctrl.verification.coupled import coupled_plant
+from platform_ctrl.verification.coupled_plant import coupled_plant
 
 ANGLES = {"Omega": [0.1, 0.1, 0.1], "angles": {"pitch": [-0.5, 1.0, 1.4]}}
 TACHO = FRICTION | {"sensors": ["tacho"], "friction_rate": 0.1}

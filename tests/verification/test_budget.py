@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from platform_ctrl.analysis.budget_result import BudgetResult
-from platform_ctrl.analysis.disturbances import Density, Disturbance, RandomDisturbance, SampleNoise
+from platform_ctrl.analysis.budget_records import BudgetResult, Density, Disturbance, RandomDisturbance, SampleNoise
 from platform_ctrl.analysis.dry_friction import describing_function
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate

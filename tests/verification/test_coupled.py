@@ -11,7 +11,8 @@ from platform_ctrl.analysis.interconnection import interconnected
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.verification.coupled import coupled_check, coupled_plant
+from platform_ctrl.verification.coupled import coupled_check
+from platform_ctrl.verification.coupled_plant import coupled_plant
 from platform_ctrl.verification.simulated import largest, simulate_manoeuvre
 from single_runs import simulated
 

@@ -36,7 +36,7 @@ from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
-from platform_ctrl.verification.simulated_budget import simulated_budget
+from platform_ctrl.verification.simulated import simulated_budget
 from platform_ctrl.verification.verdict import check_job, coupled_proofs
 
 T, SLOW = 1.0 / RATE_HZ, 20

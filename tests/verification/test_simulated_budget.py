@@ -12,7 +12,7 @@ import pytest
 
 from platform_ctrl.cli import main
 from platform_ctrl.verification.budget import line_of_sight_budget
-from platform_ctrl.verification.simulated_budget import SimulatedBudget, simulated_budget
+from platform_ctrl.verification.simulated import SimulatedBudget, simulated_budget
 from verification.test_budget import LIMITS, controllers, job
 
 

@@ -1,17 +1,19 @@
-"""The result of a jitter budget, and how it is put together from integrals over panels."""
+"""How the budget of a loop is put together: powers of its controls, and integrals over panels of frequency."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise
+from platform_ctrl.analysis.budget_records import BudgetResult, Disturbance, RandomDisturbance, SampleNoise, Window
 from platform_ctrl.analysis.frequency_grids import UP_TO
-from platform_ctrl.analysis.hybrid_plant import HybridPlant
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.analysis.hybrid_plant import HybridPlant, Modulator
+from platform_ctrl.analysis.system import ComplexArray
+from platform_ctrl.common.values import FloatArray
 
 # Edges of cumulative variances that are nearer to each other than this, relative, are one where there are many images.
 _NEAR = 1e-3
@@ -41,35 +43,6 @@ class Contribution(NamedTuple):
             remaining=self.remaining[good],
             steps=[one for one, kept in zip(self.steps, good, strict=False) if kept],
         )
-
-
-@value
-class Window:
-    """Displacement, smear and jitter within an exposure; root mean squares over its instants and over exposures."""
-
-    exposure: float  # s
-    # displacement, smear, jitter: (q,): of all sources together, in the outputs' units.
-    displacement: FloatArray
-    smear: FloatArray
-    jitter: FloatArray
-
-
-@value
-class BudgetResult:
-    """What each of G sources does to each of q outputs."""
-
-    names: tuple[str, ...]  # of the sources
-    rms: FloatArray  # (G, q): in the outputs' units
-    total: FloatArray  # (q,): of all sources together; sines that add coherently are not the root of the sum of squares
-    lowest: float  # motion below this frequency, rad/s, does not count in `rms`, `total` and displacements
-    windows: tuple[Window, ...]  # one for each exposure
-    edges: FloatArray  # (E,): frequencies, rad/s, rising, up to which `cumulative` sums
-    cumulative: FloatArray  # (G, q, E): variance of each source up to the edges, sines included
-    total_cumulative: FloatArray  # (q, E): the same of all sources
-    error: float  # bound on the error of integration, the largest relative to a variance
-    # Bound on the share of an integrated output's variance that images beyond those kept would add; what they add to
-    # other outputs is included.
-    remaining: float
 
 
 def assembled(
@@ -188,3 +161,79 @@ def between_nodes(
     every = parts.sum(axis=0)
     parts *= np.divide(members, every, out=np.zeros_like(every), where=every > 0.0)
     return np.maximum(at[1:], at[:-1]).ravel(), parts.reshape(-1, G, q)
+
+
+def _pairs(m: int) -> list[tuple[int, int]]:
+    return [(r, s) for r in range(m) for s in range(r + 1, m)]
+
+
+def packed(rows: ComplexArray) -> FloatArray:
+    """Return the conjugate rows' outer products (..., m) as m² real numbers whose sums of products are traces."""
+    return _stacked([rows[..., r] for r in range(rows.shape[-1])], conjugate=True, axis=-1)
+
+
+def packed_product(V: ComplexArray) -> FloatArray:
+    """Return V V' of columns (N, m, ...) as m² real numbers (N, m², ...)."""
+    return _stacked([V[:, r] for r in range(V.shape[1])], conjugate=False, axis=1)
+
+
+def _stacked(parts: list[ComplexArray], conjugate: bool, axis: int) -> FloatArray:
+    out = [one.real**2 + one.imag**2 for one in parts]
+    for r, s in _pairs(len(parts)):
+        product = math.sqrt(2.0) * (parts[r] * parts[s].conj())
+        out += [product.real, -product.imag if conjugate else product.imag]
+    return np.stack(out, axis=axis)
+
+
+def packed_matrix(matrices: ComplexArray) -> FloatArray:
+    """Return Hermitian matrices L' L (..., m, m) in the same way."""
+    m = matrices.shape[-1]
+    out = [matrices[..., r, r].real for r in range(m)]
+    for r, s in _pairs(m):
+        item = math.sqrt(2.0) * matrices[..., r, s]
+        out += [item.real, item.imag]
+    return np.stack(out, axis=-1)
+
+
+def exclusive(each: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Return the sums over all others along an axis, without a subtraction."""
+    each = np.moveaxis(each, axis, 0)
+    before, after = np.zeros_like(each), np.zeros_like(each)
+    before[1:] = np.cumsum(each, axis=0)[:-1]
+    after[:-1] = np.cumsum(each[::-1], axis=0)[-2::-1]
+    return np.moveaxis(before + after, 0, axis)
+
+
+def alike(M: Modulator) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return the places of what the slower loops hold, and the components that share them."""
+    if not M.place.size:
+        return []
+    places, group = np.unique(M.place, axis=0, return_inverse=True)
+    return [(place, np.flatnonzero(group.ravel() == k)) for k, place in enumerate(places)]
+
+
+def through(held: ComplexArray, signals: ComplexArray) -> FloatArray:
+    """Return packed powers (N, m², R, G) of controls, `held` (N, R, m, h) of signals with powers (N, R, h, h, G)."""
+    found = np.einsum("nrah,nrhkg->nragk", held, signals) @ held.conj().swapaxes(-1, -2)[:, :, None]
+    return np.moveaxis(packed_matrix(found.swapaxes(2, 3)), -1, 1)
+
+
+def moved_by_samples(M: Modulator, measured: int) -> FloatArray:
+    """Return what white samples of a reading do to the controls (N, m², R): all components alike and apart."""
+    N, R, m, _ = M.held.shape
+    signal, u = M.heard[..., measured], np.array(M.own[..., measured])
+    out = np.zeros((N, m * m, R))
+    for place, some in alike(M):
+        seen = signal[..., place]
+        others = exclusive(seen[..., :, None] * seen[..., None, :].conj(), 1)
+        out[:, :, some] = through(M.held[:, some], others[:, some, ..., None])[..., 0]
+        u[:, some] += (M.held[:, some] @ seen[:, some, :, None])[..., 0]
+    return out + packed_product(np.moveaxis(u, 2, 1))
+
+
+def aliased(outer: FloatArray, moved: FloatArray) -> FloatArray:
+    """Return densities (N, F, G, q) of rows (N, F, q, m²), and what moves the controls (N, m², F or 1, G)."""
+    N, F, q, packed = outer.shape
+    if moved.shape[2] == 1:
+        return (outer.reshape(N, F * q, packed) @ moved[:, :, 0]).reshape(N, F, q, -1).swapaxes(-1, -2)
+    return (outer @ moved.swapaxes(1, 2)).swapaxes(-1, -2)
