@@ -117,12 +117,15 @@ class BudgetLoop:
         """Return the model of a platform about gimbal angles, with the loop's torquers, sensors and sources."""
         model = linearise(platform, q=q)
         system = state_space(model, root="free" if self.free else "prescribed", specific_force=True)
-        system = _with_torques(system, model.angle_names)
         shown = observed(system, platform, [*self.sensors, *LOS_RATES], model.q0, model.Omega0)
         torquers = {t.name: t for t in platform.torquers}
         controls = [torquers[name].signal for name in self.torquers]
-        columns = [shown.input_labels.index(name) for name in (*controls, *self.inputs)]
         A, B, C, D, _ = System.of(shown, "budget")
+        # The torque on a gimbal changes its momentum.
+        momenta = [shown.state_labels.index(f"p_{angle}") for angle in model.angle_names]
+        B, D = np.hstack([B, np.eye(len(A))[:, momenta]]), np.pad(D, ((0, 0), (0, len(momenta))))
+        labels = [*shown.input_labels, *map(_torque_on, model.angle_names)]
+        columns = [labels.index(name) for name in (*controls, *self.inputs)]
         gains = np.concatenate([secant_gains(self.job, q, self.torquers), np.ones(len(self.inputs))])
         # The gimbals' rates: the first states are their angles.
         rates = len(model.angle_names)
@@ -237,26 +240,6 @@ def _damped(platform: Platform, viscous: dict[str, float]) -> Platform:
 
 def _torque_on(angle: str) -> str:
     return f"torque on {angle}"
-
-
-def _with_torques(system: control.StateSpace, angles: Sequence[str]) -> control.StateSpace:
-    """Return a model with the torque on every gimbal as a further input: it changes the gimbal's momentum."""
-    import control
-
-    states = list(system.state_labels)
-    more = np.zeros((len(states), len(angles)))
-    for k, angle in enumerate(angles):
-        more[states.index(f"p_{angle}"), k] = 1.0
-    return control.StateSpace(
-        system.A,
-        np.hstack([system.B, more]),
-        system.C,
-        np.hstack([system.D, np.zeros((system.noutputs, len(angles)))]),
-        remove_useless_states=False,
-        inputs=[*system.input_labels, *map(_torque_on, angles)],
-        outputs=list(system.output_labels),
-        states=states,
-    )
 
 
 def _spectrum(source: Source, low: float, high: float) -> Density | None:

@@ -364,7 +364,7 @@ def simulated_budget(
         low=np.sqrt(np.maximum(mean - reach, 0.0)),
         high=np.sqrt(mean + reach),
         linear=linear,
-        left_out=_left_out(budget),
+        left_out=("correlations: the sources of a run are independent",) if budget.correlations else (),
     )
 
 
@@ -416,7 +416,3 @@ def _sines(source: Source, budget: BudgetSpec, rng: np.random.Generator) -> list
         for f, a, phi in zip(lines.frequencies_hz, lines.amplitudes, phases, strict=True)
         if budget.from_hz <= f <= budget.to_hz
     ]
-
-
-def _left_out(budget: BudgetSpec) -> tuple[str, ...]:
-    return ("correlations: the sources of a run are independent",) if budget.correlations else ()
