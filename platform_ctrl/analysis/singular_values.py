@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.poles import continuous_poles, resonances
-from platform_ctrl.analysis.resolvent import AxisResponse
+from platform_ctrl.analysis.response import AxisResponse
 from platform_ctrl.analysis.sampling import to_w_plane
 from platform_ctrl.analysis.system import ComplexArray, System, scaled
 from platform_ctrl.common.values import FloatArray

@@ -13,7 +13,7 @@ import numpy as np
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.poles import continuous_poles, pole_branches, poles, spectral_abscissa
-from platform_ctrl.analysis.resolvent import AxisResponse
+from platform_ctrl.analysis.response import AxisResponse
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.app.pictures import (
     Bode,
