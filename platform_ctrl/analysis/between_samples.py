@@ -14,6 +14,13 @@ theorem that is the sum over ω and all its images ω + 2πn/T (Chen and Francis
 Rows of z are weighted by the roots of the rule, so that the largest singular value of [rows] is the largest root mean
 square of z over the amplitude of w. Where a loop is computed at every n-th sample, its torques are held meanwhile: a
 component of a slow sequence is a sum of n components of the fast one, 2π/(nT) apart, whose squares add.
+
+Feedforward of the platform's rate becomes a part of every sampled plant, behind its own states:
+
+    u = K y + F y_ff,   or   u = K (y + F y_ff),        y_ff = G Omega
+
+y_ff are rates that no torque changes: the loop's poles and margins stay what they are, but what the platform's motion
+does to torques, readings and line of sight does not.
 """
 
 from __future__ import annotations
@@ -21,7 +28,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple, Protocol, Self
+from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -241,12 +248,6 @@ class SlowerResponses(_Changed):
         return ReadAndSeen(read, np.concatenate([one.seen for one in parts], axis=-3))
 
 
-def added_response(path: System, sensors: System, late: FloatArray, w: FloatArray) -> ComplexArray:
-    """Return the response (F, m, 3) of a sampled path behind continuous sensors of the platform's rate."""
-    shown = frequency_response(sensors, w, -3) * np.exp(-1j * w[:, None] * late)[..., None]
-    return np.asarray(frequency_response(path, w, -3) @ shown)
-
-
 @value
 class FedResponses(_Changed):
     """Those of plants with feedforward F of the platform's rate: its sensors' readings through F add to the inputs.
@@ -254,16 +255,13 @@ class FedResponses(_Changed):
     Or to what is read.
     """
 
-    path: System  # F, sampled, from the sensors' readings
-    sensors: System  # continuous, from Omega1 to Omega3 to the sensors' readings
-    late: FloatArray  # (k,): by how much these are late, s
-    into_readings: bool
+    feedforward: RateFeedforward
 
     def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
         """Return the responses; see `DisturbanceResponses`."""
         read, seen = self.plain.at(w, of)
-        added = added_response(self.path, self.sensors, self.late, w)
-        if self.into_readings:
+        added = self.feedforward.response(w)
+        if self.feedforward.into == "reading":
             read[..., -3:] += added
             return ReadAndSeen(read, seen)
         m = self.inputs
@@ -342,3 +340,96 @@ def _fewer(seen: ComplexArray) -> ComplexArray:
     *batch, k, s, columns = seen.shape
     rows = seen.reshape(*batch, k * s, columns)
     return rows if k * s <= columns else np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+Into = Literal["torque", "reading"]
+
+
+@value
+class RateFeedforward:
+    """Feedforward of the platform's rate in a sampled loop."""
+
+    into: Into  # what it adds to: the controller's ``"torque"``, or what the controller reads
+    sensors: tuple[str, ...]  # names of the k sensors of the platform's rate that the controller reads
+    path: System  # F, from their readings, rad/s, to the m torques, N m, or to the p readings; sampled
+    # G, from the platform's rate (Omega1 to Omega3, rad/s) to the readings of the sensors, rad/s: with the rate held
+    # between samples, and continuous, without the times `late` (k,), s, by which readings come late.
+    measured: System
+    smooth: System
+    late: FloatArray
+    noise: FloatArray  # (k,): rms of one sample of each sensor, rad/s
+
+    @property
+    def from_rate(self) -> System:
+        """F G, from the platform's rate, held between samples, to torques or readings."""
+        return self.measured.series(self.path)
+
+    def responses(self, plain: DisturbanceResponses) -> FedResponses:
+        """Return what disturbances do to plants with it, of what they do without."""
+        return FedResponses(plain=plain, feedforward=self)
+
+    def response(self, frequency: FloatArray) -> ComplexArray:
+        """Return F G at frequencies (F,), rad/s, from the continuous platform rate: (F, m or p, 3)."""
+        late = np.exp(-1j * frequency[:, None] * self.late)[..., None]
+        shown = frequency_response(self.smooth, frequency, -3) * late
+        return np.asarray(frequency_response(self.path, frequency, -3) @ shown)
+
+    def in_directions(self, sense: FloatArray) -> RateFeedforward:
+        """Return it for combinations of the loop's readings, the rows of `sense` (k, p)."""
+        if self.into == "torque":
+            return self
+        return dataclasses.replace(self, path=self.path._replace(C=sense @ self.path.C, D=sense @ self.path.D))
+
+    def joined_to(self, controller: System) -> System:
+        """Return K (or K with commands) together with F: inputs of K, then the sensors; states of K, then of F."""
+        A, B, C, D, dt = controller
+        n, p, f = len(A), D.shape[1], len(self.path.A)
+        if self.into == "torque":
+            cross, driven = np.zeros((n, f)), np.zeros((n, len(self.sensors)))
+            out, direct = self.path.C, self.path.D
+        else:
+            read = slice(len(self.path.C))
+            cross, driven = B[:, read] @ self.path.C, B[:, read] @ self.path.D
+            out, direct = D[:, read] @ self.path.C, D[:, read] @ self.path.D
+        return System(
+            np.block([[A, cross], [np.zeros((f, n)), self.path.A]]),
+            np.block([[B, driven], [np.zeros((f, p)), self.path.B]]),
+            np.hstack([C, out]),
+            np.hstack([D, direct]),
+            dt,
+        )
+
+    def taken_up(self, whole: System, m: int, p: int) -> System:
+        """Return plants (N, ...) that have it.
+
+        Inputs are `m` torques and the platform's rate, the first `p` outputs are what the controller reads.
+        """
+        A, B, C, D, dt = whole
+        A_f, B_f, C_f, D_f, _ = self.from_rate
+        N, n, f = A.shape[0], A.shape[-1], len(A_f)
+        new_A, new_B = np.zeros((N, n + f, n + f)), np.zeros((N, n + f, m + 3))
+        new_A[:, :n, :n], new_A[:, n:, n:] = A, A_f
+        new_B[:, :n], new_B[:, n:, m:] = B, B_f
+        new_C, new_D = np.concatenate([C, np.zeros((N, C.shape[-2], f))], axis=-1), D.copy()
+        if self.into == "torque":
+            new_A[:, :n, n:] = B[..., :m] @ C_f
+            new_B[:, :n, m:] += B[..., :m] @ D_f
+            new_C[..., n:] = D[..., :m] @ C_f
+            new_D[..., m:] += D[..., :m] @ D_f
+        else:
+            new_C[:, :p, n:] = C_f
+            new_D[:, :p, m:] += D_f
+        return System(new_A, new_B, new_C, new_D, dt)
+
+    def noise_of_torques(self, closed: System) -> System:
+        """Return the loops from independent samples of unit rms, one for each sensor, to the torques.
+
+        `closed` (N, ...) leads from a disturbance of the torques and the noise of the readings to the torques.
+        """
+        path = self.path._replace(B=self.path.B * self.noise, D=self.path.D * self.noise)
+        A, B, C, D, dt = closed
+        m = C.shape[-2]
+        if self.into == "reading":
+            return path.series(System(A, B[..., m:], C, D[..., m:], dt))
+        # What it adds to the torques, and what the controller adds against it.
+        return path.series(System(A, B[..., :m], C, D[..., :m] + np.eye(m), dt))

@@ -155,8 +155,6 @@ class JitterBudget:
             # What was prepared has too few images.
             self._known, self._kept = {}, 0
 
-    # Panels.
-
     def _edges(self, over_frequency: bool) -> FloatArray:
         """Return the edges of panels that no controller changes, of a cycle more of them for curves over frequency."""
         plant, turn = self.plant, self.plant.turn
@@ -254,8 +252,6 @@ class JitterBudget:
         """Numbers at one node."""
         sources, packed = len(self._random) + len(self._noise), self.plant.controls**2
         return (2 * self._images + 1) * (self.plant.outputs + packed) * (sources + packed)
-
-    # Responses.
 
     def _prepared(self, panels: list[Panel]) -> _Prepared:
         new = [one for one in panels if one not in self._known]
@@ -378,8 +374,6 @@ class JitterBudget:
         power = self._of_sources(own.real**2 + own.imag**2)
         aliased = at.outer[:, list(at.inside)] @ others.transpose(0, 2, 1, 3)
         return np.asarray((power + aliased).swapaxes(-1, -2))
-
-    # Sines.
 
     def _lines(self, controller: MultiRate, over_frequency: bool) -> list[Contribution]:
         """Return the lines of sines, those that add as they come together: of each alone, and last of all of them."""

@@ -349,7 +349,7 @@ class Loop:
             return [seen[..., columns] + seen[..., :m] @ torque]
         if self._feeds_torque:
             assert plants.feedforward is not None
-            torque = torque + plants.feedforward.torque_response(plants.frequency)
+            torque = torque + plants.feedforward.response(plants.frequency)
         if not transfer.of_limit:
             return [torque]
         share = torque * self._shares

@@ -13,10 +13,10 @@ from platform_ctrl.analysis.between_samples import (
     CombinedResponses,
     DisturbanceResponses,
     Disturbed,
+    RateFeedforward,
     disturbed,
 )
 from platform_ctrl.analysis.feedback import feedback_part
-from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import whole

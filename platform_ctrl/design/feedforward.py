@@ -19,7 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.feedforward import RateFeedforward
+from platform_ctrl.analysis.between_samples import RateFeedforward
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import every_nth, from_w_plane, held_input, late_outputs
 from platform_ctrl.analysis.system import System, seen_states

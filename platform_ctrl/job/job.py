@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.feedforward import Into
+from platform_ctrl.analysis.between_samples import Into
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.job.budget import BudgetSpec

@@ -98,7 +98,7 @@ class ClosedLoops:
         fed = self.plants.feedforward
         if fed is None or fed.into != "torque":
             return np.zeros((len(frequency), self.m, 3), dtype=np.complex128)
-        return fed.torque_response(frequency)
+        return fed.response(frequency)
 
     def none(self) -> Pieces:
         """Return no pieces."""
