@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import control
 
     from platform_ctrl.analysis.plant_set import PlantSet
+    from platform_ctrl.design.method import Designed
     from platform_ctrl.design.partition import Channels
     from platform_ctrl.simulation.closed_loop import Trajectory
 
@@ -228,15 +229,6 @@ class Tuning:
 
 
 @value
-class Made:
-    """A controller u = K y that a method has designed, with its completed options and what the method claims."""
-
-    controller: System
-    options: dict[str, float]
-    claims: dict[str, float]
-
-
-@value
 class Designing:
     """Designs a loop by its method; `job` has the plant, sampling and options of the settings."""
 
@@ -244,9 +236,10 @@ class Designing:
     loop: str
     design: str
 
-    def run(self, progress: Progress) -> Made:
-        """Return the controller."""
+    def run(self, progress: Progress) -> Designed:
+        """Return the controller u = K y, with its completed options and what the method claims."""
         from platform_ctrl.design.jobs import loops
+        from platform_ctrl.design.method import Designed
 
         spec = next(one for one in self.job.loops if one.name == self.loop)
         design = next(one for one in spec.designs if one.name == self.design)
@@ -257,7 +250,7 @@ class Designing:
         outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress)
         closed = next(one.closed for one in outcomes if one.spec.name == spec.name)
         controller = System.of(closed.own_controller, closed.name)
-        return Made(controller=controller, options=dict(closed.options), claims=dict(closed.claims))
+        return Designed(controller=controller, options=dict(closed.options), claims=dict(closed.claims))
 
 
 @value

@@ -13,7 +13,6 @@ from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import System
-from platform_ctrl.app.background import Made
 from platform_ctrl.app.budget import LineOfSight
 from platform_ctrl.app.caged import CachedMetrics, CagedLoop
 from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays
@@ -24,7 +23,7 @@ from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import designed
-from platform_ctrl.design.method import LoopProblem, shaped
+from platform_ctrl.design.method import Designed, LoopProblem, shaped
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, InputError
@@ -54,8 +53,8 @@ class ClosedLoops:
         self.plants = JobPlants(job)
         self.options = DesignOptions(self.plants)
         # By loop, design and options: made here, and read from a file, which no method could make again.
-        self._made: Bounded[Made] = Bounded(_ROOM)
-        self._given: dict[Hashable, Made] = {}
+        self._made: Bounded[Designed] = Bounded(_ROOM)
+        self._given: dict[Hashable, Designed] = {}
         self._specs = {spec.name: spec for spec in job.loops}
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(16)
@@ -67,7 +66,7 @@ class ClosedLoops:
         """The settings of the job file, with the controllers that exist already."""
         return self.options.start
 
-    def _take(self, given: Iterable[tuple[str, str, str, Made]]) -> None:
+    def _take(self, given: Iterable[tuple[str, str, str, Designed]]) -> None:
         """Start from designs that exist already."""
         start = self.start
         for loop, design, method, made in given:
@@ -93,11 +92,11 @@ class ClosedLoops:
         """Return all that a design of a method depends on."""
         return loop, design, tuple(sorted(settings.options[loop][design].items()))
 
-    def keep(self, key: Hashable, made: Made) -> None:
+    def keep(self, key: Hashable, made: Designed) -> None:
         """Keep a design under its key until newer ones replace it."""
         self._made.put(key, made)
 
-    def found(self, settings: Settings, loop: str, design: str) -> Made | None:
+    def found(self, settings: Settings, loop: str, design: str) -> Designed | None:
         """Return the design that a method has made for these settings, or None."""
         key = self.design_key(settings, loop, design)
         return self._given.get(key) or self._made.found(key)

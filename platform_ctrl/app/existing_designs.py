@@ -8,15 +8,15 @@ from typing import Any
 from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.system import System
-from platform_ctrl.app.background import Made
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.loop_signals import loop_signals
+from platform_ctrl.design.method import Designed
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.controllers import read_controllers
 
 
-def existing_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
+def existing_designs(path: Path, job: Job) -> list[tuple[str, str, str, Designed]]:
     """Return loop, design, method and controller of each entry of a file that fits the job's caging loops."""
     out = []
     _, data = read_json(path, "a JSON file with controllers")
@@ -51,7 +51,7 @@ def existing_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
                 for name, x in (options.items() if isinstance(options, dict) else ())
                 if isinstance(x, int | float) and not isinstance(x, bool) and x > 0.0
             }
-            made = Made(controller=ordered, options=numbers, claims={})
+            made = Designed(controller=ordered, options=numbers, claims={})
             out.append((spec.name, str(entry.get("design") or "given"), str(entry.get("method")), made))
     return out
 

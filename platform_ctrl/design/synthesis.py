@@ -14,6 +14,7 @@ of the plant as given.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -43,9 +44,7 @@ HinfMethod = Literal["lmi", "riccati"]
 Norm = Literal["hinf", "h2"]
 
 # How much more than the backed-off bound the recomputed norm may be, relative to the bound.
-NORM_TOLERANCE = 0.01
-# The recomputed norm may exceed the optimum by this share.
-H2_TOLERANCE = 1e-6
+TOLERANCE: dict[Norm, float] = {"hinf": 0.01, "h2": 1e-6}
 CURE = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
 # A direct term of a closed loop below this share of what it is the sum of is rounding.
 DIRECT_ROUNDING = 1e-9
@@ -221,9 +220,9 @@ def hinf(
             made = out_of_w_plane(made, plant.dt)
         except np.linalg.LinAlgError as error:
             raise UnscalableError(f"hinf, {route}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
-        return certify(
-            P, plant, made, least=least, backoff=backoff, method=f"hinf, {route}", residual=residual, reason=reason
-        )
+        name = f"hinf, {route}"
+        found = certify(P, plant, made, least=least, backoff=backoff, method=name, residual=residual)
+        return replace(found, reason=reason)
 
     if method is not None or regularise is not None:
         return by(method or "riccati")
@@ -274,9 +273,7 @@ def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True, regularise:
     plant = partition(P, nmeas, ncon, sampled=True)
     require_stabilisable(plant, P, "h2")
     made, least, residual = or_regularised(partial(h2_riccati, direct=direct, P=P), plant, regularise, "norm")
-    return certify(
-        P, plant, made, least=least, backoff=0.0, method=H2, residual=residual, norm="h2", tolerance=H2_TOLERANCE
-    )
+    return certify(P, plant, made, least=least, backoff=0.0, method=H2, residual=residual, norm="h2")
 
 
 def or_regularised(solve: Callable[[Partition], Found], plant: Partition, size: float | None, what: str) -> Found:
@@ -305,7 +302,7 @@ def or_regularised(solve: Callable[[Partition], Found], plant: Partition, size: 
     return made, least, residual | added
 
 
-def certify(  # noqa: PLR0913 - what certifies one result
+def certify(
     P: StateSpace,
     plant: Partition,
     controller: System,
@@ -315,13 +312,10 @@ def certify(  # noqa: PLR0913 - what certifies one result
     method: str,
     residual: dict[str, float],
     norm: Norm = "hinf",
-    tolerance: float = NORM_TOLERANCE,
-    reason: str = "",
 ) -> Synthesis:
     """Close the loop with the plant as given; return the result if it is stable and has the promised norm.
 
-    `least` is the least level that the route found; the norm may exceed ``(1 + backoff) least`` by `tolerance` times
-    `least`.
+    `least` is the least level that the route found; the norm may exceed ``(1 + backoff) least`` by a share of it.
     """
     if not all(np.all(np.isfinite(matrix)) for matrix in controller[:4]):
         raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
@@ -344,7 +338,7 @@ def certify(  # noqa: PLR0913 - what certifies one result
             gamma, frequency = hinf_norm(loop, allow_unstable=True)
     except ArgumentError as error:
         raise NotCertifiedError(f"{method}: no finite H2 norm: {error}; {CURE}", P) from None
-    limit = (1 + backoff + tolerance) * least
+    limit = (1 + backoff + TOLERANCE[norm]) * least
     if not gamma <= limit:
         shown = f"the H2 norm {gamma:.6g}" if norm == "h2" else f"the norm {gamma:.6g} at {frequency:.4g} rad/s"
         raise NotCertifiedError(
@@ -365,7 +359,6 @@ def certify(  # noqa: PLR0913 - what certifies one result
         poles=poles,
         residual=dict(residual),
         norm=norm,
-        reason=reason,
     )
 
 
