@@ -126,19 +126,14 @@ def sampled_plants(
     They are those of a loop that is computed at `every` how many samples; `used` says at every how many samples a
     reading is, where that is not the same.
     """
-    signals, A = linear.signals, linear.system.A
+    signals = linear.signals
     torques, names = (tuple(one.name for one in part) for part in (signals.torquers, signals.sensors))
     lags = np.array([t.lag for t in signals.torquers])
     m, p, q = len(torques), len(names), len(signals.sight)
     period = every * sampling.period
-    _expect_slow(A, linear.cases, period)
-    continuous = linear.system.part(slice(None), slice(m))
-    arrays = sampled(continuous, sampling.period, sampling.delay, lags)
-    # Omega is held like the torques, but neither delayed nor lagging: it acts on the plant's own states, the first.
-    B_Omega = held_input(A, linear.system.B[..., m:], sampling.period)[1]
-    B_Omega = np.pad(B_Omega, ((0, 0), (0, arrays.A.shape[-1] - A.shape[-1]), (0, 0)))
-    D_Omega = linear.system.D[..., m:]
-    states = sampled_states(linear.states, torques, lags, arrays.A.shape[-1])
+    _expect_slow(linear.system.A, linear.cases, period)
+    held = _held(linear, sampling, lags)
+    states = sampled_states(linear.states, torques, lags, held.A.shape[-1])
     shown = [*signals.sensors, *(None for _ in signals.sight), *signals.fed]
     # What drives feed back is computed at every sample.
     often = dict.fromkeys(names, every) | {one.name: 1 for one in signals.fed} | dict(used or {})
@@ -146,25 +141,17 @@ def sampled_plants(
     states += late_states(["" if one is None else one.name for one in shown], late)
     at = instants(sampling.period, sampling.delay)
     times = np.append(0.0, at.times)
-    shown_between = continuous.part(slice(p + q), slice(None))
+    shown_between = linear.system.part(slice(p + q), slice(m))
     seen = rows_between(shown_between, sampling.period, sampling.delay, lags, times)
-    responses: DisturbanceResponses = _responses(linear, arrays, late, [one[:, p + q :] for one in seen], at)
+    stepped = held.part(slice(None), slice(m))
+    responses: DisturbanceResponses = _responses(linear, stepped, late, [one[:, p + q :] for one in seen], at)
     # Readings, line of sight, the readings' signals between samples, and last what drives feed back.
     times = times[: None if every < _SLOW_LOOP else 1]
     rows = [k * (p + q) + j for k in range(len(times)) for j in range(p)]
-    C_seen, D_seen = (one[:, rows] for one in seen)
-    D = np.concatenate([arrays.D, D_Omega], axis=-1)
-    D_seen = np.concatenate([D_seen, np.tile(D_Omega[:, :p], (1, len(times), 1))], axis=-1)
-    whole = late_outputs(
-        System(
-            arrays.A,
-            np.concatenate([arrays.B, B_Omega], axis=-1),
-            np.concatenate([arrays.C[:, : p + q], C_seen, arrays.C[:, p + q :]], axis=-2),
-            np.concatenate([D[:, : p + q], D_seen, D[:, p + q :]], axis=-2),
-            sampling.period,
-        ),
-        [*late[: p + q], *([0] * len(times) * p), *late[p + q :]],
-    )
+    C, D = (one[:, rows] for one in seen)
+    D = np.concatenate([D, np.tile(held.D[:, :p, m:], (1, len(times), 1))], axis=-1)
+    C, D = (np.concatenate([x[:, : p + q], y, x[:, p + q :]], axis=-2) for x, y in ((held.C, C), (held.D, D)))
+    whole = late_outputs(held._replace(C=C, D=D), [*late[: p + q], *([0] * len(times) * p), *late[p + q :]])
     whole = _with_drives(whole, linear)
     if every > 1:
         whole, kept = every_nth(whole, every, p + q)
@@ -190,6 +177,17 @@ def sampled_plants(
         held=linear.held,
         dry_friction=any(max(one.breakaway) > 0.0 for one in linear.cases[0].platform.frictions),
     ).on(tuning_grid(nutation, period))
+
+
+def _held(linear: LinearPlants, sampling: Sampling, lags: FloatArray) -> System:
+    """Return the plants sampled, from torques and Omega, which is held like these, but neither delayed nor lagging."""
+    A, m = linear.system.A, len(lags)
+    out = sampled(linear.system.part(slice(None), slice(m)), sampling.period, sampling.delay, lags)
+    # Omega acts on the plant's own states, which are the first.
+    B_Omega = held_input(A, linear.system.B[..., m:], sampling.period)[1]
+    B_Omega = np.pad(B_Omega, ((0, 0), (0, out.A.shape[-1] - A.shape[-1]), (0, 0)))
+    B, D = (np.concatenate(pair, axis=-1) for pair in ((out.B, B_Omega), (out.D, linear.system.D[..., m:])))
+    return out._replace(B=B, D=D)
 
 
 def _responses(
