@@ -27,7 +27,8 @@ from platform_ctrl.design.loop import (
     with_commands,
     with_controller,
 )
-from platform_ctrl.design.method import METHODS, LoopProblem
+from platform_ctrl.design.method import LoopProblem
+from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import tracking_plants
 from platform_ctrl.design.tuning import (

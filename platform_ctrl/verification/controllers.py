@@ -23,7 +23,8 @@ from platform_ctrl.design.loop import (
     with_largest_rates,
 )
 from platform_ctrl.design.loop_signals import loop_signals
-from platform_ctrl.design.method import LoopProblem, known_method
+from platform_ctrl.design.method import LoopProblem
+from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError, began_with_interrupt
@@ -254,7 +255,7 @@ def _measured(
         if own.name == name and own.responses is not None:
             model = linearise(job.platform)
             problem = LoopProblem(job=job, spec=spec, design=own, model=model, plant_set=plants, directions=directions)
-            made = known_method(own.method).judged(problem, made)
+            made = METHODS[own.method].judged(problem, made)
     return with_largest_rates(made) if spec.kind == "caging" and closed else made
 
 
