@@ -50,7 +50,7 @@ def timed(bench: Backend, settings: Settings, slider: Slider) -> tuple[float, fl
 def times(bench: Backend) -> bool:
     """Print the times of every kind of move and return whether all medians keep the limit."""
     kept = True
-    for loop in bench.choices().loops:
+    for loop in (one.name for one in bench.read.loops):
         settings = bench.start(loop)
         first = bench.picture(settings)
         plants = len(first.plants)
@@ -85,7 +85,7 @@ def resident() -> float:
 def soak(bench: Backend, moves: int) -> bool:
     """Move sliders at random and return whether the memory stays: within 5 % after a tenth of the moves."""
     draw = random.Random(7)
-    loops = bench.choices().loops
+    loops = [one.name for one in bench.read.loops]
     states = {loop: bench.start(loop) for loop in loops}
     refused, first = 0, 0.0
     for k in range(moves):

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.app.background import Background, IsCancelled, Simulating, Tuning
+from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.app.background import IsCancelled, Simulating, Tuning
 from platform_ctrl.app.budget import BudgetState
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
-from platform_ctrl.app.designs import Designs
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Measured, Picture
-from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, is_unchanged, write_job
+from platform_ctrl.app.saving import LARGEST, JobSource, Saved, controllers_beside, is_unchanged, write_job
 from platform_ctrl.app.settings import (
-    Choices,
     Part,
     Settings,
     Slider,
@@ -30,15 +30,16 @@ from platform_ctrl.app.settings import (
     option_sliders,
     with_options,
 )
-from platform_ctrl.app.slider_effects import moved_slider, slider_effects
 from platform_ctrl.app.stabilised import stabilised_parts
 from platform_ctrl.common.arguments import known_name, short, whole
 from platform_ctrl.common.progress import Progress
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.methods import METHODS, read_job
-from platform_ctrl.design.tuning import OptionEffects
+from platform_ctrl.design.tuning import SHARE, OptionEffects, deciding, largest_ratios, option_effects
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.requirements import SCOPES, limit_keys
 from platform_ctrl.verification.controllers import differing_origin
 from platform_ctrl.verification.simulated import limit_results
 
@@ -73,29 +74,20 @@ class Backend:
             controllers = beside if beside.exists() and not differing_origin(beside, self.read) else None
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
         self.read = self._loops.read
-        self._background = Background()
-        self._designs = Designs(self._loops, self._background)
         # Whether a manoeuvre has been simulated: the first takes longer, until its equations are compiled.
         self.has_simulated = False
         self.job_parts = JobParts(self._loops)
 
     def close(self) -> None:
         """End the process that designs, tunes and simulates."""
-        self._designs.queue.end()
-        self._background.end()
+        self._loops.designs.end()
+        self._loops.background.end()
 
     # Settings and what they may be.
 
-    def choices(self) -> Choices:
-        """Return what a page lets choose from."""
-        specs = self.read.loops
-        return Choices(
-            loops=tuple(spec.name for spec in specs),
-            designs={spec.name: tuple(d.name for d in spec.designs) for spec in specs},
-            methods={spec.name: {d.name: d.method for d in spec.designs} for spec in specs},
-            channels={spec.name: self._loops.plants.channels_of(spec) for spec in specs},
-            manoeuvres=tuple(one.name for one in self.read.manoeuvres),
-        )
+    def channels(self, settings: Settings) -> tuple[str, ...]:
+        """Return the torquers at which the loop may be shown broken."""
+        return self._loops.plants.channels_of(self._loops.spec(settings.loop))
 
     def start(self, loop: str | None = None) -> Settings:
         """Return the settings of the job file, at one of its loops; None: the first that sliders shape at once."""
@@ -165,6 +157,62 @@ class Backend:
             if any(part_of(option) == name for option in known)
         )
 
+    def with_choice(self, settings: Settings, name: str, value: Any) -> Settings:
+        """Return the settings with something else chosen from a list of the page."""
+        choices: dict[str, tuple[Any, ...]] = {
+            "loop": tuple(one.name for one in self.read.loops),
+            "design": tuple(one.name for one in self._loops.spec(settings.loop).designs),
+            "mode": tuple({"caged" if one.has_plants else "stabilised": "" for one in self.read.loops}),
+            "channel": self.channels(settings),
+            "plant": self.plants(settings),
+            "axis": (1, 2, 3),
+            "band": (True, False),
+        }
+        known_name("choice", name, tuple(choices))
+        if value not in choices[name] or type(value) is not type(choices[name][0]):
+            raise ArgumentError(f"{name} must be one of {', '.join(map(str, choices[name]))}, got {short(value)}")
+        if name in ("loop", "design"):
+            return self.chosen(settings, **{name: value})
+        if name != "mode":
+            return settings.but(**{name: value})
+        if value == settings.mode:
+            return settings
+        return self.chosen(settings, loop=next(o.name for o in self.read.loops if o.has_plants == (value == "caged")))
+
+    def with_limit(self, settings: Settings, key: str, number: Any) -> Settings:
+        """Return the settings with another limit of the loop, in the units of the job file."""
+        limits = settings.limits[settings.loop]
+        known_name("limit", key, tuple(limits))
+        if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 < number <= LARGEST:
+            raise ArgumentError(f"{key} must be a positive finite number, got {short(number)}")
+        return settings.but(limits={**settings.limits, settings.loop: {**limits, key: float(number)}})
+
+    def limit_keys(self, settings: Settings) -> tuple[str, ...]:
+        """Return the keys of the requirements and goals of a picture, empty where the page changes none."""
+        spec, _ = self._loops.design(settings)
+        if not spec.has_plants:
+            return ()
+        known = {of: key for key, of in limit_keys().items() if key in settings.limits[spec.name]}
+        scopes = {over: scope for scope, over in SCOPES.items()}
+        every = spec.requests
+        return tuple(known.get((one.kind, scopes[one.over]), "") if one.hard else "" for one in every)
+
+    def with_fixed(self, settings: Settings, slider: str, fixed: bool) -> Settings:
+        """Return the settings with a slider that tuning does not move, or does."""
+        known_name("slider", slider, [one.name for one in self.sliders(settings) if not one.along])
+        return settings.but(fixed=settings.fixed | {slider} if fixed else settings.fixed - {slider})
+
+    def starts(self, settings: Settings) -> dict[str, float]:
+        """Return the values of the sliders of these settings in the job file."""
+        first = self._loops.start.but(loop=settings.loop, design=settings.design, optional=settings.optional)
+        return {one.name: one.value for one in self.sliders(first)}
+
+    def reset(self, settings: Settings, slider: str) -> Settings:
+        """Return the settings with a slider at its value in the job file."""
+        starts = self.starts(settings)
+        known_name("slider", slider, list(starts))
+        return self.moved(settings, slider, starts[slider])
+
     def with_part(self, settings: Settings, part: str, on: bool) -> Settings:
         """Return the settings with an optional part switched on or off."""
         spec, design = self._loops.design(settings)
@@ -175,7 +223,7 @@ class Backend:
 
     def with_overlay(self, settings: Settings, design: str, on: bool) -> Settings:
         """Return the settings with another design of the loop drawn over the selected one, or not."""
-        others = [one for one in self.choices().designs[settings.loop] if one != settings.design]
+        others = [one.name for one in self._loops.spec(settings.loop).designs if one.name != settings.design]
         known_name("overlay", design, others)
         now = {*settings.overlays, design} if on else {*settings.overlays} - {design}
         return settings.but(overlays=tuple(one for one in others if one in now))
@@ -194,7 +242,7 @@ class Backend:
 
     def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` in a thread whenever a design that pictures wait for is available or failed."""
-        return self._designs.queue.listen(listener)
+        return self._loops.designs.listen(listener)
 
     def picture(
         self,
@@ -237,14 +285,14 @@ class Backend:
         spec, _ = self._loops.design(settings)
         labels = self.plants(settings)
         if spec.has_plants:
-            loop, notes = self._designs.caged(settings)
+            loop, notes = self._loops.requested(settings)
             drawing, measure = caged_parts(loop, settings, labels, self._loops.cached_metrics(settings, loop))
         else:
             free, notes = self._loops.stabilised(settings)
             drawing, measure = stabilised_parts(free, settings, labels, lambda: self._loops.coupled(settings))
         if not settings.overlays:
             return (drawing, measure), notes
-        overlays, more = self._designs.overlays(settings, spec, drawing.bode.frequency)
+        overlays, more = self._loops.overlays(settings, spec, drawing.bode.frequency)
         drawing = dataclasses.replace(drawing, bode=dataclasses.replace(drawing.bode, overlays=overlays))
         return (drawing, measure), (*notes, *more)
 
@@ -258,13 +306,28 @@ class Backend:
         `before_each` is called before each slider; what it raises ends the computation.
         """
         sliders = [slider for slider in self.sliders(settings) if not slider.background]
+        names = [slider.name for slider in sliders]
+        loops = self._loops
+        of_loop = _of_caging_loop if loops.design(settings)[0].has_plants else _of_all_loops
 
-        def with_slider(slider: Slider) -> Settings:
+        def with_slider(slider: Slider, ratios: Ratios) -> FloatArray:
             before_each()
-            return self.moved(settings, slider.name, moved_slider(slider))
+            # One at zero is moved by a share of its range.
+            step = SHARE * (slider.value or (slider.high - slider.low) / 2.0)
+            return ratios(self.moved(settings, slider.name, slider.value + step))
 
         with np.errstate(all="ignore"):
-            return slider_effects(self._loops, settings, sliders, with_slider)
+            parts = [
+                option_effects(names, limits, ratios(settings), [partial(with_slider, one, ratios) for one in sliders])
+                for limits, ratios in (of_loop(loops, settings), _of_results(loops.sight.quick_results, settings))
+                if limits
+            ]
+        return OptionEffects(
+            options=tuple(names),
+            requirements=tuple(name for one in parts for name in one.requirements),
+            ratios=np.concatenate([np.zeros(0), *(one.ratios for one in parts)]),
+            change=np.concatenate([np.zeros((0, len(names))), *(one.change for one in parts)]),
+        )
 
     # Sliders moved by tuning.
 
@@ -286,7 +349,7 @@ class Backend:
             options=self._loops.options.used(settings, spec, design),
             movable=free,
         )
-        found: dict[str, float] = self._background.run(task, progress, cancelled)
+        found: dict[str, float] = self._loops.background.run(task, progress, cancelled)
         # Six digits: more change no requirement.
         return with_options(settings, {name: float(f"{found[name]:.6g}") for name in free})
 
@@ -321,7 +384,7 @@ class Backend:
         known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
         closed = tuple(one.system for one in self._loops.controllers(settings))
         task = Simulating(job=self.job(settings), manoeuvre=manoeuvre, controllers=closed)
-        trajectory: Trajectory = self._background.run(task, cancelled=cancelled)
+        trajectory: Trajectory = self._loops.background.run(task, cancelled=cancelled)
         self.has_simulated = True
         made = next(one for one in task.job.manoeuvres if one.name == manoeuvre)
         self.job_parts.keep(run_stamp(self._loops, settings, manoeuvre), limit_results(task.job, made, trajectory))
@@ -348,3 +411,27 @@ def _rounded(settings: Settings, start: Settings) -> Settings:
 
 def _fields(parts: Drawing | Measured) -> dict[str, Any]:
     return {one.name: getattr(parts, one.name) for one in dataclasses.fields(parts)}
+
+
+Ratios = Callable[[Settings], FloatArray]
+
+
+def _of_caging_loop(loops: ClosedLoops, settings: Settings) -> tuple[list[str], Ratios]:
+    loop, _ = loops.caged(settings)
+    requests = [one for one in loop.spec.requests if one.hard]
+    view = deciding(measure(loop.plants, loop.delivered, requests, exact=False), requests)
+
+    def ratios(now: Settings) -> FloatArray:
+        moved, _ = loops.caged(now)
+        plants = moved.plants.only([k for k in view if k < len(moved.plants.labels)])
+        return largest_ratios(measure(plants, moved.delivered, requests, exact=False), requests)
+
+    return [one.name for one in requests], ratios
+
+
+def _of_all_loops(loops: ClosedLoops, settings: Settings) -> tuple[list[str], Ratios]:
+    return _of_results(lambda now: loops.coupled(now).results, settings)
+
+
+def _of_results(results: Callable[[Settings], Sequence[CheckResult]], settings: Settings) -> tuple[list[str], Ratios]:
+    return [one.name for one in results(settings)], lambda now: np.array([one.ratio for one in results(now)])

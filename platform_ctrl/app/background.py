@@ -7,8 +7,9 @@ import dataclasses
 import multiprocessing
 import signal
 import threading
+import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -182,6 +183,95 @@ def _work(pipe: Connection) -> None:
             except PlatformCtrlError as error:
                 # The problem that is attached to it may not be picklable.
                 pipe.send(("failed", DesignError(str(error)) if isinstance(error, DesignError) else error))
+
+
+Make = Callable[[Callable[[], bool]], None]
+Name = tuple[str, str]  # loop and design
+
+# A request followed by another within this time is not started, s: a slider is still moving.
+_PAUSE = 0.6
+
+
+class DesignQueue:
+    """Designs that are requested: of each the newest request is made, one after the other."""
+
+    def __init__(self, pause: float = _PAUSE) -> None:
+        self._pause = pause
+        self._lock = threading.Lock()
+        self._requested: dict[Name, Hashable] = {}
+        self._failed: dict[Hashable, str] = {}
+        self._listeners: list[Callable[[], None]] = []
+        self._tasks: LatestTasks[tuple[Name, Hashable, Make]] = LatestTasks(self._work)
+
+    def request(self, loop: str, design: str, key: Hashable, make: Make) -> str:
+        """Request a design and return a line about it; the same request again changes nothing.
+
+        `make` is called in a thread with a function that says whether it was cancelled. A design that failed with
+        this key is not made again: its error is raised.
+        """
+        name = (loop, design)
+        # Pages with different settings do not have failures tried again in turns.
+        if (name, key) in self._failed:
+            raise DesignError(self._failed[name, key])
+        with self._lock:
+            if self._requested.get(name) != key:
+                self._requested[name] = key
+                self._tasks.add(str(name), (name, key, make))
+        return f"{design}: is being designed; it is shown as soon as it is available"
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call `listener` in a thread after each design; return the function that stops it."""
+        self._listeners.append(listener)
+
+        def end() -> None:
+            with contextlib.suppress(ValueError):
+                self._listeners.remove(listener)
+
+        return end
+
+    def end(self) -> None:
+        """Cancel all requests."""
+        self._tasks.close()
+        self._requested.clear()
+
+    def _work(self, tasks: list[tuple[Name, Hashable, Make]]) -> None:
+        for name, key, make in tasks:
+            if self._requested.get(name) == key:
+                time.sleep(self._pause)
+            if self._requested.get(name) == key:
+                self._make(name, key, make)
+
+    def _make(self, name: Name, key: Hashable, make: Make) -> None:
+        def cancelled() -> bool:
+            return self._requested.get(name) != key
+
+        line = ""
+        try:
+            make(cancelled)
+        except TaskCancelled:
+            if not cancelled():  # it gave way
+                self._tasks.add(str(name), (name, key, make))
+                return
+            line = "cancelled"
+        except PlatformCtrlError as error:
+            line = str(error)
+        except Exception as error:
+            line = f"{name[1]}: could not be designed: {error}"
+        with self._lock:
+            if not cancelled():
+                del self._requested[name]
+                if line:
+                    self._failed[name, key] = line
+            elif line:
+                # Listeners are called after the request that took its place: two pages would replace each other's
+                # requests in turns otherwise.
+                return
+        for listener in list(self._listeners):
+            listener()
+
+
+class DesignPending(DesignError):
+    """Nothing can be shown before a design is available."""
 
 
 @value

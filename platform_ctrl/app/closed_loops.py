@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Hashable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,20 +14,28 @@ from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import System
+from platform_ctrl.app.background import Background, Designing, DesignPending, DesignQueue, IsCancelled
 from platform_ctrl.app.budget import LineOfSight
-from platform_ctrl.app.caged import CachedMetrics, CagedLoop
-from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays
-from platform_ctrl.app.existing_designs import existing_designs, loop_names
-from platform_ctrl.app.free_plants import StabilisedLoop
+from platform_ctrl.app.caged import CachedMetrics, CagedCurves, CagedLoop
+from platform_ctrl.app.controllers import (
+    DesignOptions,
+    built_directly,
+    direct_arrays,
+    existing_designs,
+    loop_names,
+)
+from platform_ctrl.app.pictures import Overlay
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.stabilised import StabilisedCurves, StabilisedLoop
 from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import designed
 from platform_ctrl.design.method import Designed, LoopProblem, shaped
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.partition import Channels
-from platform_ctrl.errors import DesignError, InputError
+from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
 from platform_ctrl.verification.coupled_plant import sensed_rates
@@ -59,6 +68,8 @@ class ClosedLoops:
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(16)
         self.sight = LineOfSight(self)
+        self.background = Background()
+        self.designs = DesignQueue()
         self._take([] if controllers is None else existing_designs(controllers, job))
 
     @property
@@ -90,11 +101,8 @@ class ClosedLoops:
     @staticmethod
     def design_key(settings: Settings, loop: str, design: str) -> Hashable:
         """Return all that a design of a method depends on."""
-        return loop, design, tuple(sorted(settings.options[loop][design].items()))
-
-    def keep(self, key: Hashable, made: Designed) -> None:
-        """Keep a design under its key until newer ones replace it."""
-        self._made.put(key, made)
+        options, limits = settings.options[loop][design], settings.limits[loop]
+        return loop, design, tuple(sorted(options.items())), tuple(sorted(limits.items()))
 
     def found(self, settings: Settings, loop: str, design: str) -> Designed | None:
         """Return the design that a method has made for these settings, or None."""
@@ -112,8 +120,12 @@ class ClosedLoops:
 
     def design(self, settings: Settings) -> tuple[LoopSpec, DesignSpec]:
         """Return the loop and the design that are selected."""
-        spec = self.spec(settings.loop)
+        spec = self._with_limits(settings, self.spec(settings.loop))
         return spec, self._named_design(spec, settings.design)
+
+    @staticmethod
+    def _with_limits(settings: Settings, spec: LoopSpec) -> LoopSpec:
+        return dataclasses.replace(spec, limits={**spec.limits, **settings.limits[spec.name]})
 
     @staticmethod
     def _named_design(spec: LoopSpec, name: str) -> DesignSpec:
@@ -124,7 +136,9 @@ class ClosedLoops:
         closed = self.closed(settings)
         loops = tuple(
             dataclasses.replace(
-                spec, use=closed[spec.name], designs=tuple(self._as_set(settings, spec, d) for d in spec.designs)
+                self._with_limits(settings, spec),
+                use=closed[spec.name],
+                designs=tuple(self._as_set(settings, spec, d) for d in spec.designs),
             )
             for spec in self.read.loops
         )
@@ -136,6 +150,43 @@ class ClosedLoops:
         if not built_directly(design):
             return dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         return dataclasses.replace(design, options=self.options.used(settings, spec, design), tune=False)
+
+    def _make(self, settings: Settings, spec: LoopSpec, design: DesignSpec, cancelled: IsCancelled) -> None:
+        """Make a design in another process, unless it is available; what a page waits for goes first."""
+        if self.found(settings, spec.name, design.name) is None:
+            task = Designing(job=self.job(settings), loop=spec.name, design=design.name)
+            key = self.design_key(settings, spec.name, design.name)
+            self._made.put(key, self.background.run(task, cancelled=cancelled, gives_way=True))
+
+    def requested(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
+        """Return what `caged` does; a design that a method has to make is requested, and is pending then."""
+        spec, design = self.design(settings)
+        if not self.is_available(settings, spec, design.name):
+            key = self.design_key(settings, spec.name, design.name)
+            line = self.designs.request(spec.name, design.name, key, partial(self._make, settings, spec, design))
+            raise DesignPending(f"{spec.name}, {line}")  # the error of a method has the loop's name
+        return self.caged(settings)
+
+    def overlays(
+        self, settings: Settings, spec: LoopSpec, frequency: FloatArray
+    ) -> tuple[tuple[Overlay, ...], tuple[str, ...]]:
+        """Return the overlays of a picture, and lines about those that are missing or not up to date."""
+        out: list[Overlay] = []
+        notes: list[str] = []
+        for name in settings.overlays:
+            own = settings.but(design=name)
+            try:
+                with np.errstate(all="ignore"):
+                    if spec.has_plants:
+                        loop, lines = self.requested(own)
+                        out.append(CagedCurves(loop, own).overlay(name, frequency))
+                        notes += lines
+                    else:
+                        # The picture below it has the lines about the other loops.
+                        out.append(StabilisedCurves(self.stabilised(own)[0], own).overlay(name, frequency))
+            except PlatformCtrlError as error:
+                notes.append(str(error))
+        return tuple(out), tuple(notes)
 
     def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the selected loop with plants of its own, and lines about its controller."""
@@ -212,7 +263,8 @@ class ClosedLoops:
 
     def cached_metrics(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
         """Return the cache of a caging loop's metrics."""
-        key = (loop.spec.name, loop.design, self.plants_key(settings, loop.spec), _content(loop.delivered))
+        limits = tuple(sorted(settings.limits[loop.spec.name].items()))
+        key = (loop.spec.name, loop.design, limits, self.plants_key(settings, loop.spec), _content(loop.delivered))
         return lambda make: self._measures.get(key, make)
 
     def controllers(self, settings: Settings, strict: bool = False) -> list[ClosedController]:

@@ -111,7 +111,7 @@ class JobSource:
 
 def is_unchanged(settings: Settings, start: Settings) -> bool:
     """Return whether nothing was changed on a page that a job has."""
-    return all(getattr(settings, name) == getattr(start, name) for name in ("closed", "options", "optional"))
+    return all(getattr(settings, name) == getattr(start, name) for name in ("closed", "options", "optional", "limits"))
 
 
 def write_job(
@@ -145,7 +145,7 @@ def write_job(
             raise InputError(f"{one}: exists already; choose another name or overwrite it")
     text = _complete_text(before, source.path, path, settings, start, wanted)
     if is_unchanged(settings, start):
-        same = _job_text(before, source.path, path.parent, {}, {}, {})
+        same = _job_text(before, source.path, path.parent, {}, {}, {}, {})
         if text != same or controllers is None:
             # Controllers of other designs, or of numbers that are to be tuned, are not those of this job.
             write_whole(path, same)
@@ -193,17 +193,21 @@ def _complete_text(before: str, old: Path, new: Path, settings: Settings, start:
         }
         for loop, designs in wanted.items()
     }
+    limits = {
+        loop: {key: x for key, x in numbers.items() if x != start.limits[loop][key]}
+        for loop, numbers in settings.limits.items()
+    }
     text = ""
     # Options that follow from others are right once these are.
     for _ in range(_ROUNDS):
-        text = _job_text(before, old, new.parent, settings.closed, written, wanted)
+        text = _job_text(before, old, new.parent, settings.closed, limits, written, wanted)
         missing = _not_found(_read(text, new.parent, new), wanted)
         if not missing:
             return text
         for loop, designs in missing.items():
             for design, numbers in designs.items():
                 written[loop][design] |= numbers
-    return _job_text(before, old, new.parent, settings.closed, wanted, wanted)
+    return _job_text(before, old, new.parent, settings.closed, limits, wanted, wanted)
 
 
 def _not_found(job: Job, wanted: Options) -> dict[str, dict[str, dict[str, float]]]:
@@ -225,7 +229,13 @@ def _not_found(job: Job, wanted: Options) -> dict[str, dict[str, dict[str, float
 
 
 def _job_text(
-    before: str, old: Path, folder: Path, closed: Mapping[str, str], written: Options, wanted: Options
+    before: str,
+    old: Path,
+    folder: Path,
+    closed: Mapping[str, str],
+    limits: Mapping[str, Mapping[str, float]],
+    written: Options,
+    wanted: Options,
 ) -> str:
     """Return the text of the job in a folder with the changes of the page; all else stays, also comments."""
     import tomlkit
@@ -235,6 +245,8 @@ def _job_text(
         name = str(loop["name"])
         if loop["use"] != closed.get(name, loop["use"]):
             loop["use"] = closed[name]
+        for key, x in limits.get(name, {}).items():
+            loop["limits"][key] = _number(x)
         for design in loop["design"]:
             numbers = wanted.get(name, {}).get(str(design["name"]))
             if numbers is not None:
@@ -252,10 +264,14 @@ def _put(design: Any, wanted: Mapping[str, float], written: Mapping[str, float])
         del design[key]
     for key, x in written.items():
         if key not in design or float(design[key]) != x:
-            design[key] = int(x) if float(x).is_integer() and abs(x) < 1e15 else x
+            design[key] = _number(x)
     if design.get("tune"):
         # They are final values now, not starting values.
         design["tune"] = False
+
+
+def _number(x: float) -> float:
+    return int(x) if float(x).is_integer() and abs(x) < 1e15 else x
 
 
 def _unasked(before: str, after: str, settings: Settings, start: Settings) -> tuple[str, ...]:
@@ -304,7 +320,7 @@ def _entry(one: ClosedController, delay: float) -> dict[str, Any]:
 
 
 # Most characters of a link, of what it unpacks to, and of a name in it; largest number.
-_LONGEST, _LARGEST, _NAME, _HUGE = 20_000, 400_000, 1000, 1e50
+_LONGEST, _LARGEST, _NAME, LARGEST = 20_000, 400_000, 1000, 1e50
 
 
 def encode_state(backend: Backend, settings: Settings) -> str:
@@ -384,7 +400,7 @@ def _merged(where: str, known: Any, given: object) -> Any:
     elif isinstance(known, str):
         if not isinstance(given, str) or len(given) > _NAME:
             raise InputError(f"state: {where} must be a name, got {short(given)}")
-    elif isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 < given <= _HUGE:
+    elif isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 < given <= LARGEST:
         raise InputError(f"state: {where} must be a positive finite number, got {short(given)}")
     return given
 

@@ -1,7 +1,8 @@
-"""The server behind `platform-ctrl serve`, and which requests it accepts. Bokeh is loaded when it starts.
+"""The server behind `platform-ctrl serve`: Bokeh's with one page, and which requests it accepts.
 
 A page elsewhere can make its visitor's browser request 127.0.0.1, and under a name that resolves to it (DNS rebinding)
-it could even read the responses. The browser reports this in the headers Host, Origin and Sec-Fetch-Site.
+it could even read the responses. The browser reports this in the headers Host, Origin and Sec-Fetch-Site. Other users
+of this machine reach 127.0.0.1 as well: only the printed link has the token without which no page is made.
 """
 
 from __future__ import annotations
@@ -11,19 +12,36 @@ import errno
 import ipaddress
 import logging
 import re
+import secrets
+import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+from bokeh.application import Application
+from bokeh.application.handlers.function import FunctionHandler
+from bokeh.core.serialization import Serializer
+from bokeh.document import Document
+from bokeh.models.widgets.markups import Markup
+from bokeh.protocol.messages.patch_doc import patch_doc
+from bokeh.resources import Resources
+from bokeh.server.auth_provider import AuthProvider
+from bokeh.server.connection import ServerConnection
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from bokeh.server.views.static_handler import StaticHandler
+from bokeh.settings import settings
+from jinja2 import Template
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop
+from tornado.web import StaticFileHandler
+
+from platform_ctrl.app.session import page
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
-
-if TYPE_CHECKING:
-    import socket
-
-    from platform_ctrl.app.web import PageApplication
 
 # The port that is tried first, and how many after it before any free one is taken.
 PORT = 5006
@@ -31,8 +49,28 @@ _TRIED = 16
 # Seconds between checks whether the server is to end.
 _LOOK = 0.2
 _LIBRARIES = ("asyncio", "bokeh", "tornado")
+# Largest sizes; a page sends numbers of sliders and settings only.
+MESSAGE_BYTES = 1 << 20
+BODY_BYTES = 1 << 12
+HEADER_BYTES = 1 << 14
+# Pages open at once; seconds for sending a request.
+PAGES = 32
+PATIENCE = 30.0
+# Milliseconds that a session lasts whose page was closed or lost, and between looks for such.
+LINGER = 5_000
+LOOK = 1_000
+_JOINING = ("bokeh-session-id", "bokeh-token")
+# What keeps a response to itself; the page's template says which scripts run in it.
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
 
-Make = Callable[[Any, Any], None]
+Make = Callable[[Any, Document], None]
 
 
 class PageServer:
@@ -47,20 +85,25 @@ class PageServer:
     allow
         Names under which browsers may reach it, besides this machine's own ones if it listens to itself alone.
     make
-        Fills a new document, called with the backend and the document; default: `page.session.page`.
+        Fills a new document, called with the backend and the document.
+
+    Attributes
+    ----------
+    token
+        Without it in the address no page is made.
     """
 
     def __init__(
         self,
-        backend: object,
+        backend: Any,
         *,
         host: str = "127.0.0.1",
         port: int | None = None,
         allow: Sequence[str] = (),
-        make: Make | None = None,
+        make: Make = page,
     ) -> None:
         self.hosts = AllowedHosts.of(host, allow)
-        require_bokeh()
+        self.token = secrets.token_urlsafe(24)
         self._socket = _bound(host, port)
         self.port: int = self._socket.getsockname()[1]
         self.application: PageApplication | None = None
@@ -69,18 +112,18 @@ class PageServer:
 
     @property
     def address(self) -> str:
-        """Address of the page: what is opened in a browser."""
+        """Address of the page with its token: what is opened in a browser."""
         name = self.hosts.listening
         if not is_loopback(name):
             name = sorted(self.hosts.names)[0]
         elif ":" in name:
             name = f"[{name.strip('[]')}]"
-        return f"http://{name}:{self.port}/"
+        return f"http://{name}:{self.port}/?token={self.token}"
 
     @property
     def sessions(self) -> int:
         """Number of sessions: pages that are open, or were a moment ago."""
-        return 0 if self.application is None else len(self.application.sessions)
+        return 0 if self.application is None else len(self.application.get_sessions("/"))
 
     def run(self, ready: Callable[[], None] | None = None, check: Callable[[], None] | None = None) -> None:
         """Respond to requests until `end` is called or `check` raises."""
@@ -102,13 +145,7 @@ class PageServer:
         self._ended.set()
 
     async def _answer(self, ready: Callable[[], None] | None, check: Callable[[], None] | None) -> None:
-        from bokeh.server.server import BaseServer
-        from tornado.httpserver import HTTPServer
-        from tornado.ioloop import IOLoop
-
-        from platform_ctrl.app.web import BODY_BYTES, HEADER_BYTES, PATIENCE, PageApplication
-
-        self.application = PageApplication(self._filled, self.hosts)
+        self.application = PageApplication(self._filled, Guard(self.hosts, self.token))
         listening = HTTPServer(
             self.application,
             max_body_size=BODY_BYTES,
@@ -129,40 +166,145 @@ class PageServer:
                 await asyncio.sleep(_LOOK)
         finally:
             server.stop()
-            self.application.close_pages()
+            for websocket in self.application.pages.values():
+                websocket.close(1001)  # going away
             await listening.close_all_connections()
 
-    def _filled(self, document: Any) -> None:
+    def _filled(self, document: Document) -> None:
         """Fill a new document; an error is shown on the page and in the terminal."""
-        from jinja2 import Template
-
         try:
-            (self._make or _page())(self._backend, document)
+            self._make(self._backend, document)
         except Exception as error:
             words = str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
-            _say(f"a page could not be made: {words}")
+            line = " ".join(words.split())[:400]
+            print(f"platform-ctrl: a page could not be made: {line}", file=sys.stderr, flush=True)
             document.clear()
             # No scripts: the server may end before it could send them.
             document.template = Template("This page could not be made: {{ words }}", autoescape=True)
-            document.template_variables["words"] = _line(words)
+            document.template_variables["words"] = line
 
 
-def require_bokeh() -> None:
-    """Raise `InputError` if the libraries of the page are not installed."""
-    try:
-        import bokeh.server.tornado  # noqa: F401
-        import tomlkit  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"the page needs {error.name}, which is not installed: pip install 'platform_ctrl[designer]'"
-        ) from None
+class Guard(AuthProvider):
+    """Accepts requests of the page itself and of its printed link; others get one plain line."""
+
+    def __init__(self, hosts: AllowedHosts, token: str) -> None:
+        self._hosts, self._token = hosts, token
+        super().__init__()
+
+    @property
+    def get_user_async(self) -> Any:
+        """What Bokeh calls before a page or its websocket is made."""
+        return self._user
+
+    @property
+    def get_login_url(self) -> Any:
+        """Where nobody is sent: a refused request is answered at once."""
+        return lambda handler: "/"
+
+    async def _user(self, handler: Any) -> str:
+        for name, item in HEADERS.items():
+            handler.set_header(name, item)
+        found = self._refusal(handler)
+        if found is not None:
+            status, words = found
+            handler.set_status(status)
+            handler.set_header("Content-Type", "text/plain; charset=utf-8")
+            handler.finish(f"{words}\n")
+        return "this machine"
+
+    def _refusal(self, handler: Any) -> tuple[int, str] | None:
+        request = handler.request
+        words = self._hosts.refusal(request.headers, page=request.path == "/")
+        if words is not None:
+            return 403, words
+        if any(name in request.arguments for name in _JOINING) or "Bokeh-Session-Id" in request.headers:
+            return 403, "refused: every page has a state of its own; none can be joined"
+        if request.path == "/ws":
+            return None  # its token is that of a page, signed
+        if request.path != "/":
+            return 404, "there is nothing here"
+        if not secrets.compare_digest(handler.get_argument("token", "").encode(), self._token.encode()):
+            return (
+                403,
+                "refused: not the link of this server; open the one that platform-ctrl serve prints",
+            )
+        if len(handler.application.pages) >= PAGES:
+            return 503, f"{PAGES} pages are open already; close one and try again"
+        return None
 
 
-def _page() -> Make:
-    from platform_ctrl.app.page.session import page
+class PageApplication(BokehTornado):
+    """Bokeh's server with one page, behind the check of requests; `pages` are the websockets of those that are open."""
 
-    made: Make = page
-    return made
+    def __init__(self, make: Callable[[Document], None], guard: Guard) -> None:
+        files = (r"/page/(.*)", StaticFileHandler, {"path": str(Path(__file__).parent / "page" / "assets")})
+        super().__init__(
+            Application(FunctionHandler(make)),
+            secret_key=secrets.token_bytes(32),
+            sign_sessions=True,
+            include_headers=[],
+            include_cookies=[],
+            ico_path="none",
+            check_unused_sessions_milliseconds=LOOK,
+            unused_session_lifetime_milliseconds=LINGER,
+            websocket_max_message_size_bytes=MESSAGE_BYTES,
+            extra_websocket_origins=["*"],  # the guard has compared Origin and Host
+            auth_provider=guard,
+            extra_patterns=[files],
+            log_function=lambda handler: None,
+        )
+        self.pages: dict[ServerConnection, Any] = {}
+        # Columns go to a browser on this machine, as a rule: packing them takes longer than sending them.
+        settings.compression_level = 0
+
+    def resources(self, absolute_url: str | bool | None = None) -> Resources:
+        """Return the components of BokehJS that the page uses."""
+        return Resources(
+            mode="server",
+            root_url="/",
+            components=["bokeh", "bokeh-widgets"],
+            path_versioner=StaticHandler.append_version,
+            log_level="warn",
+        )
+
+    def new_connection(self, protocol: Any, socket: Any, application_context: Any, session: Any) -> ServerConnection:
+        """Open a page's websocket, which sends simultaneous changes together."""
+        out = Together(protocol, socket, application_context, session)
+        self._clients.add(out)
+        self.pages[out] = socket
+        return out
+
+    def client_lost(self, connection: ServerConnection) -> None:
+        """Forget the websocket of a page that was closed or lost."""
+        del self.pages[connection]
+        super().client_lost(connection)
+
+
+class Together(ServerConnection):
+    """Sends all changes of a document during one lock as one message instead of some fifty, in half of the time."""
+
+    _changes: tuple[Any, ...] = ()
+
+    def send_patch_document(self, event: Any) -> Awaitable[None]:
+        """Queue a change; the returned awaitable sends all queued ones."""
+        self._changes = (*self._changes, event)
+        return self
+
+    def __await__(self) -> Generator[Any, None, None]:
+        """Send the queued changes; no coroutine is left over when the page goes before they are sent."""
+        return self._sent().__await__()
+
+    async def _sent(self) -> None:
+        changes, self._changes = self._changes, ()
+        if changes:
+            models = changes[0].document.models
+            # The columns among the text: as messages of their own they take longer.
+            serializer = Serializer(references=models.synced_references, deferred=False)
+            # At new words the browser lays out and paints at once: not with half of the data.
+            words_first = sorted(changes, key=lambda one: not isinstance(getattr(one, "model", None), Markup))
+            events = serializer.encode(words_first)
+            models.flush_synced(lambda model: not serializer.has_ref(model))
+            await self._socket.send_message(patch_doc(patch_doc.create_header(), {}, {"events": events}))
 
 
 def _bound(host: str, port: int | None) -> socket.socket:
@@ -184,8 +326,6 @@ def _bound(host: str, port: int | None) -> socket.socket:
 
 
 def _listening(host: str, port: int) -> socket.socket:
-    import socket
-
     bare = host.strip("[]")
     try:
         made = socket.create_server((bare, port), family=socket.AF_INET6 if ":" in bare else socket.AF_INET)
@@ -193,14 +333,6 @@ def _listening(host: str, port: int) -> socket.socket:
         raise OSError(errno.EINVAL, "not a host's name or address") from None
     made.setblocking(False)
     return made
-
-
-def _say(words: str) -> None:
-    print(f"platform-ctrl: {_line(words)}", file=sys.stderr, flush=True)
-
-
-def _line(words: str) -> str:
-    return " ".join(words.split())[:400]
 
 
 @contextmanager
@@ -257,23 +389,9 @@ class AllowedHosts:
         return is_loopback(self.listening)
 
     def refusal(self, headers: Mapping[str, str], page: bool = False) -> str | None:
-        """Return why a request is refused, or None.
+        """Return why a request is refused in one line, or None; to the `page` itself a link elsewhere may lead.
 
-        Parameters
-        ----------
-        headers
-            Those of the request; their names in the usual spelling, or of a mapping that does not mind.
-        page
-            Whether the page itself is requested: then a link elsewhere may lead here.
-
-        Returns
-        -------
-        str or None
-            One line.
-
-        References
-        ----------
-        RFC 6454 (Origin); W3C, Fetch Metadata Request Headers (Sec-Fetch-Site).
+        By RFC 6454 (Origin) and W3C, Fetch Metadata Request Headers (Sec-Fetch-Site).
         """
         host = headers.get("Host", "")
         found = _HOST.fullmatch(host.lower())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from typing import Any, Literal
@@ -50,6 +49,8 @@ class Settings:
         Torquer at which the loop is shown broken, and root axis of the responses, 1 to 3.
     closed
         Loop → design that is closed there while another loop is shown, and in what is saved.
+    limits
+        Loop → key of a limit → number, in the units of the job file.
     """
 
     mode: Mode
@@ -64,6 +65,7 @@ class Settings:
     channel: str = ""
     axis: int = 1
     closed: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, Options] = field(default_factory=dict)
 
     def but(self, **changes: Any) -> Settings:
         """Return these settings with some of them changed."""
@@ -122,60 +124,36 @@ class Part:
     tip: str = ""
 
 
-@value
-class Choices:
-    """The lists of the page, which no slider changes: loops, their designs with methods, and their torquers."""
-
-    loops: tuple[str, ...]
-    designs: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    methods: dict[str, dict[str, str]] = field(default_factory=dict)
-    channels: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    manoeuvres: tuple[str, ...] = ()
-
-
 class History:
     """The settings of a page that can be undone and redone."""
 
     def __init__(self, first: Settings, room: int = 200) -> None:
-        self.now = first
-        self._past: deque[Settings] = deque(maxlen=room)
-        self._future: deque[Settings] = deque(maxlen=room)
+        self._steps, self._at, self._room = [first], 0, room
 
     @property
     def can_undo(self) -> bool:
         """Whether there is a step to undo."""
-        return bool(self._past)
+        return self._at > 0
 
     @property
     def can_redo(self) -> bool:
         """Whether there is a step to redo."""
-        return bool(self._future)
+        return self._at < len(self._steps) - 1
 
     def put(self, settings: Settings) -> None:
         """Add a step; the steps to redo are dropped. Equal settings are no step."""
-        if settings is self.now or settings.data() == self.now.data():
-            return
-        self._past.append(self.now)
-        self._future.clear()
-        self.now = settings
+        if settings.data() != self._steps[self._at].data():
+            self._steps = [*self._steps[: self._at + 1], settings][-self._room :]
+            self._at = len(self._steps) - 1
 
     def replace(self, settings: Settings) -> None:
         """Change the settings without a step: of a gesture only the last value counts."""
-        self.now = settings
+        self._steps[self._at] = settings
 
-    def undo(self) -> Settings:
-        """Go one step back, if there is one."""
-        if self._past:
-            self._future.append(self.now)
-            self.now = self._past.pop()
-        return self.now
-
-    def redo(self) -> Settings:
-        """Redo one step, if there is one."""
-        if self._future:
-            self._past.append(self.now)
-            self.now = self._future.pop()
-        return self.now
+    def step(self, way: int) -> Settings:
+        """Return the settings one step back (-1) or forth (1), where they are from now on."""
+        self._at += way
+        return self._steps[self._at]
 
 
 # Methods whose controllers the tuner makes of their options again and again.

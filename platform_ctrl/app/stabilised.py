@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.analysis.classical_margins import bandwidth_of_response
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.frequency_grids import following_grid
+from platform_ctrl.analysis.interconnection import interconnected
 from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
@@ -30,14 +32,43 @@ from platform_ctrl.app.curves import (
     settling,
     step_size,
 )
-from platform_ctrl.app.free_plants import ATTITUDE, FreePlants, StabilisedLoop
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Measured, TimeResponse
+from platform_ctrl.app.plants import ATTITUDE, FreePlants
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import DesignError
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.verification.coupled import CoupledCheck
 
+if TYPE_CHECKING:
+    import control
+
 _ALL = slice(None)
+
+
+@value
+class StabilisedLoop:
+    """All loops of a job closed around the free platform.
+
+    `model` is the platform at rest, and `controllers` has a
+    `control.StateSpace` for each loop in the job's order. `plants` is the set (the nominal plant alone without a band),
+    and `shown` the plant that is shown.
+    """
+
+    job: Job
+    model: LinearModel
+    spec: LoopSpec
+    controllers: tuple[control.StateSpace, ...]
+    plants: FreePlants
+    shown: FreePlants
+
+    def joined(self, plants: FreePlants) -> tuple[System, list[int], tuple[str, ...]]:
+        """Return all controllers as one, the plants' inputs that it sets, and its torquers."""
+        used = {name for K in self.controllers for name in K.output_labels}
+        torquers = [name for name in plants.torquers if name in used]
+        K = interconnected(self.controllers, plants.sensors, torquers, plants.period)
+        return K, [plants.torquers.index(name) for name in torquers], tuple(torquers)
 
 
 class StabilisedCurves(LoopCurves):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import shlex
+import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from platform_ctrl.cli.error_lines import failed, not_drawn, noted
+from platform_ctrl.cli.error_lines import failed, not_drawn, noted, reported
 from platform_ctrl.cli.job_arguments import (
     DESIGNED,
     REPORT,
@@ -22,11 +26,12 @@ from platform_ctrl.cli.job_arguments import (
     Prove,
     Quiet,
     controller_file,
+    files_read,
     job_of,
     option,
     prepare_folder,
 )
-from platform_ctrl.errors import InputError
+from platform_ctrl.errors import InputError, PlatformCtrlError, began_with_interrupt
 
 if TYPE_CHECKING:
     import control
@@ -76,8 +81,6 @@ def design(
         return _designed(job, out, prove=prove, as_json=as_json, quiet=quiet)
 
     if watch:
-        from platform_ctrl.cli.watching import whenever_saved
-
         whenever_saved(job, once, quiet=quiet or as_json)
     return once()
 
@@ -111,6 +114,53 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
     for one in failures:
         code = failed(f"{one.loop}, {one.name}: {one.sentence}", 1)
     return code
+
+
+# Between two looks at the files, s; large files are looked at for a tenth of the time.
+_PAUSE, _SHARE = 0.1, 0.1
+
+# Hash of what a file holds, which times and sizes do not show; None while there is none.
+_State = dict[Path, bytes | None]
+
+
+def whenever_saved(job: Path, run: Callable[[], int], *, quiet: bool) -> NoReturn:
+    """Run, and again whenever the job or a file that it names has changed, until Ctrl-C.
+
+    A message about wrong input does not end it.
+    """
+    while True:
+        files = files_read(job)
+        seen = _state(files)
+        try:
+            run()
+        except PlatformCtrlError as error:
+            if began_with_interrupt(error):
+                raise
+            reported(error)
+        sys.stdout.flush()
+        if not quiet:
+            noted(f"waiting until {job} or a file that it names is saved; Ctrl-C ends")
+        while seen == (now := _after_a_pause(files)):
+            pass
+        while now != (now := _after_a_pause(files)):  # it is still being written
+            pass
+
+
+def _after_a_pause(files: list[Path]) -> _State:
+    begun = time.monotonic()
+    out = _state(files)
+    time.sleep(max(_PAUSE, (time.monotonic() - begun) * (1.0 / _SHARE - 1.0)))
+    return out
+
+
+def _state(files: list[Path]) -> _State:
+    out: _State = dict.fromkeys(files)
+    for file in files:
+        with suppress(OSError, ValueError):  # it does not exist, or no file can be called so
+            if file.is_file():
+                with file.open("rb") as opened:
+                    out[file] = hashlib.file_digest(opened, "sha256").digest()
+    return out
 
 
 def expect_proofs_possible(prove: bool) -> None:

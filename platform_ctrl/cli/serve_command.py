@@ -14,6 +14,7 @@ import typer
 
 from platform_ctrl.cli.error_lines import noted
 from platform_ctrl.cli.job_arguments import Controllers, Json, Quiet, job_of, option
+from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer
@@ -70,8 +71,8 @@ def serve(
     """Shape the loops of a job by hand, on a page in the browser.
 
     Every option of a design has a slider, and Bode, Nichols, root locus, responses, margins and requirements follow.
-    What is saved there is a job that check accepts. Only this machine reaches the page; Ctrl-C ends it. Needs the
-    extra designer.
+    What is saved there is a job that check accepts. Only this machine reaches the page, by the link that is printed;
+    Ctrl-C ends it. Needs the extra designer.
 
     \b
     platform-ctrl serve job.toml
@@ -79,22 +80,25 @@ def serve(
     platform-ctrl serve job.toml --controllers result.json
         with the controllers of a design to compare with
     platform-ctrl serve job.toml --port 8000 --no-browser
-        at an address of its own: http://127.0.0.1:8000/
+        at a port of its own
     platform-ctrl serve job.toml --json
         the address as JSON, for another program
     """  # noqa: D301
-    from platform_ctrl.app.server import AllowedHosts
     from platform_ctrl.cli.interrupts import interruptible
     from platform_ctrl.cli.terminal import progress
 
-    AllowedHosts.of(host, allow or ())  # before anything else: no work for what would be refused
     with progress(quiet or as_json, f"reading {job}"):
         name = _checked(job, controllers)
-        from platform_ctrl.app.server import PageServer, require_bokeh
+        try:
+            import tomlkit  # noqa: F401 - what is saved is written with it
 
-        require_bokeh()
-        from platform_ctrl.app.backend import Backend
-
+            from platform_ctrl.app.backend import Backend
+            from platform_ctrl.app.server import AllowedHosts, PageServer
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"the page needs {error.name}, which is not installed: pip install 'platform_ctrl[designer]'"
+            ) from None
+        AllowedHosts.of(host, allow or ())  # no work for what would be refused
         backend = Backend(job, controllers)
         server = PageServer(backend, host=host, allow=allow or (), port=port)
 
@@ -144,8 +148,8 @@ def _announce(server: PageServer, name: str, as_json: bool, port: int | None) ->
 def _network_warning(server: PageServer) -> str:
     names = ", ".join(sorted(server.hosts.names))
     return (
-        f"listening on {server.hosts.listening}: anybody who reaches this machine on port {server.port} as {names} can "
-        "see this job, keep its processors busy and write files where the page saves; there is no password"
+        f"listening on {server.hosts.listening}: anybody who has the link and reaches this machine on port "
+        f"{server.port} as {names} can see this job, keep its processors busy and write files where the page saves"
     )
 
 

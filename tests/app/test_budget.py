@@ -26,9 +26,8 @@ from camera_job import camera_job
 from platform_ctrl import read_job
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.job_parts import BUDGET, ChipState
-from platform_ctrl.app.page.connection import Connection
-from platform_ctrl.app.page.messages import influence_data
-from platform_ctrl.app.page.session import Session
+from platform_ctrl.app.messages import Connection, influence_data
+from platform_ctrl.app.session import Session
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
 from platform_ctrl.verification.budget_result import LineOfSightBudget
@@ -227,4 +226,4 @@ def test_what_sliders_do_to_the_jitter_counts_among_their_effects(tight: Backend
     step = influence_data(effects, (jitter,), tight.sliders(start))["next"]
     assert step["slider"] == "crossover_hz"
     assert step["value"] > start.options["rate"]["pi"]["crossover_hz"]
-    assert jitter.name in step["gain"]
+    assert jitter.name in step["words"]

@@ -57,7 +57,7 @@ def test_a_tracking_loop_is_shaped_checked_simulated_and_saved(tmp_path: Path, e
     page, job = Backend(path), read_job(path)
     found = verification.check_job(job, design.loops(job))
     start = page.start()
-    assert page.choices().loops == ("loop", "track")
+    assert [one.name for one in page.read.loops] == ["loop", "track"]
     parts = page.job_parts.parts(start)
     for one in page.job_parts.open(parts):
         page.job_parts.measure(one)

@@ -249,10 +249,6 @@ def test_an_unstable_loop_has_a_picture_that_says_so(bench: Backend, settings: S
     ("slider", "number"),
     [
         ("crossover_hz", math.nan),
-        ("crossover_hz", -1.0),
-        ("crossover_hz", 0.0),
-        ("crossover_hz", math.inf),
-        ("rate_hz", 2000.0),
         ("crossover", 1.0),
         ("lead_hz", "fast"),
     ],

@@ -62,11 +62,6 @@ def test_the_sliders_of_a_classical_loop_are_those_that_make_its_controller(kind
                 _expect_that_sliders_are_what_acts(bench, bench.chosen(bench.start(spec.name), design=design.name))
 
 
-@pytest.mark.parametrize("loop", ["caging 4-5-7", "caging 9-10"])
-def test_the_sliders_of_the_three_gyro_platform_make_its_controllers(shipped: Backend, loop: str) -> None:
-    _expect_that_sliders_are_what_acts(shipped, shipped.chosen(shipped.start(loop), design="classical"))
-
-
 def test_a_slider_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Backend) -> None:
     settings = shipped.start("caging 9-10").but(fixed=frozenset({"notch_hz", "damping_hz"}))
     hidden = shipped.with_part(settings, "notch", False)

@@ -11,7 +11,7 @@ pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
 from app.test_page import JOB
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.job_parts import ChipState
-from platform_ctrl.app.page.messages import strip_data, verdict_data
+from platform_ctrl.app.messages import strip_data, verdict_data
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.mechanics.linearisation import linearise

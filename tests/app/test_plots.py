@@ -15,7 +15,6 @@ pytest.importorskip("bokeh", reason="Bokeh is not installed")
 from bokeh.document import Document
 from bokeh.events import ButtonClick
 from bokeh.models import BoxAnnotation, Label, Model, Plot, Range1d, Span
-from bokeh.protocol import Protocol
 
 from designer_pictures import broken, picture
 from platform_ctrl.app.plots import Plots
@@ -107,15 +106,6 @@ def test_the_loop_is_drawn_in_hertz_decibels_and_degrees(plots: Plots) -> None:
     assert data["gain"] == pytest.approx(20.0 * np.log10(shown.bode.magnitude), abs=1e-4)
     assert data["phase"] == pytest.approx(shown.bode.phase, abs=1e-4)
     assert all(one.dtype == np.float32 for one in data.values())
-
-
-def test_the_phase_margin_is_marked_at_the_crossover(plots: Plots) -> None:
-    shown = picture()
-    plots.show(shown)
-    marks = plots.sources["margins"].data
-    [k] = np.flatnonzero(np.isfinite(marks["phase0"]))
-    assert marks["frequency"][k] == pytest.approx(shown.margins.crossover * HZ, rel=1e-5)  # type: ignore[operator]
-    assert marks["phase1"][k] - marks["phase0"][k] == pytest.approx(shown.margins.phase, abs=0.1)
 
 
 def test_the_required_disk_margin_is_a_region_of_the_nichols_plot(plots: Plots) -> None:
@@ -224,22 +214,6 @@ def test_nothing_grows_however_many_pictures_are_shown(plots: Plots, document: D
         plots.show(several[k % 6])
     assert (len(document.models), len(plots.sources), len(document.session_callbacks)) == (models, sources, callbacks)
     assert document.callbacks.hold_value is None
-
-
-def test_a_move_sends_less_than_200_kb(plots: Plots, document: Document) -> None:
-    sizes = []
-
-    def sent(event: Any) -> None:
-        message = Protocol().create("PATCH-DOC", [event])
-        sizes.append(len(message.content_json) + sum(len(one.to_bytes()) for one in message.buffers))
-
-    plots.show(picture(4000.0, overlays=("a",), plants=40))
-    document.on_change(sent)
-    plots.show(picture(4400.0, overlays=("a",), plants=40))
-    assert 20_000 < sum(sizes) < 200_000
-    sizes.clear()
-    plots.show(picture(4400.0, overlays=("a",), plants=40))
-    assert sum(sizes) == 0  # nothing has changed
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e300])

@@ -17,10 +17,10 @@ from bokeh.document import Document
 
 from app.test_page import JOB
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.designs import DesignPending, DesignQueue
-from platform_ctrl.app.page.connection import Connection
-from platform_ctrl.app.page.session import Session
+from platform_ctrl.app.background import DesignPending, DesignQueue
+from platform_ctrl.app.messages import Connection
 from platform_ctrl.app.pictures import Picture
+from platform_ctrl.app.session import Session
 from platform_ctrl.errors import DesignError
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -116,19 +115,6 @@ def test_a_run_again_shows_its_draws_and_the_figures_of_its_row(
     assert again["inputs"] == {name: row[name] for name in ("manoeuvre", "rotor.11.spin", "sampling.delay")}
     assert again["row"] == {name: item for name, item in row.items() if name not in (*again["inputs"], "run")}
     assert again["largest"]["angle"]["value"] == pytest.approx(row["angle"], rel=1e-12)
-
-
-def test_a_row_that_is_not_what_the_run_comes_to_is_told(
-    there: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    row = rows(there / "campaign")[3]
-    another = row | {"angle": 1.001 * row["angle"]}
-    monkeypatch.setattr("platform_ctrl.campaign.single_run.recorded_row", lambda folder, run: another)
-    main(["simulate", "job.toml", "--run", "3", "--json"])
-    out, err = capsys.readouterr()
-    assert json.loads(out)["as_in_table"] is False
-    _, line = err.splitlines()
-    assert re.search(r"campaign.parquet: run 3 is not the same: angle [\d.e-]+, there [\d.e-]+$", line)
 
 
 def test_a_campaign_with_other_seed_and_length_is_known_by_its_folder(

@@ -138,12 +138,6 @@ def test_simulate_flies_one_manoeuvre_by_name_or_number(there: Path, capsys: pyt
     assert run["largest"] == whole["runs"][0]["largest"]
 
 
-def test_simulate_ends_with_one_when_a_limit_is_not_met(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (there / "tight.toml").write_text(JOB.replace("angle = 0.0005", "angle = 1e-9"), encoding="utf-8")
-    assert main(["simulate", "tight.toml", "--manoeuvre", "step", "-q", "--controllers", "out/result.json"]) == 1
-    assert "NOT MET" in capsys.readouterr().out
-
-
 def test_an_unstable_loop_has_its_report_and_ends_with_one_and_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

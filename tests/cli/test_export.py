@@ -96,6 +96,7 @@ def test_what_needs_no_controllers_asks_for_none(there: Path) -> None:
     ("arguments", "words"),
     [
         ([], "nothing to write; name at least one of --c, --mat"),
+        (["--mat", "k.mat", "--number=float"], "is an option of --c"),
         (["--c", "c", "--number", "q7"], "--number: must be double or float, got 'q7'"),
         (["--csv", "c", "--form", "dB"], "--form: must be complex or polar, got 'dB'"),
         (["--mat", "job.toml"], "--mat job.toml: the command reads or writes this file for something else"),
@@ -111,10 +112,6 @@ def test_wrong_input_is_one_line_and_writes_nothing(
     before = files(there)
     assert words in refused(capsys, "export", "job.toml", *arguments, "-q")
     assert files(there) == before
-
-
-def test_an_option_of_what_is_not_written_is_refused(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "is an option of --c" in refused(capsys, "export", "job.toml", "--mat", "k.mat", "--number=float")
 
 
 @pytest.mark.parametrize("option", ["--mat", "--c"])

@@ -21,14 +21,14 @@ import pytest
 
 import platform_ctrl as pc
 from browser import chromium, screen, served
-from plain_web import Socket, token
+from plain_web import OpenPage
 from platform_ctrl.cli import main
 from refused_command import refused
 
 pytest.importorskip("bokeh")
 
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.page.session import page
+from platform_ctrl.app.session import page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -74,19 +74,17 @@ def first_line(process: subprocess.Popen[str]) -> str:
 def test_what_json_says_can_be_asked_and_a_page_that_is_open_does_not_hold_it_up(job: Path) -> None:
     with serving(job, "--json", "--port", "0", "--host", "127.0.0.1") as process:
         told = json.loads(first_line(process))
-        assert told == {
-            "schema": 1,
-            "job": "gyro",
-            "address": f"http://127.0.0.1:{told['port']}/",
-            "port": told["port"],
-        }
-        there = SimpleNamespace(port=told["port"])
-        with Socket(there, f"bokeh, {token(there)}") as opened:
-            assert opened.message()[0] == "ACK"
+        address, _, link = told["address"].partition("?token=")
+        assert told == {"schema": 1, "job": "gyro", "address": told["address"], "port": told["port"]}
+        assert address == f"http://127.0.0.1:{told['port']}/"
+        there = SimpleNamespace(port=told["port"], token=link)
+        with OpenPage(there) as opened:
+            assert "ACK" in str(opened.part())
             process.send_signal(signal.SIGINT)
             _, err = process.communicate(timeout=30)
             assert (process.returncode, err) == (130, "platform-ctrl: interrupted\n")
-            assert opened.ends()
+            while opened.part() is not None:
+                pass
 
 
 def test_other_machines_need_names_and_are_told_of(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,9 +95,8 @@ def test_other_machines_need_names_and_are_told_of(job: Path, capsys: pytest.Cap
         assert first_line(process).startswith("gyro: http://lab-pc.local:")
         assert process.stderr is not None
         warned = process.stderr.readline()
-        assert "listening on 0.0.0.0: anybody who reaches this machine on port" in warned
+        assert "listening on 0.0.0.0: anybody who has the link and reaches this machine on port" in warned
         assert "as lab-pc.local can see this job" in warned
-        assert "there is no password" in warned
 
 
 def test_what_is_wrong_is_one_line(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -115,7 +112,7 @@ def test_what_is_wrong_is_one_line(job: Path, capsys: pytest.CaptureFixture[str]
 
 def test_the_page_is_loaded_without_what_compiles_draws_or_solves() -> None:
     script = (
-        "import sys, platform_ctrl.app.page.session, platform_ctrl.app.server, platform_ctrl.app.backend;"
+        "import sys, platform_ctrl.app.session, platform_ctrl.app.server, platform_ctrl.app.backend;"
         "print(sorted({'numba', 'cvxpy', 'control', 'sympy', 'matplotlib'} & set(sys.modules)))"
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

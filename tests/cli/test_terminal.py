@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from platform_ctrl.cli import main
-from platform_ctrl.cli.atomic_output import written_together
+from platform_ctrl.cli.export_command import written_together
 from platform_ctrl.common.files import replaced_file, write_whole
 from platform_ctrl.errors import InputError
 
@@ -79,22 +78,6 @@ def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
         assert (tmp_path / "one").read_text() == "old"
     write(None)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"one": "new", "two": "new"}
-
-
-def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    moved = os.replace
-
-    def interrupted(old: Path, new: Path) -> None:
-        signal.raise_signal(signal.SIGINT)
-        moved(old, new)
-
-    monkeypatch.setattr(os, "replace", interrupted)
-    before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), written_together(tmp_path) as [folder]:  # noqa: PT012
-        (folder / "one").write_text("new")
-        (folder / "two").write_text("new")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
-    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_what_killed_runs_left_goes_and_what_a_process_writes_stays(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from cli.test_cli import process_environment
 from one_gyro_job import JOB
-from platform_ctrl.cli.watching import whenever_saved
+from platform_ctrl.cli.design_commands import whenever_saved
 
 NAMES = 'plant = "plant.toml"\nloop = [{ name = "out", responses = "measured.csv" }]\n'
 
@@ -53,38 +53,6 @@ def test_the_job_its_plant_and_its_data_are_watched(job: Path) -> None:
         lambda: job.with_name("plant.toml").unlink(),
     )
     assert runs(job, *saves) == 5
-
-
-def test_what_a_file_holds_counts_and_neither_its_time_nor_its_size(job: Path) -> None:
-    # Saved as it was: nothing to design again.
-    made: list[None] = []
-
-    def run() -> int:
-        made.append(None)
-        if len(made) > 1:
-            raise KeyboardInterrupt
-        os.utime(job)
-        return 0
-
-    looked: list[float] = []
-
-    def asleep(seconds: float) -> None:
-        looked.append(seconds)
-        if len(looked) == 3:
-            raise KeyboardInterrupt
-
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):  # noqa: PT012
-        patch.setattr("time.sleep", asleep)
-        whenever_saved(job, run, quiet=True)
-    assert len(made) == 1
-    before = job.stat()
-
-    def same_size_and_time() -> None:
-        job.write_text(NAMES.replace("plant.toml", "other.toml"))
-        os.utime(job, ns=(before.st_atime_ns, before.st_mtime_ns))
-        assert job.stat().st_size == before.st_size
-
-    assert runs(job, same_size_and_time) == 2
 
 
 @pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")

@@ -106,7 +106,8 @@ def served(backend: object = None, make: Make | None = None, **more: object) -> 
     pytest.importorskip("bokeh", reason="Bokeh is not installed")
     from platform_ctrl.app.server import PageServer
 
-    server = PageServer(backend, make=make, **({"port": 0} | more))  # type: ignore[arg-type]
+    given = {"port": 0} | ({} if make is None else {"make": make}) | more
+    server = PageServer(backend, **given)  # type: ignore[arg-type]
     ready = threading.Event()
     running = threading.Thread(target=server.run, args=(ready.set,))
     running.start()

@@ -214,7 +214,7 @@ class Panel:
             toolbar_location=None,
             tools=[],
             sizing_mode="stretch_both",
-            min_height=50,
+            min_height=36,
             min_width=200,
             min_border_left=_LEFT,
             min_border_right=_RIGHT,

@@ -55,8 +55,10 @@ let resting = 0;
 const showLink = () => {
   clearTimeout(resting);
   resting = setTimeout(() => {
-    const address = state.link === "" ? location.pathname : `?state=${state.link}`;
-    if (address !== location.pathname + location.search && address !== location.search) history.replaceState(null, "", address);
+    const address = new URL(location);
+    if (state.link) address.searchParams.set("state", state.link);
+    else address.searchParams.delete("state");
+    if (address.href !== location.href) history.replaceState(null, "", address);
   }, REST);
 };
 export const shownState = () => state;

@@ -3,15 +3,17 @@ import { receive, traffic } from "./messages.js";
 
 const AGAIN = 1500, LOOK = 1000, PATIENCE = 5000;
 const LOST = "The connection to the server is lost. The page returns with its state as soon as the server answers.";
+const OTHER = "The server was started again and has another link: open that one, or put its token into this address, which holds the state.";
 const SLOW = "The server has not answered yet; the page goes on when it does.";
 
 const say = (text, kind) => receive({ line: { text, kind } });
 
 const back = async () => {
   try {
-    const answer = await fetch("/page/icon.svg", { cache: "no-store" });
+    const answer = await fetch(location, { cache: "no-store" });
     // The address holds the state.
     if (answer.ok) { window.location.reload(); return; }
+    if (answer.status === 403) say(OTHER, "error");
   } catch { /* Still away. */ }
   setTimeout(back, AGAIN);
 };

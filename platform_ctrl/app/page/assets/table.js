@@ -1,5 +1,5 @@
 // The requirements: required value, actual value, margin, and which way each slider would help.
-import { byId, dress, made, on, percent, put, shown, write } from "./messages.js";
+import { byId, dress, made, on, percent, put, request, shown, typed, write } from "./messages.js";
 import { near, rows } from "./sliders.js";
 
 const KEY = "Arrows: which way to move a slider to help. Colour: how much 5 % of it changes; empty: next to nothing.";
@@ -33,6 +33,21 @@ const paintCell = (element, name, slider, change) => {
   element.title = change === null || change === undefined ? "" : `${slider.label} + 5 %: ${words}`;
 };
 
+// A limit that may be edited: its words, and while it is edited its number in the units of the job file.
+const limitCell = (one) => {
+  const field = made("input", { type: "text", inputMode: "decimal", autocomplete: "off", size: one.required.length, "aria-label": `Limit of ${one.name}`, title: "The limit, in the units of the job file; Enter takes it" });
+  const row = { key: one.key, limit: one.limit, field, words: one.required };
+  field.addEventListener("focus", () => { field.value = row.limit; field.select(); });
+  field.addEventListener("blur", () => { field.value = row.words; });
+  field.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter" && event.key !== "Escape") return;
+    const number = typed(field.value);
+    if (event.key === "Enter" && number !== row.limit) request("limit", { key: row.key, number: Number.isFinite(number) ? number : field.value.slice(0, 40) });
+    field.blur();
+  });
+  return row;
+};
+
 let structure = "", body = [];
 const buildTable = (requirements, sliders) => {
   const table = document.querySelector("#requirements table");
@@ -45,18 +60,24 @@ const buildTable = (requirements, sliders) => {
     const [track, fill] = bar();
     const row = {
       track, fill, place: "",
-      required: made("td", { className: "number" }), reached: made("td", { className: "number value" }), left: made("td", { className: "number left" }),
+      required: made("td", { className: "number" }), edited: one.key ? limitCell(one) : null, reached: made("td", { className: "number value" }), left: made("td", { className: "number left" }),
       cells: sliders.map((slider) => made("td", { className: "cell", "data-slider": slider.name })),
     };
     row.element = made("tr", {}, made("th", { scope: "row", title: `${one.full} (${one.method})` }, one.name), row.required, row.reached, row.left,
       made("td", { className: "bar", "aria-hidden": true }, track), ...row.cells, made("td", { className: "rest", "aria-hidden": true }));
+    if (row.edited) row.required.append(row.edited.field);
     return row;
   });
   table.tBodies[0].replaceChildren(...body.map((row) => row.element));
 };
 
-let own = [], budget = [], requirements = [];
+// The tightest first, as they were when the sliders last rested: nothing jumps while one moves.
+let own = [], budget = [], requirements = [], order = new Map();
+const room = (one) => (one.hard ? 0 : 1e9) + (one.passed ? one.margin ?? 1e6 : (one.margin ?? 0) - 1e6);
+const sort = () => { order = new Map([...own, ...budget].sort((a, b) => room(a) - room(b)).map((one, k) => [one.full, k])); };
 const paintTable = () => {
+  if ([...own, ...budget].some((one) => !order.has(one.full))) sort();
+  requirements = [...own, ...budget].sort((a, b) => order.get(a.full) - order.get(b.full));
   const sliders = [...rows.values()].map((row) => row.slider);
   const now = JSON.stringify([sliders.map((slider) => slider.label), requirements.map((one) => one.full)]);
   const fresh = now !== structure;
@@ -68,7 +89,10 @@ const paintTable = () => {
   for (const [r, one] of requirements.entries()) {
     const row = body[r];
     dress(row.element, `${one.passed ? "met" : "missed"}${one.hard ? "" : " goal"}`);
-    write(row.required, one.required);
+    if (row.edited) {
+      Object.assign(row.edited, { limit: one.limit, words: one.required });
+      if (document.activeElement !== row.edited.field) row.edited.field.value = one.required;
+    } else write(row.required, one.required);
     const reached = `${one.passed ? "" : "✗ "}${one.reached}`;
     if (row.reached.textContent !== reached) {
       row.reached.textContent = reached;
@@ -91,17 +115,15 @@ const paintInfluence = () => {
 
 on("requirements", (given) => {
   own = given;
-  requirements = [...own, ...budget];
   paintTable();
   byId("requirements").classList.add("stale");
   // Of other settings another step is the next one.
-  byId("next").classList.add("stale");
-  byId("apply").disabled = true;
+  showStep({ words: "Working out the next step …" });
 });
 on("influence", (given) => {
   // The limits of the budget follow when the sliders rest.
   budget = given.budget;
-  requirements = [...own, ...budget];
+  sort();
   paintTable();
   influence = given;
   paintInfluence();
@@ -113,11 +135,7 @@ let step = null;
 const next = byId("next");
 const showStep = (given) => {
   step = given;
-  next.classList.remove("stale");
-  for (const [line, text] of [[next.querySelector(".move"), given.move], [next.querySelector(".gain"), given.gain]]) {
-    write(line, text);
-    if (line.title !== text) line.title = text;
-  }
+  write(byId("step"), given.words);
   byId("apply").disabled = !given.slider;
 };
 byId("apply").addEventListener("click", () => put(step.slider, step.value));

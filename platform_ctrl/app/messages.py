@@ -1,19 +1,23 @@
-"""The messages between page and server as plain data: requests are checked, pictures and settings are written."""
+"""The messages between page and server: requests are checked, pictures and settings are written as plain data."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from bokeh.core.properties import Any as AnyProperty
+from bokeh.core.properties import String
+from bokeh.model import DataModel
 
 from platform_ctrl.app.budget import BudgetState
 from platform_ctrl.app.job_parts import ChipState
 from platform_ctrl.app.pictures import Margins, Picture
-from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
-from platform_ctrl.common.arguments import known_name, short, whole
+from platform_ctrl.app.settings import Mode, Settings, Slider
+from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import value
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.tuning import SHARE, OptionEffects, OptionValue, candidates
@@ -22,14 +26,14 @@ from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import BOUND, HZ, compared
 
 if TYPE_CHECKING:
+    from bokeh.document import Document
+
     from platform_ctrl.app.backend import Backend
 
-# Characters of a message, sliders moved by one, and the largest count of either.
+# Characters of a message.
 LONGEST = 20_000
-MOVES = 64
-LARGEST_COUNT = 2**53
 
-# Every request, and what belongs to it.
+# Every request, and what belongs to it besides its count.
 REQUESTS: Mapping[str, Mapping[str, type]] = {
     "ready": {},
     "dark": {"dark": bool},
@@ -39,6 +43,7 @@ REQUESTS: Mapping[str, Mapping[str, type]] = {
     "reset": {"slider": str},
     "overlay": {"design": str, "on": bool},
     "set": {"name": str, "value": object},
+    "limit": {"key": str, "number": object},
     "view": {"view": str},
     "undo": {},
     "redo": {},
@@ -47,7 +52,7 @@ REQUESTS: Mapping[str, Mapping[str, type]] = {
     "save": {"name": str, "overwrite": bool},
     "simulate": {"manoeuvre": str},
 }
-_WORDS = {bool: "true or false", int: "a whole number", str: "a text", list: "a list"}
+_WORDS = {bool: "true or false", int: "a whole number", str: "a text", list: "a list", dict: "a slider and its number"}
 
 
 @value
@@ -59,58 +64,71 @@ class Request:
     more: dict[str, Any]
 
 
-def parse_request(message: object) -> Request:
+def parse_request(message: Any) -> Request:
     """Return a message of a page, checked."""
-    if not isinstance(message, str) or len(message) > LONGEST:
-        raise InputError(f"a message must be JSON of at most {LONGEST} characters, the page sent {short(message)}")
     try:
-        read = json.loads(message, parse_constant=_no_constant)
-    except (ValueError, RecursionError):
-        raise InputError(f"a message must be JSON with finite numbers, the page sent {short(message)}") from None
-    what = read.get("what") if isinstance(read, dict) else None
-    if not isinstance(what, str) or what not in REQUESTS:
-        raise InputError(f"a request must be one of {', '.join(REQUESTS)}, the page sent {short(what)}")
-    more = {}
-    for name, kind in REQUESTS[what].items():
-        more[name] = _of_kind(f"{what}: {name}", read.get(name), kind)
-    if what == "move":
-        if len(more["moves"]) > MOVES:
-            raise InputError(f"move: at most {MOVES} sliders move together, got {len(more['moves'])}")
-        more["moves"] = tuple(_move(one) for one in more["moves"])
-    return Request(count=_count(read.get("n")), what=what, more=more)
+        read = json.loads(message, parse_constant=_no_constant) if len(message) <= LONGEST else {}
+        what, parts = read["what"], REQUESTS[read["what"]]
+    except (TypeError, ValueError, KeyError, RecursionError):
+        raise InputError(
+            f"a message must be JSON of at most {LONGEST} characters with finite numbers and one of the requests "
+            f"{', '.join(REQUESTS)}, the page sent {short(message)}"
+        ) from None
+    more = {name: of_kind(f"{what}: {name}", read.get(name), kind) for name, kind in parts.items()}
+    for one in more.get("moves", ()):
+        # Whether the slider is known and its value a number is seen when it moves.
+        of_kind("move: each of the moves", one, dict)
+    return Request(count=of_kind(f"{what}: n", read.get("n"), int), what=what, more=more)
 
 
-def request_count(message: object) -> int | None:
-    """Return the count of a message, also of one that makes no sense otherwise: it has to be answered."""
-    try:
-        read = json.loads(message) if isinstance(message, str) and len(message) <= LONGEST else None
-        return _count(read["n"]) if isinstance(read, dict) else None
-    except (ValueError, RecursionError, KeyError, InputError):
-        return None
-
-
-def _count(given: object) -> int:
-    count: int = _of_kind("n", given, int)
-    if not 0 <= count <= LARGEST_COUNT:
-        raise InputError(f"n must be a count, got {short(given)}")
-    return count
-
-
-def _of_kind(name: str, given: object, kind: type) -> Any:
+def of_kind(name: str, given: object, kind: type) -> Any:
+    """Return what a page has given if it is of the right kind."""
     if not isinstance(given, kind) or (kind is int and isinstance(given, bool)):
         raise InputError(f"{name} must be {_WORDS[kind]}, got {short(given)}")
     return given
 
 
-def _move(one: object) -> tuple[str, Any]:
-    """Return slider and number of a move; whether it is a number is seen when the slider moves."""
-    if not isinstance(one, dict):
-        raise InputError(f"move: each move must be a slider and its number, got {short(one)}")
-    return _of_kind("move: slider", one.get("slider"), str), one.get("value")
-
-
 def _no_constant(text: str) -> float:
     raise ValueError(text)
+
+
+class MessageModel(DataModel):
+    """The last request of the page, and the last response to it."""
+
+    # Of any type: `parse_request` refuses what is not a request.
+    request = AnyProperty(default="")
+    response = String(default="")
+
+
+class Connection:
+    """The server's end of the connection to a page; all but `later` runs on the server's loop."""
+
+    def __init__(self, document: Document) -> None:
+        self.document: Document | None = document
+        self.model = MessageModel(name="messages")
+        self._answered = 0
+
+    def close(self) -> None:
+        """Release the document: nothing is sent any more."""
+        self.document = None
+
+    def later(self, act: Callable[[], None]) -> None:
+        """Call `act` on the server's loop; from any thread."""
+        document = self.document
+        if document is not None:
+            # Bokeh takes a document apart before it says that its page is gone.
+            with suppress(AttributeError):
+                document.add_next_tick_callback(lambda: None if self.document is None else act())
+
+    def say(self, text: str, kind: str = "quiet", count: int | None = None) -> None:
+        """Write the page's line: ``"quiet"``, ``"good"`` or ``"error"``."""
+        self.answer(count, line={"text": text, "kind": kind})
+
+    def answer(self, count: int | None = None, **parts: Any) -> None:
+        """Send parts of what the page shows; all its messages up to `count` are done."""
+        self._answered = max(self._answered, count or 0)
+        content = {"n": self._answered, **parts}
+        self.model.update(response=json.dumps(content, allow_nan=False, separators=(",", ":")))
 
 
 # Least share of its ratio by which a step has to help a requirement.
@@ -143,19 +161,21 @@ def slider_data(sliders: Iterable[Slider], starts: Starts) -> list[dict[str, Any
     ]
 
 
-def choice_data(choices: Choices, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
+def choice_data(backend: Backend, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
     """Return what every list of the page offers."""
-    methods, designs = choices.methods[settings.loop], choices.designs[settings.loop]
-    every = [METHODS[one].kinds for loop in choices.methods.values() for one in loop.values()]
+    loops = backend.read.loops
+    kinds = {kind for loop in loops for one in loop.designs for kind in METHODS[one.method].kinds}
+    spec = next(one for one in loops if one.name == settings.loop)
+    others = [one for one in spec.designs if one.name != settings.design]
     return {
-        "mode": ["caged", "stabilised"] if any("stabilisation" in kinds for kinds in every) else ["caged"],
-        "loop": list(choices.loops),
-        "design": list(designs),
-        "channel": list(choices.channels[settings.loop]),
+        "mode": ["caged", "stabilised"] if "stabilisation" in kinds else ["caged"],
+        "loop": [one.name for one in loops],
+        "design": [one.name for one in spec.designs],
+        "channel": list(backend.channels(settings)),
         "axis": [1, 2, 3],
         "plant": list(plants),
-        "manoeuvre": list(choices.manoeuvres),
-        "overlays": [{"design": one, "method": methods[one]} for one in designs if one != settings.design],
+        "manoeuvre": [one.name for one in backend.read.manoeuvres],
+        "overlays": [{"design": one.name, "method": one.method} for one in others],
     }
 
 
@@ -244,9 +264,11 @@ def budget_data(state: BudgetState) -> dict[str, Any]:
     }
 
 
-def requirement_data(picture: Picture) -> list[dict[str, Any]]:
-    """Return the requirements, and the goals after them."""
-    return [_row(one) for one in (*picture.requirements, *picture.goals)]
+def requirement_data(picture: Picture, keys: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the requirements, and the goals after them, those that the page can change with the `keys` of limits."""
+    every = (*picture.requirements, *picture.goals)
+    keys = keys or [""] * len(every)
+    return [_row(one) | {"key": key, "limit": one.limit} for one, key in zip(every, keys, strict=True)]
 
 
 def influence_data(
@@ -267,9 +289,9 @@ def influence_data(
 
 
 def _next_step(influence: OptionEffects, sliders: Sequence[Slider]) -> dict[str, Any]:
-    """Return the move of a slider by 5 % after which the tightest requirement is met best, by slopes."""
+    """Return the move of a slider by 5 % after which the tightest requirement is met best, by slopes, as a sentence."""
     if not influence.requirements:
-        return {"move": "", "gain": "", "slider": ""}
+        return {"words": "", "slider": ""}
     at = int(np.argmax(influence.ratios))
     tightest, ratio = influence.requirements[at], float(influence.ratios[at])
     free = [
@@ -277,18 +299,15 @@ def _next_step(influence: OptionEffects, sliders: Sequence[Slider]) -> dict[str,
         for one in sliders
         if one.name in influence.options and one.tunable and not one.fixed and one.value
     ]
-    found = candidates(influence, free, moves=(-SHARE, SHARE))
-    if found:
-        name, after = found[0]
+    for name, after in candidates(influence, free, moves=(-SHARE, SHARE))[:1]:
         slider = next(one for one in sliders if one.name == name)
         change = float(influence.change[at, influence.options.index(name)]) / SHARE * (after / slider.value - 1.0)
         if change < -_LEAST_GAIN * ratio:
             way = "Raise" if after > slider.value else "Lower"
-            move = f"{way} {slider.label} to {after:.4g} {slider.unit}".rstrip()
-            gain = f"helps the tightest limit: {tightest}"
-            return {"move": move, "gain": gain, "slider": name, "value": after}
-    words = f"No single slider helps {tightest}" if free else f"No slider is free to help {tightest}"
-    return {"move": words, "gain": "", "slider": ""}
+            to = f"{after:.4g} {slider.unit}".rstrip()
+            return {"words": f"{way} {slider.label} to {to} for {tightest}.", "slider": name, "value": after}
+    words = f"No single slider helps {tightest}." if free else f"No slider is free to help {tightest}."
+    return {"words": words, "slider": ""}
 
 
 def _row(one: CheckResult) -> dict[str, Any]:
@@ -370,30 +389,3 @@ def _decibels(margins: Margins, stable: bool) -> str | None:
     up = "∞" if math.isinf(margins.gain_up) else f"{20 * math.log10(margins.gain_up):.1f}"
     down = "−∞" if margins.gain_down <= 0.0 else f"{20 * math.log10(margins.gain_down):.1f}".replace("-", "−")
     return f"+{up} {down}" if margins.gain_up > 0.0 else None
-
-
-# What a page may choose from its lists.
-NAMES = ("mode", "loop", "design", "channel", "plant", "axis", "band")
-
-
-def chosen(backend: Backend, settings: Settings, name: str, given: object, plants: tuple[str, ...]) -> Settings:
-    """Return the settings with something else chosen."""
-    known_name("choice", name, NAMES)
-    if name == "axis":
-        return settings.but(axis=whole("axis", given, 1, 3))
-    if name == "band":
-        return settings.but(band=_of_kind("band", given, bool))
-    text: str = _of_kind(name, given, str)
-    if name in ("loop", "design"):
-        return backend.chosen(settings, **{name: text})
-    choices = backend.choices()
-    if name in ("channel", "plant"):
-        known_name(name, text, plants if name == "plant" else choices.channels[settings.loop])
-        return settings.but(**{name: text})
-    if text == settings.mode:
-        return settings
-    for loop in choices.loops:
-        other = backend.chosen(settings, loop=loop)
-        if other.mode == text:
-            return other
-    raise InputError(f"mode: this job has no loop for {short(given)}")

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import secrets
 import threading
 from collections.abc import Callable
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.app.background import LatestTasks
-from platform_ctrl.app.designs import DesignPending
+from platform_ctrl.app import messages
+from platform_ctrl.app.background import DesignPending, LatestTasks
 from platform_ctrl.app.gimbal_tree import tree_data
-from platform_ctrl.app.page import messages
-from platform_ctrl.app.page.connection import Connection
-from platform_ctrl.app.page.messages import Request, chosen, parse_request, request_count
-from platform_ctrl.app.page.tasks import PageTasks, error_text
+from platform_ctrl.app.messages import Connection, Request, parse_request
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
+from platform_ctrl.app.tasks import PageTasks, error_text
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
@@ -40,6 +40,11 @@ _SENDING = 0.05
 _SHOWN_SETTINGS = ("mode", "loop", "design", "channel", "axis", "plant", "band")
 # What the page shows: the plots of the loop, or the budget of the line of sight.
 VIEWS = ("loop", "budget")
+# Requests that change the settings: the method of `Backend` that does it, with what belongs to the request.
+CHANGES = {
+    "fix": "with_fixed", "part": "with_part", "reset": "reset", "overlay": "with_overlay", "set": "with_choice",
+    "limit": "with_limit",
+}  # fmt: skip
 Change = Callable[["Settings"], "Settings"]
 
 
@@ -58,8 +63,6 @@ class Session:
     def __init__(self, backend: Backend, document: Document, state: str) -> None:
         self.backend = backend
         self.connection = Connection(document)
-        self.choices = backend.choices()
-        self.title = backend.read.name
         self.settings = backend.start()
         self._line: str | None = None
         if state:
@@ -116,13 +119,24 @@ class Session:
 
     def _requested(self, name: str, old: object, new: object) -> None:
         """Do what a message requests; a wrong one is answered by an error."""
+        count = None
         try:
             request = parse_request(new)
-            (getattr(self, f"_on_{request.what}", None) or self._tasks.handle)(request)
+            count = request.count
+            if request.what in CHANGES:
+                self._change(request)
+            else:
+                (getattr(self, f"_on_{request.what}", None) or self._tasks.handle)(request)
         except Exception as error:
             # The sliders show their values again, not what was typed.
             rows = {} if self.picture is None else self._slider_rows(self.picture.settings)
-            self.connection.answer(request_count(new), line={"text": error_text(error), "kind": "error"}, **rows)
+            self.connection.answer(count, line={"text": error_text(error), "kind": "error"}, **rows)
+
+    def _change(self, request: Request) -> None:
+        change, more = getattr(self.backend, CHANGES[request.what]), request.more
+        # The first part says what is changed.
+        key = f"{request.what} {next(iter(more.values()))}"
+        self.change(key, lambda settings: change(settings, **more), count=request.count)
 
     def _on_ready(self, request: Request) -> None:
         self.change("ready", lambda settings: settings, count=request.count, gesture="ready")
@@ -132,68 +146,31 @@ class Session:
         self.connection.answer(request.count)
 
     def _on_move(self, request: Request) -> None:
-        moved = self.backend.moved
-        for slider, number in request.more["moves"]:
-
-            def change(settings: Settings, slider: str = slider, number: float = number) -> Settings:
-                return moved(settings, slider, number)
-
-            self.change(
-                f"move {slider}", change, count=request.count, gesture=("move", slider, request.more["gesture"])
-            )
-        if not request.more["moves"]:
-            self.connection.answer(request.count)
-
-    def _on_fix(self, request: Request) -> None:
-        slider, fixed, sliders = request.more["slider"], request.more["fixed"], self.backend.sliders
-
-        def change(settings: Settings) -> Settings:
-            known_name("slider", slider, [one.name for one in sliders(settings) if not one.along])
-            return settings.but(fixed=settings.fixed | {slider} if fixed else settings.fixed - {slider})
-
-        self.change(f"fix {slider}", change, count=request.count)
-
-    def _on_reset(self, request: Request) -> None:
-        slider, starts, moved = request.more["slider"], self._starts, self.backend.moved
-
-        def change(settings: Settings) -> Settings:
-            first = starts(settings)
-            known_name("slider", slider, list(first))
-            return moved(settings, slider, first[slider])
-
-        self.change(f"move {slider}", change, count=request.count)
-
-    def _on_part(self, request: Request) -> None:
-        switched, part, on = self.backend.with_part, request.more["part"], request.more["on"]
-        self.change(f"part {part}", lambda settings: switched(settings, part, on), count=request.count)
-
-    def _on_overlay(self, request: Request) -> None:
-        with_overlay, design, on = self.backend.with_overlay, request.more["design"], request.more["on"]
-        self.change(f"overlay {design}", lambda settings: with_overlay(settings, design, on), count=request.count)
-
-    def _on_set(self, request: Request) -> None:
-        backend, name, given = self.backend, request.more["name"], request.more["value"]
-        plants = () if self.picture is None else self.picture.plants
-        self.change(f"set {name}", lambda settings: chosen(backend, settings, name, given, plants), count=request.count)
+        for one in request.more["moves"]:
+            slider, number = one.get("slider"), one.get("value")
+            change = partial(self.backend.moved, slider=slider, number=number)
+            gesture = ("move", slider, request.more["gesture"])
+            self.change(f"move {slider}", change, count=request.count, gesture=gesture)
 
     def _on_view(self, request: Request) -> None:
         views = VIEWS if self.backend.read.budget is not None else VIEWS[:1]
-        self._view = views[known_name("view", request.more["view"], views)]
+        known_name("view", request.more["view"], views)
+        self._view = request.more["view"]
         if self._view == "loop" and self.picture is not None:
             self.plots.show(self.picture)
         self.change("view", lambda settings: settings, count=request.count, gesture="ready")
 
     def _on_undo(self, request: Request) -> None:
         there = self.settings
-        undo = (lambda: there) if self._awaited is not None else self.history.undo if self.history.can_undo else None
-        self._step(request, undo, "There is nothing to undo.")
+        undo = (lambda: there) if self._awaited is not None else partial(self.history.step, -1)
+        self._step(request, undo if self._awaited is not None or self.history.can_undo else None)
 
     def _on_redo(self, request: Request) -> None:
-        self._step(request, self.history.redo if self.history.can_redo else None, "There is nothing to redo.")
+        self._step(request, partial(self.history.step, 1) if self.history.can_redo else None)
 
-    def _step(self, request: Request, step: Callable[[], Settings] | None, nothing: str) -> None:
+    def _step(self, request: Request, step: Callable[[], Settings] | None) -> None:
         if step is None:
-            self.connection.say(nothing, count=request.count)
+            self.connection.say(f"There is nothing to {request.what}.", count=request.count)
             return
         there = step()
         self.change("history", lambda settings: there, count=request.count, gesture="history")
@@ -310,7 +287,7 @@ class Session:
             "state": {
                 **{name: getattr(settings, name) for name in _SHOWN_SETTINGS},
                 "overlays": list(settings.overlays),
-                "choices": messages.choice_data(self.choices, settings, picture.plants),
+                "choices": messages.choice_data(self.backend, settings, picture.plants),
                 "undo": self.history.can_undo,
                 "redo": self.history.can_redo,
                 "tunable": settings.mode == "caged" and any(one["tunable"] and not one["fixed"] for one in sliders),
@@ -320,7 +297,7 @@ class Session:
             "parts": self._parts(settings),
             "sliders": sliders,
             "bar": messages.verdict_data(picture),
-            "requirements": messages.requirement_data(picture),
+            "requirements": messages.requirement_data(picture, self.backend.limit_keys(settings)),
             "strip": self.strip(),
         }
 
@@ -333,17 +310,10 @@ class Session:
         return {"sliders": self._sliders(settings), "parts": self._parts(settings)}
 
     def _sliders(self, settings: Settings) -> list[dict[str, Any]]:
-        return messages.slider_data(self.backend.sliders(settings), self._starts(settings))
+        return messages.slider_data(self.backend.sliders(settings), self.backend.starts(settings))
 
     def _parts(self, settings: Settings) -> list[dict[str, Any]]:
-        parts = self.backend.parts(settings)
-        return [{"name": one.name, "label": one.label, "on": one.on, "tip": one.tip} for one in parts]
-
-    def _starts(self, settings: Settings) -> dict[str, float]:
-        """Return the values of the sliders of these settings in the job file."""
-        first = self.backend.start()
-        there = first.but(loop=settings.loop, design=settings.design, optional=settings.optional)
-        return {one.name: one.value for one in self.backend.sliders(there)}
+        return [dataclasses.asdict(one) for one in self.backend.parts(settings)]
 
     def rest(self) -> None:
         """Compute what each slider does, and the other parts of the job, once nothing has changed for a while."""
@@ -389,7 +359,7 @@ def page(backend: Backend, document: Document) -> None:
         for root in session.roots():
             document.add_root(root)
     document.on_session_destroyed(session.close)
-    document.title = session.title
+    document.title = backend.read.name
     # A lost page says so itself, and is loaded again with its state: what the server knew of it may be gone.
     document.config.update(reconnect_session=False, notify_connection_status=False)
     document.template = _template()
@@ -397,6 +367,7 @@ def page(backend: Backend, document: Document) -> None:
     document.template_variables.update(
         panels=PANELS,
         budget_panels=BUDGET_PANELS if has_budget else (),
+        nonce=secrets.token_urlsafe(16),
         palette=":root{{{}}}\n:root[data-theme=dark]{{{}}}".format(*map(declarations, PALETTE.values())),
         tree=json.dumps(tree_data(backend.read.platform), separators=(",", ":")),
     )
@@ -415,5 +386,5 @@ def _state(document: Document) -> str:
 def _template() -> Template:
     from jinja2 import Environment, PackageLoader
 
-    loader = PackageLoader("platform_ctrl.app.page")
+    loader = PackageLoader("platform_ctrl.app", "page")
     return Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("page.html")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app.gimbal_tree import run_data
-from platform_ctrl.app.page.messages import Request, influence_data
+from platform_ctrl.app.messages import Request, influence_data
 from platform_ctrl.app.saving import controllers_beside
 from platform_ctrl.common.arguments import known_name, short
 from platform_ctrl.common.values import value
@@ -22,7 +22,7 @@ from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
-    from platform_ctrl.app.page.session import Session
+    from platform_ctrl.app.session import Session
     from platform_ctrl.app.settings import Settings
     from platform_ctrl.design.tuning import OptionEffects
 
@@ -88,6 +88,7 @@ class PageTasks:
         self._page, self._backend, self._connection = page, page.backend, page.connection
         self._running: _Running | None = None
         self._measuring = False
+        self._manoeuvres = tuple(one.name for one in page.backend.read.manoeuvres)
 
     def close(self) -> None:
         """Cancel the task that is running; nothing is sent any more."""
@@ -96,11 +97,10 @@ class PageTasks:
     def data(self) -> dict[str, Any]:
         """Return what the page shows for saving and simulating."""
         path = self._backend.path
-        manoeuvres = self._page.choices.manoeuvres
         return {
             "folder": str(self._backend.folder.resolve()),
             "stem": f"{'job' if path is None else path.stem}-tuned",
-            "manoeuvre": manoeuvres[0] if manoeuvres else "",
+            "manoeuvre": next(iter(self._manoeuvres), ""),
         }
 
     def handle(self, request: Request) -> None:
@@ -213,15 +213,16 @@ class PageTasks:
     def _on_simulate(self, request: Request) -> None:
         page, settings, manoeuvre = self._page, self._page.settings, request.more["manoeuvre"]
         if manoeuvre:
-            known_name("manoeuvre", manoeuvre, page.choices.manoeuvres)
-        names = (manoeuvre,) if manoeuvre else page.choices.manoeuvres
+            known_name("manoeuvre", manoeuvre, self._manoeuvres)
+        names = (manoeuvre,) if manoeuvre else self._manoeuvres
         long = f"Simulating {names[0] if len(names) == 1 else f'{len(names)} runs'}"
         if not self._backend.has_simulated:
             long += ": the first run loads its equations, or compiles them once on this machine"
         running = self._begin("simulate", "Simulating", request)
         if running is None:
             return
-        self._connection.soon(lambda: self._show_busy(running, long), LONG)
+        if self._connection.document is not None:
+            self._connection.document.add_timeout_callback(lambda: self._show_busy(running, long), LONG)
 
         def simulated() -> Callable[[], None]:
             for k, name in enumerate(names):
