@@ -23,17 +23,13 @@ from platform_ctrl.app.curves import (
     EDGE,
     GRID_POINTS,
     Band,
-    Drive,
     LoopCurves,
     Parts,
     channel_margins,
     channel_response,
-    drive,
     frequency_gain,
-    settling,
-    step_size,
 )
-from platform_ctrl.app.excitation import caged_excitation
+from platform_ctrl.app.excitation import Drive, caged_excitation, drive, settling, step_size
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Measured, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value

@@ -15,6 +15,7 @@ from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.poles import continuous_poles, pole_branches, poles, spectral_abscissa
 from platform_ctrl.analysis.response import AxisResponse
 from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.app.excitation import Drive, sampled_responses
 from platform_ctrl.app.pictures import (
     Bode,
     ClosedLoop,
@@ -31,15 +32,11 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.drawing import signal_series
 
-# Values beyond this are of a loop that diverges: no page has to draw them.
-_FARTHEST = 1e12
 # Distance of poles from one factor of the root locus to the next, as a share of what is shown, above which a factor is
 # put between, and how often; how often where a pair of poles becomes real, at which they turn at once.
 _STEP, _HALVINGS, _TURNS = 0.07, 3, 8
 # Imaginary part of a pole in z that counts as zero.
 _REAL = 1e-9
-# Points of a response over time.
-POINTS = 240
 
 
 def channel_response(S: ComplexArray, channel: int) -> ComplexArray:
@@ -92,60 +89,6 @@ def gain_range(response: ComplexArray) -> tuple[float, float]:
     return (
         float(factors[factors <= 1.0].max(initial=0.0)),
         float(factors[factors > 1.0].min(initial=np.inf)),
-    )
-
-
-def round_up(x: float) -> float:
-    """Return the next of 1, 2, 5, 10, ... times a power of ten, so that axes do not move with every slider."""
-    decade = 10.0 ** math.floor(math.log10(x))
-    return float(next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= x * (1.0 - 1e-9)))
-
-
-class Drive(NamedTuple):
-    """An input over time: at all samples, and the times `t` (T,), s, of every `every`-th one, which are drawn."""
-
-    title: str
-    t: FloatArray
-    u: FloatArray
-    every: int
-    limit: float | None
-
-
-def drive(
-    title: str, duration: float, period: float, rate: Callable[[FloatArray], FloatArray], limit: float | None = None
-) -> Drive:
-    """Return an input over about `duration`, s, by its value at the times of the samples (N,)."""
-    every = max(1, math.ceil(duration / period / POINTS))
-    count = max(2, math.ceil(duration / period / every - 1e-9) + 1)
-    t = np.asarray(np.arange(count) * (every * period), dtype=np.float64)
-    u = rate(np.arange(every * (count - 1) + 1, dtype=np.float64) * period)
-    return Drive(title=title, t=t, u=u, every=every, limit=limit)
-
-
-def sampled_responses(systems: System, inputs: FloatArray, every: int) -> FloatArray:
-    """Return the outputs (..., p, T) of sampled systems at rest at every `every`-th sample.
-
-    `inputs` (m, every * (T - 1) + 1) have all samples. Exact: a power of A carries the state over whole intervals,
-    within which the inputs count one by one.
-    """
-    A, B, C, D, _ = systems
-    m, count = len(inputs), (inputs.shape[1] - 1) // every + 1
-    with np.errstate(all="ignore"):
-        # [A^(every-1) B, ..., A B, B]
-        driven, power = B, A
-        while driven.shape[-1] < every * m:
-            driven = np.concatenate([power @ driven, driven], axis=-1)
-            power = power @ power
-        driven = driven[..., -every * m :]
-        # What comes to the state over each interval, (..., T - 1, n), and then the state after it.
-        x = inputs[:, :-1].T.reshape(count - 1, every * m) @ driven.swapaxes(-1, -2)
-        step = np.linalg.matrix_power(A, every).swapaxes(-1, -2)
-        for k in range(1, count - 1):
-            x[..., k, :] += (x[..., k - 1 : k, :] @ step)[..., 0, :]
-        y = D @ inputs[:, ::every]
-        y[..., 1:] += C @ x.swapaxes(-1, -2)
-    return np.asarray(
-        np.clip(np.nan_to_num(y, nan=_FARTHEST, posinf=_FARTHEST, neginf=-_FARTHEST), -_FARTHEST, _FARTHEST)
     )
 
 
@@ -457,18 +400,3 @@ def channel_margins(bode: Bode, stable: bool) -> dict[str, Any]:
         "delay": float((lead / w).min(initial=math.inf)) if stable else math.nan,
         "crossover": float(w[-1]) if len(w) else None,
     }
-
-
-def step_size(limit: float) -> float:
-    """Return the torque step that is shown, N m: about a tenth of what the torquer can do, 1 mN m without a limit."""
-    return round_up(0.05 * limit) if math.isfinite(limit) else 1e-3
-
-
-def settling(s: ComplexArray, nutation: float, period: float, stable: bool) -> float:
-    """Return the duration of a step response, s: 1, 2 or 5 times a power of ten."""
-    shortest = max(40.0 * period, 2.0 * math.pi / nutation)
-    if not stable:
-        return round_up(10.0 * shortest)
-    decay = -s.real[np.isfinite(s)]
-    slowest = float(decay.min(initial=math.inf))
-    return round_up(float(np.clip(5.0 / slowest if slowest > 0.0 else math.inf, shortest, 400.0 * shortest)))

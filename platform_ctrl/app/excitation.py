@@ -1,13 +1,14 @@
-"""What the Disturbance plot shows of a job: the rate of the base about an axis and commands of a loop over time."""
+"""What is put into a loop over time, by a job's manoeuvres or as a step, and what comes of it sample by sample."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.app.curves import POINTS, round_up
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine
@@ -15,6 +16,12 @@ from platform_ctrl.simulation.scenarios import commanded_readings, courses_of
 
 # Points that a period of the fastest sine needs to be drawn.
 _PER_PERIOD = 16
+
+
+# Points of a response over time.
+POINTS = 240
+# Values beyond this are of a loop that diverges: no page has to draw them.
+_FARTHEST = 1e12
 
 
 @value
@@ -109,3 +116,72 @@ def _half_cosine(profile: HalfCosine, t: FloatArray) -> FloatArray:
     inside = np.minimum(np.minimum(t, end - t), profile.rise)
     share = np.clip(inside, 0.0, None) / profile.rise if profile.rise > 0.0 else (inside >= 0.0).astype(np.float64)
     return np.asarray(profile.rate * 0.5 * (1.0 - np.cos(np.pi * share)))
+
+
+def round_up(x: float) -> float:
+    """Return the next of 1, 2, 5, 10, ... times a power of ten, so that axes do not move with every slider."""
+    decade = 10.0 ** math.floor(math.log10(x))
+    return float(next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= x * (1.0 - 1e-9)))
+
+
+class Drive(NamedTuple):
+    """An input over time: at all samples, and the times `t` (T,), s, of every `every`-th one, which are drawn."""
+
+    title: str
+    t: FloatArray
+    u: FloatArray
+    every: int
+    limit: float | None
+
+
+def drive(
+    title: str, duration: float, period: float, rate: Callable[[FloatArray], FloatArray], limit: float | None = None
+) -> Drive:
+    """Return an input over about `duration`, s, by its value at the times of the samples (N,)."""
+    every = max(1, math.ceil(duration / period / POINTS))
+    count = max(2, math.ceil(duration / period / every - 1e-9) + 1)
+    t = np.asarray(np.arange(count) * (every * period), dtype=np.float64)
+    u = rate(np.arange(every * (count - 1) + 1, dtype=np.float64) * period)
+    return Drive(title=title, t=t, u=u, every=every, limit=limit)
+
+
+def sampled_responses(systems: System, inputs: FloatArray, every: int) -> FloatArray:
+    """Return the outputs (..., p, T) of sampled systems at rest at every `every`-th sample.
+
+    `inputs` (m, every * (T - 1) + 1) have all samples. Exact: a power of A carries the state over whole intervals,
+    within which the inputs count one by one.
+    """
+    A, B, C, D, _ = systems
+    m, count = len(inputs), (inputs.shape[1] - 1) // every + 1
+    with np.errstate(all="ignore"):
+        # [A^(every-1) B, ..., A B, B]
+        driven, power = B, A
+        while driven.shape[-1] < every * m:
+            driven = np.concatenate([power @ driven, driven], axis=-1)
+            power = power @ power
+        driven = driven[..., -every * m :]
+        # What comes to the state over each interval, (..., T - 1, n), and then the state after it.
+        x = inputs[:, :-1].T.reshape(count - 1, every * m) @ driven.swapaxes(-1, -2)
+        step = np.linalg.matrix_power(A, every).swapaxes(-1, -2)
+        for k in range(1, count - 1):
+            x[..., k, :] += (x[..., k - 1 : k, :] @ step)[..., 0, :]
+        y = D @ inputs[:, ::every]
+        y[..., 1:] += C @ x.swapaxes(-1, -2)
+    return np.asarray(
+        np.clip(np.nan_to_num(y, nan=_FARTHEST, posinf=_FARTHEST, neginf=-_FARTHEST), -_FARTHEST, _FARTHEST)
+    )
+
+
+def step_size(limit: float) -> float:
+    """Return the torque step that is shown, N m: about a tenth of what the torquer can do, 1 mN m without a limit."""
+    return round_up(0.05 * limit) if math.isfinite(limit) else 1e-3
+
+
+def settling(s: ComplexArray, nutation: float, period: float, stable: bool) -> float:
+    """Return the duration of a step response, s: 1, 2 or 5 times a power of ten."""
+    shortest = max(40.0 * period, 2.0 * math.pi / nutation)
+    if not stable:
+        return round_up(10.0 * shortest)
+    decay = -s.real[np.isfinite(s)]
+    slowest = float(decay.min(initial=math.inf))
+    return round_up(float(np.clip(5.0 / slowest if slowest > 0.0 else math.inf, shortest, 400.0 * shortest)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -148,17 +149,9 @@ def plain_number(number: float | None) -> float | str | None:
     return float(number)
 
 
-_SLIDER_FIELDS = (
-    "name", "label", "unit", "group", "low", "high", "value", "logarithmic", "tip", "fixed", "tunable",
-)  # fmt: skip
-
-
 def slider_data(sliders: Iterable[Slider], starts: Starts) -> list[dict[str, Any]]:
     """Return the sliders as the page builds them."""
-    return [
-        {name: getattr(one, name) for name in _SLIDER_FIELDS} | {"start": starts.get(one.name, one.value)}
-        for one in sliders
-    ]
+    return [dataclasses.asdict(one) | {"start": starts.get(one.name, one.value)} for one in sliders]
 
 
 def choice_data(backend: Backend, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
@@ -224,10 +217,7 @@ def _chip(one: ChipState, loop: str) -> dict[str, Any]:
         met = f"{one.missed} of {one.count} missed" if one.missed else f"{one.checked} of {one.count} met"
         words = f"{met}; nearest limit: {worst.name}" + (f", {worst.subject}" if worst.subject != chip.label else "")
     return {
-        "key": chip.key,
-        "label": chip.label,
-        "loop": chip.loop,
-        "panel": chip.panel,
+        **chip._asdict(),
         "verdict": "bad" if one.missed else "good" if whole else "open",
         "margin": None if worst is None else plain_number(worst.margin),
         "short": short,
@@ -351,41 +341,33 @@ _OF = {
 
 
 def _figures(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]:
-    def figure(label: str, value: float | str | None, unit: str, tip: str, bad: bool = False) -> dict[str, Any]:
-        shown = value if isinstance(value, str) else plain_number(value)
-        return {"label": label, "value": shown, "unit": unit, "tip": tip, "bad": bad}
-
-    none = math.nan
-    crossover = none if margins.crossover is None else HZ * margins.crossover
     channels, axes, above = _OF[mode]
-    return [
-        figure("Disk margin, shown", margins.disk, "", f"Of the plant shown, {channels}", not stable),
-        figure(
-            "Disk margin, worst, sampled" if margins.worst_sampled else "Disk margin, worst",
-            margins.worst_disk,
-            "",
-            f"Disk margin of {margins.worst_plant}"
-            + (", the least at the frequencies of a grid" if margins.worst_sampled else ""),
-            margins.worst_disk <= 0.0,
-        ),
-        figure("Gain margin", _decibels(margins, stable), "dB", "How far the shown channel's gain may rise and fall"),
-        figure("Phase margin", margins.phase if stable else none, "°", "What the shown channel may lose"),
-        figure("Delay margin", 1e3 * margins.delay if stable else none, "ms", "How much later the torque may come"),
-        figure("Crossover of L", crossover, "Hz", "Highest frequency at which the shown channel's gain is 1"),
-        figure("Bandwidth", HZ * margins.bandwidth if stable else none, "Hz", f"S of {axes} reaches 1/√2"),
-        figure(
-            "Damping",
-            margins.damping,
-            "",
-            f"Least of the closed-loop poles beyond a tenth of the {above}",
-            margins.damping <= 0.0,
-        ),
-    ]
+    sampled = margins.worst_sampled
+    worst = f"Disk margin of {margins.worst_plant}" + ", the least at the frequencies of a grid" * sampled
+    damping = f"Least of the closed-loop poles beyond a tenth of the {above}"
+    # Label, value, unit, what it is, whether it is bad.
+    rows: tuple[tuple[str, float | str | None, str, str, bool], ...] = (
+        ("Disk margin, shown", margins.disk, "", f"Of the plant shown, {channels}", not stable),
+        ("Disk margin, worst" + ", sampled" * sampled, margins.worst_disk, "", worst, margins.worst_disk <= 0.0),
+        ("Gain margin", _decibels(margins), "dB", "How far the shown channel's gain may rise and fall", False),
+        ("Phase margin", margins.phase, "°", "What the shown channel may lose", False),
+        ("Delay margin", 1e3 * margins.delay, "ms", "How much later the torque may come", False),
+        ("Crossover of L", margins.crossover, "Hz", "Highest frequency at which the shown channel's gain is 1", False),
+        ("Bandwidth", margins.bandwidth, "Hz", f"S of {axes} reaches 1/√2", False),
+        ("Damping", margins.damping, "", damping, margins.damping <= 0.0),
+    )
+    out = []
+    for label, x, unit, tip, bad in rows:
+        # Of a loop that is not stable these have no meaning.
+        known = stable or label.startswith(("Disk", "Crossover", "Damping"))
+        shown = x if isinstance(x, str) else plain_number(None if x is None else HZ * x if unit == "Hz" else x)
+        out.append({"label": label, "value": shown if known else None, "unit": unit, "tip": tip, "bad": bad})
+    return out
 
 
-def _decibels(margins: Margins, stable: bool) -> str | None:
-    if not stable:
+def _decibels(margins: Margins) -> str | None:
+    if not margins.gain_up > 0.0:
         return None
     up = "∞" if math.isinf(margins.gain_up) else f"{20 * math.log10(margins.gain_up):.1f}"
     down = "−∞" if margins.gain_down <= 0.0 else f"{20 * math.log10(margins.gain_down):.1f}".replace("-", "−")
-    return f"+{up} {down}" if margins.gain_up > 0.0 else None
+    return f"+{up} {down}"

@@ -100,8 +100,8 @@ class JobSource:
             why = f" ({error})"
         raise InputError(
             f"{self.path}: the job or its plant was changed on disk since the page read it{why}; nothing was saved: "
-            f"start platform-ctrl serve {self.path} again and open the page's address there, which keeps the sliders, "
-            "or put back what was changed"
+            f"start platform-ctrl serve {self.path} again, and put its link's token into the page's address to keep "
+            "the sliders, or put back what was changed"
         )
 
     def replaced(self, job: Job) -> None:

@@ -21,17 +21,14 @@ from platform_ctrl.app.curves import (
     EDGE,
     GRID_POINTS,
     Band,
-    Drive,
     LoopCurves,
     Parts,
     channel_margins,
     channel_response,
-    drive,
     frequency_gain,
     gain_crossings,
-    settling,
-    step_size,
 )
+from platform_ctrl.app.excitation import Drive, drive, settling, step_size
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Measured, TimeResponse
 from platform_ctrl.app.plants import ATTITUDE, FreePlants
 from platform_ctrl.app.settings import Settings

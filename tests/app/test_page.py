@@ -321,6 +321,29 @@ def test_the_rest_is_tuned_saved_and_checked(page: Page, job: Path) -> None:
     )
 
 
+def test_requirements_are_tightest_first_and_a_limit_is_edited_where_it_stands(page: Page) -> None:
+    until(page, lambda: page.locator("#requirements.stale").count() == 0)
+    rows = page.locator("#requirements tbody tr")
+    first = rows.first.locator("th").text_content()
+    limit = page.get_by_role("textbox", name="Limit of bandwidth")
+    assert limit.input_value() == "≥ 20 Hz"
+    limit.fill("500")
+    limit.press("Enter")
+    until(page, lambda: limit.input_value() == "≥ 500 Hz")
+    until(page, lambda: page.locator("#requirements.stale").count() == 0)
+    assert first != "bandwidth"
+    assert rows.first.locator("th").text_content() == "bandwidth"
+    assert "missed" in (rows.first.get_attribute("class") or "")
+    assert "bandwidth" in (page.locator("#step").text_content() or "")
+    limit.fill("nothing")
+    limit.press("Enter")
+    assert "must be a positive finite number" in line(page, "bandwidth_hz")
+    assert limit.input_value() == "≥ 500 Hz"
+    page.locator("h1").click()
+    page.keyboard.press("Control+z")
+    until(page, lambda: limit.input_value() == "≥ 20 Hz")
+
+
 def test_a_design_that_takes_seconds_is_announced_and_drawn_in_every_plot_once_available(page: Page) -> None:
     # Chosen itself, it stays chosen while the one before is shown.
     page.locator("#design").select_option("H-infinity")

@@ -20,7 +20,7 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.errors import DesignError, InputError
+from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.plant.source import platform_source
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
@@ -110,6 +110,26 @@ def test_a_link_reproduces_the_state_and_is_short(shipped: Backend) -> None:
     assert set(text) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_")
     servo = _moved(shipped, shipped.start("stabilisation"), position_hz=1.0)
     assert decode_state(shipped, encode_state(shipped, servo)).data() == servo.data()
+
+
+def test_a_limit_is_changed_judged_linked_and_saved_where_it_stands(bench: Backend, tmp_path: Path) -> None:
+    start = bench.start()
+    keys = bench.limit_keys(start)
+    assert [key for key in keys if key] == ["bandwidth_hz", "disk_margin", "damping"]
+    before = bench.picture(start)
+    at = keys.index("bandwidth_hz")
+    reached = before.requirements[at].value
+    stricter = bench.with_limit(start, "bandwidth_hz", 1.5 * reached)
+    result = bench.picture(stricter).requirements[at]
+    assert (result.value, result.limit, result.passed) == (reached, 1.5 * reached, False)
+    assert decode_state(bench, encode_state(bench, stricter)).data() == stricter.data()
+    saved = bench.save(bench.with_limit(start, "disk_margin", 0.35), tmp_path / "limit.toml")
+    assert saved.controllers is not None
+    assert "disk_margin = 0.35" in saved.job.read_text()
+    assert saved.job.read_text().startswith("# Kept: what the user wrote.")
+    for key, number in (("disk_margin", -1.0), ("disk_margin", math.inf), ("disk_margin", "x"), ("noise", 1.0)):
+        with pytest.raises(PlatformCtrlError):
+            bench.with_limit(start, key, number)
 
 
 @pytest.mark.parametrize("text", ["x", "é", "A" * 30_000, "eJwDAAAAAAE"])

@@ -65,10 +65,6 @@ class Sources:
         if not all(_equal(source.data[key], one) for key, one in columns.items()):
             source.data = columns
 
-    def clear(self, name: str) -> None:
-        """Empty a source of numbers."""
-        self.put(name, **{key: column([]) for key in self.by_name[name].data})
-
 
 def _equal(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):

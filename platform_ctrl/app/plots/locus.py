@@ -135,7 +135,7 @@ class LocusPanel(Panel):
 
     def _required(self, damping: float | None) -> None:
         if damping is None or not 0.0 < damping < 1.0:
-            self.sources.clear("required_damping")
+            self.sources.put("required_damping", x=column([]), y=column([]))
             return
         # Dashes are drawn one by one, also far outside the view: no further than the user may zoom out.
         end = 8.0 * self._reach

@@ -2,6 +2,7 @@
 import { request, connect, receive, traffic } from "./messages.js";
 import { themeChanged } from "./choices.js";
 import { watch } from "./connection.js";
+import { follow } from "./cursor.js";
 import "./sliders.js";
 import "./table.js";
 import "./strip.js";
@@ -28,6 +29,7 @@ const begin = (bokeh) => {
     window.dispatchEvent(new CustomEvent("response", { detail: traffic() }));
   });
   watch(bokeh);
+  follow(bokeh);
   themeChanged();
   request("ready");
 };

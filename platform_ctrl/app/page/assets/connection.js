@@ -1,10 +1,9 @@
-// What the page does while the server does not answer: it says so, and comes back with its state when the server does.
-import { receive, traffic } from "./messages.js";
+// What the page does when the server is lost: it says so, and comes back with its state when the server does.
+import { receive } from "./messages.js";
 
-const AGAIN = 1500, LOOK = 1000, PATIENCE = 5000;
+const AGAIN = 1500;
 const LOST = "The connection to the server is lost. The page returns with its state as soon as the server answers.";
 const OTHER = "The server was started again and has another link: open that one, or put its token into this address, which holds the state.";
-const SLOW = "The server has not answered yet; the page goes on when it does.";
 
 const say = (text, kind) => receive({ line: { text, kind } });
 
@@ -18,21 +17,6 @@ const back = async () => {
   setTimeout(back, AGAIN);
 };
 
-const watchAnswers = () => {
-  let answered = -1, since = performance.now(), said = false;
-  setInterval(() => {
-    const now = traffic();
-    if (now.answered !== answered || now.answered >= now.sent) {
-      answered = now.answered;
-      since = performance.now();
-      said = false;
-    } else if (!said && performance.now() - since > PATIENCE) {
-      said = true;
-      say(SLOW, "quiet");
-    }
-  }, LOOK);
-};
-
 export const watch = (bokeh) => {
   let lost = false;
   bokeh.on_event("connection_lost", () => {
@@ -43,5 +27,4 @@ export const watch = (bokeh) => {
     say(LOST, "error");
     setTimeout(back, AGAIN);
   });
-  watchAnswers();
 };
