@@ -34,7 +34,7 @@ SOURCES = {
         *("page/page.html", "page/assets/page.css", "messages.py", "plots/panel.py"),
         *("plots/frequency.py", "plots/locus.py", "plots/responses.py"),
     ),
-    "report": ("templates/page.html", "templates/blocks.html", "templates/report.css", "page/first_screen.py"),
+    "report": ("templates/page.html", "templates/blocks.html", "templates/report.css", "first_screen.py"),
 }
 PACKAGES = {"designer": "platform_ctrl/app", "report": "platform_ctrl/report"}
 

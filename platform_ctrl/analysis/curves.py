@@ -151,7 +151,7 @@ _STEP = 0.012
 
 
 @value
-class View:
+class PlaneView:
     """How much of the s-plane is shown."""
 
     reach: float  # Up to which imaginary part, rad/s
@@ -160,7 +160,7 @@ class View:
 
 
 @value
-class Locus:
+class RootLocus:
     """Poles of a closed loop over a number."""
 
     values: FloatArray  # (N,), The number, increasing: closer together where poles move fast
@@ -169,7 +169,7 @@ class Locus:
     dt: float  # Sample period, s; 0: continuous
     stable: NDArray[np.bool_]  # (N,), Whether all poles lie inside the stability boundary
     edges: FloatArray  # (k,), Numbers between the ends at which that changes, to rounding
-    view: View  # What of the s-plane shows it
+    view: PlaneView  # What of the s-plane shows it
 
     @property
     def s(self) -> ComplexArray:
@@ -184,7 +184,7 @@ class Locus:
         return [(ends[k], ends[k + 1]) for k in range(0 if first else 1, len(ends) - 1, 2)]
 
 
-def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
+def traced_locus(values: FloatArray, poles: Poles, dt: float) -> RootLocus:
     """Follow the poles through `values`, finer where they run, and find where stability begins and ends."""
     nominal = poles(np.ones(1))[0]
     nyquist = np.pi / dt if dt else np.inf
@@ -216,7 +216,7 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
     )
     new = np.setdiff1d(edges, fine)
     at, found = np.searchsorted(fine, new), poles(new)
-    return Locus(
+    return RootLocus(
         values=np.insert(fine, at, new),
         branches=pole_branches(np.insert(z, at, found, axis=0)),
         nominal=nominal,
@@ -237,7 +237,7 @@ def _edge(stable: Callable[[float], bool], low: float, high: float, before: bool
     return 0.5 * (low + high)
 
 
-def view_of(ends: ComplexArray, between: ComplexArray, nyquist: float) -> View:
+def view_of(ends: ComplexArray, between: ComplexArray, nyquist: float) -> PlaneView:
     """Return a view of the s-plane that shows the poles `ends`, 1/s, and those `between` that are no faster.
 
     Very fast poles are left out, and of a sampled system those beyond half the Nyquist frequency: delay and roll-off.
@@ -254,7 +254,7 @@ def view_of(ends: ComplexArray, between: ComplexArray, nyquist: float) -> View:
         across = max(left + right, whole / _STRETCH)
     share = float(np.clip(right / across, _RIGHT, _MOST_RIGHT))
     across = max(across, min(max(left / (1.0 - share), right / share), whole))
-    return View(reach=reach, right=share, stretch=whole / across)
+    return PlaneView(reach=reach, right=share, stretch=whole / across)
 
 
 def _bound(poles: ComplexArray, nyquist: float) -> float:

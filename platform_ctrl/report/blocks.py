@@ -150,7 +150,7 @@ class Listing:
 
 
 @value
-class Part:
+class Subsection:
     """Blocks under a heading of their own."""
 
     kind: ClassVar[str] = "part"
@@ -203,11 +203,11 @@ class Distances:
         return 1 + max((mark.level for mark in self.marks), default=0)
 
 
-Block = Paragraph | Verdict | Table | Plate | Facts | Listing | Part | Fold | Columns | Distances
+Block = Paragraph | Verdict | Table | Plate | Facts | Listing | Subsection | Fold | Columns | Distances
 
 
 @value
-class Section:
+class PageSection:
     """A section: where links lead, its title, and its blocks. The first of a page may have no title."""
 
     name: str
@@ -218,7 +218,7 @@ class Section:
 
 
 @value
-class Document:
+class PageContent:
     """A whole page."""
 
     kicker: str  # What kind of page it is
@@ -227,7 +227,7 @@ class Document:
     # In a few words, for the title of a window and the head of printed pages
     passed: bool
     verdict: str
-    sections: tuple[Section, ...]
+    sections: tuple[PageSection, ...]
 
 
 def sentence(text: str) -> str:
@@ -278,7 +278,7 @@ def drawn(title: str, draw: Callable[[], tuple[Figure, str]], *, small: bool = F
 
 def missing(item: Any) -> list[str]:
     """Return the words on all that is missing in blocks, of a document with the titles of its sections."""
-    if isinstance(item, Document):
+    if isinstance(item, PageContent):
         return [f"{one.title or one.name}: {words}" for one in item.sections for words in missing(one.blocks)]
     if isinstance(item, Missing):
         return [item.text]
@@ -287,7 +287,7 @@ def missing(item: Any) -> list[str]:
     return [words for one in item for words in missing(one)] if isinstance(item, list | tuple) else []
 
 
-def html(document: Document) -> str:
+def html(document: PageContent) -> str:
     """Return a document as a page that needs nothing else."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.quantities import plain, quantity
 from platform_ctrl.plant.sensors import LOS_ANGLES
-from platform_ctrl.report.blocks import Block, Paragraph, Part, Table, drawn, sentence, table
+from platform_ctrl.report.blocks import Block, Paragraph, Subsection, Table, drawn, sentence, table
 from platform_ctrl.report.captions import sentences
 from platform_ctrl.report.style import (
     DASHED,
@@ -56,12 +56,12 @@ def budget_blocks(result: JobResult) -> list[Block]:
         _sources(found),
     ]
     if found.windows:
-        blocks.append(Part(title="Within an exposure", blocks=(_windows(found, budget.spatial_frequencies),)))
+        blocks.append(Subsection(title="Within an exposure", blocks=(_windows(found, budget.spatial_frequencies),)))
     if result.simulated_budget is not None:
         blocks.append(_simulated(result.simulated_budget))
     if found.friction is not None:
         lines = tuple(Paragraph(text=f"{sentence(line)}") for line in found.friction.statement)
-        blocks.append(Part(title="Dry friction", blocks=lines))
+        blocks.append(Subsection(title="Dry friction", blocks=lines))
     return blocks
 
 
@@ -88,7 +88,7 @@ def _windows(found: LineOfSightBudget, spatial_frequencies: Iterable[float]) -> 
     return table(f"exposure|axis|{numbers}", rows, numbers=numbers)
 
 
-def _simulated(runs: SimulatedBudget) -> Part:
+def _simulated(runs: SimulatedBudget) -> Subsection:
     rows = []
     for name, *rms, linear in zip(LOS_ANGLES[:2], runs.rms, runs.low, runs.high, runs.linear, strict=False):
         rows.append((name, *_micro([*rms, linear]), plain(float(rms[0] / linear), 4) if linear > 0.0 else ""))
@@ -100,7 +100,7 @@ def _simulated(runs: SimulatedBudget) -> Part:
         table(f"axis|{numbers}", rows, numbers=numbers),
         *(Paragraph(text=sentence(f"not simulated: {line}")) for line in runs.left_out),
     )
-    return Part(title="Simulated runs beside the linear budget", blocks=blocks)
+    return Subsection(title="Simulated runs beside the linear budget", blocks=blocks)
 
 
 def _micro(rms: Iterable[float]) -> list[str]:

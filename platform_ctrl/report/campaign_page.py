@@ -22,18 +22,18 @@ from platform_ctrl.report.blocks import (
     Block,
     Cell,
     Column,
-    Document,
     Facts,
     Fold,
     Group,
     Listing,
     Mark,
+    PageContent,
+    PageSection,
     Paragraph,
-    Part,
     Plate,
     Row,
-    Section,
     Strip,
+    Subsection,
     Table,
     Verdict,
     cells,
@@ -61,7 +61,7 @@ def write_campaign_page(
     return write_whole(path, html(campaign_document(summary, command=command, again=again)))
 
 
-def campaign_document(summary: Summary, *, command: str | None = None, again: str | None = None) -> Document:
+def campaign_document(summary: Summary, *, command: str | None = None, again: str | None = None) -> PageContent:
     """Return the content of the page; `command` made the campaign, `again` and a run's number repeat that run."""
     job = summary.plan.job
     with style.settings():
@@ -73,13 +73,13 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
         Fold(title="Versions and digests", blocks=(Facts(rows=(*versions(), *digests(summary))),)),
         record_part(job),
     )
-    return Document(
+    return PageContent(
         kicker=f"platform_ctrl: campaign of {tables.count_words(summary.plan.runs).replace(' ', ' simulated ')}",
         title=job.name,
         source=". ".join(filter(None, [job.platform.name, job.platform.source])),
         passed=summary.statistics.passed,
         verdict=tables.verdict(summary),
-        sections=(*sections, Section(name="again", title="Inputs and versions", blocks=last)),
+        sections=(*sections, PageSection(name="again", title="Inputs and versions", blocks=last)),
     )
 
 
@@ -119,7 +119,7 @@ def scale_of(shown: list[Probability]) -> Scale:
     return Scale(decades=max(2, min(12, math.ceil(-math.log10(max(least, 1e-12))))))
 
 
-def campaign_sections(summary: Summary, again: str) -> list[Section]:
+def campaign_sections(summary: Summary, again: str) -> list[PageSection]:
     """Return the results of a campaign, its inputs apart; the first section has no title."""
     banner = Verdict(
         passed=summary.statistics.passed,
@@ -127,33 +127,33 @@ def campaign_sections(summary: Summary, again: str) -> list[Section]:
         lines=tuple(sentence(line) for line in tables.verdict_lines(summary)),
     )
     bounds = Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet")
-    sections = [Section(name="summary", title="", blocks=(banner,))]
+    sections = [PageSection(name="summary", title="", blocks=(banner,))]
     common = _influences(summary)
     if common:
         title = (
             "What violating runs have in common" if summary.statistics.violation.events > 1 else "What drives the runs"
         )
-        sections.append(Section(name="common", title=title, blocks=common))
+        sections.append(PageSection(name="common", title=title, blocks=common))
     sections += _worst_trace(summary)
     shown = (probability_table(summary), bounds)
-    sections.append(Section(name="probabilities", title="Probability of a violation", blocks=shown))
+    sections.append(PageSection(name="probabilities", title="Probability of a violation", blocks=shown))
     plates = tuple(campaign_plates(summary))
     if plates:
-        sections.append(Section(name="figures", title="Figures", blocks=plates))
+        sections.append(PageSection(name="figures", title="Figures", blocks=plates))
     endings = table("ended|runs|share", tables.ending_rows(summary), numbers="runs|share", form="narrow")
     return [
         *sections,
-        Section(name="worst", title="Worst runs", blocks=_worst(summary, again)),
-        Section(name="ended", title="How runs ended", blocks=(endings,)),
+        PageSection(name="worst", title="Worst runs", blocks=_worst(summary, again)),
+        PageSection(name="ended", title="How runs ended", blocks=(endings,)),
     ]
 
 
-def drawn_part(summary: Summary) -> Part:
+def drawn_part(summary: Summary) -> Subsection:
     """Return the inputs that vary from run to run."""
     plan = summary.plan
     words = sentences("campaign_drawn", plan=plan)
     inputs = table("input|drawn from", tables.input_rows(summary), form="narrow")
-    return Part(title="What varies from run to run", blocks=(Paragraph(text=words), inputs))
+    return Subsection(title="What varies from run to run", blocks=(Paragraph(text=words), inputs))
 
 
 def digests(summary: Summary) -> tuple[tuple[str, str], ...]:
@@ -277,7 +277,7 @@ def _worst(summary: Summary, again: str) -> tuple[Block, ...]:
     return (Paragraph(text=words), Listing(text=f"{again} {found[0][0].run}"), worst)
 
 
-def _worst_trace(summary: Summary) -> list[Section]:
+def _worst_trace(summary: Summary) -> list[PageSection]:
     """Return the run that comes nearest to its limits or furthest beyond them, simulated again and drawn over time."""
     if not summary.statistics.worst:
         return []
@@ -291,25 +291,25 @@ def _worst_trace(summary: Summary) -> list[Section]:
     name = f"run {worst.run}, {worst.manoeuvre}"
     if not math.isclose(found.metrics[worst.requirement], worst.value, rel_tol=ROUNDING):
         words = f"{sentence(name)} is not drawn: simulated again, it gives another value than the table holds."
-        return [Section(name="trace", title="The worst run", blocks=(Paragraph(text=words, tone="bad"),))]
+        return [PageSection(name="trace", title="The worst run", blocks=(Paragraph(text=words, tone="bad"),))]
     [(_, (requirement, number, limit, _, inputs))] = tables.worst_rows(summary, [worst], tables.all_drivers(summary))
     shown = {"requirement": requirement, "number": number, "limit": limit, "inputs": inputs}
     caption = sentences("campaign_trace", worst=worst, runs=summary.statistics.simulated, **shown)
     drawn = plate(time_run(found.run, found.job.platform), name, caption)
-    return [Section(name="trace", title="The worst run", blocks=(drawn,))]
+    return [PageSection(name="trace", title="The worst run", blocks=(drawn,))]
 
 
-def as_section(summary: Summary, result: JobResult, again: str | None) -> Section:
+def as_section(summary: Summary, result: JobResult, again: str | None) -> PageSection:
     """Return a campaign as a section of a job's report, with a warning if its plant, sampling or controllers differ."""
     first, *others = campaign_sections(summary, again or RERUN_COMMAND)
-    parts = (Part(title=section.title, blocks=section.blocks) for section in others)
+    parts = (Subsection(title=section.title, blocks=section.blocks) for section in others)
     runs = f"{tables.count_words(summary.plan.runs)} of the job with everything that may vary."
     different = differences(summary, result)
     blocks: list[Block] = [Paragraph(text=sentence(runs))]
     if different:
         words = f"It was simulated with other {listed(different)}: its values are not those of the design above."
         blocks.append(Paragraph(text=words, tone="bad"))
-    return Section(name="campaign", title="Campaign", blocks=(*blocks, *first.blocks, *parts, drawn_part(summary)))
+    return PageSection(name="campaign", title="Campaign", blocks=(*blocks, *first.blocks, *parts, drawn_part(summary)))
 
 
 def differences(summary: Summary, result: JobResult) -> list[str]:

@@ -5,37 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from platform_ctrl.common.text import rounded
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import (
-    UNSTABLE,
+    compared,
     count,
-    distinguishing_digits,
-    handy_unit,
     in_one_unit,
     listed,
-    pessimistic_rounding,
-    times,
 )
 from platform_ctrl.verification.comparison import Compared, Comparison
 
 # Most lines for better, new or missing values: a result of another job has nothing else.
 _LINES = 8
-
-
-def value_and_limit(one: CheckResult) -> tuple[str, str]:
-    """Return value and limit in the same unit; the value is never printed better than it is."""
-    finite = [abs(number) for number in (one.value, one.limit) if math.isfinite(number)]
-    factor, name = handy_unit(one.unit, max(finite, default=1.0))
-    digits = distinguishing_digits(one)
-    value, limit = rounded(times(factor, one.value), digits, pessimistic_rounding(one)), times(factor, one.limit)
-    shown = f"{value:.{digits}g} {name}".rstrip() if math.isfinite(value) else UNSTABLE
-    return shown, f"{limit:.{max(digits, 6)}g} {name}".rstrip()
-
-
-def margin_text(one: CheckResult) -> str:
-    """Return the margin in per cent with its sign: negative where the requirement is missed."""
-    return _percent(one.margin)
 
 
 def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requirement") -> str:
@@ -45,9 +25,9 @@ def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requ
         return ""
     rows = [("", "value", "limit", "margin", "")]
     for one in missed:
-        shown = value_and_limit(one)
+        shown = compared(one)
         where = f"{one.subject}, {one.design}" if one.design else one.subject
-        rows.append((f"{where}: {one.name}", shown[0], f"{one.sense} {shown[1]}", margin_text(one), one.evidence))
+        rows.append((f"{where}: {one.name}", shown[0], f"{one.sense} {shown[1]}", _percent(one.margin), one.evidence))
     head = f"{title}: {len(missed)} of {count(len(requirements), of)} not met"
     return "\n".join([head, *_table(rows)])
 

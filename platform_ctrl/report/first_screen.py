@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,9 +22,9 @@ from platform_ctrl.report.blocks import (
     Distances,
     Group,
     Paragraph,
-    Part,
     Plate,
     Row,
+    Subsection,
     Table,
     Verdict,
     attempted,
@@ -46,9 +45,12 @@ _BEYOND, _MARK = 0.15, 0.0225
 _TICKS = (-1.0, -0.25, -0.05, 0.05, 0.25, 1.0)
 
 
-def first_screen(result: JobResult) -> tuple[Block, ...]:
-    """Return verdict, chain and distances, beside the Nichols plot of the tightest loop where there is one."""
-    left: list[Block] = [_verdict(result)]
+def first_screen(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
+    """Return verdict, chain and distances, beside the Nichols plot of the tightest loop where there is one.
+
+    Where a run of a campaign violates a limit, the verdict is no pass.
+    """
+    left: list[Block] = [_verdict(result, campaign)]
     chain = attempted("What limits each loop", lambda: chain_table(result))
     if chain is not None:
         left.append(chain)
@@ -59,23 +61,7 @@ def first_screen(result: JobResult) -> tuple[Block, ...]:
     return tuple(left) if picture is None else (Columns(left=tuple(left), right=(picture,)),)
 
 
-def with_campaign(first: Sequence[Block], campaign: Summary | None) -> tuple[Block, ...]:
-    """Return the first screen with a campaign in its banner: where a run violates a limit, the verdict is no pass."""
-    if campaign is None:
-        return tuple(first)
-    out: list[Block] = []
-    for block in first:
-        if isinstance(block, Columns):
-            out.append(replace(block, left=with_campaign(block.left, campaign)))
-        elif isinstance(block, Verdict):
-            words = f"{block.words}; {campaign_words(campaign)}"
-            out.append(replace(block, passed=block.passed and campaign.passed, words=words))
-        else:
-            out.append(block)
-    return tuple(out)
-
-
-def _verdict(result: JobResult) -> Verdict:
+def _verdict(result: JobResult, campaign: Summary | None) -> Verdict:
     goals = tables.goal_rows(result)
     missed = [row for row in tables.requirement_rows(result) if not row.passed]
     reached = sum(goal.passed for goal in goals)
@@ -83,8 +69,8 @@ def _verdict(result: JobResult) -> Verdict:
     asides = [sentence(f"{assumed}.")] if assumed else []
     asides += [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
     return Verdict(
-        passed=result.passed,
-        words=sentence(tables.verdict(result)),
+        passed=result.passed and (campaign is None or campaign.passed),
+        words="; ".join(filter(None, (sentence(tables.verdict(result)), campaign_words(campaign)))),
         lines=tuple(f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}" for row in missed),
         aside=" ".join(asides),
     )
@@ -252,7 +238,7 @@ def change_part(result: JobResult, rows: tuple[Change, ...]) -> tuple[Block, ...
     blocks: list[Block] = [first, _change_table(rows)] if rows else [first]
     if notes.text:
         blocks.append(notes)
-    return (Part(title="What to change", blocks=tuple(blocks)),)
+    return (Subsection(title="What to change", blocks=tuple(blocks)),)
 
 
 def _change_table(rows: tuple[Change, ...]) -> Table:

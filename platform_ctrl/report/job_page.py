@@ -17,15 +17,15 @@ from platform_ctrl.mechanics.state_space import coupled_while_changing
 from platform_ctrl.report import captions, comparison, curves, style, tables
 from platform_ctrl.report.blocks import (
     Block,
-    Document,
     Facts,
     Fold,
     Listing,
     Missing,
+    PageContent,
+    PageSection,
     Paragraph,
-    Part,
     Plate,
-    Section,
+    Subsection,
     attempted,
     drawn,
     html,
@@ -45,7 +45,7 @@ from platform_ctrl.report.figures.job import (
     pole_figure,
     root_locus_plot,
     servo,
-    simultaneous_margin_figure,
+    simultaneous_margin,
 )
 from platform_ctrl.report.figures.nichols import nichols_figure
 from platform_ctrl.report.figures.panels import paint
@@ -55,7 +55,6 @@ from platform_ctrl.report.first_screen import (
     first_screen,
     own_results,
     section_verdict,
-    with_campaign,
 )
 from platform_ctrl.report.modes import nutates
 from platform_ctrl.verification.changes import changes
@@ -72,7 +71,7 @@ if TYPE_CHECKING:
 _MOST_BRANCHES = 80
 
 
-def write_page(result: JobResult | Document, path: str | os.PathLike[str], **options: Any) -> Path:
+def write_page(result: JobResult | PageContent, path: str | os.PathLike[str], **options: Any) -> Path:
     """Write the page to `path`: the whole file, or nothing if that fails.
 
     Parameters
@@ -99,18 +98,13 @@ def write_page(result: JobResult | Document, path: str | os.PathLike[str], **opt
     return write_whole(path, html(prepared(result, **options)))
 
 
-def page_html(result: JobResult | Document) -> str:
-    """Return the page as HTML: self-contained, for light and dark screens and for paper."""
-    return html(prepared(result))
-
-
 def prepared(
-    result: JobResult | Document,
+    result: JobResult | PageContent,
     *,
     command: str | None = None,
     campaign: Summary | None = None,
     again: str | None = None,
-) -> Document:
+) -> PageContent:
     """Return the content of the report, for `write_page`, with every figure drawn.
 
     Parameters
@@ -126,7 +120,7 @@ def prepared(
 
     Returns
     -------
-    Document
+    PageContent
         Sections with text, tables and figures.
 
     Raises
@@ -134,7 +128,7 @@ def prepared(
     ArgumentError
         An argument of another kind than annotated.
     """
-    if isinstance(result, Document):
+    if isinstance(result, PageContent):
         return result
     return _document(instance("result", result, JobResult), command, campaign, again)
 
@@ -144,7 +138,7 @@ def _document(
     command: str | None,
     campaign: Summary | None,
     again: str | None,
-) -> Document:
+) -> PageContent:
     job, palette = result.job, curves.palette_of(result.loops)
 
     def plates(draw: Callable[..., Any], *arguments: Any) -> tuple[Any, ...]:
@@ -153,22 +147,25 @@ def _document(
     with style.settings():
         loops = [plates(_loop_plates, result.model, outcome, palette) for outcome in result.loops]
         runs = [block for run in result.runs for block in plates(_run_block, run, result)]
-        of_whole = (_plant_plates, _servo_plates, budget_blocks, _first, _coupled)
-        plant, servo, budget, first, coupled = (plates(draw, result) for draw in of_whole)
+        of_whole = (_plant_plates, _servo_plates, budget_blocks, _coupled)
+        first = plates(_first, result, campaign)
+        plant, servo, budget, coupled = (plates(draw, result) for draw in of_whole)
     together = [one for one in result.requirements if one.subject == ALL_LOOPS]
     of_runs = [one for run in result.runs for one in run.results]
 
-    def section(name: str, title: str, make: Callable[[], Sequence[Block]], *plates: Block, **judged: Any) -> Section:
+    def section(
+        name: str, title: str, make: Callable[[], Sequence[Block]], *plates: Block, **judged: Any
+    ) -> PageSection:
         blocks = (*_blocks(attempted("Text and tables", make)), *plates)
-        return Section(name=name, title=title, blocks=blocks, **judged)
+        return PageSection(name=name, title=title, blocks=blocks, **judged)
 
     with style.settings():
         sections = [
-            Section(
+            PageSection(
                 name="summary",
                 title="",
                 blocks=(
-                    *with_campaign(first, campaign),
+                    *first,
                     *_blocks(attempted("Summary", lambda: _summary(result, campaign))),
                 ),
             ),
@@ -178,7 +175,7 @@ def _document(
                 lambda: (tables.requirement_table(result),),
                 **_judged(result.requirements),
             ),
-            Section(name="plant", title="Plant and modes", blocks=tuple(_plant(result, plant))),
+            PageSection(name="plant", title="Plant and modes", blocks=tuple(_plant(result, plant))),
             *(
                 section(
                     f"loop-{k}",
@@ -190,13 +187,13 @@ def _document(
                 )
                 for k, outcome in enumerate(result.loops, 1)
             ),
-            Section(name="coupled", title="Coupled system", blocks=coupled, **_judged(together)),
-            *([Section(name="budget", title="Line-of-sight budget", blocks=budget)] if budget else []),
+            PageSection(name="coupled", title="Coupled system", blocks=coupled, **_judged(together)),
+            *([PageSection(name="budget", title="Line-of-sight budget", blocks=budget)] if budget else []),
             *([section("runs", "Simulated runs", lambda: _runs(result), *runs, **_judged(of_runs))] if runs else []),
             *_campaign(result, campaign, again),
             section("again", "Inputs and versions", lambda: _again(result, command, campaign)),
         ]
-    return Document(
+    return PageContent(
         kicker="platform_ctrl: design and check of control loops",
         title=job.name,
         source=". ".join(filter(None, [job.platform.name, job.platform.source])),
@@ -211,9 +208,9 @@ def _blocks(found: Any) -> tuple[Any, ...]:
     return (found,) if isinstance(found, Missing) else tuple(found)
 
 
-def _first(result: JobResult) -> tuple[Block, ...]:
+def _first(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
     what_to_change = attempted("What to change", lambda: change_part(result, changes(result)))
-    return (*_blocks(attempted("First screen", lambda: first_screen(result))), *_blocks(what_to_change))
+    return (*_blocks(attempted("First screen", lambda: first_screen(result, campaign))), *_blocks(what_to_change))
 
 
 def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
@@ -237,14 +234,14 @@ def _subsystems(result: JobResult) -> list[Block]:
 
 
 def _plant_tables(result: JobResult) -> list[Block]:
-    blocks: list[Block] = [Part(title="Gimbals", blocks=(tables.gimbal_table(result),))]
+    blocks: list[Block] = [Subsection(title="Gimbals", blocks=(tables.gimbal_table(result),))]
     if result.job.platform.rotors:
-        blocks.append(Part(title="Rotors", blocks=(tables.rotor_table(result),)))
+        blocks.append(Subsection(title="Rotors", blocks=(tables.rotor_table(result),)))
     elements = tables.element_table(result)
     if elements is not None:
-        blocks.append(Part(title="Springs, friction and other elements", blocks=(elements,)))
+        blocks.append(Subsection(title="Springs, friction and other elements", blocks=(elements,)))
     title = "Modes of the uncontrolled gimbals"
-    blocks.append(Part(title=title, blocks=(attempted(title, lambda: tables.mode_table(result)),)))
+    blocks.append(Subsection(title=title, blocks=(attempted(title, lambda: tables.mode_table(result)),)))
     return blocks
 
 
@@ -278,7 +275,7 @@ def _loop(result: JobResult, outcome: LoopOutcome) -> list[Block]:
     groups = comparison.group_rows(outcome.closed)
     if groups:
         title = f"Plants that “{outcome.use}” must work with"
-        blocks.append(Part(title=title, blocks=(tables.group_table(groups),)))
+        blocks.append(Subsection(title=title, blocks=(tables.group_table(groups),)))
     return blocks
 
 
@@ -371,7 +368,7 @@ def _coupled(result: JobResult) -> list[Block]:
             drawn(
                 "Disk margin in all channels at once",
                 lambda: (
-                    simultaneous_margin_figure(check, limits.disk_margin),
+                    paint(simultaneous_margin(check, limits.disk_margin), 1.95),
                     sentences("simultaneous", check=check),
                 ),
             )
@@ -397,16 +394,18 @@ def _run_block(run: Run, result: JobResult) -> list[Block]:
         caption = captions.run(run, captions.spins(platform), result.loops)
         return [drawn(name, lambda: (time_run(run, platform), caption))]
     nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
-    return [Part(title=name, blocks=(nothing,))]
+    return [Subsection(title=name, blocks=(nothing,))]
 
 
-def _campaign(result: JobResult, campaign: Summary | None, again: str | None) -> list[Section]:
+def _campaign(result: JobResult, campaign: Summary | None, again: str | None) -> list[PageSection]:
     if campaign is None:
         if result.job.campaign is None:
             return []
-        return [Section(name="campaign", title="Campaign", blocks=(Paragraph(text=sentences("no_campaign")),))]
+        return [PageSection(name="campaign", title="Campaign", blocks=(Paragraph(text=sentences("no_campaign")),))]
     found = attempted("Campaign", lambda: as_section(campaign, result, again))
-    return [found if isinstance(found, Section) else Section(name="campaign", title="Campaign", blocks=(found,))]
+    return [
+        found if isinstance(found, PageSection) else PageSection(name="campaign", title="Campaign", blocks=(found,))
+    ]
 
 
 def _again(result: JobResult, command: str | None, campaign: Summary | None) -> list[Block]:

@@ -184,12 +184,6 @@ def signal_style(k: int) -> dict[str, Any]:
     return line_style(k) | {"linewidth": 1.0}
 
 
-def design_style(k: int, solid: bool, chosen: bool) -> dict[str, Any]:
-    """Return the style of the k-th design of a page: dashed if it closes no loop, thicker where it does."""
-    dashes = "-" if solid else DASHES[1 + k % 5]
-    return line_style(k) | {"linestyle": dashes, **({"linewidth": 2.1, "zorder": 3} if chosen else {"linewidth": 1.2})}
-
-
 def legend_rows(names: Sequence[str], width: float = FULL_WIDTH) -> int:
     """Return how many rows a legend of `names` needs in a figure of `width` inches."""
     size = float(_SETTINGS["legend.fontsize"])
@@ -257,7 +251,7 @@ def gain_limits(axes: Axes, curves: Sequence[FloatArray], low: float | None = No
     axes.set_ylim(10.0 ** decades[0], 10.0 ** max(decades[1], decades[0] + 1.0))
 
 
-def envelope(t: FloatArray, y: FloatArray, buckets: int = 450) -> tuple[FloatArray, FloatArray]:
+def envelope(t: FloatArray, y: FloatArray, buckets: int = 250) -> tuple[FloatArray, FloatArray]:
     """Return a trace thinned to the least and the largest value of each of `buckets` stretches, in their order.
 
     Drawn, it covers the same ink as the whole trace: no peak is lost.
@@ -281,6 +275,7 @@ _LEGEND = re.compile(r' id="legend_\d+"')
 _NAMES = re.compile(r' id="(?!m[0-9a-f]|p[0-9a-f]|h[0-9a-f])[^"]*"')
 _TAG = re.compile(r"<[^>]*>")
 _FRACTION = re.compile(r"(?<=\.\d\d)\d+")
+_USES = re.compile(r'<g>\n((?:<use [^>]*? (style="[^"]*")/>\n)(?:<use [^>]*? \2/>\n)+)</g>')
 _FONT = re.compile(r"font: ((?:bold |700 )?)([0-9.]+)px [^;\"]*")
 
 
@@ -325,6 +320,8 @@ def svg(figure: Figure, description: str) -> str:
     # Hundredths of a point are fine enough; numbers between tags are what the reader reads.
     text = _TAG.sub(lambda found: _COLOUR.sub(_themed, _FRACTION.sub("", found[0])), text)
     text = re.sub(r"\s*\n\s*", "\n", text[text.index("<svg") :])
+    # Markers of one look have it once.
+    text = _USES.sub(lambda found: f"<g {found[2]}>\n{found[1].replace(f' {found[2]}', '')}</g>", text)
     escaped = description.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
     head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escaped}"{_scales(figure)}>'
     return head + text[text.index(">") + 1 :].strip()

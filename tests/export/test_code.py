@@ -19,7 +19,7 @@ from platform_ctrl.analysis.interconnection import BackCalculation, back_calcula
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
 from platform_ctrl.export import write_c
-from platform_ctrl.export.c99.code import Controller, controllers_of
+from platform_ctrl.export.c99.code import WrittenController, controllers_of
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
 
@@ -47,16 +47,16 @@ def libraries(written: dict[str, list[Path]], tmp_path_factory: pytest.TempPathF
     return {number: compiled(files, folder / f"{number}.so") for number, files in written.items()}
 
 
-def machine(library: Path, K: Controller, prefix: str, number: str) -> Machine:
+def machine(library: Path, K: WrittenController, prefix: str, number: str) -> Machine:
     outputs = [*K.outputs, *(f"{name}_commanded" for name in K.outputs)]
     return Machine(library, prefix, K.inputs, outputs, TYPES[number])
 
 
-def anti_windup(one: Controller) -> BackCalculation:
+def anti_windup(one: WrittenController) -> BackCalculation:
     return back_calculation(one.arrays, np.isfinite(one.limits).tolist())
 
 
-def limited_run(one: Controller, readings: FloatArray, windup: bool = True) -> tuple[FloatArray, FloatArray]:
+def limited_run(one: WrittenController, readings: FloatArray, windup: bool = True) -> tuple[FloatArray, FloatArray]:
     """Commands and limited commands of a controller with its anti-windup, in plain matrices."""
     K, E, limits = one.arrays, windup * anti_windup(one).gain, one.limits
     x = np.zeros(len(K.A))
@@ -70,7 +70,7 @@ def limited_run(one: Controller, readings: FloatArray, windup: bool = True) -> t
     return np.array(commands), np.array(given)
 
 
-def noise(scheme: Controller, size: float, samples: int = 600) -> FloatArray:
+def noise(scheme: WrittenController, size: float, samples: int = 600) -> FloatArray:
     """Readings that wander."""
     steps = np.random.default_rng(7).standard_normal((samples, len(scheme.inputs)))
     return size * (steps + np.cumsum(steps, axis=0) / 10.0)
@@ -293,7 +293,7 @@ def test_controllers_of_one_name_do_not_overwrite_each_other(job: Job, tmp_path:
 
 @pytest.mark.parametrize("name", ["gcc", "g++"])
 def test_hostile_names_become_identifiers_and_comments(name: str, job: Job, tmp_path: Path) -> None:
-    """Names of a job that are meant to break out of identifiers and comments; -ffast-math does not compile."""
+    """Identifiers of a job that are meant to break out of identifiers and comments; -ffast-math does not compile."""
     e = classical_entry(job, ("9", "10"))
     wild = ["*/ #error x /*", "int", "NULL", "??/", "limited Q9", "π/2", "9 lives", "while", "x\\"]
     rename = dict(zip([s["outputs"][0] for s in e["sections"][:-2]], wild, strict=False))

@@ -11,8 +11,8 @@ from platform_ctrl.errors import InputError, MechanicsError
 from platform_ctrl.mechanics.rotors import rotor_momenta
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.plant.source import platform_source
-from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation import rollout
+from report_jobs import page_html
 
 X, Y, Z = np.eye(3)
 

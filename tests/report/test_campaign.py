@@ -79,7 +79,7 @@ def page(summary: Summary) -> str:
 
 
 @pytest.fixture(scope="module")
-def with_campaign(result: JobResult, summary: Summary) -> blocks.Document:
+def with_campaign(result: JobResult, summary: Summary) -> blocks.PageContent:
     return job_page.prepared(result, campaign=summary, again=AGAIN)
 
 
@@ -113,7 +113,7 @@ def text_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)).split())
 
 
-def test_the_pages_need_nothing_else_and_are_whole(page: str, with_campaign: blocks.Document) -> None:
+def test_the_pages_need_nothing_else_and_are_whole(page: str, with_campaign: blocks.PageContent) -> None:
     for text in (page, as_html(with_campaign)):
         links = Links()
         links.feed(text)
@@ -203,7 +203,7 @@ def plates(parts: tuple[Any, ...]) -> list[tuple[str, str, str]]:
 
 
 def test_the_campaigns_section_shows_what_the_campaigns_own_page_does(
-    result: JobResult, with_campaign: blocks.Document, summary: Summary
+    result: JobResult, with_campaign: blocks.PageContent, summary: Summary
 ) -> None:
     names = [section.name for section in with_campaign.sections]
     assert names.index("runs") + 1 == names.index("campaign") == len(names) - 2

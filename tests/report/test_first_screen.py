@@ -12,13 +12,13 @@ from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.job.quantities import compared
 from platform_ctrl.report import first_screen, style, tables
-from platform_ctrl.report.blocks import Cell, Columns, Document, Part, Plate, Table
+from platform_ctrl.report.blocks import Cell, Columns, PageContent, Plate, Subsection, Table
 from platform_ctrl.report.figures.nichols import nichols_figure
 from platform_ctrl.report.first_screen import worst_plant
-from platform_ctrl.report.job_page import page_html, prepared
+from platform_ctrl.report.job_page import prepared
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.verdict import JobResult
-from report_jobs import caging, checked, classical, job, turn
+from report_jobs import caging, checked, classical, job, page_html, turn
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def result() -> JobResult:
 
 
 @pytest.fixture(scope="module")
-def document(result: JobResult) -> Document:
+def document(result: JobResult) -> PageContent:
     return prepared(result)
 
 
@@ -52,7 +52,7 @@ def test_every_requirement_has_one_mark_at_its_distance_and_the_missed_ones_are_
     assert all(apart)
 
 
-def test_a_mark_leads_to_the_row_of_its_requirement(result: JobResult, document: Document) -> None:
+def test_a_mark_leads_to_the_row_of_its_requirement(result: JobResult, document: PageContent) -> None:
     page = page_html(document)
     links = re.findall(r'<a href="#(requirement-\d+)" aria-label="([^"]+)"', page)
     assert len(links) == len(result.requirements)
@@ -74,7 +74,7 @@ def test_the_chain_names_the_tightest_requirement_of_each_loop_and_its_plant(res
     assert [column.title for column in table.columns] == ["loop", "limited by", "margin"]
 
 
-def test_the_nichols_plot_is_of_the_plant_with_the_least_disk_margin(result: JobResult, document: Document) -> None:
+def test_the_nichols_plot_is_of_the_plant_with_the_least_disk_margin(result: JobResult, document: PageContent) -> None:
     design = result.loops[0].closed
     k = worst_plant(design)
     assert design.plants is not None
@@ -101,11 +101,11 @@ def cells_of(table: Table) -> list[Cell]:
 
 
 def test_at_most_five_changes_follow_the_first_screen_with_gain_and_conflict(
-    result: JobResult, document: Document
+    result: JobResult, document: PageContent
 ) -> None:
     rows = changes(result)
     assert 1 <= len(rows) <= 5
-    [part] = [one for one in document.sections[0].blocks if isinstance(one, Part)]
+    [part] = [one for one in document.sections[0].blocks if isinstance(one, Subsection)]
     assert part.title == "What to change"
     [table] = [one for one in part.blocks if isinstance(one, Table)]
     [[*shown]] = [group.rows for group in table.groups]

@@ -6,6 +6,8 @@ from typing import Any
 
 import platform_ctrl as pc
 from platform_ctrl.design import loops
+from platform_ctrl.report.blocks import PageContent, html
+from platform_ctrl.report.job_page import prepared
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.verdict import JobResult
 
@@ -38,6 +40,11 @@ def job(**settings: Any) -> dict[str, Any]:
         "sampling": {"rate_hz": 2000, "delay": 0.0005},
         **settings,
     }
+
+
+def page_html(result: JobResult | PageContent) -> str:
+    """The page of a report."""
+    return html(prepared(result))
 
 
 def checked(data: dict[str, Any]) -> JobResult:

@@ -26,7 +26,6 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.scenario import Scenario, TimeTable
 from platform_ctrl.plant.force_elements import Friction
-from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import PreparedBudget, line_of_sight_budget
@@ -37,6 +36,7 @@ from platform_ctrl.verification.budget_result import (
     waterfalls,
 )
 from platform_ctrl.verification.result_file import result_record
+from report_jobs import page_html
 
 PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
 INERTIA, DAMPING, UNBALANCE = 0.01, 0.02, 2e-3

@@ -32,12 +32,12 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_files import write_c
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.report.job_page import page_html
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated import simulated_budget
 from platform_ctrl.verification.verdict import check_job, coupled_proofs
+from report_jobs import page_html
 
 T, SLOW = 1.0 / RATE_HZ, 20
 STEP = [{"reading": "heading", "step": 1e-3, "at": 0.1}]

@@ -19,8 +19,8 @@ from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import flattened
 from platform_ctrl.errors import InputError, UnscalableError
-from platform_ctrl.export.c99.c_text import FILES, Names, field, field_names, rendered
-from platform_ctrl.export.c99.code import Code, Controller, Number, controllers_of, literal, total
+from platform_ctrl.export.c99.c_text import FILES, Identifiers, field, field_names, rendered
+from platform_ctrl.export.c99.code import Code, Number, WrittenController, controllers_of, literal, total
 from platform_ctrl.export.systems import signal_units
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import Job
@@ -89,7 +89,7 @@ def write_c(
     controllers = controllers_of(job, entries)
     named = [name for one in controllers for name in (*one.inputs, *one.outputs)]
     signals = field_names([*named, *drive_inputs(job, named)])
-    prefixes = Names(24, FILES)
+    prefixes = Identifiers(24, FILES)
     units, notes = [], []
     origin = {"Controllers": f"sha256 {sha256}" if sha256 else ""}
     origin |= {"Versions": ", ".join(map(" ".join, (versions or {}).items())), "Made by": command}
@@ -125,7 +125,7 @@ def write_c(
     return Written(files=tuple(write_whole(target / name, text) for name, text in texts.items()), notes=tuple(notes))
 
 
-def _anti_windup(one: Controller) -> tuple[FloatArray, str, str]:
+def _anti_windup(one: WrittenController) -> tuple[FloatArray, str, str]:
     """Return E of a controller, a paragraph for the header about it, and a note on what it leaves, or nothing."""
     limited = np.isfinite(one.limits)
     found = back_calculation(one.arrays, limited.tolist())
@@ -144,7 +144,7 @@ def _anti_windup(one: Controller) -> tuple[FloatArray, str, str]:
     return found.gain, f"{remark}{left}.", f"{one.name}: anti-windup: {left}"
 
 
-def _in_single_precision(one: Controller) -> tuple[str, str]:
+def _in_single_precision(one: WrittenController) -> tuple[str, str]:
     """Return a paragraph for the header about coefficients in single precision, and a note where they change much."""
     change = float_error(one)
     said = f"{one.name}: in single precision the response changes by {change:.2g} of its size"
@@ -156,7 +156,7 @@ def _in_single_precision(one: Controller) -> tuple[str, str]:
     return remark, said if change > _NOTED else ""
 
 
-def float_error(one: Controller) -> float:
+def float_error(one: WrittenController) -> float:
     """Return the largest relative change of a controller's response by coefficients in single precision."""
     K = one.arrays
     largest = max(float(np.abs(item).max(initial=0.0)) for section in one.sections for item in section.block[:4])

@@ -43,7 +43,7 @@ FILES = tuple(_FILES.split())
 _ENDINGS = ("_commanded", "_status")
 
 
-class Names:
+class Identifiers:
     """Unique identifiers for names, at most `longest` characters; the same name gets the same identifier."""
 
     def __init__(self, longest: int = 48, taken: tuple[str, ...] = ()) -> None:
@@ -71,7 +71,7 @@ class Names:
 
 def field_names(signals: Iterable[str]) -> dict[str, str]:
     """Return identifiers for the signals of a job, each a different one."""
-    names = Names(40)
+    names = Identifiers(40)
     return {name: names[f"{name} n" if identifier(name).endswith(_ENDINGS) else name] for name in signals}
 
 

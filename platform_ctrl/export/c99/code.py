@@ -23,7 +23,7 @@ from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.export.c99.c_text import Names, comment, field, joined, rendered
+from platform_ctrl.export.c99.c_text import Identifiers, comment, field, joined, rendered
 from platform_ctrl.job.job import Job
 from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.result_file import SCHEMA, JSONTable
@@ -36,7 +36,7 @@ _SAME = 1e-11
 
 
 @value
-class Controller:
+class WrittenController:
     """A sampled controller u = K y, written out."""
 
     # name, design, method: Of the loop and its design, as in the job file; design and method may be empty
@@ -57,7 +57,9 @@ class Controller:
         return tuple(name for section in self.sections for name in section.states)
 
 
-def controllers_of(job: Job, entries: Sequence[Mapping[str, Any] | control.StateSpace]) -> tuple[Controller, ...]:
+def controllers_of(
+    job: Job, entries: Sequence[Mapping[str, Any] | control.StateSpace]
+) -> tuple[WrittenController, ...]:
     """Return the controllers of a job, checked against it, in order of evaluation.
 
     Each entry is one of ``controllers`` in ``result.json``, or a `control.StateSpace` with ``dt`` and signal names.
@@ -73,7 +75,7 @@ def controllers_of(job: Job, entries: Sequence[Mapping[str, Any] | control.State
         inputs, outputs = tuple(map(str, K.input_labels)), tuple(map(str, K.output_labels))
         sections, note = _sections(record, arrays, inputs, outputs)
         out.append(
-            Controller(
+            WrittenController(
                 name=str(record["name"]),
                 design=_text(record, "design"),
                 method=_text(record, "method"),
@@ -161,7 +163,7 @@ def total(weights: Iterable[float], operands: Sequence[str], number: Number) -> 
 class Code:
     """The two files of a controller."""
 
-    controller: Controller
+    controller: WrittenController
     excess: FloatArray  # (states, outputs): E of the anti-windup
     number: Number  # Type of all numbers
     prefix: str  # First part of all external names; the names of the files
@@ -182,7 +184,7 @@ class Code:
     @cached_property
     def fields(self) -> dict[str, str]:
         """Identifiers of the states by their names."""
-        names = Names(40, ("last",))
+        names = Identifiers(40, ("last",))
         return {name: names[name] for name in self.controller.states}
 
     def input_field(self, name: str) -> str:
@@ -254,12 +256,12 @@ class Code:
         )
 
     @cached_property
-    def step(self) -> Step:
+    def step(self) -> StepCode:
         """The statements of a step, and expressions of its results."""
-        return Step(self)
+        return StepCode(self)
 
 
-class Step:
+class StepCode:
     """The statements of a step by paragraphs, and what the template of the source needs beside them."""
 
     def __init__(self, unit: Code) -> None:
@@ -267,7 +269,7 @@ class Step:
         self._unit, self._kind = unit, unit.number
         ends = ("", "_step", "_reset", "_in", "_out", "_state", "_usable", "_limited")
         # Locals differ from functions and types; fields are read through a pointer.
-        self._names = Names(56, tuple(f"{unit.prefix}{end}" for end in ends))
+        self._names = Identifiers(56, tuple(f"{unit.prefix}{end}" for end in ends))
         self._reads = {name: f"in->{unit.signals[name]}" for name in K.inputs}
         self._states = {name: f"state->{field}" for name, field in unit.fields.items()}
         self.readings = self._tests(self._reads.values())
@@ -330,7 +332,7 @@ class Step:
             yield f"{number}. {section.name}: next states", lines
 
 
-def _needed(K: Controller) -> set[str]:
+def _needed(K: WrittenController) -> set[str]:
     """Return all signals that outputs and states depend on; no others are computed."""
     out = set(K.outputs)
     for section in reversed(K.sections):

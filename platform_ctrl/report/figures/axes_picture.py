@@ -17,6 +17,7 @@ from platform_ctrl.plant.drawing import camera, signs, spin_direction
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.report.figures.axes_view import (
     SIGNS,
+    Sketch,
     arrow_head,
     attribute,
     axes_view,
@@ -35,11 +36,6 @@ _MARGIN, _HEAD, _FOOT = 24.0, 58.0, 124.0
 _BESIDE, _ABOVE, _LEAST_WIDTH = 500.0, 640.0, 430.0  # the view's height beside or above the scheme, its width
 
 _TEMPLATES = resources.files("platform_ctrl.report") / "templates"
-
-
-def style_rules() -> str:
-    """Return the style rules of the picture, without the colours."""
-    return _TEMPLATES.joinpath("axes.css").read_text(encoding="utf-8").strip()
 
 
 def axes_picture(platform: Platform, alone: bool = True) -> str:
@@ -80,7 +76,7 @@ def axes_picture(platform: Platform, alone: bool = True) -> str:
         at = 0.5 * (width - scheme.width), _HEAD + view.height + _MARGIN
     height = bottom + _FOOT
     size = f"{number(width)} {number(height)}"
-    rules = style_rules()
+    rules = _TEMPLATES.joinpath("axes.css").read_text(encoding="utf-8").strip()
     dark = f"@media (prefers-color-scheme:dark){{svg:root{{{_variables('dark', rules)}}}}}\n"
     colours = f"svg:root{{{_variables('light', rules)}}}\n{dark}" if alone else ""
     space = 'xmlns="http://www.w3.org/2000/svg" ' if alone else ""
@@ -170,14 +166,6 @@ _BOX = 25.0  # height of a node
 _STUB = 15.0  # from a node to where its edges part
 
 
-class Scheme(NamedTuple):
-    """The drawn scheme and its size, pixels."""
-
-    svg: str
-    width: float
-    height: float
-
-
 class _Node(NamedTuple):
     name: str
     kind: str  # root, gimbal, rotor
@@ -187,7 +175,7 @@ class _Node(NamedTuple):
     carries: list[_Node]
 
 
-def structure_scheme(platform: Platform) -> Scheme:
+def structure_scheme(platform: Platform) -> Sketch:
     """Return the tree of `platform`, its upper left corner at the origin."""
     root = _Node(platform.root_name, "root", ("", ""), "", (), _carried(platform, platform.root_name))
     levels: list[list[_Node]] = [[root]]
@@ -201,7 +189,7 @@ def structure_scheme(platform: Platform) -> Scheme:
     leaves = sum(not node.carries for level in levels for node in level)
     pitch = _PITCH if leaves <= 10 else _TIGHT
     _drawn(root, 0, 0, starts, pitch, out)
-    return Scheme("\n".join(out), ends[-1], pitch * leaves)
+    return Sketch("\n".join(out), ends[-1], pitch * leaves)
 
 
 def _carried(platform: Platform, name: str) -> list[_Node]:

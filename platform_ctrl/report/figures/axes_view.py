@@ -125,14 +125,15 @@ class _Looks(NamedTuple):
     level: dict[str, str]
 
 
-class View(NamedTuple):
-    """The drawn view and its height, pixels."""
+class Sketch(NamedTuple):
+    """A part of the picture and its size, pixels."""
 
     svg: str
+    width: float
     height: float
 
 
-def axes_view(platform: Platform, rows: FloatArray, width: float, height: float) -> View:
+def axes_view(platform: Platform, rows: FloatArray, width: float, height: float) -> Sketch:
     """Return the bodies of `platform` within `width` and about `height` pixels: lower, or higher for many bodies.
 
     What the root carries is a group each; arrows are groups with the body's name in ``data-body``.
@@ -140,7 +141,7 @@ def axes_view(platform: Platform, rows: FloatArray, width: float, height: float)
     groups = bodies(platform, rows[2])
     if not groups:
         text = words("nothing turns: the root alone", (0.5 * width, 60.0), "muted", "middle")
-        return View(text, 120.0)
+        return Sketch(text, width, 120.0)
     boxes = [_box(group, rows) for group in groups]
     sizes = np.array([high - low for low, high in boxes])
     # Room for labels of one or two lines above and below.
@@ -157,7 +158,7 @@ def axes_view(platform: Platform, rows: FloatArray, width: float, height: float)
     labels = [label for body in drawn for label in body.labels(platform)]
     obstacles = np.concatenate([body.ink for body in drawn])
     pieces += _placed(labels, obstacles, np.array([width, height]))
-    return View("\n".join(pieces), height)
+    return Sketch("\n".join(pieces), width, height)
 
 
 def triad(platform: Platform, rows: FloatArray, middle: FloatArray, length: float) -> str:

@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.campaign.engine import CampaignResult
 from platform_ctrl.campaign.statistics import CampaignStatistics, Limits, RequirementStatistics, statistics
 from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
@@ -52,7 +51,7 @@ _CELL = 1.75
 
 @standalone
 def campaign_histograms(
-    campaign: CampaignStatistics | Summary | CampaignResult | Table,
+    campaign: CampaignStatistics | Summary | Table,
     limits: Limits | None = None,
     *,
     figure: str | None = None,
@@ -63,7 +62,7 @@ def campaign_histograms(
     ----------
     campaign
         What `campaign.statistics` or `campaign.summarise` returned, the folder that ``platform-ctrl campaign`` wrote,
-        its table (Parquet, or a dict of columns), or what `run_campaign` returned.
+        or its table: Parquet, or a dict of columns.
     limits
         Upper limits of each manoeuvre, {manoeuvre: {figure: limit}}, in SI units; needed for a table,
         and for a folder without statistics.
@@ -101,8 +100,6 @@ def _statistics(campaign: object, limits: Limits | None) -> CampaignStatistics:
         if limits is not None:
             raise ArgumentError("campaign_histograms: statistics have their own limits; leave limits out")
         return campaign.statistics if isinstance(campaign, Summary) else campaign
-    if isinstance(campaign, CampaignResult):
-        return statistics(campaign.table, _limits(campaign.record, limits))
     if isinstance(campaign, str | os.PathLike):
         folder = Path(campaign)
         if not folder.exists():

@@ -10,15 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.curves import Curve, Curves, loop_phase, upper_half_plane
+from platform_ctrl.analysis.curves import Curve, Curves, Level, loop_phase, upper_half_plane
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.analysis.system import ComplexArray, System
-from platform_ctrl.common.arguments import positive
-from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign, sampled_plant
 from platform_ctrl.job.job import LoopSpec
@@ -43,9 +41,7 @@ from platform_ctrl.report.style import (
     MUTED,
     REFERENCE,
     SERIES,
-    frequency_axes,
     legend,
-    line_style,
     linear_axis,
     panels,
 )
@@ -54,6 +50,8 @@ from platform_ctrl.verification.verdict import JobResult
 
 # Range of the root locus, factors on the loop gain; and of the rotors' speed in the Campbell diagram.
 _GAINS, _SPINS = (0.0, 2.0), (0.0, 1.5)
+# Cells of a panel with poles, one of which is drawn in each.
+_CELLS = 400.0
 # Labels on two lines that are closer than this share of the axis would overlap.
 _APART = 0.05
 
@@ -95,23 +93,22 @@ def pole_figure(loop: ShownLoop) -> Figure:
     """Closed-loop poles of the nominal plant (strong), of uncertain plants (faint) and with faults (crosses)."""
     names = [one.label for one in loop.designs]
     figure, [row] = panels(1, 2, 2.7, names)
-    handles: list[Any] = []
-    for axes in row:
-        drawn: list[Any] = []
-        for one in loop.designs:
-            varied, faults, own = (upper_half_plane(s) for s in (one.varied_poles, one.fault_poles, one.poles))
-            k = one.series % len(SERIES)
-            style: dict[str, Any] = {"color": SERIES[k], "linestyle": "none", "marker": MARKERS[k]}
-            axes.plot(varied.real, varied.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
-            crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
-            axes.plot(faults.real, faults.imag, **style | crossed)
-            strong = {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3}
-            drawn += axes.plot(own.real, own.imag, **style | strong)
-        handles = handles or drawn
     nyquist, extent = np.pi / loop.plants.period, 1.7 * loop.plants.nutation
     views = ((-1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist), (-1.2 * extent, 0.18 * extent, extent))
     titles = ("all poles up to the Nyquist frequency", "closer to the origin")
+    handles: list[Any] = []
     for k, (axes, (left, right, top), title) in enumerate(zip(row, views, titles, strict=True)):
+        drawn: list[Any] = []
+        for one in loop.designs:
+            place = one.series % len(SERIES)
+            style: dict[str, Any] = {"color": SERIES[place], "linestyle": "none", "marker": MARKERS[place]}
+            faint = {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0}
+            crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
+            strong = {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3}
+            for s, look in ((one.varied_poles, faint), (one.fault_poles, crossed), (one.poles, strong)):
+                shown = apart(upper_half_plane(s), left, right, top)
+                drawn += axes.plot(shown.real, shown.imag, **style | look)[: look is strong]
+        handles = handles or drawn
         damping_lines(axes, loop.spec, top, named=k == 1)
         fastest_pole_line(axes, loop.spec, loop.plants.period)
         half_plane_axes(axes, left, right, 0.0, top)
@@ -119,6 +116,13 @@ def pole_figure(loop: ShownLoop) -> Figure:
         axes.set_title(title)
     legend(figure, handles, names)
     return figure
+
+
+def apart(s: ComplexArray, left: float, right: float, top: float) -> ComplexArray:
+    """Return the poles that a view shows, one of those that would cover each other."""
+    s = s[(s.real > left) & (s.real < right) & (s.imag < top)]
+    cells = np.round(_CELLS * np.column_stack([s.real / (right - left), s.imag / top]))
+    return np.asarray(s[np.unique(cells, axis=0, return_index=True)[1]])
 
 
 def root_locus_plot(design: LoopDesign, spec: LoopSpec) -> Any:
@@ -224,36 +228,17 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
     return figure
 
 
-def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figure:
+def simultaneous_margin(check: CoupledCheck, limit: float | None) -> list[list[Curves]]:
     """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded."""
-    labels = ["guaranteed", "some perturbation of this size destabilises"]
-    labels += [] if limit is None else [f"limit {limit:g}"]
-    figure, [[axes]] = panels(1, 1, 1.95, labels, titles=False)
     margin = check.simultaneous
-    kept = margin.frequencies > 0.0
-    f = margin.frequencies[kept] * HZ
-    lower, upper = margin.lower_response[kept], margin.upper_response[kept]
-    handles = axes.plot(f, lower, **line_style(0))
-    handles += axes.plot(f, upper, **line_style(1))
     # Slower than a hundred-thousandth of the fastest nothing happens that the picture would show.
-    frequency_axes(axes, max(f[0], 1e-5 * f[-1]), f[-1])
-    floor = min(margin.lower, np.inf if limit is None else positive("limit", limit))
-    axes.set_ylim(10.0 ** np.floor(np.log10(0.7 * floor)) if floor < 0.15 else 0.1, 10.0)
-    if limit is not None:
-        handles.append(axes.axhline(limit, color=LIMIT, linestyle=(0, (5, 2)), linewidth=0.9))
-    axes.plot([margin.frequency * HZ], [margin.lower], "o", color=SERIES[0], markersize=5)
-    crossed = limit is not None and 0.5 < limit / margin.lower < 1.0
-    axes.annotate(
-        f"{at_least(margin.lower, 3)} at {margin.frequency * HZ:.3g} Hz",
-        (margin.frequency * HZ, margin.lower),
-        (0, 6 if crossed else -11),
-        textcoords="offset points",
-        ha="center",
-        fontsize=7.5,
-    )
-    axes.set_ylabel("disk margin")
-    legend(figure, handles, labels)
-    return figure
+    kept = margin.frequencies > 1e-5 * margin.frequencies[-1]
+    f = margin.frequencies[kept] * HZ
+    bounds = {"guaranteed": margin.lower_response, "some perturbation of this size destabilises": margin.upper_response}
+    curves = [Curve(x=f, y=y[kept], name=name, series=k) for k, (name, y) in enumerate(bounds.items())]
+    least = Curve(x=np.array([margin.frequency * HZ]), y=np.array([margin.lower]), form="mark")
+    levels = () if limit is None else (Level(y=limit, text=f"limit {limit:g}"),)
+    return [[Curves(curves=(*curves, least), quantity="disk margin", high=10.0, levels=levels)]]
 
 
 def _checked(result: JobResult) -> CoupledCheck:

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.curves import Locus, View, traced_locus, upper_half_plane
+from platform_ctrl.analysis.curves import PlaneView, RootLocus, traced_locus, upper_half_plane
 from platform_ctrl.analysis.feedback import loop_transfer
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
 from platform_ctrl.analysis.response import NamedSystem, linear_arrays
@@ -152,7 +152,7 @@ def round_steps(top: float) -> FloatArray:
     return steps[(steps > 0.0) & (steps <= top * (1.0 + 1e-9))]
 
 
-def s_plane(axes: Axes, view: View) -> LabelPlacer:
+def s_plane(axes: Axes, view: PlaneView) -> LabelPlacer:
     """Make `axes` the upper half of the s-plane, with damping rays and frequency arcs.
 
     Both axes have the same scale, so that a ray's direction is the damping ratio; unless all poles lie close to the
@@ -189,7 +189,7 @@ def s_plane(axes: Axes, view: View) -> LabelPlacer:
     return places
 
 
-def _drawn(locus: Locus, word: str, quantity: str) -> control.ControlPlot:
+def _drawn(locus: RootLocus, word: str, quantity: str) -> control.ControlPlot:
     low, high = float(locus.values[0]), float(locus.values[-1])
     points, nominal = locus.s, continuous_poles(locus.nominal, locus.dt)
     at_start = f"{word} {number(low, 3)}" + (": plant and controller" if low == 0.0 and word == "gain" else "")
@@ -230,7 +230,7 @@ def _branches(axes: Axes, points: ComplexArray) -> list[Line2D]:
     return lines
 
 
-def _edges(axes: Axes, places: LabelPlacer, locus: Locus, word: str) -> list[Line2D]:
+def _edges(axes: Axes, places: LabelPlacer, locus: RootLocus, word: str) -> list[Line2D]:
     """Mark the poles on the boundary where stability begins or ends, each with its number; return one of the marks."""
     drawn: list[Line2D] = []
     for edge in locus.edges:
@@ -243,7 +243,7 @@ def _edges(axes: Axes, places: LabelPlacer, locus: Locus, word: str) -> list[Lin
     return drawn
 
 
-def _dots(axes: Axes, places: LabelPlacer, locus: Locus, points: ComplexArray) -> list[tuple[str, complex]]:
+def _dots(axes: Axes, places: LabelPlacer, locus: RootLocus, points: ComplexArray) -> list[tuple[str, complex]]:
     """Put dots at round numbers on every branch; return the numbers with their places, the least damped first."""
     chosen = [
         x for x in _round_numbers(float(locus.values[0]), float(locus.values[-1])) if x not in (locus.values[0], 1)
@@ -272,7 +272,7 @@ def _round_numbers(low: float, high: float) -> FloatArray:
     return np.asarray(numbers[(numbers >= low * (1.0 - 1e-12)) & (numbers <= high * (1.0 + 1e-12))])
 
 
-def _stable_words(locus: Locus, word: str) -> str:
+def _stable_words(locus: RootLocus, word: str) -> str:
     low, high = float(locus.values[0]), float(locus.values[-1])
     span = f"{number(low, 3)} to {number(high, 3)}"
     ranges = locus.stable_ranges
@@ -291,7 +291,7 @@ def _stable_words(locus: Locus, word: str) -> str:
     return f"{word} {span}: stable {listed(words)}"
 
 
-def gain_locus(plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | None) -> Locus:
+def gain_locus(plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | None) -> RootLocus:
     """Return the poles of the closed loop while all of the controller is multiplied by one factor."""
     factors = increasing("gains", gains, np.linspace(0.0, 2.5, 101))
     L = System.of(loop_transfer(plant, controller), "root_locus")

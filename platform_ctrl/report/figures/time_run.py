@@ -18,7 +18,7 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.drawing import root_series, signal_series
-from platform_ctrl.plant.platform import ROOT_TORQUE_NAMES, Platform, Torquer
+from platform_ctrl.plant.platform import Platform, Torquer
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.report.style import (
     BEYOND,
@@ -47,9 +47,7 @@ _TINY = 1e-5
 
 
 @standalone
-def time_run(
-    run: Run | Trajectory, platform: Platform | None = None, *, limits: Mapping[str, float] | None = None
-) -> Figure:
+def time_run(run: Run | Trajectory, platform: Platform, *, limits: Mapping[str, float] | None = None) -> Figure:
     """Gimbal angles, torques, platform rate and attitude of a simulated run over time, beyond their limits shaded.
 
     A run that diverged is drawn up to a red line at its end. A limit far beyond the signals is written in the panel's
@@ -60,7 +58,7 @@ def time_run(
     run
         A manoeuvre that was checked (`verification.Run`, with its limits), or a `simulation.Trajectory`.
     platform
-        The plant that was run: with the torquers' limits. None: they are not drawn.
+        The plant that was run, with the torquers' limits.
     limits
         By the names of `platform_ctrl.analysis.metrics.RUN_METRICS`, SI units; default those of the manoeuvre, none of
         a trajectory. ``angle``, ``attitude`` and ``torque_share`` are drawn.
@@ -83,39 +81,17 @@ def time_run(
     for name in limits:
         known_name("time_run: limits", name, tuple(RUN_METRICS))
     allowed = {name: positive(f"time_run: limits: {name}", limit) for name, limit in limits.items()}
-    names = recorded.torquer_names
-    if platform is None:
-        torquers = [Torquer(name=name, **_place(name)) for name in names]
-        series = _series(recorded)
-    else:
-        torquers = list(platform.torquers)
-        series = signal_series(platform)
-        own = tuple(torquer.name for torquer in torquers)
-        if own != names or platform.angle_names != recorded.angle_names:
-            raise ArgumentError(
-                f"time_run: platform must be the one that was run, with torquers {', '.join(names)}; "
-                f"{platform.name!r} has {', '.join(own)}"
-            )
+    torquers = list(instance("time_run: platform", platform, Platform).torquers)
+    names, own = recorded.torquer_names, tuple(torquer.name for torquer in torquers)
+    if own != names or platform.angle_names != recorded.angle_names:
+        raise ArgumentError(
+            f"time_run: platform must be the one that was run, with torquers {', '.join(names)}; "
+            f"{platform.name!r} has {', '.join(own)}"
+        )
     duration = run.manoeuvre.duration if isinstance(run, Run) else math.nan
     if not duration > 0.0:
         duration = float(recorded.t[-1]) if recorded.t.size > 1 else recorded.period
-    unlimited = "no torquer has a limit" if platform is not None else "give the platform to see the torquers' limits"
-    return _drawn(recorded, torquers, series, allowed, duration, unlimited)
-
-
-def _series(run: Trajectory) -> Mapping[str, int]:
-    """Return the colours of a run's signals where the platform is not known: torquers in the order of the gimbals."""
-    out = {name: k for k, name in enumerate(run.angle_names)}
-    gimbals = [name for name in run.torquer_names if name not in ROOT_TORQUE_NAMES]
-    roots = {name: root_series(axis) for axis, name in enumerate(ROOT_TORQUE_NAMES, 1)}
-    return out | roots | {name: k for k, name in enumerate(gimbals)}
-
-
-def _place(name: str) -> dict[str, Any]:
-    """Return where a torquer acts, by its name: M1, M2, M3 on the root."""
-    if name in ROOT_TORQUE_NAMES:
-        return {"root_axis": 1 + ROOT_TORQUE_NAMES.index(name)}
-    return {"gimbal": name}
+    return _drawn(recorded, torquers, signal_series(platform), allowed, duration)
 
 
 def _drawn(
@@ -124,9 +100,8 @@ def _drawn(
     series: Mapping[str, int],
     limits: Mapping[str, float],
     duration: float,
-    unlimited: str,
 ) -> Figure:
-    """Draw a run with the colour of each signal, `series`; `unlimited` is shown if no torquer has a limit."""
+    """Draw a run with the colour of each signal, `series`."""
     free = t.mode == "stabilised"
     sight = t.line_of_sight.shape[1] > 0
     figure, rows = panels(2 + sight + bool(t.commanded_names), 3 if free else 2, 1.7)
@@ -144,7 +119,7 @@ def _drawn(
     factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(t.Omega), initial=0.0) < 0.5 else (1.0, "rad/s")
     title = "platform rate" if free else "platform rate, prescribed"
     _traces(rate, t.t, factor * t.Omega, _of_axes("Ω"), None, title, unit)
-    _shares(rows[1][-1], t, torquers, gimbals + roots if free else gimbals, limits.get("torque_share"), unlimited)
+    _shares(rows[1][-1], t, torquers, gimbals + roots if free else gimbals, limits.get("torque_share"))
     over_time = [axes for axes in rows[:2].flat if axes is not rows[1][-1]]
     if sight:
         over_time += _line_of_sight(rows[2], t)
@@ -259,16 +234,15 @@ def _torques(
     _traces(axes, t.t, factor * t.torque[:, columns], names, None if common is None else factor * common, title, unit)
 
 
-def _shares(
-    axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: list[int], limit: float | None, unlimited: str
-) -> None:
+def _shares(axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: list[int], limit: float | None) -> None:
     """Bars of the largest commanded torque of every torquer over its own limit."""
     allowed = limit if limit is not None else 1.0
     chosen = [k for k in columns if torquers[k].limit is not None]
     axes.set_title("largest command over its limit")
     if not chosen or not t.t.size:
         axes.set_axis_off()
-        _note(axes, unlimited)
+        look: dict[str, Any] = {"textcoords": "offset points", "color": MUTED, "fontsize": 7}
+        axes.annotate("no torquer has a limit", (0.0, 0.0), (4, 4), xycoords="axes fraction", **look)
         return
     peaks = np.nanmax(np.abs(t.command[:, chosen]), axis=0, initial=0.0)
     share = peaks / np.array([torquers[k].limit for k in chosen], dtype=np.float64)
@@ -301,12 +275,6 @@ def _shares(
     axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
     linear_axis(axes.xaxis, 6)
     axes.set_xlabel("share of the limit, 1")
-
-
-def _note(axes: Axes, text: str) -> None:
-    axes.annotate(
-        text, (0.0, 0.0), (4, 4), xycoords="axes fraction", textcoords="offset points", color=MUTED, fontsize=7
-    )
 
 
 def _of_axes(symbol: str) -> dict[str, int]:
