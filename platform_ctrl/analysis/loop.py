@@ -9,7 +9,7 @@ have inputs for commands, behind those for what is measured: "command" enters th
 them as noise.
 
 The largest gain over frequency is taken on the set's grid and at the closed-loop poles that are narrower than the
-grid's spacing (`Loop.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`norms.peak`).
+grid's spacing (`Loop.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`Loop.peak`).
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ Indices = NDArray[np.intp]
 class Loop:
     """A controller closed around every plant of a set, each part computed when it is first needed.
 
-    `controller` is u = K y, or u = K y + H r with twice as many inputs: see `analysis.following`.
+    `controller` is u = K y, or u = K y + H r with twice as many inputs: see `Loop.following`.
     """
 
     def __init__(self, plants: PlantSet, controller: System) -> None:

@@ -1,4 +1,4 @@
-"""State-space arrays: in and out of `control.StateSpace`, and the scaling that every computation starts with."""
+"""`System`, the one carrier of A, B, C, D: in and out of `control.StateSpace`, in series, in feedback, balanced."""
 
 from __future__ import annotations
 
