@@ -89,12 +89,7 @@ def assembled(
     root = np.sqrt(np.maximum(variance, 0.0))
     whole = np.sqrt(np.maximum(total, 0.0))
     windows = tuple(
-        Window(
-            exposure=one,
-            displacement=whole[3 * k + 1],
-            smear=whole[3 * k + 2],
-            jitter=whole[3 * k + 3],
-        )
+        Window(exposure=one, displacement=whole[3 * k + 1], smear=whole[3 * k + 2], jitter=whole[3 * k + 3])
         for k, one in enumerate(exposures)
     )
     edges, cumulative, together = _cumulated(plant, found, lines, names, order)
