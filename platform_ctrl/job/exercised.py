@@ -7,10 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre
 from platform_ctrl.job.requirements import limit_keys
+from platform_ctrl.job.scenario import TimeTable
 from platform_ctrl.plant.fields import ROUNDING
 from platform_ctrl.plant.mistakes import Mistake, Path
+from platform_ctrl.plant.platform import OMEGA_NAMES
 
 # Samples behind `settle` at least.
 _FEWEST_SAMPLES = 20
@@ -133,28 +136,94 @@ def _turns(manoeuvre: Manoeuvre) -> bool:
     """Return whether the platform of a caged manoeuvre turns before its end."""
     shaken = "rate" in {*(one.kind for one in manoeuvre.vibrations), *(one.kind for one in manoeuvre.sines)}
     table = manoeuvre.Omega_table
+    return abs(manoeuvre.rate) > _NOTHING or shaken or (table is not None and _acts(table, manoeuvre.duration))
+
+
+def _acts(table: TimeTable, duration: float, least: float = 0.0) -> bool:
+    """Return whether a table is not zero all the time until the end of a run, or but for less than `least` s."""
+    knots = np.unique(np.concatenate([[0.0], np.clip(table.t, 0.0, duration), [duration * (1.0 - ROUNDING)]]))
+    large = np.abs(table.at(knots)).max(axis=1) > _NOTHING
+    return bool(np.sum(np.diff(knots)[large[1:] | large[:-1]]) > least)
+
+
+def _after_the_end(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
+    """Walk what would happen after the end of a run, or does nothing before it."""
+    duration, sample = manoeuvre.duration, job.sampling.period * (1.0 - ROUNDING)
+    end = f"before the run ends, at {duration:.6g} s"
+    shaken: tuple[tuple[float, str, int | None], ...] = (
+        *((one.amplitude, "sine", k) for k, one in enumerate(manoeuvre.sines)),
+    )
+    shaken += (*((one.amplitudes[1].max(), "vibration", k) for k, one in enumerate(manoeuvre.vibrations)),)
+    shaken += ((manoeuvre.rate or 1.0, "rate", None), (manoeuvre.torque or 1.0, "torque", None))
+    for size, key, place in shaken:
+        if abs(size) <= _NOTHING:
+            where = (*path, key) if place is None else (*path, key, place)
+            yield Mistake(where, f"{key}: {size:.3g} is next to nothing; give a larger one, or leave it out")
+    for key, table, columns in (
+        ("Omega_table", manoeuvre.Omega_table, OMEGA_NAMES),
+        ("torque_table", manoeuvre.torque_table, ("M1", "M2", "M3")),
+    ):
+        if table is not None and not _acts(table, duration, sample):
+            words = f"{key}: {', '.join(columns)} stay zero {end}"
+            yield Mistake((*path, key), f"{words}; give times in s within the run, or a longer duration")
+    for k, command in enumerate(manoeuvre.commands):
+        later = command.at < duration - sample and (abs(command.step) > _NOTHING or abs(command.ramp) > _NOTHING)
+        moved = later or abs(command.amplitude) > _NOTHING
+        if not (moved or command.t):
+            words = f"command of {command.reading} stays zero {end}; give a larger or an earlier one, or leave it out"
+            yield Mistake((*path, "command", k), words)
+        if command.t:
+            values = np.array([command.value, command.value, command.value]).T
+            table = TimeTable(t=np.array(command.t), values=values, smooth=command.smooth)
+            if not (moved or _acts(table, duration, sample)):
+                words = f"value stays zero {end}; give times in s within the run, or a longer duration"
+                yield Mistake((*path, "command", k, "value"), words)
+    events = {one.name: one for one in job.fault_events}
+    for name in manoeuvre.faults:
+        if name not in events:
+            continue
+        event, last = events[name], min(events[name].until, duration)
+        if event.at >= duration - sample:
+            words = f"faults: {name!r} happens at {event.at:.6g} s, and not {end}"
+            yield Mistake((*path, "faults"), f"{words}; choose an earlier time, or a longer duration")
+        elif event.until - event.at < sample:
+            words = f"faults: {name!r} lasts {event.until - event.at:.3g} s, less than a sample"
+            yield Mistake((*path, "faults"), f"{words}; choose a later until, or leave it out")
+        elif _harmless(event, last - event.at, job.sampling.period):
+            words = f"faults: {name!r} changes nothing with its numbers"
+            yield Mistake((*path, "faults"), f"{words}; give others, or leave it out")
+
+
+def _harmless(fault: Fault, lasting: float, period: float) -> bool:
+    """Return whether a fault that lasts so long, s, changes next to nothing."""
+    keys = FAULT_KINDS[fault.kind].keys
     return (
-        abs(manoeuvre.rate) > _NOTHING
-        or shaken
-        or (table is not None and bool(np.any(np.abs(table.values) > _NOTHING)))
+        ("share" in keys and abs(fault.share - 1.0) <= _NOTHING)
+        or ("amplitude" in keys and fault.amplitude <= _NOTHING)
+        or ("rate" in keys and abs(fault.rate) * lasting <= _NOTHING)
+        or ("impulse" in keys and abs(fault.impulse) <= _NOTHING)
+        or ("probability" in keys and fault.probability * lasting < period)
     )
 
 
 def _window(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
-    """Walk means over too short a time."""
-    left = manoeuvre.duration - manoeuvre.settle
-    averaged = set(manoeuvre.limits) & {*_MEANS, "angle_following_error", "rate_following_error"}
-    if averaged and left < _FEWEST_SAMPLES * job.sampling.period * (1.0 - ROUNDING):
+    """Walk means over too short a time, and sines that samples see at one phase alone."""
+    if not set(manoeuvre.limits) & {*_MEANS, "angle_following_error", "rate_following_error"}:
+        return
+    rate, left = 1.0 / job.sampling.period, manoeuvre.duration - manoeuvre.settle
+    if left * rate < _FEWEST_SAMPLES * (1.0 - ROUNDING):
         words = f"settle leaves {max(left, 0.0):.3g} s of the run, less than {_FEWEST_SAMPLES} samples"
         yield Mistake((*path, "settle"), f"{words}; choose an earlier time, or a longer duration")
-
-
-def _after_the_end(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
-    """Walk faults that would happen after the end of a run."""
-    for event in job.fault_events:
-        if event.name in manoeuvre.faults and event.at >= manoeuvre.duration - job.sampling.period * (1.0 - ROUNDING):
-            words = f"faults: {event.name!r} happens at {event.at:.6g} s, and not before the run ends, at"
-            yield Mistake(
-                (*path, "faults"),
-                f"{words} {manoeuvre.duration:.6g} s; choose an earlier time, or a longer duration",
-            )
+        return
+    for k, sine in enumerate(manoeuvre.sines):
+        f, own = sine.frequency_hz, (*path, "sine", k, "frequency_hz")
+        half = round(2.0 * f / rate)
+        beat = abs(f - 0.5 * rate * half)
+        if beat * left >= 1.0 - ROUNDING:
+            continue
+        if half:
+            words = f"frequency_hz = {f:g}: samples at {rate:g} Hz see it at one and the same phase"
+            yield Mistake(own, f"{words}, so that the run does not show it; choose another frequency")
+        else:
+            words = f"frequency_hz = {f:g}: behind settle there are {left:.3g} s, less than a period of it"
+            yield Mistake(own, f"{words}; choose a longer duration")
