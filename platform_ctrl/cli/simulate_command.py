@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     import control
 
     from platform_ctrl.campaign.planning import Plan
-    from platform_ctrl.job.job import Job, Manoeuvre
+    from platform_ctrl.job.job import Job
+    from platform_ctrl.job.manoeuvre import Manoeuvre
     from platform_ctrl.verification.simulated import Run
 
 TABLE = "campaign.parquet"

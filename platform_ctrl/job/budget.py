@@ -18,7 +18,19 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.spectra import SPECTRA, Lines, LogSpectrum, SourceSpectrum
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, given, missing, of_length, useless, wrong
+from platform_ctrl.plant.mistakes import (
+    Misfit,
+    Mistake,
+    Path,
+    given,
+    missing,
+    of_length,
+    unknown,
+    useless,
+    within,
+    wrong,
+)
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.tables import TABLE, Array, OneOf, record_value
 
 MOST_SOURCES = 100
@@ -326,3 +338,33 @@ def value_mistakes(budget: BudgetSpec) -> Iterator[Mistake]:
     if smallest < -1e-9:
         words = "no signals have these coherences together: their matrix has the negative eigenvalue"
         yield Mistake(("budget", "correlation"), f"correlation: {words} {smallest:.4g}; lower a coherence")
+
+
+def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
+    """Walk what does not fit together in a budget, and with the plant."""
+    if platform.line_of_sight is None:
+        words = "the plant has no line of sight to be limited; state its body and direction in [line_of_sight]"
+        if any(getattr(budget.limits, name) is not None for name in budget.limits.__dataclass_fields__):
+            yield "limits", f"limits: {words}"
+        limited = [k for k, source in enumerate(budget.sources) if source.limit is not None]
+        yield from ((("source", k, "limit"), f"limit: {words}") for k in limited)
+    for k, source in enumerate(budget.sources):
+        if source.gimbal is not None and source.gimbal not in platform.gimbal_names:
+            misfit = unknown("gimbal", source.gimbal, "gimbal of the plant", platform.gimbal_names)
+            yield from within(("source", k), [misfit])
+        if source.kind == "specific-force" and not platform.unbalances:
+            words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]]"
+            yield ("source", k, "kind"), f"kind: {words} to it"
+    names = [source.name for source in budget.sources]
+    taken: dict[frozenset[str], int] = {}
+    for k, one in enumerate(budget.correlations):
+        pair = frozenset(one.between)
+        strange = [name for name in one.between if name not in names]
+        if len(one.between) != 2 or len(pair) != 2:
+            yield from within(("correlation", k), [wrong(one, "between", "the names of two sources")])
+        elif strange:
+            misfit = unknown("between", strange[0], "[[budget.source]] of the job", names)
+            yield from within(("correlation", k), [misfit])
+        elif taken.setdefault(pair, k) != k:
+            words = f"these two are in [[budget.correlation]] {taken[pair] + 1} already; leave one of them out"
+            yield ("correlation", k, "between"), f"between: {words}"

@@ -14,9 +14,11 @@ import numpy as np
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.drive import Drive, angle_sensors, drive_law
+from platform_ctrl.job.budget import budget_misfits
+from platform_ctrl.job.drive import Drive, Feedforward, angle_sensors, drive_law
 from platform_ctrl.job.faults import FAULT_KINDS, PART_WORDS, Fault, part_names
-from platform_ctrl.job.job import OWN_RATES, WITH_SIGNALS, DesignSpec, Feedforward, Job, LoopSpec, Manoeuvre
+from platform_ctrl.job.job import OWN_RATES, WITH_SIGNALS, DesignSpec, Job, LoopSpec
+from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.scenario import Command
 from platform_ctrl.plant.fields import TURN
@@ -56,7 +58,7 @@ def job_mistakes(job: Job) -> list[Mistake]:
         *(mistake for k in range(len(job.manoeuvres)) for mistake in at(("manoeuvre", k), _run(job, k))),
         *(mistake for k, one in enumerate(job.fault_events) for mistake in at(("fault", k), _fault(job, one))),
         *at((), _campaign(job)),
-        *at(("budget",), _budget(job)),
+        *at(("budget",), () if job.budget is None else budget_misfits(job.budget, job.platform)),
     ]
 
 
@@ -430,35 +432,3 @@ def _campaign(job: Job) -> Iterator[Misfit]:
             if name not in known:
                 misfit = wrong(one, key, f"the name of a [[{kind}]] of the job", f"; {suggestion(name, known)}")
                 yield from within(("campaign", kind, k), [misfit])
-
-
-def _budget(job: Job) -> Iterator[Misfit]:
-    budget, platform = job.budget, job.platform
-    if budget is None:
-        return
-    if platform.line_of_sight is None:
-        words = "the plant has no line of sight to be limited; state its body and direction in [line_of_sight]"
-        if any(getattr(budget.limits, name) is not None for name in budget.limits.__dataclass_fields__):
-            yield "limits", f"limits: {words}"
-        limited = [k for k, source in enumerate(budget.sources) if source.limit is not None]
-        yield from ((("source", k, "limit"), f"limit: {words}") for k in limited)
-    for k, source in enumerate(budget.sources):
-        if source.gimbal is not None and source.gimbal not in platform.gimbal_names:
-            misfit = unknown("gimbal", source.gimbal, "gimbal of the plant", platform.gimbal_names)
-            yield from within(("source", k), [misfit])
-        if source.kind == "specific-force" and not platform.unbalances:
-            words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]]"
-            yield ("source", k, "kind"), f"kind: {words} to it"
-    names = [source.name for source in budget.sources]
-    taken: dict[frozenset[str], int] = {}
-    for k, one in enumerate(budget.correlations):
-        pair = frozenset(one.between)
-        strange = [name for name in one.between if name not in names]
-        if len(one.between) != 2 or len(pair) != 2:
-            yield from within(("correlation", k), [wrong(one, "between", "the names of two sources")])
-        elif strange:
-            misfit = unknown("between", strange[0], "[[budget.source]] of the job", names)
-            yield from within(("correlation", k), [misfit])
-        elif taken.setdefault(pair, k) != k:
-            words = f"these two are in [[budget.correlation]] {taken[pair] + 1} already; leave one of them out"
-            yield ("correlation", k, "between"), f"between: {words}"

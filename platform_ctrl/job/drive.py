@@ -1,14 +1,15 @@
-"""What the computer does between controllers and a torquer: feedforward of dry friction, gain over gimbal angles."""
+"""What the computer does besides the controllers: with commands, with the platform's rate, and before a torquer."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Annotated, Any, get_args
 
 import numpy as np
 
+from platform_ctrl.analysis.between_samples import Into
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import configuration, topology
@@ -22,6 +23,51 @@ from platform_ctrl.plant.tables import no_misfits, record_value
 _WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",)}
 # Relative part of a rate that sensors may leave out: rounding.
 _ROUNDING = 1e-9
+
+
+@input_value
+class CommandShaping:
+    """What a controller does with commands of its readings before it compares them: see `design.method.shaped`.
+
+    Attributes
+    ----------
+    filter_hz
+        Of the reference filter, a second-order low-pass with damping 1, Hz.
+    acceleration
+        Whether the torques are fed forward that the loop's inertias, viscous friction and springs need to follow the
+        filtered commands.
+    """
+
+    filter_hz: Annotated[float, fields.FREQUENCY]
+    acceleration: fields.Truth = False
+
+
+@input_value
+class Feedforward:
+    """Feedforward of the platform's rate in a design of a rate or pointing loop.
+
+    Attributes
+    ----------
+    sensors
+        Rate sensors of the root, which no torquer moves.
+    into
+        ``"torque"``: the torques that keep what the loop reads at zero while the platform turns are added to the
+        controller's. ``"reading"``: the rates are added to what the loop reads, so that relative rates and angles of
+        gimbals become inertial ones (indirect stabilisation).
+    bandwidth_hz
+        Of the filtered derivative of the rates, into the torque alone, Hz; None: a tenth of the sample rate.
+    """
+
+    sensors: fields.Names
+    into: Annotated[Into, fields.one_of(get_args(Into))] = "torque"
+    bandwidth_hz: fields.Positive | None = None
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if not table["sensors"]:
+            yield "sensors", "sensors must be a list of names, rate sensors of the root"
+        if table.get("into") == "reading" and "bandwidth_hz" in table:
+            yield useless(table, "bandwidth_hz", 'with into = "reading"; leave the key out')
 
 
 @input_value

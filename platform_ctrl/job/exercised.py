@@ -8,7 +8,8 @@ import numpy as np
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
-from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.scenario import TimeTable
 from platform_ctrl.plant.fields import ROUNDING

@@ -11,39 +11,25 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.between_samples import Into
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.job.budget import BudgetSpec
-from platform_ctrl.job.drive import Drive, DriveLaw, drive_law
+from platform_ctrl.job.drive import CommandShaping, Drive, DriveLaw, Feedforward, drive_law
 from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.methods import LoopKind as LoopKind
 from platform_ctrl.job.methods import Structure as Structure
 from platform_ctrl.job.requirements import LoopRequirement, limit_misfits, loop_goals, loop_requirements
-from platform_ctrl.job.scenario import (
-    COMMANDS,
-    Command,
-    HalfCosine,
-    Scenario,
-    Sine,
-    Start,
-    TimeTable,
-    Vibration,
-)
-from platform_ctrl.job.scenario import Mode as Mode
 from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, suggestion, useless, within, wrong
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
-from platform_ctrl.plant.tables import TABLE, Array, Collected, Instead, InTable, Key, Shape, unknown_key
+from platform_ctrl.plant.mistakes import Misfit, given, suggestion, useless, within, wrong
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.tables import TABLE, Array, Collected, Instead, InTable, Shape, unknown_key
 
-MOST_LOOPS, MOST_DRIVES, MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 100, 100, 20, 100, 100
+MOST_LOOPS, MOST_DRIVES = 100, 100
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate, lambda period: 1.0 / period)
-_LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
 _LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says
 _ANGLES = Shape(dict, {}, others=("", fields.NUMBERS))
-_INITIAL = Shape(dict, {}, others=("", fields.NUMBER))
 
 
 @input_value
@@ -98,51 +84,6 @@ class Sampling:
 
     period: Annotated[float, _RATE_HZ]
     delay: fields.NotNegative
-
-
-@input_value
-class CommandShaping:
-    """What a controller does with commands of its readings before it compares them: see `design.method.shaped`.
-
-    Attributes
-    ----------
-    filter_hz
-        Of the reference filter, a second-order low-pass with damping 1, Hz.
-    acceleration
-        Whether the torques are fed forward that the loop's inertias, viscous friction and springs need to follow the
-        filtered commands.
-    """
-
-    filter_hz: Annotated[float, fields.FREQUENCY]
-    acceleration: fields.Truth = False
-
-
-@input_value
-class Feedforward:
-    """Feedforward of the platform's rate in a design of a rate or pointing loop.
-
-    Attributes
-    ----------
-    sensors
-        Rate sensors of the root, which no torquer moves.
-    into
-        ``"torque"``: the torques that keep what the loop reads at zero while the platform turns are added to the
-        controller's. ``"reading"``: the rates are added to what the loop reads, so that relative rates and angles of
-        gimbals become inertial ones (indirect stabilisation).
-    bandwidth_hz
-        Of the filtered derivative of the rates, into the torque alone, Hz; None: a tenth of the sample rate.
-    """
-
-    sensors: fields.Names
-    into: Annotated[Into, fields.one_of(get_args(Into))] = "torque"
-    bandwidth_hz: fields.Positive | None = None
-
-    @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        if not table["sensors"]:
-            yield "sensors", "sensors must be a list of names, rate sensors of the root"
-        if table.get("into") == "reading" and "bandwidth_hz" in table:
-            yield useless(table, "bandwidth_hz", 'with into = "reading"; leave the key out')
 
 
 @input_value
@@ -328,143 +269,9 @@ class CoupledLimits:
     coupling_cost: fields.Positive | None = None
 
 
-def _time_table(columns: tuple[str, ...]) -> Shape:
-    """Return the shape of a table of times and columns, any of which may be left out: zero."""
-
-    def made(t: tuple[float, ...], smooth: bool = False, **given: tuple[float, ...]) -> TimeTable:
-        values = np.array([given.get(column, (0.0,) * len(t)) for column in columns]).T
-        return TimeTable(t=np.array(t), values=values, smooth=smooth)
-
-    keys = {"t": Key(fields.TIMES, "t", needed=True)} | {column: Key(fields.NUMBERS, column) for column in columns}
-
-    def back(table: TimeTable) -> dict[str, Any]:
-        values = dict(zip(columns, table.values.T.tolist(), strict=True))
-        return {"t": table.t.tolist(), **values, "smooth": table.smooth}
-
-    def misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        if not set(columns) & table.keys():
-            first, second, third = columns
-            yield missing(first, f"the table needs {first}, {second} or {third} beside the times")
-        for column in columns:
-            yield from of_length(table, column, "t")
-
-    return Shape(made, keys | {"smooth": Key(fields.TRUTH, "smooth")}, back=back, misfits=misfits)
-
-
-# The keys that make a motion of each mode: all of them or none; and the table that adds to it or replaces it.
-MOTION = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
-_MOTION_TABLE = {"caged": "Omega_table", "stabilised": "torque_table"}
-# What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
-_EVENTS = ("vibration", "sine", "command", "faults", "initial")
-
-
-def _motion(table: Mapping[str, Any]) -> Iterator[Misfit]:
-    """Walk what is wrong with the motion of a manoeuvre."""
-    mode = table["mode"]
-    keys, instead = MOTION[mode], _MOTION_TABLE[mode]
-    needed = f"a {mode} manoeuvre needs {', '.join(keys)} and axis, or {instead}"
-    if set(keys) & table.keys():
-        yield from (missing(key, needed) for key in (*keys, "axis") if key not in table)
-    elif not any(table.get(key) for key in (instead, *_EVENTS)):
-        yield missing(keys[0], needed)
-    for other in MOTION:
-        for key in (*MOTION[other], _MOTION_TABLE[other]):
-            if other != mode and key in table:
-                words = f"{key} = {given(table[key])} is for a {other} manoeuvre"
-                yield key, f"{words}; leave it out with mode = {given(mode)}"
-    least = 2 * table.get("rise", 0.0) + table.get("hold", 0.0)
-    if table["duration"] < least * (1 - fields.ROUNDING):
-        yield wrong(table, "duration", f"at least 2 rise + hold, {least:.6g} s")
-
-
-@input_value
-class Manoeuvre:
-    """A run of the non-linear plant.
-
-    Attributes
-    ----------
-    name, mode
-        ``"caged"``: Omega is prescribed; ``"stabilised"``: the platform is free and a torque acts on it.
-    axis
-        Root axis of the rate or torque, 1 to 3.
-    duration
-        Length of the run, s.
-    rate, rise, hold
-        Caged: half-cosine rise to `rate` rad/s in `rise` s, held for `hold` s, and back in `rise` s; no rate: none.
-    torque
-        Stabilised: step of the torque on the platform at t = 0, N m.
-    Omega_table, torque_table
-        Caged: a platform rate, stabilised: a torque on the platform, over time; it adds to the above.
-    vibrations, sines
-        Of the base.
-    commands
-        What loops hold their readings at.
-    faults
-        Names of the faults that happen in it.
-    initial
-        What does not start at zero: angles and angle + ``_rate``, rad and rad/s; stabilised: Omega1 to Omega3.
-    start
-        ``"rest"``, or ``"equilibrium"``: constant torques hold the gimbals from t = 0 on (see `Scenario`).
-    settle
-        Time after which means and rms are taken, s.
-    fade
-        Time over which vibrations and sines rise from zero, s; 0: they begin with a step of the base's rate.
-    limits
-        By the keys and in the units of `platform_ctrl.analysis.metrics.RUN_METRICS`.
-    """
-
-    name: fields.Text
-    mode: Annotated[Mode, fields.one_of(get_args(Mode))]
-    axis: fields.RootAxis = 1
-    duration: fields.Positive
-    rate: fields.NotZero = 0.0
-    rise: fields.Positive = 0.0
-    hold: fields.NotNegative = 0.0
-    torque: fields.NotZero = 0.0
-    Omega_table: Annotated[TimeTable | None, _time_table(OMEGA_NAMES)] = None
-    torque_table: Annotated[TimeTable | None, _time_table(ROOT_TORQUE_NAMES)] = None
-    vibrations: Annotated[tuple[Vibration, ...], Array("vibration", most=MOST_VIBRATIONS)] = ()
-    sines: Annotated[tuple[Sine, ...], Array("sine", most=MOST_SINES)] = ()
-    commands: Annotated[tuple[Command, ...], Array("command", most=MOST_COMMANDS)] = ()
-    faults: fields.Names = ()
-    initial: Annotated[dict[str, float], _INITIAL] = field(default_factory=dict)
-    start: Annotated[Start, fields.one_of(get_args(Start))] = "rest"
-    settle: fields.NotNegative = 0.0
-    fade: fields.NotNegative = 0.0
-    limits: Annotated[dict[str, float], _LIMITS] = field(default_factory=dict)
-
-    @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        yield from _motion(table)
-        for key in ("settle", "fade"):
-            if table.get(key, 0.0) >= table["duration"]:
-                yield wrong(table, key, f"less than duration, {table['duration']:.6g} s")
-        if table.get("fade") and not (table.get("vibration") or table.get("sine")):
-            words = "fade is the time over which a vibration or a sine rises, and this manoeuvre has neither"
-            yield "fade", f"{words}: leave it out"
-        for key in ("vibration", "sine"):
-            for k, one in enumerate(table.get(key, ())):
-                if one["kind"] == "rate" and table["mode"] == "stabilised":
-                    words = 'kind must be "force" with mode = "stabilised", got "rate"'
-                    yield (key, k, "kind"), f"{words}: only a caged platform has a prescribed rate"
-        for k, command in enumerate(table.get("command", ())):
-            if not COMMANDS.keys() & command.keys():
-                needed = "a command needs step, ramp, amplitude with frequency_hz, or value with t"
-                yield from within(("command", k), [missing("step", needed)])
-            if command.get("at", 0.0) >= table["duration"]:
-                words = f"at must be before the end of the run, {table['duration']:.6g} s, got {given(command['at'])}"
-                yield ("command", k, "at"), words
-        if "attenuation_db" in table.get("limits", {}) and table["mode"] == "stabilised":
-            words = "attenuation_db is for a caged manoeuvre, whose base moves as prescribed; leave it out"
-            yield ("limits", "attenuation_db"), words
-
-
 @input_value
 class Job:
     """A job file: the plant, what it has to stand, the loops and the checks.
-
-    `Omega_grid` is the number of points between −Omega and Omega about each axis; 2: the corners alone. `faults` are
-    those that the design allows for, `fault_events` those that happen at a time in a simulated run.
 
     Attributes
     ----------
@@ -606,56 +413,15 @@ class Job:
         by_name = {manoeuvre.name: manoeuvre for manoeuvre in self.manoeuvres}
         return tuple((by_name[one.name], one.weight) for one in self.campaign.manoeuvres)
 
-
-def reference_filters(job: Job) -> dict[str, float]:
-    """Return the time constants of the reference filters, as they are sampled, by the names of readings, s."""
-    out: dict[str, float] = {}
-    for spec in job.loops:
-        shaping = spec.closed.command if spec.designs else None
-        if shaping is not None:
-            period = job.period_of(spec)
-            # Tustin's rule, prewarped at the filter's frequency.
-            tau = 0.5 * period / math.tan(math.pi * shaping.filter_hz * period)
-            out |= dict.fromkeys(spec.read_by(spec.closed).sensors, tau)
-    return out
-
-
-def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
-    """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0."""
-    caged = manoeuvre.mode == "caged"
-    torque = np.zeros(3)
-    torque[manoeuvre.axis - 1] = manoeuvre.torque
-    q, rate, Omega = (np.zeros(k) for k in (len(job.platform.gimbals), len(job.platform.gimbals), 3))
-    angles = job.platform.angle_names
-    for name, number in manoeuvre.initial.items():
-        if name in angles:
-            q[angles.index(name)] = number
-        elif name in OMEGA_NAMES:
-            Omega[OMEGA_NAMES.index(name)] = number
-        else:
-            rate[angles.index(name.removesuffix("_rate"))] = number
-    profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
-    return Scenario(
-        platform=job.platform,
-        mode=manoeuvre.mode,
-        duration=manoeuvre.duration,
-        delay=job.sampling.delay,
-        profile=profile if caged and manoeuvre.rate else None,
-        Omega_table=manoeuvre.Omega_table,
-        torque=torque,
-        torque_table=manoeuvre.torque_table,
-        vibrations=manoeuvre.vibrations,
-        sines=manoeuvre.sines,
-        commands=manoeuvre.commands,
-        filters=reference_filters(job),
-        drives=job.drive_laws,
-        faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
-        q=q,
-        rate=rate,
-        Omega=Omega,
-        start=manoeuvre.start,
-        seed=job.seed,
-        settle=manoeuvre.settle,
-        fade=manoeuvre.fade,
-        limits=dict(manoeuvre.limits),
-    )
+    @property
+    def reference_filters(self) -> dict[str, float]:
+        """Time constants of the reference filters, as they are sampled, by the names of readings, s."""
+        out: dict[str, float] = {}
+        for spec in self.loops:
+            shaping = spec.closed.command if spec.designs else None
+            if shaping is not None:
+                period = self.period_of(spec)
+                # Tustin's rule, prewarped at the filter's frequency.
+                tau = 0.5 * period / math.tan(math.pi * shaping.filter_hz * period)
+                out |= dict.fromkeys(spec.read_by(spec.closed).sensors, tau)
+        return out

@@ -11,8 +11,9 @@ from platform_ctrl.common.text import Rounding, at_least, at_most, rounded
 
 if TYPE_CHECKING:
     from platform_ctrl.common.values import FloatArray
-    from platform_ctrl.job.job import Job, Manoeuvre
+    from platform_ctrl.job.job import Job
     from platform_ctrl.job.judging import CheckResult
+    from platform_ctrl.job.manoeuvre import Manoeuvre
     from platform_ctrl.plant.platform import Platform
 
 # Units of small torques and angles: thousandths, and millionths.

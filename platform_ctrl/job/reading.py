@@ -16,7 +16,8 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.budget import Source, value_mistakes, with_logs
 from platform_ctrl.job.checks import job_mistakes, locked_mistakes
 from platform_ctrl.job.exercised import unexercised
-from platform_ctrl.job.job import MOTION, Job, manoeuvre_scenario
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.manoeuvre import MOTION, manoeuvre_scenario
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.spectra import LogSpectrum
 from platform_ctrl.job.variation import campaign_misfits

@@ -22,8 +22,9 @@ from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.budget import BudgetLimits, BudgetSpec, Source
-from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
+from platform_ctrl.job.manoeuvre import Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.scenario import Scenario, Sine, Vibration
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.simulation import simulate

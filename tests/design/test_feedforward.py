@@ -20,7 +20,8 @@ from platform_ctrl.design.fixed_structure.loops import ClosedLoops
 from platform_ctrl.design.fixed_structure.maps import torque_per_Omega
 from platform_ctrl.design.loop import LoopDesign, LoopOutcome, closed_loop_poles
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.job import Feedforward, Job
+from platform_ctrl.job.drive import Feedforward
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.job.scenario import Scenario, TimeTable
 from platform_ctrl.mechanics.linearisation import linearise

@@ -15,7 +15,7 @@ from matplotlib.colors import to_hex
 import platform_ctrl as pc
 from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import Manoeuvre
+from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import figures

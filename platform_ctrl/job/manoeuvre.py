@@ -1,0 +1,206 @@
+"""A simulated run as the job file says it, and as a scenario of the nominal plant. SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import field
+from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+import numpy as np
+
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.common.values import input_value
+from platform_ctrl.job.scenario import (
+    COMMANDS,
+    Command,
+    HalfCosine,
+    Mode,
+    Scenario,
+    Sine,
+    Start,
+    TimeTable,
+    Vibration,
+)
+from platform_ctrl.plant import fields
+from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, within, wrong
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.plant.tables import Array, Key, Shape
+
+if TYPE_CHECKING:
+    from platform_ctrl.job.job import Job
+
+MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 20, 100, 100
+_LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
+_INITIAL = Shape(dict, {}, others=("", fields.NUMBER))
+
+
+def _time_table(columns: tuple[str, ...]) -> Shape:
+    """Return the shape of a table of times and columns, any of which may be left out: zero."""
+
+    def made(t: tuple[float, ...], smooth: bool = False, **given: tuple[float, ...]) -> TimeTable:
+        values = np.array([given.get(column, (0.0,) * len(t)) for column in columns]).T
+        return TimeTable(t=np.array(t), values=values, smooth=smooth)
+
+    keys = {"t": Key(fields.TIMES, "t", needed=True)} | {column: Key(fields.NUMBERS, column) for column in columns}
+
+    def back(table: TimeTable) -> dict[str, Any]:
+        values = dict(zip(columns, table.values.T.tolist(), strict=True))
+        return {"t": table.t.tolist(), **values, "smooth": table.smooth}
+
+    def misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if not set(columns) & table.keys():
+            first, second, third = columns
+            yield missing(first, f"the table needs {first}, {second} or {third} beside the times")
+        for column in columns:
+            yield from of_length(table, column, "t")
+
+    return Shape(made, keys | {"smooth": Key(fields.TRUTH, "smooth")}, back=back, misfits=misfits)
+
+
+# The keys that make a motion of each mode: all of them or none; and the table that adds to it or replaces it.
+MOTION = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
+_MOTION_TABLE = {"caged": "Omega_table", "stabilised": "torque_table"}
+# What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
+_EVENTS = ("vibration", "sine", "command", "faults", "initial")
+
+
+def _motion(table: Mapping[str, Any]) -> Iterator[Misfit]:
+    """Walk what is wrong with the motion of a manoeuvre."""
+    mode = table["mode"]
+    keys, instead = MOTION[mode], _MOTION_TABLE[mode]
+    needed = f"a {mode} manoeuvre needs {', '.join(keys)} and axis, or {instead}"
+    if set(keys) & table.keys():
+        yield from (missing(key, needed) for key in (*keys, "axis") if key not in table)
+    elif not any(table.get(key) for key in (instead, *_EVENTS)):
+        yield missing(keys[0], needed)
+    for other in MOTION:
+        for key in (*MOTION[other], _MOTION_TABLE[other]):
+            if other != mode and key in table:
+                words = f"{key} = {given(table[key])} is for a {other} manoeuvre"
+                yield key, f"{words}; leave it out with mode = {given(mode)}"
+    least = 2 * table.get("rise", 0.0) + table.get("hold", 0.0)
+    if table["duration"] < least * (1 - fields.ROUNDING):
+        yield wrong(table, "duration", f"at least 2 rise + hold, {least:.6g} s")
+
+
+@input_value
+class Manoeuvre:
+    """A run of the non-linear plant.
+
+    Attributes
+    ----------
+    name, mode
+        ``"caged"``: Omega is prescribed; ``"stabilised"``: the platform is free and a torque acts on it.
+    axis
+        Root axis of the rate or torque, 1 to 3.
+    duration
+        Length of the run, s.
+    rate, rise, hold
+        Caged: half-cosine rise to `rate` rad/s in `rise` s, held for `hold` s, and back in `rise` s; no rate: none.
+    torque
+        Stabilised: step of the torque on the platform at t = 0, N m.
+    Omega_table, torque_table
+        Caged: a platform rate, stabilised: a torque on the platform, over time; it adds to the above.
+    vibrations, sines
+        Of the base.
+    commands
+        What loops hold their readings at.
+    faults
+        Names of the faults that happen in it.
+    initial
+        What does not start at zero: angles and angle + ``_rate``, rad and rad/s; stabilised: Omega1 to Omega3.
+    start
+        ``"rest"``, or ``"equilibrium"``: constant torques hold the gimbals from t = 0 on (see `Scenario`).
+    settle
+        Time after which means and rms are taken, s.
+    fade
+        Time over which vibrations and sines rise from zero, s; 0: they begin with a step of the base's rate.
+    limits
+        By the keys and in the units of `platform_ctrl.analysis.metrics.RUN_METRICS`.
+    """
+
+    name: fields.Text
+    mode: Annotated[Mode, fields.one_of(get_args(Mode))]
+    axis: fields.RootAxis = 1
+    duration: fields.Positive
+    rate: fields.NotZero = 0.0
+    rise: fields.Positive = 0.0
+    hold: fields.NotNegative = 0.0
+    torque: fields.NotZero = 0.0
+    Omega_table: Annotated[TimeTable | None, _time_table(OMEGA_NAMES)] = None
+    torque_table: Annotated[TimeTable | None, _time_table(ROOT_TORQUE_NAMES)] = None
+    vibrations: Annotated[tuple[Vibration, ...], Array("vibration", most=MOST_VIBRATIONS)] = ()
+    sines: Annotated[tuple[Sine, ...], Array("sine", most=MOST_SINES)] = ()
+    commands: Annotated[tuple[Command, ...], Array("command", most=MOST_COMMANDS)] = ()
+    faults: fields.Names = ()
+    initial: Annotated[dict[str, float], _INITIAL] = field(default_factory=dict)
+    start: Annotated[Start, fields.one_of(get_args(Start))] = "rest"
+    settle: fields.NotNegative = 0.0
+    fade: fields.NotNegative = 0.0
+    limits: Annotated[dict[str, float], _LIMITS] = field(default_factory=dict)
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        yield from _motion(table)
+        for key in ("settle", "fade"):
+            if table.get(key, 0.0) >= table["duration"]:
+                yield wrong(table, key, f"less than duration, {table['duration']:.6g} s")
+        if table.get("fade") and not (table.get("vibration") or table.get("sine")):
+            words = "fade is the time over which a vibration or a sine rises, and this manoeuvre has neither"
+            yield "fade", f"{words}: leave it out"
+        for key in ("vibration", "sine"):
+            for k, one in enumerate(table.get(key, ())):
+                if one["kind"] == "rate" and table["mode"] == "stabilised":
+                    words = 'kind must be "force" with mode = "stabilised", got "rate"'
+                    yield (key, k, "kind"), f"{words}: only a caged platform has a prescribed rate"
+        for k, command in enumerate(table.get("command", ())):
+            if not COMMANDS.keys() & command.keys():
+                needed = "a command needs step, ramp, amplitude with frequency_hz, or value with t"
+                yield from within(("command", k), [missing("step", needed)])
+            if command.get("at", 0.0) >= table["duration"]:
+                words = f"at must be before the end of the run, {table['duration']:.6g} s, got {given(command['at'])}"
+                yield ("command", k, "at"), words
+        if "attenuation_db" in table.get("limits", {}) and table["mode"] == "stabilised":
+            words = "attenuation_db is for a caged manoeuvre, whose base moves as prescribed; leave it out"
+            yield ("limits", "attenuation_db"), words
+
+
+def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
+    """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0."""
+    caged = manoeuvre.mode == "caged"
+    torque = np.zeros(3)
+    torque[manoeuvre.axis - 1] = manoeuvre.torque
+    q, rate, Omega = (np.zeros(k) for k in (len(job.platform.gimbals), len(job.platform.gimbals), 3))
+    angles = job.platform.angle_names
+    for name, number in manoeuvre.initial.items():
+        if name in angles:
+            q[angles.index(name)] = number
+        elif name in OMEGA_NAMES:
+            Omega[OMEGA_NAMES.index(name)] = number
+        else:
+            rate[angles.index(name.removesuffix("_rate"))] = number
+    profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
+    return Scenario(
+        platform=job.platform,
+        mode=manoeuvre.mode,
+        duration=manoeuvre.duration,
+        delay=job.sampling.delay,
+        profile=profile if caged and manoeuvre.rate else None,
+        Omega_table=manoeuvre.Omega_table,
+        torque=torque,
+        torque_table=manoeuvre.torque_table,
+        vibrations=manoeuvre.vibrations,
+        sines=manoeuvre.sines,
+        commands=manoeuvre.commands,
+        filters=job.reference_filters,
+        drives=job.drive_laws,
+        faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
+        q=q,
+        rate=rate,
+        Omega=Omega,
+        start=manoeuvre.start,
+        seed=job.seed,
+        settle=manoeuvre.settle,
+        fade=manoeuvre.fade,
+        limits=dict(manoeuvre.limits),
+    )
