@@ -215,7 +215,7 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> RootLocus:
         ]
     )
     new = np.setdiff1d(edges, fine)
-    at, found = np.searchsorted(fine, new), poles(new)
+    at, found = np.searchsorted(fine, new), poles(new) if new.size else z[:0]
     return RootLocus(
         values=np.insert(fine, at, new),
         branches=pole_branches(np.insert(z, at, found, axis=0)),

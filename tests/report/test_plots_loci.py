@@ -141,3 +141,10 @@ def test_over_spin_stability_ends_where_the_poles_say(over_spin, job, controller
     for share, stable in ((edge * 1.001, True), (edge * 0.999, False)):
         plant = pc.analysis.sampled(gyro(changed(job.platform, {}, {"11": share - 1.0})), PERIOD, DELAY, lag)
         assert is_stable(pc.analysis.closed_loop(plant, controller)) is stable
+
+
+def test_a_range_without_an_edge_is_drawn_without_one(job, controller):
+    options = {"spins": [0.9, 1.1], "period": PERIOD, "delay": DELAY}
+    locus = figures.root_locus_over_spin(job.platform, ("9", "10"), controller, **options).locus
+    assert locus.edges.size == 0
+    assert locus.stable.all()
