@@ -19,7 +19,7 @@ import control
 import numpy as np
 
 from platform_ctrl.design.cases import rows_of
-from platform_ctrl.design.fixed_structure.pid import PID
+from platform_ctrl.design.fixed_structure.sections import PID
 from platform_ctrl.design.fixed_structure.structures import Static
 from platform_ctrl.design.fixed_structure.synthesis import structured
 from platform_ctrl.design.methods import read_job

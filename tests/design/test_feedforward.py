@@ -16,7 +16,7 @@ from platform_ctrl.analysis.measuring import torque_noise
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.feedforward import rate_feedforward
-from platform_ctrl.design.fixed_structure.loops import ClosedLoops
+from platform_ctrl.design.fixed_structure.loops import LoopGradients
 from platform_ctrl.design.fixed_structure.maps import torque_per_Omega
 from platform_ctrl.design.loop import LoopDesign, LoopOutcome, closed_loop_poles
 from platform_ctrl.errors import ArgumentError, InputError
@@ -194,7 +194,7 @@ def test_structured_search_sees_what_the_verdict_sees(outcome, kind):
     one = of(outcome, kind)
     K = System.of(one.own_controller, "controller")
     plants = one.plants.regular()
-    search, loops = ClosedLoops(plants, K), Loop(plants, K)
+    search, loops = LoopGradients(plants, K), Loop(plants, K)
     w, nominal = 60.0, np.zeros(1, dtype=np.intp)
     seen = [search.edge(torque_per_Omega(k, plants), w, nominal).ratio[0] for k in range(2)]
     assert max(seen) == pytest.approx(loops.gain_at([TORQUE_SHARE], np.array([w]))[0], rel=1e-9)

@@ -11,9 +11,8 @@ import pytest
 
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.design.fixed_structure.norm import ClosedLoop, WorstNorm
-from platform_ctrl.design.fixed_structure.parametrised import Parametrised
-from platform_ctrl.design.fixed_structure.structures import Structure, Units
+from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm
+from platform_ctrl.design.fixed_structure.structures import Parametrised, Structure, Units
 from platform_ctrl.design.partition import Partition, augmented, partition
 from platform_ctrl.design.synthesis import Synthesis
 from platform_ctrl.errors import ArgumentError, NotFoundError, NotStabilisableError
@@ -144,7 +143,7 @@ def test_peaks_and_their_slopes_are_those_of_the_closed_loop() -> None:
     whole = Parametrised(design.StateSpaceOrder(states=1), 2, 2, Units(gain=np.ones((2, 2)), rate=1.0))
     x = whole.start + 0.1 * rng.standard_normal(whole.start.size)
     found = WorstNorm([plant], whole)(x)
-    loop = ClosedLoop(plant, whole.matrix(x))
+    loop = AugmentedLoop(plant, whole.matrix(x))
     norm = analysis.hinf_norm(control.ss(loop.A, loop.B, loop.C, loop.D))[0]
     assert found.stable
     assert found.values.max() == pytest.approx(norm, rel=1e-8)
@@ -174,7 +173,7 @@ def test_a_peak_far_narrower_than_the_distance_of_poles_is_found() -> None:
     B, C = np.array([[0.5], [0.0], [1e-5]]), np.array([[1.0, 1.0, 0.0]])
     none = np.zeros((1, 1))
     plant = Partition(A=A, B1=B, B2=0 * B, C1=C, C2=0 * C, D11=none, D12=none, D21=none, D22=none)
-    loop = ClosedLoop(plant, none)
+    loop = AugmentedLoop(plant, none)
     frequency = loop.peaks(np.zeros(0))
     assert loop.gains(frequency).max() == pytest.approx(analysis.hinf_norm(control.ss(A, B, C, none))[0], rel=1e-8)
 

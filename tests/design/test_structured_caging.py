@@ -13,14 +13,14 @@ from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.fixed_structure.descent import finer, pieces
-from platform_ctrl.design.fixed_structure.loops import ClosedLoops
+from platform_ctrl.design.fixed_structure.loops import LoopGradients
 from platform_ctrl.design.fixed_structure.maps import (
     CONTROLLER,
     S_OUTPUT,
+    at_least,
     map_of,
     torque_per_Omega,
 )
-from platform_ctrl.design.fixed_structure.pieces import at_least
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
@@ -133,7 +133,7 @@ def test_singular_values_have_the_slopes_of_differences(cases, name, which):
     for frequency in (90.0, 420.0, 3000.0):
         for k in range(3):
             ours, theirs = slopes(
-                lambda block, w=frequency, k=k: worst(ClosedLoops(plants, block).edge(of, w, np.array([k]))), K
+                lambda block, w=frequency, k=k: worst(LoopGradients(plants, block).edge(of, w, np.array([k]))), K
             )
             np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-6 * np.abs(theirs).max())
 
@@ -144,9 +144,9 @@ def test_poles_and_noise_have_the_slopes_of_differences(cases, name):
     plants = plants.only(range(3))
     everywhere = np.arange(3)
     for of, anyhow in (
-        (lambda block: ClosedLoops(plants, block).damping(0.0, 0.1, everywhere), True),
-        (lambda block: ClosedLoops(plants, block).fastest(0.0, 1e4, everywhere), True),
-        (lambda block: ClosedLoops(plants, block).noise(0.005, everywhere), False),
+        (lambda block: LoopGradients(plants, block).damping(0.0, 0.1, everywhere), True),
+        (lambda block: LoopGradients(plants, block).fastest(0.0, 1e4, everywhere), True),
+        (lambda block: LoopGradients(plants, block).noise(0.005, everywhere), False),
     ):
         ours, theirs = slopes(of, K, anyhow)
         assert len(ours) >= 3
@@ -155,7 +155,7 @@ def test_poles_and_noise_have_the_slopes_of_differences(cases, name):
 
 def test_the_level_of_the_bandwidth_moves_with_the_wanted_frequency(cases):
     plants, _, K = cases["caging 9-10"]
-    loops = ClosedLoops(plants, K)
+    loops = LoopGradients(plants, K)
     _, slope = loops.level(200.0, np.inf)
     above, below = (loops.level(200.0 * np.exp(sign * 1e-4), np.inf)[0] for sign in (1, -1))
     # S is rising there: the edge is all there is, one piece at the output and one at the input before their mixtures.
@@ -167,7 +167,7 @@ def test_the_level_of_the_bandwidth_moves_with_the_wanted_frequency(cases):
 def test_pieces_are_the_ratios_that_are_certified(cases, name):
     plants, _, K = cases[name]
     plants = plants.only(range(4))
-    loops = ClosedLoops(finer(plants), K)
+    loops = LoopGradients(finer(plants), K)
     measures = measure(plants, K, REQUIREMENTS)
     for required in REQUIREMENTS:
         found = pieces(loops, required, 0.5)
@@ -190,14 +190,14 @@ def test_where_two_singular_values_meet_their_mixtures_span_what_the_largest_can
     n, M = len(K[0]), whole(K)
     # Beyond the loop's reach S is nearly the unit matrix.
     at, nominal = 0.8 * np.pi / plants.period, np.zeros(1, dtype=np.intp)
-    found = ClosedLoops(plants, K).edge(S_OUTPUT, at, nominal)
+    found = LoopGradients(plants, K).edge(S_OUTPUT, at, nominal)
     assert len(found.ratio) == 12
     assert found.ratio.max() == found.ratio[0]
     rng = np.random.default_rng(4)
     for _ in range(10):
         step = rng.standard_normal(M.shape) * np.abs(M) * 0.05
         expected = found.ratio + np.sum(found.gradient * step, axis=(1, 2))
-        reached = ClosedLoops(plants, parts(M + step, n)).edge(S_OUTPUT, at, nominal).ratio[0]
+        reached = LoopGradients(plants, parts(M + step, n)).edge(S_OUTPUT, at, nominal).ratio[0]
         change = np.abs(reached - found.ratio[0])
         assert reached == pytest.approx(expected.max(), abs=0.35 * change + 1e-3)
 
@@ -225,7 +225,7 @@ def test_a_controller_is_taken_from_its_integrators_and_put_behind_them_again(ca
     inner = without_integrators(K, channel, rate, plants.period)
     assert np.abs(np.linalg.eigvals(inner[0])).max() < 1.0
     again = free_structure(inner, channel, plants.period, plants.nutation, rate)
-    theirs, ours = (ClosedLoops(plants.only([0]), block).K for block in (K, again.block(again.start)))
+    theirs, ours = (LoopGradients(plants.only([0]), block).K for block in (K, again.block(again.start)))
     np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-7 * np.abs(theirs).max())
 
 
@@ -435,7 +435,8 @@ def test_a_resonance_between_two_points_of_the_grid_is_seen(cases):
     margin = requirement("disk margin", 0.5)
     measured = measure(plants, weak, [margin]).disk_margin[0]
     assert measured < 0.01
-    assert pieces(ClosedLoops(finer(plants), weak), margin, 0.5).ratio.max() == pytest.approx(0.5 / measured, rel=0.01)
+    seen = pieces(LoopGradients(finer(plants), weak), margin, 0.5)
+    assert seen.ratio.max() == pytest.approx(0.5 / measured, rel=0.01)
 
 
 def test_the_claimed_ratios_are_those_of_the_report():

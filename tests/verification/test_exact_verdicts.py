@@ -18,10 +18,9 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System
 from platform_ctrl.cli import main
 from platform_ctrl.design.fixed_structure.descent import Search
-from platform_ctrl.design.fixed_structure.loops import ClosedLoops
-from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.loops import LoopGradients
 from platform_ctrl.design.fixed_structure.sections import Named
-from platform_ctrl.design.fixed_structure.structures import Units
+from platform_ctrl.design.fixed_structure.structures import Parametrised, Units
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.tuning import Tuner, worst_ratio
 from platform_ctrl.job.requirements import WORST_CASE, requirement
@@ -249,7 +248,7 @@ def test_the_structured_search_goes_on_where_a_limit_is_missed_between_the_point
     plants: PlantSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Loop, "narrow", {})
-    monkeypatch.setattr(ClosedLoops, "_hidden", lambda self, *_: self.none())
+    monkeypatch.setattr(LoopGradients, "_hidden", lambda self, *_: self.none())
     asked = [requirement("stability", 0.05, over=WORST_CASE), requirement("sensitivity peak", 3.0, over=WORST_CASE)]
     start = {"depth": 0.3, "width": 0.003}
     named = Named(build=lambda options: narrow_loop(**options), values=start, largest={"depth": 1.0, "width": 1.0})

@@ -38,11 +38,10 @@ from platform_ctrl.analysis.measuring import ControllerGain, Peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.fixed_structure.loops import ClosedLoops
-from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, map_of, torque_per_Omega
+from platform_ctrl.design.fixed_structure.loops import LoopGradients
+from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, Pieces, joined, map_of, torque_per_Omega
 from platform_ctrl.design.fixed_structure.minimax import Effort, Evaluation, minimise
-from platform_ctrl.design.fixed_structure.parametrised import Parametrised
-from platform_ctrl.design.fixed_structure.pieces import Pieces, joined
+from platform_ctrl.design.fixed_structure.structures import Parametrised
 from platform_ctrl.job.requirements import LoopRequirement
 
 # What is not stable is worse than anything else.
@@ -223,7 +222,7 @@ class Search:
 
     def _bandwidth(self, family: Parametrised, x: FloatArray) -> float:
         """Return the bandwidth in Hz, roughly, as a start for the wanted one."""
-        loops = ClosedLoops(self._plants.only([0]), family.block(x[: len(family.start)]))
+        loops = LoopGradients(self._plants.only([0]), family.block(x[: len(family.start)]))
         sizes = np.maximum(*(largest_singular_values(S[0]) for S in (loops.S_output, loops.S_input)))
         above = np.flatnonzero(sizes >= LEVEL)
         k = int(above[0]) if above.size else len(sizes) - 1
@@ -233,7 +232,7 @@ class Search:
         """Return the parameters with the bandwidth that is there, where the one that they claim is far from it."""
         if not self._moving:
             return x
-        loops = ClosedLoops(self._plants.only([0]), family.block(x[: len(family.start)]))
+        loops = LoopGradients(self._plants.only([0]), family.block(x[: len(family.start)]))
         level = loops.level(2.0 * np.pi * float(np.exp(x[-1])), 0.8)[0].ratio.max()
         there = np.log(self._bandwidth(family, x)) if level > 1.0 + _FAR else x[-1]
         return np.append(x[:-1], min(x[-1], there))
@@ -262,7 +261,7 @@ class Search:
         """
         self._left -= 1
         own = x[: len(family.start)]
-        loops = ClosedLoops(plants, family.block(own))
+        loops = LoopGradients(plants, family.block(own))
         if not np.all(loops.poles().s.real < 0.0):
             parts = [_Part(_GROWTH, loops.decay(0.0, np.arange(len(plants.labels))), False)]
             stable = False
@@ -297,7 +296,7 @@ class Search:
             stable=stable,
         )
 
-    def _bandwidth_parts(self, loops: ClosedLoops, bandwidth: float, floor: float) -> list[_Part]:
+    def _bandwidth_parts(self, loops: LoopGradients, bandwidth: float, floor: float) -> list[_Part]:
         """Return what requires S to stay below its level up to `bandwidth`, Hz, and a bandwidth as wanted."""
         frequency = 2.0 * np.pi * bandwidth
         found, slope = loops.level(frequency, floor)
@@ -356,7 +355,7 @@ def finer(plants: PlantSet) -> PlantSet:
     return plants.on(tuning_grid(plants.nutation, plants.period, fine=True))
 
 
-def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8) -> Pieces:
+def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.8) -> Pieces:
     """Return the pieces of a requirement whose ratio is at least `floor`, and the worst.
 
     A requirement is met where all its pieces are at most 1. Most are its ratios; "bandwidth" requires S at most 1/√2 up

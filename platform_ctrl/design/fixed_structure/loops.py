@@ -22,13 +22,18 @@ from platform_ctrl.design.fixed_structure.maps import (
     S_INPUT,
     S_OUTPUT,
     Map,
+    Numbers,
+    Pieces,
     Responses,
     Singular,
+    at_least,
     column_of,
+    joined,
+    reaching,
     row_of,
     singular,
+    tops,
 )
-from platform_ctrl.design.fixed_structure.pieces import Numbers, Pieces, at_least, joined, reaching, tops
 
 # Share of the grid's spacing at which a top is looked at again.
 _CLOSER = 0.2
@@ -50,7 +55,7 @@ _HIDDEN = 0.02
 class Points:
     """A loop at single frequencies (k,) of single plants (k,)."""
 
-    def __init__(self, loops: ClosedLoops, plant: Numbers, frequency: FloatArray, disturbed: bool = False) -> None:
+    def __init__(self, loops: LoopGradients, plant: Numbers, frequency: FloatArray, disturbed: bool = False) -> None:
         plants = loops.plants
         z = np.exp(1j * frequency * plants.period)
         P = response_at(plants.arrays, frequency, plant)
@@ -74,7 +79,7 @@ class Points:
         return out
 
 
-class ClosedLoops:
+class LoopGradients:
     """A sampled controller, u = K y, closed around every plant of a set: what pieces have in common."""
 
     def __init__(self, plants: PlantSet, controller: System) -> None:

@@ -164,7 +164,7 @@ class _Search:
             self.radius = _POORER * length
         return self.small >= _SMALL_STEPS
 
-    def _learned(self, there: Evaluation, step: Step) -> FloatArray:
+    def _learned(self, there: Evaluation, step: ModelStep) -> FloatArray:
         """Return the damped BFGS update of the curvature by the change of the weighted gradient.
 
         Each old function is compared with the new one of its owner that continues it best.
@@ -185,7 +185,7 @@ class _Search:
 
 
 @value
-class Step:
+class ModelStep:
     """Minimiser of the model."""
 
     move: FloatArray  # (n,): the step d
@@ -194,7 +194,9 @@ class Step:
     weights: FloatArray  # (k,): multipliers of the functions, not negative; those that are not hard add up to one
 
 
-def least_maximum(at: Evaluation, H: FloatArray, box: tuple[FloatArray, FloatArray], penalty: float) -> Step | None:
+def least_maximum(
+    at: Evaluation, H: FloatArray, box: tuple[FloatArray, FloatArray], penalty: float
+) -> ModelStep | None:
     """Minimise max(values + gradients d) + penalty max(0, hard values + hard gradients d − 1) + d'Hd/2 over the box.
 
     `penalty` is the price of the largest excess of a hard function over one; the box (lower, upper) holds zero. None
@@ -231,7 +233,7 @@ def least_maximum(at: Evaluation, H: FloatArray, box: tuple[FloatArray, FloatArr
     total = float(np.sum(dual[:k]))
     weights[~at.hard] = dual[:k] / total if total > 0.0 else 1.0 / k
     weights[at.hard] = dual[k : k + m] / scale * unit
-    return Step(
+    return ModelStep(
         move=move,
         level=float(np.max(values + gradients @ move)),
         violation=max(0.0, float(np.max(hard_values + hard_gradients @ move, initial=0.0)) - 1.0),

@@ -17,7 +17,7 @@ from platform_ctrl.analysis.system import ComplexArray, scaled
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.maps import column_of, row_of, singular
 from platform_ctrl.design.fixed_structure.minimax import Evaluation
-from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.structures import Parametrised
 from platform_ctrl.design.partition import Partition
 
 # Peaks down to this share below the highest count, and at most so many of them.
@@ -33,7 +33,7 @@ _NEAR = 0.1
 _ROUNDING = 1e-13
 
 
-class ClosedLoop:
+class AugmentedLoop:
     """The loop of an augmented plant and one matrix M."""
 
     def __init__(self, plant: Partition, M: FloatArray) -> None:
@@ -161,7 +161,7 @@ class WorstNorm:
         """Return every peak near the highest; of loops that are not stable their growth, 1/s."""
         M = self.controller.matrix(x)
         try:
-            loops = [ClosedLoop(plant, M) for plant in self.plants]
+            loops = [AugmentedLoop(plant, M) for plant in self.plants]
             stable = all(loop.stable for loop in loops)
             parts = [self._of_loop(k, loop, stable) for k, loop in enumerate(loops)]
         except np.linalg.LinAlgError:
@@ -179,7 +179,7 @@ class WorstNorm:
             stable=stable,
         )
 
-    def _of_loop(self, k: int, loop: ClosedLoop, stable: bool) -> tuple[FloatArray, FloatArray]:
+    def _of_loop(self, k: int, loop: AugmentedLoop, stable: bool) -> tuple[FloatArray, FloatArray]:
         """Return the values of one loop and their gradients by M."""
         if not stable:
             return loop.growth(_NEAR * abs(loop.abscissa))

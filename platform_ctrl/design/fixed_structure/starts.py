@@ -11,8 +11,8 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.minimax import Effort, Minimum, minimise
-from platform_ctrl.design.fixed_structure.norm import ClosedLoop, WorstNorm
-from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm
+from platform_ctrl.design.fixed_structure.structures import Parametrised
 from platform_ctrl.design.partition import Partition, augmented
 
 # Hankel singular values below this share of the largest are negligible.
@@ -85,7 +85,7 @@ class Fit:
     def __init__(self, plant: Partition, full: System, structured: Parametrised) -> None:
         self.structured = structured
         order = len(full.A)
-        loop = ClosedLoop(augmented(plant, order), np.block([[full.A, full.B], [full.C, full.D]]))
+        loop = AugmentedLoop(augmented(plant, order), np.block([[full.A, full.B], [full.C, full.D]]))
         speeds = np.abs(np.concatenate([loop.poles, np.linalg.eigvals(plant.A)]))
         speeds = speeds[speeds > 1e-6 * speeds.max()]
         self.frequency = np.geomspace(speeds.min() / _BEYOND, _BEYOND * np.median(speeds), _POINTS)

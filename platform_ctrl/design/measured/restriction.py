@@ -46,7 +46,7 @@ from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.fixed_structure.pid import PID
+from platform_ctrl.design.fixed_structure.sections import PID
 from platform_ctrl.design.measured.responses import Contour
 from platform_ctrl.errors import ArgumentError, TimeLimitError, UnscalableError
 

@@ -18,11 +18,9 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.descent import Found, Search
-from platform_ctrl.design.fixed_structure.parametrised import Parametrised
-from platform_ctrl.design.fixed_structure.pid import PID
-from platform_ctrl.design.fixed_structure.sections import Named, Sampled, Series
+from platform_ctrl.design.fixed_structure.sections import PID, Named, Sampled, Series
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
-from platform_ctrl.design.fixed_structure.structures import StateSpaceOrder, Units
+from platform_ctrl.design.fixed_structure.structures import Parametrised, StateSpaceOrder, Units
 from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, TunedMethod, hertz, number
 from platform_ctrl.design.methods.classical import Classical, classical_controller, starting_values
 from platform_ctrl.design.methods.hinf import hinf_design
