@@ -22,6 +22,7 @@ from platform_ctrl.plant.mistakes import (
     Misfit,
     Mistake,
     Path,
+    at,
     given,
     missing,
     of_length,
@@ -48,19 +49,34 @@ class SourceKind:
         Units in which a file may give it, with their factors to SI; the first is the SI unit.
     place
         The key that says where it acts: ``"axis"`` or ``"gimbal"``.
+    largest
+        More than this cannot be meant, SI units: most likely the numbers are in another unit.
     """
 
     quantity: Quantity
     units: Mapping[str, float]
     place: str
+    largest: float = math.inf
 
 
 SOURCE_KINDS: dict[str, SourceKind] = {
-    "base-rate": SourceKind(quantity="rate", units={"rad/s": 1.0, "deg/s": math.pi / 180.0}, place="axis"),
-    "specific-force": SourceKind(quantity="acceleration", units={"m/s2": 1.0, "g": G}, place="axis"),
+    # 200 rad/s is 32 turns a second, more than projectiles that carry a seeker have; 1000 m/s² is 100 g.
+    "base-rate": SourceKind(
+        quantity="rate", units={"rad/s": 1.0, "deg/s": math.pi / 180.0}, place="axis", largest=200.0
+    ),
+    "specific-force": SourceKind(quantity="acceleration", units={"m/s2": 1.0, "g": G}, place="axis", largest=1000.0),
     "torque": SourceKind(quantity="torque", units={"N m": 1.0, "mN m": 1e-3}, place="gimbal"),
 }
 UNITS = tuple(unit for kind in SOURCE_KINDS.values() for unit in kind.units)
+
+
+def too_large(key: str, numbers: ArrayLike, kind: str, unit: str | None = None) -> Iterator[Misfit]:
+    """Walk numbers in SI units of a kind of source that are larger than can be meant; `unit` is that of the file."""
+    known = list(SOURCE_KINDS[kind].units)
+    worst, most = float(np.abs(numbers).max(initial=0.0)), SOURCE_KINDS[kind].largest
+    if worst > most:
+        cure = f"write it in {known[0]}" if unit is None else f'with unit = "{unit}"; units: {", ".join(known)}'
+        yield key, f"{key}: {worst:.4g} {known[0]} cannot be meant, at most {most:g} {known[0]}; {cure}"
 
 
 def unit_mistake(kind: str, unit: str | None, column: str | None) -> str:
@@ -334,6 +350,12 @@ def value_mistakes(budget: BudgetSpec) -> Iterator[Mistake]:
             words = f"{lead}: nothing of it lies in the band of the budget, {budget.from_hz:g} to {budget.to_hz:g} Hz"
             range_words = f"{edges.min():.4g} to {edges.max():.4g} Hz"
             yield Mistake((*path, lead), f"{words}, got {range_words}; widen the band or leave the source out")
+        stated = source.stated_unit
+        unit = source.unit or (stated.name if stated else next(iter(SOURCE_KINDS[source.kind].units)))
+        size = source.rms(float(edges.min()), float(edges.max()))
+        if isinstance(source.spectrum, LogSpectrum) and source.spectrum.estimate is not None:
+            size = math.hypot(size, source.factor * source.spectrum.estimate.mean)
+        yield from at(path, too_large(lead, size, source.kind, unit))
     smallest = float(np.linalg.eigvalsh(budget.coherences)[0]) if np.isfinite(budget.coherences).all() else 0.0
     if smallest < -1e-9:
         words = "no signals have these coherences together: their matrix has the negative eigenvalue"

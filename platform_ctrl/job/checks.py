@@ -14,7 +14,7 @@ import numpy as np
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.budget import budget_misfits
+from platform_ctrl.job.budget import budget_misfits, too_large
 from platform_ctrl.job.drive import Drive, Feedforward, angle_sensors, drive_law
 from platform_ctrl.job.faults import FAULT_KINDS, PART_WORDS, Fault, part_names
 from platform_ctrl.job.job import OWN_RATES, WITH_SIGNALS, DesignSpec, Job, LoopSpec
@@ -42,6 +42,10 @@ LONGEST_DELAY = 100
 LONGEST_CYCLE, _SAME_RATE = 1000, 1e-5
 # Combinations of gimbal angles at most: each is a plant for every corner of the uncertainty.
 MOST_TRIMS = 200
+# Samples of a run at most, all of which are recorded: hours of work.
+MOST_SAMPLES = 1e7
+# Friction that is fed forward over the plant's: with more the bearing would be better off without it.
+_MOST_FRICTION = 2.0
 # Largest command that can be meant, by the reading's unit: a turn; a hundred radians in a second. An attitude sensor
 # reads the sine of an angle (see `plant.sensors`), 4 % less than this one.
 _LARGEST_COMMAND, _SMALL_COMMAND = {"rad": 2.0 * math.pi, "rad/s": 100.0}, 0.5
@@ -79,6 +83,7 @@ def locked_mistakes(locked: tuple[str, ...], loops: tuple[LoopSpec, ...], platfo
 def _operation(job: Job) -> Iterator[Misfit]:
     """Walk what is wrong with the platform's rates and the gimbal angles at which the loops have to work."""
     platform = job.platform
+    yield from too_large("Omega", job.Omega, "base-rate")
     for name, values in job.angles.items():
         if name not in platform.angle_names:
             yield ("angles", name), f"{name} is no angle of the plant; {suggestion(name, platform.angle_names)}"
@@ -323,6 +328,9 @@ def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[Misfit]:
     if there == 0.0:
         words = f"friction: gimbal {name!r} has no dry friction; add coulomb to its [[friction]] in the plant"
         yield "friction", words
+    elif drive.friction > _MOST_FRICTION * there:
+        words = f"{drive.friction:g} N m is {drive.friction / there:.3g} times the dry friction of gimbal {name!r}"
+        yield "friction", f"friction: {words}, {there:g} N m; give at most twice as much"
     try:
         law = drive_law(platform, drive)
     except ArgumentError as error:
@@ -335,6 +343,9 @@ def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[Misfit]:
 
 def _run(job: Job, k: int) -> Iterator[Misfit]:
     run, gimbals = job.manoeuvres[k], job.platform.gimbal_names
+    if run.duration > MOST_SAMPLES * job.sampling.period:
+        more = f" s; give at most {MOST_SAMPLES * job.sampling.period:.6g} s"
+        yield wrong(run, "duration", f"at most {MOST_SAMPLES:.0e} sample periods", more)
     yield from within(("initial",), _initial(run, job.platform))
     yield from within(("limits",), _run_limits(run, job.platform))
     places = [(("vibration", i), one.gimbal) for i, one in enumerate(run.vibrations)]
@@ -374,6 +385,8 @@ def _initial(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
             yield key, f'{key} = {number:g} has no effect: {words} mode = "stabilised"'
         elif key not in known:
             yield key, f"unknown key {given(key)}; {suggestion(key, known)}"
+        elif key in OMEGA_NAMES:
+            yield from too_large(key, number, "base-rate")
         elif key in stops and bounds is None and abs(number) > TURN:
             words = f"angles are in rad: {number:g} degrees are {math.radians(number):.4g}"
             yield key, f"{key}: {number:g} rad is more than a turn; {words}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.common.values import input_value
+from platform_ctrl.job.budget import too_large
 from platform_ctrl.job.scenario import (
     COMMANDS,
     Command,
@@ -53,6 +54,8 @@ def _time_table(columns: tuple[str, ...]) -> Shape:
             yield missing(first, f"the table needs {first}, {second} or {third} beside the times")
         for column in columns:
             yield from of_length(table, column, "t")
+            if columns is OMEGA_NAMES:
+                yield from too_large(column, table.get(column, 0.0), "base-rate")
 
     return Shape(made, keys | {"smooth": Key(fields.TRUTH, "smooth")}, back=back, misfits=misfits)
 
@@ -78,6 +81,7 @@ def _motion(table: Mapping[str, Any]) -> Iterator[Misfit]:
             if other != mode and key in table:
                 words = f"{key} = {given(table[key])} is for a {other} manoeuvre"
                 yield key, f"{words}; leave it out with mode = {given(mode)}"
+    yield from too_large("rate", table.get("rate", 0.0), "base-rate")
     least = 2 * table.get("rise", 0.0) + table.get("hold", 0.0)
     if table["duration"] < least * (1 - fields.ROUNDING):
         yield wrong(table, "duration", f"at least 2 rise + hold, {least:.6g} s")

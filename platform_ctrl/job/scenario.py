@@ -15,6 +15,7 @@ from platform_ctrl.analysis.logs import column_unit, pieces, read_log
 from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, short, whole
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.budget import too_large
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.spectra import interpolated
@@ -201,6 +202,10 @@ class TimeTable:
         return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
 
 
+# What shakes in a run, by the kinds of a budget's sources.
+_KINDS = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
+
+
 def _shaking(table: Mapping[str, Any]) -> Iterator[Misfit]:
     """Walk what is wrong with a vibration or a sine."""
     kind = table["kind"]
@@ -209,6 +214,7 @@ def _shaking(table: Mapping[str, Any]) -> Iterator[Misfit]:
         yield missing(needed, f"kind = {given(kind)} needs it")
     if other in table:
         yield useless(table, other, f"with kind = {given(kind)}; leave the key out")
+    yield from too_large("amplitude", table.get("amplitude", 0.0), _KINDS[kind])
     yield from of_length(table, "densities", "frequencies_hz")
 
 
