@@ -30,6 +30,29 @@ def result():
     return shipped(MAIN)
 
 
+def test_the_job_asks_for_no_less_than_it_should(result):
+    """The figures of the main job: nobody loosens them unseen."""
+    by_loop = {spec.name: spec.limits for spec in result.job.loops}
+    assert (by_loop["caging 9-10"]["bandwidth_hz"], by_loop["caging 4-5-7"]["bandwidth_hz"]) == (45, 30)
+    for name in ("caging 9-10", "caging 4-5-7"):
+        limits = by_loop[name]
+        assert (limits["disk_margin"], limits["damping"], limits["torque_noise"]) == (0.5, 0.1, 0.005)
+        assert (limits["disk_margin_worst_case"], limits["damping_worst_case"]) == (0.3, 0.05)
+    assert (by_loop["caging 9-10"]["Omega_rejection"], by_loop["caging 4-5-7"]["Omega_rejection"]) == (0.003, 0.006)
+    assert (result.job.uncertainty.inertia, result.job.uncertainty.spin) == (0.1, 0.1)
+    assert (result.job.coupled.disk_margin, result.job.coupled.coupling_cost) == (0.5, 0.02)
+    assert (result.job.sampling.period, result.job.sampling.delay) == (5e-4, 5e-4)
+    assert [t.lag for t in result.job.platform.torquers] == [2e-4] * 8
+    asked = {(m.mode, tuple(sorted(m.limits.items()))) for m in result.job.manoeuvres}
+    assert asked == {
+        ("caged", (("angle", 0.003), ("torque_share", 1.0))),
+        ("stabilised", (("angle", 0.0005), ("attitude", 0.01), ("torque_share", 1.0))),
+    }
+    assert sorted((m.mode, m.axis) for m in result.job.manoeuvres) == [
+        (mode, axis) for mode in ("caged", "stabilised") for axis in (1, 2, 3)
+    ]
+
+
 def test_every_requirement_is_met(result):
     assert [(r.subject, r.name, r.value) for r in result.requirements if not r.passed] == []
     assert result.passed

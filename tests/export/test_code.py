@@ -159,7 +159,7 @@ def test_the_page_shows_what_is_written_and_code_that_compiles(job: Job, tmp_pat
     files = write_c(job, [classical_entry(job, ("9", "10"))], tmp_path).files
     code = (tmp_path / "caging_9_10.c").read_text()
     assert all(part in code for part in shown)
-    counts = re.search(r"(\d+) multiplications, (\d+) additions and at most (\d+) comparisons for a classical", page)
+    counts = re.search(r"(\d+)\s+multiplications, (\d+) additions and at most (\d+) comparisons for a classical", page)
     stated = flat(tmp_path / "caging_9_10.h")
     assert (
         "takes {} multiplications, {} additions and subtractions, and at most {} comp".format(*counts.groups())
