@@ -185,11 +185,16 @@ def show_requirements(
             show_words(console, subject, "bold")
         rows = table()
         for one, row in own:
-            words = f"{row.requirement}\n  {one.reason}" if one.reason and not one.passed else row.requirement
             style = "dim" if not one.hard else "" if one.passed else "bold red"
             marked = Text(_mark(one), "green" if one.hard and one.passed else "")
-            rows.add_row(marked, words, row.value, row.limit, row.margin, style=style)
-        console.print(rows)
+            rows.add_row(marked, Text(row.requirement), row.value, row.limit, row.margin, style=style)
+            if one.reason and not one.passed:
+                console.print(rows)
+                indent = " " * (mark + 4)
+                show_words(console, f"{indent}{one.reason}", style, indent)
+                rows = table()
+        if rows.row_count:
+            console.print(rows)
     quiet = Counter(one.name for one in results if _as_good_as_can_be(one))
     if quiet:
         names = [name if number == 1 else f"{name} ({number} times)" for name, number in quiet.items()]

@@ -286,8 +286,14 @@ def judged(
 
 
 def _not_held(one: CheckResult) -> CheckResult:
-    cure = "not met by a value that does not hold: state runs in [budget], or a limit of a manoeuvre"
-    return replaced(one, {"ratio": math.inf, "passed": False, "evidence": f"{one.evidence}; {cure}"})
+    cure = "state runs in [budget], or a limit of a manoeuvre"
+    changes = {
+        "ratio": math.inf,
+        "passed": False,
+        "evidence": f"{one.evidence}; not met by a value that does not hold: {cure}",
+        "reason": f"with this dry friction the linear budget does not hold: {cure}",
+    }
+    return replaced(one, changes)
 
 
 def by_simulation(results: Sequence[CheckResult], simulated: SimulatedBudget) -> tuple[CheckResult, ...]:
