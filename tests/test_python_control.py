@@ -16,7 +16,6 @@ import pytest
 import one_gyro_job
 import platform_ctrl as pc
 from platform_ctrl import analysis, design, simulation
-from platform_ctrl.analysis.poles import is_stable
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.loop import LoopDesign
 
@@ -39,7 +38,7 @@ def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(lo
     assert made.plant.input_labels == [*made.controller.output_labels, *RATES]
     theirs = control.interconnect([made.plant, made.controller], inputs=RATES, outputs=angles)
     ours = analysis.closed_loop(made.plant, made.controller)
-    assert is_stable(theirs)
+    assert analysis.damping(theirs).ratio.min() > 0.0
     w = np.geomspace(1.0, 6000.0, 30)
     expected = analysis.frequency_response(ours[angles, RATES], w)
     np.testing.assert_allclose(analysis.frequency_response(theirs, w), expected, rtol=1e-8)

@@ -100,7 +100,6 @@ def refined(
     values: FloatArray,
     evaluate: Callable[[FloatArray], ComplexArray],
     moved: Callable[[ComplexArray], FloatArray],
-    most: int = _MOST_VALUES,
 ) -> tuple[FloatArray, ComplexArray]:
     """Return rising `values` (N,) with more between them, and what they come to, (N, ...).
 
@@ -110,7 +109,7 @@ def refined(
     for _ in range(_MOST_HALVINGS):
         with np.errstate(all="ignore"):
             long = np.flatnonzero(np.nan_to_num(moved(found), nan=0.0, posinf=0.0) > 1.0)
-        if not long.size or len(values) + long.size > most:
+        if not long.size or len(values) + long.size > _MOST_VALUES:
             break
         between = 0.5 * (values[long] + values[long + 1])
         values = np.insert(values, long + 1, between)

@@ -1,7 +1,7 @@
 """The table of metrics: what can be measured of a loop, and so be required of it; one entry each.
 
 Everything that deals with requirements reads `METRICS`: the reader of job files, measuring and judging, the tuners, the
-report, the app and the tables of the documentation. See docs/reference/architecture.md, "Add a requirement".
+report, the app and the tables of the documentation. See docs/reference/architecture.md, "A requirement".
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.response import StateSystem, linear_arrays
 from platform_ctrl.analysis.system import ComplexArray, System, all_finite, scaled, state_scaling
-from platform_ctrl.common.arguments import number, real_numbers
+from platform_ctrl.common.arguments import real_numbers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -151,12 +151,6 @@ def spectral_abscissa(poles: ComplexArray) -> FloatArray:
     """Return the largest real part of poles (..., n) along the last axis; -inf without poles."""
     out: FloatArray = poles.real.max(axis=-1, initial=-np.inf)
     return out
-
-
-def is_stable(system: StateSystem, margin: float = 0.0) -> bool:
-    """Whether every pole lies strictly inside the stability region, by a decay rate of `margin`, 1/s."""
-    dt = linear_arrays(system, "is_stable").dt
-    return bool(spectral_abscissa(continuous_poles(poles(system), dt)) < -number("is_stable: margin", margin))
 
 
 def fastest_pole(poles: ComplexArray, period: float) -> FloatArray:

@@ -37,7 +37,7 @@ class BudgetState:
     line: str
 
 
-class LineOfSight:
+class SightBudgets:
     """The budgets of a job, which all its pages share; safe in several threads."""
 
     def __init__(self, loops: ClosedLoops) -> None:

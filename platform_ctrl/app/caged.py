@@ -29,7 +29,7 @@ from platform_ctrl.app.curves import (
     channel_response,
     frequency_gain,
 )
-from platform_ctrl.app.excitation import Drive, caged_excitation, drive, settling, step_size
+from platform_ctrl.app.excitation import SampledInput, caged_excitation, drive, settling, step_size
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Measured, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
@@ -174,7 +174,7 @@ class CagedCurves(LoopCurves):
         return () if read else self.loop.plants.sight
 
     def _over_time(
-        self, given: Drive, arrays: Callable[[Loop], System], columns: Sequence[int], inputs: FloatArray
+        self, given: SampledInput, arrays: Callable[[Loop], System], columns: Sequence[int], inputs: FloatArray
     ) -> TimeResponse:
         m, p = self.shown.m, self.shown.p
         seen = self._sight or self.readings

@@ -15,7 +15,7 @@ from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.poles import continuous_poles, pole_branches, poles, spectral_abscissa
 from platform_ctrl.analysis.response import AxisResponse
 from platform_ctrl.analysis.system import ComplexArray, System
-from platform_ctrl.app.excitation import Drive, sampled_responses
+from platform_ctrl.app.excitation import SampledInput, sampled_responses
 from platform_ctrl.app.pictures import (
     Bode,
     ClosedLoop,
@@ -327,7 +327,7 @@ class LoopCurves(ABC):
         return bode, Nichols(labels=labels, phase=phases, magnitude=sizes, frequency=where, disk_margin=disk_margin)
 
     def over_time(
-        self, drive: Drive, signals: Sequence[str], shown: System, band: System | None, inputs: FloatArray
+        self, drive: SampledInput, signals: Sequence[str], shown: System, band: System | None, inputs: FloatArray
     ) -> TimeResponse:
         """Return what `inputs` (m, T) do to the outputs of closed loops, which are the `signals`."""
         values = sampled_responses(shown, inputs, drive.every)[0]

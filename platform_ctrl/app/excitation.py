@@ -125,7 +125,7 @@ def round_up(x: float) -> float:
     return float(next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= x * (1.0 - 1e-9)))
 
 
-class Drive(NamedTuple):
+class SampledInput(NamedTuple):
     """An input over time: at all samples, and the times `t` (T,), s, of every `every`-th one, which are drawn."""
 
     title: str
@@ -137,13 +137,13 @@ class Drive(NamedTuple):
 
 def drive(
     title: str, duration: float, period: float, rate: Callable[[FloatArray], FloatArray], limit: float | None = None
-) -> Drive:
+) -> SampledInput:
     """Return an input over about `duration`, s, by its value at the times of the samples (N,)."""
     every = max(1, math.ceil(duration / period / POINTS))
     count = max(2, math.ceil(duration / period / every - 1e-9) + 1)
     t = np.asarray(np.arange(count) * (every * period), dtype=np.float64)
     u = rate(np.arange(every * (count - 1) + 1, dtype=np.float64) * period)
-    return Drive(title=title, t=t, u=u, every=every, limit=limit)
+    return SampledInput(title=title, t=t, u=u, every=every, limit=limit)
 
 
 def sampled_responses(systems: System, inputs: FloatArray, every: int) -> FloatArray:

@@ -124,11 +124,15 @@ class Part:
     tip: str = ""
 
 
+# Steps that can be undone, at most.
+_MOST_STEPS = 200
+
+
 class History:
     """The settings of a page that can be undone and redone."""
 
-    def __init__(self, first: Settings, room: int = 200) -> None:
-        self._steps, self._at, self._room = [first], 0, room
+    def __init__(self, first: Settings) -> None:
+        self._steps, self._at = [first], 0
 
     @property
     def can_undo(self) -> bool:
@@ -143,7 +147,7 @@ class History:
     def put(self, settings: Settings) -> None:
         """Add a step; the steps to redo are dropped. Equal settings are no step."""
         if settings.data() != self._steps[self._at].data():
-            self._steps = [*self._steps[: self._at + 1], settings][-self._room :]
+            self._steps = [*self._steps[: self._at + 1], settings][-_MOST_STEPS:]
             self._at = len(self._steps) - 1
 
     def replace(self, settings: Settings) -> None:

@@ -28,7 +28,7 @@ from platform_ctrl.app.curves import (
     frequency_gain,
     gain_crossings,
 )
-from platform_ctrl.app.excitation import Drive, drive, settling, step_size
+from platform_ctrl.app.excitation import SampledInput, drive, settling, step_size
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Measured, TimeResponse
 from platform_ctrl.app.plants import ATTITUDE, FreePlants
 from platform_ctrl.app.settings import Settings
@@ -130,7 +130,7 @@ class StabilisedCurves(LoopCurves):
         impulse = drive(title, duration, period, lambda t: np.where(t == 0.0, size, 0.0))
         return self._over_time(impulse, [*ATTITUDE, *self.readings])
 
-    def _over_time(self, given: Drive, signals: Sequence[str]) -> TimeResponse:
+    def _over_time(self, given: SampledInput, signals: Sequence[str]) -> TimeResponse:
         """Return attitude, angles and torques, as many as there are signals, after a torque on the platform."""
         k, p = len(self.used), len(self.readings)
         order = [*range(k + p, k + p + 3), *range(k, k + p), *range(k)][: len(signals)]

@@ -6,15 +6,12 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.errors import ArgumentError
-
-if TYPE_CHECKING:
-    from platform_ctrl.common.values import FloatArray
 
 T = TypeVar("T")
 
@@ -48,7 +45,9 @@ def instance(name: str, given: object, kind: type[T]) -> T:
     raise ArgumentError(f"{name} must be {words}, got {short(given)}")
 
 
-def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], default: float | None = None) -> FloatArray:
+def real_array(
+    name: str, given: ArrayLike | None, shape: tuple[int, ...], default: float | None = None
+) -> NDArray[np.float64]:
     """Return `given` as a finite float64 array of `shape`."""
     if given is None and default is not None:
         return np.full(shape, default)
@@ -60,7 +59,7 @@ def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], defau
     return array
 
 
-def real_numbers(name: str, given: object, more: str = "") -> FloatArray:
+def real_numbers(name: str, given: object, more: str = "") -> NDArray[np.float64]:
     """Return `given` as a float64 array of any shape, `given` itself if it is one; finite or not."""
     return _numbers(name, given, "iuf", f"real numbers{more}").astype(np.float64, copy=False)
 
@@ -105,7 +104,7 @@ def within(name: str, given: float, least: float, most: float) -> float:
     return out
 
 
-def not_negative(name: str, given: ArrayLike, size: int) -> FloatArray:
+def not_negative(name: str, given: ArrayLike, size: int) -> NDArray[np.float64]:
     """Return `size` finite numbers >= 0, all alike where one is given."""
     array = real_numbers(name, given)
     if array.shape not in ((), (size,)) or not np.isfinite(array).all() or (array < 0.0).any():

@@ -89,9 +89,9 @@ def plain_types(item: Any) -> Any:
     return item
 
 
-def json_text(item: Any, indent: str = "") -> str:
+def json_text(item: Any) -> str:
     """Return data as JSON text; numbers that are not finite are null."""
-    return _laid_out(plain_types(item), indent)
+    return _laid_out(plain_types(item), "")
 
 
 def write_json(item: Any, path: str | os.PathLike[str]) -> Path:

@@ -62,12 +62,12 @@ class _LaneMaskModel(models.PrimitiveModel):
 _INSIDE: Any = {"no_cfunc_wrapper": True}
 
 
-def memory(slots: int, columns: int = LANES) -> FloatArray:
-    """Return zeros (slots, columns) that begin at a cache line, so that a slot does not straddle two."""
-    size = slots * columns
+def memory(slots: int) -> FloatArray:
+    """Return zeros (slots, LANES) that begin at a cache line, so that a slot does not straddle two."""
+    size = slots * LANES
     raw = np.zeros(size + 8)
     start = (-raw.ctypes.data // 8) % 8
-    return raw[start : start + size].reshape(slots, columns)
+    return raw[start : start + size].reshape(slots, LANES)
 
 
 # Arithmetic.

@@ -276,7 +276,7 @@ def commanded(design: LoopDesign) -> LoopDesign:
     return dataclasses.replace(design, controller=controller, sections=sections)
 
 
-def with_controller(design: LoopDesign, controller: System) -> LoopDesign:
+def with_own_controller(design: LoopDesign, controller: System) -> LoopDesign:
     """Return a design with another controller of what its plants measure; nothing of it is measured again."""
     plants = design.plants
     assert plants is not None, "the loop has plants"

@@ -150,7 +150,8 @@ def balance(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     """Return powers of two d, (n,), such that row i of [D⁻¹AD, D⁻¹B] and column i of [D⁻¹AD; CD] are of similar length.
 
     D = diag(d). Osborne's iteration, inputs and outputs fixed. A state without inputs or outputs keeps its unit.
-    `arrays.state_scaling` does not serve: it gives B and C the size of A, and the units of z then decide on gamma.
+    `analysis.system.state_scaling` does not serve: it gives B and C the size of A, and the units of z then decide on
+    gamma.
     """
     n = len(A)
     d = np.ones(n)

@@ -1,7 +1,6 @@
 """Faults of simulated runs: the value, and a registry with one entry for each kind.
 
-The job's reader, campaigns, reports, the simulation and the documentation are made from the registry; "Add a fault" in
-docs/reference/architecture.md shows a new entry.
+The job's reader, campaigns, reports, the simulation and the documentation are made from the registry.
 """
 
 from __future__ import annotations

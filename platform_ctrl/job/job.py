@@ -16,9 +16,7 @@ from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.drive import CommandShaping, Drive, DriveLaw, Feedforward, drive_law
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.manoeuvre import Manoeuvre
-from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.methods import LoopKind as LoopKind
-from platform_ctrl.job.methods import Structure as Structure
+from platform_ctrl.job.methods import METHODS, LoopKind, Structure
 from platform_ctrl.job.requirements import LoopRequirement, limit_misfits, loop_goals, loop_requirements
 from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant import fields

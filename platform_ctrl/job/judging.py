@@ -7,8 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.metrics import Sense as Sense
+from platform_ctrl.analysis.metrics import METRICS, Sense
 from platform_ctrl.common.values import input_value, value
 
 Stage = Literal["decoupled", "coupled", "simulated"]

@@ -120,7 +120,7 @@ class Manoeuvre:
     fade
         Time over which vibrations and sines rise from zero, s; 0: they begin with a step of the base's rate.
     limits
-        By the keys and in the units of `platform_ctrl.analysis.metrics.RUN_METRICS`.
+        By the keys and in the units of `platform_ctrl.analysis.run_metrics.RUN_METRICS`.
     """
 
     name: fields.Text

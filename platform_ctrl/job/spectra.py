@@ -243,7 +243,7 @@ class HarmonicSpectrum(SourceSpectrum):
         return np.zeros(0) if self.turning_rate[0] == self.turning_rate[1] else np.unique(self._bands)
 
     def density(self, f_hz: ArrayLike) -> FloatArray:
-        """Return the density; see `Spectrum.density`."""
+        """Return the density; see `SourceSpectrum.density`."""
         f = real_numbers("f_hz", f_hz)[..., None]
         low, high = self._bands.T
         if self.turning_rate[0] == self.turning_rate[1]:

@@ -25,7 +25,7 @@ from platform_ctrl.design.loop import (
     designed,
     limits_and_goals,
     with_commands,
-    with_controller,
+    with_own_controller,
 )
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
@@ -336,7 +336,7 @@ class _Trials:
         if problem.plant_set is None:
             return designed(problem)
         K = METHODS[closed.method].design(problem).controller
-        return with_controller(closed, problem.in_signals(K))
+        return with_own_controller(closed, problem.in_signals(K))
 
     def _problem(self, outcome: LoopOutcome) -> LoopProblem | None:
         """Return what the method of a closed design is given; None where it does not build a design from options."""

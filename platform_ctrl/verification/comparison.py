@@ -9,10 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS, Quantity
+from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS, Quantity, Sense
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.common.values import value
-from platform_ctrl.job.judging import Sense
 from platform_ctrl.verification.coupled import ALL_LOOPS
 
 State = Literal["within", "worse", "better", "missing", "new"]

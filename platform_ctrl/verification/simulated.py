@@ -124,7 +124,7 @@ def _for_good(there: NDArray[np.bool_]) -> int | None:
 def largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     """Return the run's metrics by the names of the limits, each with the signal that it belongs to.
 
-    See `platform_ctrl.analysis.metrics.RUN_METRICS`; those on demand only where the manoeuvre limits them. Infinite
+    See `platform_ctrl.analysis.run_metrics.RUN_METRICS`; those on demand only where the manoeuvre limits them. Infinite
     when the run diverged.
 
     Parameters

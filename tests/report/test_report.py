@@ -23,11 +23,10 @@ from legend_entries import without_a_curve
 from passive_gimbal import passive_job
 from platform_ctrl.analysis.loop import Transfer
 from platform_ctrl.analysis.measuring import Peak
-from platform_ctrl.analysis.metrics import METRICS, Metric
+from platform_ctrl.analysis.metrics import METRICS, Metric, Sense
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
-from platform_ctrl.job.judging import Sense
 from platform_ctrl.job.quantities import compared, plain
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement

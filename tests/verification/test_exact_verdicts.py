@@ -53,8 +53,8 @@ def narrow_loop(depth: float = 0.20796, width: float = 0.0061867) -> System:
     return narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, depth, width]))
 
 
-# The worst that `narrow_loops.worst_found` has found of each kind: delay, s; numbers of the controller; what the grid
-# of a search alone would have said, and what is true.
+# The worst loops of `narrow_loops` that a search has found, of each kind: delay, s; numbers of the controller; what the
+# grid of a search alone would have said, and what is true.
 FOUND = {
     "sensitivity peak": (0.0, [32.96, 429.6, 7.721, 241.6, 45.21, 230.1, 3.86, 0.00837], 2.133, 431.8),
     "complementary sensitivity peak": (0.0, [49.39, 251.1, 36.52, 205.3, 67.92, 154.0, 6.913, 0.002673], 1.339, 98.18),

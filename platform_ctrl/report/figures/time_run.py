@@ -60,8 +60,8 @@ def time_run(run: Run | Trajectory, platform: Platform, *, limits: Mapping[str, 
     platform
         The plant that was run, with the torquers' limits.
     limits
-        By the names of `platform_ctrl.analysis.metrics.RUN_METRICS`, SI units; default those of the manoeuvre, none of
-        a trajectory. ``angle``, ``attitude`` and ``torque_share`` are drawn.
+        By the names of `platform_ctrl.analysis.run_metrics.RUN_METRICS`, SI units; default those of the manoeuvre,
+        none of a trajectory. ``angle``, ``attitude`` and ``torque_share`` are drawn.
 
     Returns
     -------
