@@ -65,7 +65,7 @@ def number_word(number: int) -> str:
     return _NUMBERS[number] if number < len(_NUMBERS) else str(number)
 
 
-def share(number: float, rounding: Rounding) -> str:
+def share(number: float, rounding: Rounding = "nearest") -> str:
     """Return a share in per cent, without a sign."""
     return f"{plain(100.0 * number, 2, rounding)}\u00a0%"
 
