@@ -30,7 +30,7 @@ FLAGS = (
     "--disable-sync",
 )
 # Milliseconds that a page has for whatever is waited for: the machine may be busy.
-PATIENCE = 30_000
+PATIENCE = 120_000
 
 
 def executable() -> str:
