@@ -9,7 +9,6 @@ from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System
@@ -319,6 +318,8 @@ def shaped(K: System, shaping: CommandShaping, directions: Channels, sense: Floa
     J s² + d s + c of an angle, inertia, viscous friction and spring, and J s + d of a rate. Both are sampled by
     Tustin's rule. `sense` (n, p) leads from the readings to the directions, along which the inertias are known.
     """
+    from scipy.linalg import block_diag
+
     p, w = len(K.B.T), 2.0 * math.pi * shaping.filter_hz
     derivatives = [low_pass(w, _DAMPING, K.dt, order) for order in range(directions.order + 1)]
     A, B, C, D = (block_diag(*(part,) * p) for part in derivatives[0][:4])

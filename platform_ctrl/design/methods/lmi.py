@@ -26,7 +26,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, solve_continuous_are
 
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.norms import hinf_norm
@@ -129,6 +128,8 @@ def _synthesis(
     problem: LoopProblem, options: dict[str, float], channel: Channels, plants: PlantSet
 ) -> tuple[System, dict[str, float]]:
     """Return the sampled controller of the plants, and claims."""
+    from scipy.linalg import block_diag
+
     unit = torque_units(channel, plants.nutation)
     flat = _flat(channel, plants, unit)
     noise = channel.basis.T * unit * np.sqrt(np.mean(plants.noise**2) * plants.period)
@@ -351,6 +352,8 @@ def _gamma(part: _Weighted, controller: System) -> float:
 
 def _first_states(p: Partition, part: _Weighted) -> FloatArray:
     """Return states in which the solutions of the LQ and the filter problem of the performance are balanced."""
+    from scipy.linalg import solve_continuous_are
+
     from platform_ctrl.design.lmi.inequalities import balancing
 
     w, z, solutions = part.w[0] + part.w[1], part.z[0], []

@@ -22,7 +22,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System, seen_states, state_scaling
@@ -196,7 +195,7 @@ def quadratic_problem(options: dict[str, float], channel: Channels, plants: Plan
         plant=System(A, B, C, D, period),
         A=np.block([[A, np.zeros((n, size))], [sums[:, None] * C, np.eye(size)]]),
         B=np.vstack([B, sums[:, None] * D]),
-        Q=block_diag(C.T @ C + rate.T @ rate, np.eye(size)),
+        Q=np.block([[C.T @ C + rate.T @ rate, np.zeros((n, size))], [np.zeros((size, n)), np.eye(size)]]),
         R=np.eye(B.shape[1]),
         G=np.hstack([B * (by_channel("recovery") / torque), from_rate * options.get("platform_rate", 0.0)]),
         QN=np.eye(B.shape[1] + 3),
@@ -255,6 +254,6 @@ def lqg_controller(options: dict[str, float], channel: Channels, plants: PlantSe
         raise DesignError("lqg: the loop has no solution at one instant; try a delay of one sample") from None
     C_K, D_K = -solved @ np.hstack([feedback @ (np.eye(n) - M @ C), sums]), -solved @ feedback @ M
     into = np.vstack([B - L @ D, np.zeros((p, B.shape[1]))])
-    own = block_diag(A - L @ C, np.eye(p))
+    own = np.block([[A - L @ C, np.zeros((n, p))], [np.zeros((p, n)), np.eye(p)]])
     made = System(own + into @ C_K, np.vstack([L, np.diag(problem.sums)]) + into @ D_K, C_K, D_K, period)
     return between(channel.basis / problem.error[:, None], made, channel.basis.T * problem.torque)
