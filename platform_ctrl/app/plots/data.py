@@ -11,6 +11,7 @@ from bokeh.core.property.descriptors import UnsetValueError
 from bokeh.models import ColumnDataSource, Range1d
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis import curves
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.palette import PALETTE
 from platform_ctrl.common.values import FloatArray
@@ -90,8 +91,7 @@ def column(numbers: Any, scale: float = 1.0) -> Column:
 
 def decibels(gain: Any) -> Column:
     """Return gains as a column in dB; a gain of 0 is a gap."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return column(20.0 * np.log10(np.asarray(gain, dtype=np.float64)))
+    return column(curves.decibels(gain))
 
 
 def positive(gain: FloatArray) -> FloatArray:
