@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import typer
 
 from platform_ctrl.cli.error_lines import noted
-from platform_ctrl.cli.interrupts import interrupts_deferred
 from platform_ctrl.cli.job_arguments import (
     Controllers,
     JobFile,
@@ -28,6 +27,7 @@ from platform_ctrl.cli.job_arguments import (
     writable,
 )
 from platform_ctrl.common.files import UNFINISHED, json_text, unfinished_folder, write_json
+from platform_ctrl.common.processes import interrupts_deferred
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.exporters import FORMS, NUMBERS, RESPONSES, ROOTS, Export, Form
 from platform_ctrl.plant.source import read_json

@@ -56,24 +56,6 @@ def interruptible(deferred: int = 0) -> Iterator[Callable[[], None]]:
             before.count += note.count
 
 
-@contextmanager
-def interrupts_deferred() -> Iterator[None]:
-    """Raise `KeyboardInterrupt` for a Ctrl-C only at the end of the block."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    note = _Note(sys.maxsize)
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if isinstance(before, _Note) and before.deferred:
-        before.count += note.count
-    else:
-        note.check()
-
-
 def exit_interrupted(*signal_and_frame: object) -> NoReturn:
     """End the process at once; a library that was interrupted while it was loaded may crash an orderly end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

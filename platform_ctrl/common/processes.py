@@ -29,6 +29,10 @@ def processes(
     before = set(multiprocessing.active_children())
     executor = ProcessPoolExecutor(workers, multiprocessing.get_context(method), _begin, (prepare, given))
     try:
+        if method == "fork":
+            # Python prints an exception of what it runs beside a fork, and forgets it.
+            with interrupts_deferred():
+                executor.submit(os.getpid)
         yield executor
     finally:
         for child in {*multiprocessing.active_children()} - before:
@@ -49,6 +53,22 @@ def _begin(prepare: Callable[..., None] | None, given: tuple[object, ...]) -> No
     threading.Thread(target=follow, daemon=True).start()
     if prepare is not None:
         prepare(*given)
+
+
+@contextmanager
+def interrupts_deferred() -> Iterator[None]:
+    """Heed a Ctrl-C only at the end of the block."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    pressed: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if pressed:
+        signal.raise_signal(signal.SIGINT)
 
 
 def collect_seldom() -> None:
