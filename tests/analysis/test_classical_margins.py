@@ -1,7 +1,5 @@
 """Gain and phase margins against textbook loops and against a dense grid of frequencies."""
 
-import dataclasses
-
 import control
 import numpy as np
 import pytest
@@ -44,12 +42,9 @@ def test_a_slow_pole_hides_no_gain_at_zero_frequency():
     assert margins_of_channel(sensitivity(slow))[0] == pytest.approx(1.5, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["camera", pytest.param("three gyros", marks=pytest.mark.slow)])
-def test_a_grid_finds_nothing_worse(name):
+def test_a_grid_finds_nothing_worse():
     loops = camera_loop(use="one", design=[{"name": "one", "method": "hinf"}])
-    job = pc.read_job(camera_job(loop=loops)) if name == "camera" else pc.read_job("examples/three_gyro_platform.toml")
-    (outcome,) = design.loops(dataclasses.replace(job, loops=job.loops[len(job.loops) > 1 :][:1]))
-    found = outcome.closed
+    found = design.loops(pc.read_job(camera_job(loop=loops)))[0].closed
     gain, phase = (
         requirement(kind, 1.0).check(found.plants, found.controller).value for kind in ("gain margin", "phase margin")
     )

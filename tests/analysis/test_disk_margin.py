@@ -46,7 +46,7 @@ def test_the_siso_example_of_the_disk_margin_paper() -> None:
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
-@pytest.mark.parametrize(("m", "seed"), [(2, 20), (3, 21), (3, 3), (3, 7), (5, 22)])
+@pytest.mark.parametrize(("m", "seed"), [(2, 20), (3, 21), (5, 22)])
 def test_the_bounds_enclose_slycots_at_every_frequency(m: int, seed: int, dt: float) -> None:
     slycot = pytest.importorskip("slycot")
     L = stable_loop(seed, m, 9, dt)
@@ -64,8 +64,8 @@ def test_the_bounds_enclose_slycots_at_every_frequency(m: int, seed: int, dt: fl
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
-@pytest.mark.parametrize("skew", [0.0, 0.5, -0.8])
-@pytest.mark.parametrize(("m", "seed"), [(1, 50), (2, 50), (3, 50), (3, 51), (4, 50)])
+@pytest.mark.parametrize("skew", [0.0, -0.8])
+@pytest.mark.parametrize(("m", "seed"), [(1, 50), (2, 50), (4, 50)])
 def test_the_perturbation_puts_a_pole_on_the_stability_boundary(m: int, seed: int, skew: float, dt: float) -> None:
     L = stable_loop(seed, m, 6, dt)
     found = analysis.disk_margin(L, skew)
@@ -85,7 +85,7 @@ def test_the_perturbation_puts_a_pole_on_the_stability_boundary(m: int, seed: in
         assert spectral_abscissa(continuous_poles(np.linalg.eigvals(A), float(L.dt))) < 0.0
 
 
-@pytest.mark.parametrize("skew", [0.0, 0.5, -0.8])
+@pytest.mark.parametrize("skew", [0.0, -0.8])
 @pytest.mark.parametrize(
     ("m", "seed", "dt", "on_boundary"),
     [(3, 11, 0.0, 0.0), (4, 2, 0.0, 0.0), (5, 25, 0.0, 0.0), (4, 2, 0.1, 1.0), (4, 22, 0.1, -1.0), (5, 59, 0.1, -1.0)],
@@ -143,6 +143,29 @@ def test_a_margin_narrower_than_any_grid_is_found_whatever_frequencies_are_asked
     assert full.alpha <= analysis.disk_margin(L, frequency=near).lower_response.min() * (1.0 + 1e-4)
     assert full.proved
     assert asked.proved
+
+
+def test_a_siso_margin_has_its_closed_form() -> None:
+    # L = k/s: (S - T)/2 = (s - k)/(s + k)/2, all-pass: alpha = 2 at every frequency.
+    found = analysis.disk_margin(control.ss([[0.0]], [[1.0]], [[3.0]], 0))
+    assert (found.alpha, found.upper, found.unstructured) == pytest.approx((2.0, 2.0, 2.0))
+
+
+def test_loop_margins_are_siso_margins_with_the_other_channels_closed() -> None:
+    plant = control.ss(
+        [[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.4], [-0.3, 2.0]], np.eye(2), 0, inputs=["Q9", "Q10"], outputs=["a", "b"]
+    )
+    lag = control.ss(-10.0 * np.eye(2), 10.0 * np.eye(2), [[-2.0, 1.0], [-1.0, -4.0]], 0)
+    for at, names in (("input", ("y[0]", "y[1]")), ("output", ("u[0]", "u[1]"))):
+        found = analysis.loop_margins(plant, lag, at=at)
+        L = analysis.loop_transfer(plant, lag, at=at)
+        assert found.channels == names
+        for i, other in ((0, 1), (1, 0)):
+            # Close the other channel around L, then measure the one that is left.
+            A = L.A - L.B[:, [other]] @ L.C[[other]]
+            single = control.ss(A, L.B[:, [i]], L.C[[i]], 0)
+            assert found.alpha[i] == pytest.approx(float(analysis.disk_margin(single)), rel=1e-7)
+            assert found.alpha[i] >= float(analysis.disk_margin(L)) * (1.0 - 1e-6)
 
 
 def test_a_loop_that_no_gain_destabilises_says_so() -> None:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
 
-import platform_ctrl as pc
-from one_gyro_job import JOB
 from platform_ctrl import analysis
 from platform_ctrl.analysis.margins import disk_phase, disk_to_gain_phase
 from platform_ctrl.common.values import FloatArray
@@ -21,22 +17,6 @@ from random_loops import stable_loop
 ROOT = Path(__file__).parents[2]
 PAIR = r"(?:×|x) ([\d.]+) with (?:phase )?(?:±|\+-)([\d.]+)"
 ALONE = r"(?:×|x) ([\d.]+) to ([\d.]+) alone, (?:phase )?(?:±|\+-)([\d.]+)"
-
-
-@pytest.fixture(scope="module")
-def channels():
-    """The two channels of docs/start/first-loop.md, each with the other closed: loop transfer and disk margin."""
-    job, by_hand = tomllib.loads(JOB), {"damping_hz": 43.4, "damping2_hz": 53.0, "lead_hz": 7}
-    job["loop"][0]["design"][0] |= by_hand
-    loop = pc.design.loops(job)[0].closed
-    L = analysis.loop_transfer(loop.plant, loop.controller)
-    margins = analysis.loop_margins(loop.plant, loop.controller)
-    out = {}
-    for i, other in ((0, 1), (1, 0)):
-        assert not np.any(L.D)
-        A = L.A - L.B[:, [other]] @ L.C[[other]]
-        out[margins.channels[i]] = ((A, L.B[:, [i]], L.C[[i]], L.D[[i]][:, [i]]), float(margins.alpha[i]))
-    return out
 
 
 def radius(loop, factor: complex) -> float:
@@ -68,24 +48,6 @@ def test_every_pair_inside_is_stable_and_the_worst_on_the_edge_is_not(seed: int,
     low, high, _ = disk_to_gain_phase(0.999 * found.alpha, skew)
     inside = edge(0.999 * found.alpha, skew, np.geomspace(max(low, 1e-6), min(high, 1e6), 101))
     assert max(radius(matrices, f) for f in inside) < 1.0
-
-
-def test_the_gain_and_the_phase_that_a_disk_allows_alone_are_too_much_together(channels) -> None:
-    for loop, alpha in channels.values():
-        low, high, phase = disk_to_gain_phase(alpha)
-
-        def least(log_gain: float, sign: float, loop=loop, alpha=alpha) -> float:
-            gain = np.exp(log_gain)
-            return -radius(loop, gain * np.exp(1j * sign * float(disk_phase(gain, alpha))))
-
-        ends = (np.log(low) + 1e-9, np.log(high) - 1e-9)
-        reached = [-minimize_scalar(least, bounds=ends, args=(sign,), method="bounded").fun for sign in (-1.0, 1.0)]
-        assert max(reached) == pytest.approx(1.0, abs=1e-6)
-        together = [radius(loop, end * np.exp(1j * sign * phase)) for end in (low, high) for sign in (-1.0, 1.0)]
-        assert max(together) > 1.005
-    [loop, alpha] = channels["Q9"]
-    _, high, phase = disk_to_gain_phase(alpha)
-    assert radius(loop, high * np.exp(-1j * phase)) == pytest.approx(1.040, abs=5e-4)
 
 
 def inside(text: str, alpha: float) -> int:

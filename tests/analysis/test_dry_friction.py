@@ -26,14 +26,6 @@ from platform_ctrl.plant.force_elements import Friction
 BEARING = Friction(gimbal="pitch", coulomb=(0.02, 0.02), coulomb_rate=1e-3)
 
 
-def test_fast_sliding_has_the_describing_function_of_a_sign() -> None:
-    sharp = Friction(gimbal="pitch", coulomb=(0.02, 0.02), coulomb_rate=1e-6)
-    found = describing_function(sharp, 0.1)
-    assert found.viscous == pytest.approx(math.sqrt(2.0 / math.pi) * 0.02 / 0.1, rel=1e-8)
-    assert found.remainder == pytest.approx(0.02 * math.sqrt(1.0 - 2.0 / math.pi), rel=1e-4)
-    assert found.mean == pytest.approx(0.0, abs=1e-15)
-
-
 @pytest.mark.parametrize("rms", [3e-4, 1e-3, 1e-2])
 def test_a_stribeck_curve_is_averaged_over_the_rates(rms: float) -> None:
     curve = Friction(

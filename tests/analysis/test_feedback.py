@@ -102,24 +102,6 @@ def test_a_singular_algebraic_loop_is_named() -> None:
         analysis.closed_loop(plant, control.ss([], [], [], [[0.5]]))
 
 
-def test_what_does_not_fit_is_named() -> None:
-    plant, controller = pair(0, 0.1)
-    with pytest.raises(PlatformCtrlError, match="same sample period"):
-        analysis.closed_loop(plant, pair(0, 0.2)[1])
-    with pytest.raises(PlatformCtrlError, match="same names"):
-        analysis.closed_loop(plant, plant)
-    with pytest.raises(PlatformCtrlError, match="'input' or 'output'"):
-        analysis.loop_transfer(plant, controller, at="middle")
-
-
-def test_damping_of_a_sampled_resonator_is_that_of_the_continuous_one() -> None:
-    zeta, w0 = 0.02, 474.3
-    plant = control.ss([[0.0, w0], [-w0, -2.0 * zeta * w0]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
-    found = analysis.damping(analysis.sampled(plant, 5e-4, delay=5e-4))
-    np.testing.assert_allclose(found.ratio, [zeta, zeta, 1.0], rtol=1e-10)
-    np.testing.assert_allclose(found.natural_frequency, [w0, w0, math.inf], rtol=1e-12)
-
-
 def test_minimum_damping_counts_slow_and_unstable_poles() -> None:
     slow, fast = [-0.01 + 1j, -0.01 - 1j], [-30.0 + 40j, -30.0 - 40j]
     poles = np.array([slow + fast, [2.0, 3.0, *fast], [*fast, *fast]])

@@ -111,29 +111,3 @@ def test_on_a_pole_the_response_is_infinite(dt: float) -> None:
 
 
 # Many states: a narrow band of states in another order, and matrices without structure.
-
-
-def sum_of_modes(frequency: FloatArray, damping: FloatArray, b: FloatArray, c: FloatArray, w: float) -> complex:
-    """Return the sum of c_k b_k w_k / (w_k^2 - w^2 + 2 j zeta_k w_k w) with all digits."""
-    with flint.ctx.workprec(200):
-        total = flint.acb(0)
-        for own, zeta, inwards, out in zip(frequency, damping, b, c, strict=True):
-            own, s = flint.arb(float(own)), flint.acb(0, float(w))
-            total += float(inwards) * float(out) * own / (s * s + 2 * s * float(zeta) * own + own * own)
-        return complex(total)
-
-
-@pytest.mark.parametrize("count", [30, 200])
-def test_modes_whose_states_stand_in_any_order_add_up(count: int) -> None:
-    rng = np.random.default_rng(count)
-    # Powers of two times whole numbers: products in A are exact.
-    frequency, damping = rng.integers(1, 2**20, count) * 2.0**-10, 2.0 ** -rng.integers(1, 24, count)
-    b, c = rng.normal(size=count), rng.normal(size=count)
-    A, B, C = modes(frequency, damping), np.zeros((2 * count, 1)), np.zeros((1, 2 * count))
-    B[1::2, 0], C[0, ::2] = b, c
-    order = rng.permutation(2 * count)
-    system = control.ss(A[np.ix_(order, order)], B[order], C[:, order], 0, remove_useless_states=False)
-    w = np.concatenate([np.geomspace(1e-3, 1e4, 10), frequency[:6], frequency[:6] * (1.0 + damping[:6])])
-    truth = np.array([sum_of_modes(frequency, damping, b, c, one) for one in w])
-    # Where modes cancel, too.
-    np.testing.assert_allclose(analysis.frequency_response(system, w)[0, 0], truth, rtol=1e-11)

@@ -15,8 +15,7 @@ from platform_ctrl.analysis.budget_records import BudgetResult, Density, RandomD
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates, interconnected_by_sample
 from platform_ctrl.analysis.jitter_budget import JitterBudget
-from platform_ctrl.analysis.norms import stationary_covariance
-from platform_ctrl.analysis.sampling import held_input, sampled, with_lag
+from platform_ctrl.analysis.sampling import held_input, with_lag
 from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
 
@@ -76,65 +75,6 @@ def test_the_integral_of_a_rate_is_the_angle() -> None:
     assert found.rms[:, 1] == pytest.approx(found.rms[:, 0], rel=1e-9)
     assert found.total == pytest.approx(np.sqrt(np.sum(found.rms**2, axis=0)), rel=1e-12)
     assert found.remaining < 1e-9
-
-
-class Loop:
-    """The loop of `oscillator` and K with an oscillation e that drives the disturbance, stepped by hand."""
-
-    def __init__(self, omega: float) -> None:
-        plant = oscillator()
-        A, B, C, _, _ = plant.plant
-        self.A = np.zeros((5, 5))
-        self.A[:3, :3], self.A[:3, 3:4] = A, B[:, 1:2]
-        self.A[3, 4], self.A[4, 3] = omega, -omega
-        self.B = np.vstack([B[:, :1], np.zeros((2, 1))])
-        self.C = np.hstack([C, np.zeros((3, 2))])
-        P = sampled(System(self.A, self.B, self.C[:1], np.zeros((1, 1))), PERIOD, plant.delay)
-        # States [x, e, u[k-1], controller]; what noise of a sample adds.
-        self.step = np.block([[P.A + P.B @ K.D @ P.C, P.B @ K.C], [K.B @ P.C, K.A]])
-        self.noisy = np.vstack([P.B @ K.D, K.B])
-        self.u = np.hstack([K.D @ P.C, K.C])
-
-    def outputs(self) -> list[tuple[float, np.ndarray, np.ndarray]]:
-        """Weights of instants in the period, and z there from the state and from the noise of the sample."""
-        point, weight = np.polynomial.legendre.leggauss(24)
-        size, out = len(self.step), []
-        start = np.eye(5, size)
-        before = np.eye(1, size, 5)
-        early, held = held_input(self.A, self.B, 0.25 * PERIOD)
-        middle = early @ start + held @ before
-        for length, x, u, n in ((0.25, start, before, 0.0), (0.75, middle, self.u, float(K.D[0, 0]))):
-            for t, w in zip(0.5 * length * (1.0 + point), 0.5 * length * weight, strict=True):
-                phi, gain = held_input(self.A, self.B, t * PERIOD)
-                out.append((w, self.C[1:] @ (phi @ x + gain @ u), n * self.C[1:] @ gain))
-        return out
-
-
-@pytest.mark.parametrize("omega", [0.9, 2.0, 7.3, 31.0])
-def test_a_sine_has_the_mean_square_of_the_exact_steady_state(omega: float) -> None:
-    loop = Loop(omega)
-    rest = [0, 1, 2, 5, 6]
-    e = np.array([1.0, 1j])
-    v = np.zeros(7, dtype=complex)
-    v[3:5] = e
-    turn = np.exp(1j * omega * PERIOD)
-    v[rest] = np.linalg.solve(turn * np.eye(5) - loop.step[np.ix_(rest, rest)], loop.step[np.ix_(rest, [3, 4])] @ e)
-    expected = sum(w * 0.5 * np.abs(z @ v) ** 2 for w, z, _ in loop.outputs())
-    sine = SineDisturbance(name="motor", inputs=(0,), frequency=omega, amplitude=np.array([1.0]))
-    found = JitterBudget(oscillator(), [sine]).of(K)
-    assert found.rms[0] ** 2 == pytest.approx(expected, rel=1e-9)
-    assert found.total == pytest.approx(found.rms[0], rel=1e-12)
-
-
-def test_noise_of_samples_has_the_variance_of_the_covariance_over_a_period() -> None:
-    loop = Loop(1.0)
-    rest = [0, 1, 2, 5, 6]
-    X = stationary_covariance(loop.step[np.ix_(rest, rest)], loop.noisy[rest])
-    expected = sum(
-        w * (np.einsum("ij,jk,ik->i", z[:, rest], X, z[:, rest]) + n[:, 0] ** 2) for w, z, n in loop.outputs()
-    )
-    found = JitterBudget(oscillator(), [SampleNoise(name="gyro", measured=0, rms=0.3)]).of(K, 1e-9)
-    assert found.rms[0] == pytest.approx(0.3 * np.sqrt(expected), rel=1e-9)
 
 
 def test_correlated_sources_are_their_sum_and_difference() -> None:

@@ -179,15 +179,3 @@ def test_lines_that_make_no_sense_are_refused_by_their_number(tmp_path: Path, li
         read_log(write(tmp_path / "log.csv", *lines), ["rate"])
     assert says in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_files_that_are_no_logs_are_refused(tmp_path: Path) -> None:
-    for path, says in (
-        (tmp_path / "none.csv", "there is no such file"),
-        (write(tmp_path / "short.csv", *ramp(5)), "has 5 samples; at least 16 are needed"),
-    ):
-        with pytest.raises(InputError, match=says):
-            read_log(path, ["rate"])
-    path = write(tmp_path / "log.csv", *ramp())
-    with pytest.raises(InputError, match='there is no column "rates"; did you mean "rate"'):
-        read_log(path, ["rates"])

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import tracemalloc
-
 import control
 import numpy as np
 import pytest
 
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
-from platform_ctrl.analysis.margins import loop_margins
 from platform_ctrl.analysis.norms import hinf_norm, noise_rms
 from platform_ctrl.analysis.periodic import PeriodicLoop, lifted, periodic_norm, pruned, transition
 from platform_ctrl.analysis.sampling import late_outputs
@@ -87,28 +84,3 @@ def test_a_part_that_lasts_is_not_left_out_because_no_output_shows_it() -> None:
     kept = pruned([one, one, one])
     assert np.abs(np.linalg.eigvals(transition(kept))).max() > 1.3
     np.testing.assert_allclose(lifted(kept).D, lifted([one] * 3).D, rtol=0.0, atol=1e-15)
-
-
-def test_a_cycle_of_five_hundred_samples_is_worked_out_without_matrices_of_its_size() -> None:
-    """A controller that takes no turns has its usual margin; that of a long cycle is found in a few megabytes."""
-    # The body's rate alone: nothing holds its angle.
-    rate = System(BODY.A[1:, 1:], BODY.B[1:], np.eye(1), np.zeros((1, 1)), T)
-    (by_sample,) = interconnected_by_sample([INNER], ["rate"], ["torque"], T)
-    usual = loop_margins(
-        control.ss(*rate, inputs=["torque"], outputs=["rate"]),
-        control.ss(*by_sample, inputs=["rate"], outputs=["torque"]),
-    )
-    tracemalloc.start()
-    try:
-        alike = PeriodicLoop(rate, [by_sample] * 500, [0], [0])
-        assert usual.alpha[0] > 1.0
-        assert alike.loop_margins()[0] == pytest.approx(usual.alpha[0], rel=1e-7)
-        loop = cascade(500)
-        margin = loop.disk_margin()
-        noise = loop.noise_to_torque(np.array([1e-3, 2e-2]))
-        assert tracemalloc.get_traced_memory()[1] < 8e6
-    finally:
-        tracemalloc.stop()
-    assert loop.decay > 0.0
-    assert 0.3 < margin.guaranteed <= loop.loop_margins()[0] * (1.0 + 1e-9)
-    assert max(len(one.A) for one in noise) < 10

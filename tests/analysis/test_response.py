@@ -63,21 +63,3 @@ def test_time_response_of_a_discrete_system_is_its_recurrence(seed: int) -> None
 def test_time_response_says_what_does_not_fit(timepts: list[float], inputs: FloatArray, says: str) -> None:
     with pytest.raises(PlatformCtrlError, match=says):
         analysis.time_response(control.ss([[-1.0]], [[1.0]], [[1.0]], 0), timepts, inputs)
-
-
-def test_a_discrete_system_wants_its_own_period() -> None:
-    with pytest.raises(PlatformCtrlError, match=r"equal steps of the system's dt = 0\.1"):
-        analysis.time_response(control.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), [0.0, 0.2], [0.0, 0.0])
-
-
-@pytest.mark.parametrize("frequency", [[-1.0], [np.inf], np.ones((2, 2))])
-def test_frequencies_have_to_make_sense(frequency: FloatArray) -> None:
-    with pytest.raises(PlatformCtrlError, match="rad/s"):
-        analysis.frequency_response(control.ss([[-1.0]], [[1.0]], [[1.0]], 0), frequency)
-
-
-def test_what_is_no_system_is_refused() -> None:
-    with pytest.raises(PlatformCtrlError, match=r"control\.StateSpace"):
-        analysis.frequency_response("P", [1.0])
-    with pytest.raises(PlatformCtrlError, match="dt=True"):
-        analysis.frequency_response(control.ss([[0.5]], [[1.0]], [[1.0]], 0, True), [1.0])

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl import analysis
 from platform_ctrl.analysis.system import System
 
 
@@ -60,15 +60,6 @@ def test_a_delayed_integrator_splits_its_step_between_two_samples() -> None:
     np.testing.assert_allclose(out, [0.0, 0.75, 1.0, 1.0, 1.0], atol=1e-14)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1, 0.17])
-def test_the_response_has_the_phase_of_the_delay(delay: float) -> None:
-    # Far below the sample rate the hold is half a period late, the rest is the delay (3e-4 rad at least).
-    plant = control.ss([[-1.0]], [[1.0]], [[1.0]], 0)
-    w = np.array([1e-3, 1e-2])
-    found = analysis.frequency_response(analysis.sampled(plant, 0.1, delay), w)[0, 0]
-    np.testing.assert_allclose(found, np.exp(-1j * w * (delay + 0.05)) / (1.0 + 1j * w), rtol=2e-5)
-
-
 def test_a_stack_gives_what_its_plants_give_one_by_one() -> None:
     plants = [random_plant(seed) for seed in range(3)]
     A, B, C, D = (np.stack([getattr(plant, name) for plant in plants]) for name in "ABCD")
@@ -84,16 +75,3 @@ def test_widely_spread_poles_keep_their_digits() -> None:
     system = analysis.sampled(control.ss(A, [[1.0], [1e9]], np.eye(2), 0), 1e-3)
     np.testing.assert_allclose(system.A, [[np.exp(-1e-6), 0.0], [0.0, 0.0]], rtol=1e-12)
     np.testing.assert_allclose(system.B, [[-np.expm1(-1e-6) * 1e3], [1.0]], rtol=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ({"period": 0.0}, "period"),
-        ({"period": 0.1, "delay": -0.1}, "delay"),
-        ({"period": 0.1, "lag": [1.0, 0.0]}, "lag"),
-    ],
-)
-def test_it_says_what_makes_no_sense(arguments: dict[str, object], says: str) -> None:
-    with pytest.raises(PlatformCtrlError, match=says):
-        analysis.sampled(random_plant(0), **arguments)
