@@ -15,7 +15,8 @@ import time
 
 import numpy as np
 
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.platform import Platform, Rotor
 
 GIMBALS, ROTORS = 8, 4
 

@@ -1,4 +1,4 @@
-"""Files, written whole or not at all: first in a folder of a random name that nobody can have put a link at; and JSON.
+"""Files, written whole or not at all: first in a folder of a random name, where nobody can have put a link; JSON, TOML.
 
 JSON has plain types, a key a line and a row of a matrix a line, so that files can be read and compared.
 """
@@ -8,9 +8,10 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from typing import Any
 from platform_ctrl.errors import InputError
 
 UNFINISHED = ".unfinished-"
+_BARE = re.compile(r"[A-Za-z0-9_-]+")  # a key of a TOML file without quotes
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
@@ -107,3 +109,29 @@ def _laid_out(item: Any, indent: str) -> str:
     if isinstance(item, list) and any(isinstance(entry, list | dict) for entry in item):
         return "[\n" + ",\n".join(inner + _laid_out(entry, inner) for entry in item) + f"\n{indent}]"
     return json.dumps(item, allow_nan=False)
+
+
+def toml(data: Mapping[str, Any], header: str = "") -> str:
+    """Return `data` as TOML: plain values first, then tables, then arrays of tables, every number exact."""
+    lines, tables = [], []
+    for key, item in data.items():
+        name = key if _BARE.fullmatch(key) else _literal(key)
+        path = f"{header}.{name}" if header else name
+        if isinstance(item, Mapping):
+            tables.append(f"\n[{path}]\n{toml(item, path)}" if item else "")
+        elif isinstance(item, Sequence) and item and isinstance(item[0], Mapping):
+            tables += [f"\n[[{path}]]\n{toml(one, path)}" for one in item]
+        elif not (isinstance(item, Sequence) and not isinstance(item, str) and not item):
+            lines.append(f"{name} = {_literal(item)}\n")
+    return "".join(lines + tables)
+
+
+def _literal(item: Any) -> str:
+    if isinstance(item, bool):
+        return "true" if item else "false"
+    if isinstance(item, str):
+        # JSON's escapes are TOML's, which wants DEL escaped, too.
+        return json.dumps(item, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(item, Sequence):
+        return f"[{', '.join(_literal(one) for one in item)}]"
+    return repr(item.item() if hasattr(item, "item") else item)  # of NumPy

@@ -1,9 +1,8 @@
-"""What a platform is made of: gimbals, rotors, torquers, and what further kinds of parts it may have; SI units."""
+"""What a platform is made of: its tree of gimbals, rotors, torquers, and what further parts it may have; SI units."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import cache
 from itertools import chain
@@ -13,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import input_value, read_only, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.fields import NUMBER, STOPS_DEG, Refers, default_angle, default_torquer
+from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer, stops_written
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
+from platform_ctrl.plant.gimbals import GimbalTree
 from platform_ctrl.plant.mistakes import Misfit, given, useless, wrong
 from platform_ctrl.plant.sensors import (
     AngleSensor,
@@ -28,8 +29,7 @@ from platform_ctrl.plant.sensors import (
     Sensor,
     gimbal_rate,
 )
-from platform_ctrl.plant.tables import TABLE, Array, Instead, InTable, Shape, either, shape
-from platform_ctrl.plant.writing import plant_data, toml
+from platform_ctrl.plant.tables import TABLE, Array, Instead, InTable, Shape, either, shape, written
 
 RotorControl = Literal["regulated", "free", "servo"]
 
@@ -38,56 +38,10 @@ OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
 ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 FORCE_NAMES = ("f1", "f2", "f3")
 
-# Gimbals of a plant, and of each other part: their equations and matrices are worked out in full.
-MOST_GIMBALS, MOST_PARTS = 100, 200
+# Of each kind but gimbals: their equations and matrices are worked out in full.
+MOST_PARTS = 200
 
-_STOPS_DEG = Instead("stops_deg", STOPS_DEG, lambda stops, _: (math.radians(stops[0]), math.radians(stops[1])))
 _SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
-
-
-@input_value
-class Gimbal:
-    """A body that turns about one axis fixed in its parent.
-
-    Attributes
-    ----------
-    name, parent
-        Names of this gimbal and of the body that carries it (another gimbal or the root).
-    axis : (3,)
-        Unit vector of the axis in the parent's (and, at zero angle, everybody's) axes; dimensionless.
-    inertia : (3, 3)
-        The gimbal's own body without rotors, kg m², in its own axes.
-    angle
-        Name of the coordinate, for example ``alpha4``; default ``q_`` + name.
-    stops
-        Lowest and highest angle, rad, or None.
-    restitution
-        Share of the rate that a stop gives back, 0 to 1; 0: the gimbal stays at its stop.
-
-    References
-    ----------
-    K. Magnus, Ingenieur-Archiv 1976, section 2.
-
-    See docs/reference/plant-file.md.
-    """
-
-    name: fields.Text
-    parent: Annotated[fields.Text, Refers(root=True)]
-    axis: fields.Axis
-    inertia: fields.Inertia
-    angle: fields.Text = ""
-    stops: Annotated[fields.Stops | None, _STOPS_DEG] = None
-    restitution: fields.Part = 0.0
-
-    @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        if "restitution" in table and not {"stops", "stops_deg"} & table.keys():
-            yield useless(table, "restitution", 'without "stops" or "stops_deg"')
-
-    def __post_init__(self) -> None:
-        """Name the angle."""
-        if not self.angle:
-            object.__setattr__(self, "angle", default_angle(self.name))
 
 
 @input_value
@@ -194,7 +148,7 @@ class Torquer:
 
 
 @input_value
-class Platform:
+class Platform(GimbalTree):
     """A root body that carries a tree of gimbals with rotors.
 
     Coordinates q stand in the order of `gimbals`; generalised velocities are [Omega, q̇].
@@ -225,11 +179,7 @@ class Platform:
     See docs/reference/plant-file.md.
     """
 
-    name: fields.Text
-    root_name: Annotated[fields.Text, InTable("root", "name")]
-    root_inertia: Annotated[fields.Inertia, InTable("root", "inertia")]
     # The kinds of parts: `Array` names the table of the plant file, whose keys are the fields of the class.
-    gimbals: Annotated[tuple[Gimbal, ...], Array("gimbal", most=MOST_GIMBALS, unique=("name",))] = ()
     rotors: Annotated[tuple[Rotor, ...], Array("rotor", most=MOST_PARTS, unique=("name",))] = ()
     torquers: Annotated[tuple[Torquer, ...], Array("torquer", most=MOST_PARTS)] = ()
     pickoffs: Annotated[tuple[PickOff, ...], Array("pickoff", most=MOST_PARTS, unique=("gimbal",))] = ()
@@ -272,16 +222,6 @@ class Platform:
         return tuple(part for part in parts if part.added)
 
     @property
-    def gimbal_names(self) -> tuple[str, ...]:
-        """Names of the gimbals, in the order of the coordinates."""
-        return tuple(g.name for g in self.gimbals)
-
-    @property
-    def angle_names(self) -> tuple[str, ...]:
-        """Names of the coordinates q."""
-        return tuple(g.angle for g in self.gimbals)
-
-    @property
     def sensors(self) -> tuple[Sensor, ...]:
         """All that measures, kind by kind in the order of the fields: the pick-offs first."""
         return tuple(chain.from_iterable(getattr(self, kind) for kind in self._sensor_fields))
@@ -296,18 +236,9 @@ class Platform:
         return out if self.line_of_sight is None else out | {**self.line_of_sight.signals(self)}
 
     @property
-    def parents(self) -> NDArray[np.intp]:
-        """Index of each gimbal's parent, (n,); −1 is the root."""
-        return self._indices([g.parent for g in self.gimbals])
-
-    @property
     def carriers(self) -> NDArray[np.intp]:
         """Index of each rotor's carrier, (m,); −1 is the root."""
         return self._indices([r.carrier for r in self.rotors])
-
-    def _indices(self, bodies: list[str]) -> NDArray[np.intp]:
-        number = {name: k for k, name in enumerate((self.root_name, *self.gimbal_names))}
-        return np.array([number[name] if name in number else self.body(name) for name in bodies], dtype=np.intp) - 1
 
     def to_toml(self) -> str:
         """Return the platform as the text of a plant file, every number exact.
@@ -323,46 +254,6 @@ class Platform:
             It has what no plant file can say: a pick-off that is not called as its angle.
         """
         return toml(plant_data(self))
-
-    def body(self, name: str) -> int:
-        """Return the number of a body: 0 the root, 1 + k that of gimbal k.
-
-        Parameters
-        ----------
-        name
-            Of the root or of a gimbal.
-
-        Returns
-        -------
-        int
-            From 0 to n.
-
-        Raises
-        ------
-        ArgumentError
-            The platform has no such body.
-        """
-        return known_name(f"body of platform {self.name!r}", name, (self.root_name, *self.gimbal_names))
-
-    def gimbal(self, name: str) -> int:
-        """Return the index of the named gimbal.
-
-        Parameters
-        ----------
-        name
-            Of a gimbal.
-
-        Returns
-        -------
-        int
-            From 0 to n − 1.
-
-        Raises
-        ------
-        ArgumentError
-            The platform has no such gimbal.
-        """
-        return known_name(f"gimbal of platform {self.name!r}", name, self.gimbal_names)
 
     def torquer_on(self, gimbal: str) -> Torquer:
         """Return the torquer that loops on the named gimbal use: its first one.
@@ -425,3 +316,87 @@ def _on(gimbal: str, parts: tuple[Part, ...], kind: str) -> Part:
         if part.gimbal == gimbal:
             return part
     raise ArgumentError(f"gimbal {gimbal!r} has no {kind}; add one to the plant")
+
+
+# Keys of a plant's parts that a file has beside another one alone: the table, that key, these.
+_BESIDE = (
+    ("gimbal", "stops", ("restitution",)),
+    ("friction", "stribeck_rate", ("breakaway",)),
+    ("rotor", "speed_gain", ("speed_integral", "torque_limit")),
+)
+
+
+def plant_data(platform: Platform) -> dict[str, Any]:
+    """Return the plant as a dict of the plant file's structure, without default values."""
+    for pickoff in platform.pickoffs:
+        if pickoff.name != (angle := platform.angle_names[platform.gimbal(pickoff.gimbal)]):
+            words = f"pick-off {pickoff.name!r} must be called {angle!r}, as its angle, to stand in a plant file"
+            raise ArgumentError(f"{words}; leave its name out, or make it an AngleSensor")
+    data = {"schema": 1} | written(platform)
+    for gimbal in data.get("gimbal", ()):
+        gimbal |= stops_written(gimbal.pop("stops")) if "stops" in gimbal else {}
+    for table, beside, keys in _BESIDE:
+        for own in data.get(table, ()):
+            for key in keys if not {beside, f"{beside}_deg"} & own.keys() else ():
+                own.pop(key, None)
+    return data
+
+
+# What a part on a body is fixed to, by the fields of its class.
+_BODIES = ("parent", "carrier", "body", "senses")
+
+
+def with_locked(platform: Platform, names: Sequence[str]) -> Platform:
+    """Return the platform with gimbals locked at the angle zero.
+
+    Their bodies, rotors, sensors and unbalance are then those of what carries them; what acts or measures between the
+    two is gone.
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    names
+        Of gimbals.
+
+    Returns
+    -------
+    Platform
+        Without these gimbals.
+
+    Raises
+    ------
+    ArgumentError
+        The platform has no such gimbal.
+    """
+    for name in names:
+        platform = _with_one(platform, name)
+    return platform
+
+
+def _with_one(platform: Platform, name: str) -> Platform:
+    own = platform.gimbals[known_name("locked", name, platform.gimbal_names)]
+
+    def fixed(part: Any) -> Any:
+        moved = {key: own.parent for key in _BODIES if getattr(part, key, None) == name}
+        return replaced(part, moved) if moved else part
+
+    changes: dict[str, Any] = {}
+    for kind in (key.field for key in shape(Platform).keys.values() if key.array is not None):
+        kept = [part for part in getattr(platform, kind) if not _between(part, name)]
+        changes[kind] = tuple(fixed(part) for part in kept)
+    changes["gimbals"] = tuple(
+        replaced(g, {"inertia": g.inertia + own.inertia}) if g.name == own.parent else g for g in changes["gimbals"]
+    )
+    if own.parent == platform.root_name:
+        changes["root_inertia"] = platform.root_inertia + own.inertia
+    if platform.line_of_sight is not None:
+        changes["line_of_sight"] = fixed(platform.line_of_sight)
+    return replaced(platform, changes)
+
+
+def _between(part: Any, name: str) -> bool:
+    """Return whether a part is the gimbal itself, or acts or measures between it and its parent."""
+    if getattr(part, "gimbal", None) == name or (hasattr(part, "parent") and part.name == name):
+        return True
+    return isinstance(part, Sensor) and getattr(part, "body", None) == name and getattr(part, "frame", "") == "parent"

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
+from platform_ctrl.plant.gimbals import Gimbal
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Gimbal, Platform
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, plant_data
 from platform_ctrl.plant.source import InputData, is_shipped_name, open_file, open_mapping, open_shipped, path_of
 from platform_ctrl.plant.tables import Key, Shape, made, read_table, references, shape
-from platform_ctrl.plant.writing import plant_data
 
 # Which signal of its own each table names.
 _SIGNALS = {

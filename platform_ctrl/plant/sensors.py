@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from operator import attrgetter
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
@@ -28,11 +28,9 @@ from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NOT_NEGATIVE, Refers
+from platform_ctrl.plant.gimbals import GimbalTree
 from platform_ctrl.plant.mistakes import Misfit, missing, useless
 from platform_ctrl.plant.tables import Instead
-
-if TYPE_CHECKING:
-    from platform_ctrl.plant.platform import Platform
 
 Frame = Literal["inertial", "parent"]
 
@@ -92,7 +90,7 @@ class Sensor:
         lags = (self.bandwidth_hz is not None, self.delay)
         return (kind, *lags, *(_hashable(item) for item in _placed(kind)(self)))
 
-    def signals(self, platform: Platform) -> Mapping[str, float]:
+    def signals(self, platform: GimbalTree) -> Mapping[str, float]:
         """Return the reading without its errors as a sum: weights of signals of the plant."""
         raise NotImplementedError
 
@@ -163,7 +161,7 @@ class _GimbalAngle(Sensor):
     unit = "rad"
     gimbal: str
 
-    def signals(self, platform: Platform) -> Mapping[str, float]:
+    def signals(self, platform: GimbalTree) -> Mapping[str, float]:
         """Return the signal that is read, and its weight.
 
         Parameters
@@ -264,7 +262,7 @@ class RateSensor(Sensor):
             for key in {"axis", "frame", "misalignment"} & table.keys():
                 yield useless(table, key, 'without "body"')
 
-    def signals(self, platform: Platform) -> Mapping[str, float]:
+    def signals(self, platform: GimbalTree) -> Mapping[str, float]:
         """Return the signals that are read, and their weights.
 
         Parameters
@@ -324,7 +322,7 @@ class AttitudeSensor(Sensor):
     misalignment: fields.Vector | None = None
     rate_hz: fields.Positive | None = None
 
-    def signals(self, platform: Platform) -> Mapping[str, float]:
+    def signals(self, platform: GimbalTree) -> Mapping[str, float]:
         """Return the signals that are read, and their weights.
 
         Parameters
@@ -375,7 +373,7 @@ class LineOfSight:
         first /= np.linalg.norm(first)
         return np.array([first, np.cross(self.direction, first), self.direction])
 
-    def signals(self, platform: Platform) -> Mapping[str, Mapping[str, float]]:
+    def signals(self, platform: GimbalTree) -> Mapping[str, Mapping[str, float]]:
         """Return of each output the signals of the plant that it is the sum of, and their weights.
 
         Parameters
@@ -420,13 +418,13 @@ def components(signals: tuple[str, ...], axis: FloatArray) -> dict[str, float]:
     return {signals[k]: float(axis[k]) for k in order if axis[k] != 0.0}
 
 
-def body_rates(platform: Platform, body: int) -> tuple[str, ...]:
+def body_rates(platform: GimbalTree, body: int) -> tuple[str, ...]:
     """Return the signals of a body's rate against inertial space, in its own axes."""
     owner = f"{platform.gimbal_names[body - 1]}_" if body else ""
     return tuple(f"{owner}Omega{k}" for k in (1, 2, 3))
 
 
-def body_rotations(platform: Platform, body: int) -> tuple[str, ...]:
+def body_rotations(platform: GimbalTree, body: int) -> tuple[str, ...]:
     """Return the signals of a body's small rotation against inertial space, in its own axes."""
     owner = f"{platform.gimbal_names[body - 1]}_" if body else ""
     return tuple(f"{owner}theta{k}" for k in (1, 2, 3))

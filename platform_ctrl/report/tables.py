@@ -8,6 +8,7 @@ from importlib.metadata import version
 import numpy as np
 
 from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import value
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
@@ -27,7 +28,6 @@ from platform_ctrl.job.quantities import (
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.plant.platform import Torquer
 from platform_ctrl.plant.sensors import PickOff
-from platform_ctrl.plant.writing import toml
 from platform_ctrl.report import comparison
 from platform_ctrl.report.blocks import (
     Cell,

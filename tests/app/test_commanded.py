@@ -11,7 +11,7 @@ import pytest
 from commanded_gimbal import RATE_HZ, commanded_job
 from platform_ctrl import design, read_job, verification
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.plant.writing import toml
+from platform_ctrl.common.files import toml
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
 RATE_LIMITS = {"overshoot": 0.5, "settling_time": 9.0}

@@ -11,8 +11,8 @@ import pytest
 from camera_job import camera_job, camera_plant
 from platform_ctrl import design, read_job
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.common.files import toml
 from platform_ctrl.design.loop import LoopOutcome
-from platform_ctrl.plant.writing import toml
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
 BASE = ["Omega1", "Omega2", "Omega3"]

@@ -13,7 +13,7 @@ from camera_job import camera_job, camera_loop, camera_plant
 from campaign_runs import processes_here
 from cli.test_cli import undrawn  # noqa: F401
 from platform_ctrl.cli import main
-from platform_ctrl.plant.writing import toml
+from platform_ctrl.common.files import toml
 from refused_command import refused
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from platform_ctrl import read_job
+from platform_ctrl.common.files import toml
 from platform_ctrl.export.mujoco.mjcf_reader import read_mjcf
 from platform_ctrl.export.mujoco.mjcf_writer import write_mjcf
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.plant.writing import toml
 from platform_ctrl.simulation import simulate
 from sighted_gimbal import JOB, damped, sighted
 

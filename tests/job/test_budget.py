@@ -16,6 +16,7 @@ from scipy import integrate
 from every_key import HERE, every_job_key
 from platform_ctrl import read_job
 from platform_ctrl.analysis.logs import G, read_log
+from platform_ctrl.common.files import toml
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job import budget as budget_checks
 from platform_ctrl.job.budget import Source
@@ -29,7 +30,6 @@ from platform_ctrl.job.spectra import (
     SourceSpectrum,
     TableSpectrum,
 )
-from platform_ctrl.plant.writing import toml
 
 TABLE = TableSpectrum(frequencies_hz=[1.0, 10.0, 100.0], densities=[1.0, 0.01, 0.02])
 ROLL, PITCH, ENGINE, MOTOR, YAW = range(5)

@@ -13,14 +13,15 @@ import pytest
 
 from every_key import HERE, every_job_key
 from plant.test_reading_plant import plant, refusal, toml_file
+from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import replaced
 from platform_ctrl.design.methods import METHODS, read_job
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import limit_keys
+from platform_ctrl.plant.platform import plant_data
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.plant.writing import plant_data, toml
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 

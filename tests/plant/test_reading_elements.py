@@ -7,10 +7,9 @@ import pytest
 
 from every_key import every_plant_key
 from platform_ctrl.errors import InputError
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.platform import Platform, plant_data
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.tables import shape
-from platform_ctrl.plant.writing import plant_data
 
 PLANT = {
     "schema": 1,

@@ -14,7 +14,8 @@ from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import count, listed
 from platform_ctrl.plant.drawing import camera, signs, spin_direction
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.platform import Platform, Rotor
 from platform_ctrl.report.figures.axes_view import (
     SIGNS,
     Sketch,

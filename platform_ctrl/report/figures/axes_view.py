@@ -14,7 +14,8 @@ from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import axis_text
 from platform_ctrl.plant.drawing import Outline, bodies, disc_axis, levels
-from platform_ctrl.plant.platform import Gimbal, Platform
+from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.platform import Platform
 
 # What XML 1.0 cannot hold, escaped or not.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
