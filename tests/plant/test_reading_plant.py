@@ -25,7 +25,8 @@ from every_key import every_plant_key, meaning
 from oracle_trees import Motion, motions
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant.force_elements import Friction, Unbalance
-from platform_ctrl.plant.platform import Gimbal, Platform, Torquer, plant_data
+from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.platform import Platform, Torquer, plant_data
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.sensors import PickOff, RateSensor
 from platform_ctrl.plant.source import platform_source, shipped_models

@@ -11,7 +11,8 @@ import platform_ctrl as pc
 from platform_ctrl import simulation
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.force_elements import Friction
-from platform_ctrl.plant.platform import Gimbal, Platform
+from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.closed_loop import Trajectory
 from signal_and_gimbal import PERIOD, J, fault, flown, gain, plant, scenario, within
 from small_trees import tree

@@ -16,7 +16,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.plant.force_elements import Friction, Spring, Unbalance
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.platform import Platform, Rotor
 
 EPS = np.finfo(float).eps
 DEPTH = 6  # longest chain of gimbals

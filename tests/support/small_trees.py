@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.platform import Platform, Rotor
 
 
 def along(axis: int | Sequence[float]) -> np.ndarray:

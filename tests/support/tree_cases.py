@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor, Torquer
+from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.platform import Platform, Rotor, Torquer
 
 
 def platform_of_case(tree):
