@@ -19,6 +19,7 @@ from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
+from platform_ctrl.app.limits import limits_of_rows
 from platform_ctrl.app.pictures import Drawing, Measured, Picture
 from platform_ctrl.app.saving import LARGEST, JobSource, Saved, controllers_beside, is_unchanged, write_job
 from platform_ctrl.app.settings import (
@@ -39,7 +40,6 @@ from platform_ctrl.design.tuning import SHARE, OptionEffects, deciding, largest_
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.requirements import SCOPES, limit_keys
 from platform_ctrl.verification.controllers import differing_origin
 from platform_ctrl.verification.simulated import limit_results
 
@@ -77,6 +77,8 @@ class Backend:
         # Whether a manoeuvre has been simulated: the first takes longer, until its equations are compiled.
         self.has_simulated = False
         self.job_parts = JobParts(self._loops)
+        # The names of the limits of results, by the results' subject and name.
+        self.limit_names = limits_of_rows(self.read)
 
     def close(self) -> None:
         """End the process that designs, tunes and simulates."""
@@ -180,22 +182,11 @@ class Backend:
         return self.chosen(settings, loop=next(o.name for o in self.read.loops if o.has_plants == (value == "caged")))
 
     def with_limit(self, settings: Settings, key: str, number: Any) -> Settings:
-        """Return the settings with another limit of the loop, in the units of the job file."""
-        limits = settings.limits[settings.loop]
-        known_name("limit", key, tuple(limits))
+        """Return the settings with another limit, in the units of the job file."""
+        known_name("limit", key, tuple(settings.limits))
         if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 < number <= LARGEST:
             raise ArgumentError(f"{key} must be a positive finite number, got {short(number)}")
-        return settings.but(limits={**settings.limits, settings.loop: {**limits, key: float(number)}})
-
-    def limit_keys(self, settings: Settings) -> tuple[str, ...]:
-        """Return the keys of the requirements and goals of a picture, empty where the page changes none."""
-        spec, _ = self._loops.design(settings)
-        if not spec.has_plants:
-            return ()
-        known = {of: key for key, of in limit_keys().items() if key in settings.limits[spec.name]}
-        scopes = {over: scope for scope, over in SCOPES.items()}
-        every = spec.requests
-        return tuple(known.get((one.kind, scopes[one.over]), "") if one.hard else "" for one in every)
+        return settings.but(limits={**settings.limits, key: float(number)})
 
     def with_fixed(self, settings: Settings, slider: str, fixed: bool) -> Settings:
         """Return the settings with a slider that tuning does not move, or does."""

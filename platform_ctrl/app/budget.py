@@ -57,7 +57,7 @@ class SightBudgets:
         with np.errstate(all="ignore"):
             prepared = PreparedBudget(self._loops.job(settings), controllers)
         with self._lock:
-            self._prepared = _key(controllers), prepared
+            self._prepared = _key(settings, controllers), prepared
         self._exact.put(key, prepared.first)
         return prepared.first
 
@@ -92,7 +92,7 @@ class SightBudgets:
 
     def _quick(self, settings: Settings) -> LineOfSightBudget | None:
         controllers = [one.system for one in self._loops.controllers(settings)]
-        key = _key(controllers)
+        key = _key(settings, controllers)
         with self._lock, np.errstate(all="ignore"):
             if self._prepared is None:
                 return None
@@ -104,6 +104,6 @@ class SightBudgets:
             return prepared.first
 
 
-def _key(controllers: Sequence[control.StateSpace]) -> Hashable:
-    """Return the signals for which a budget is prepared."""
-    return tuple(tuple(one.input_labels) for one in controllers)
+def _key(settings: Settings, controllers: Sequence[control.StateSpace]) -> Hashable:
+    """Return the signals and the limits for which a budget is prepared."""
+    return tuple(tuple(one.input_labels) for one in controllers), tuple(sorted(settings.limits.items()))

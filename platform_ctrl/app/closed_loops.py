@@ -24,6 +24,7 @@ from platform_ctrl.app.controllers import (
     existing_designs,
     loop_names,
 )
+from platform_ctrl.app.limits import of_loop, with_limits
 from platform_ctrl.app.pictures import Overlay
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import ClosedController
@@ -101,7 +102,7 @@ class ClosedLoops:
     @staticmethod
     def design_key(settings: Settings, loop: str, design: str) -> Hashable:
         """Return all that a design of a method depends on."""
-        options, limits = settings.options[loop][design], settings.limits[loop]
+        options, limits = settings.options[loop][design], of_loop(settings.limits, loop)
         return loop, design, tuple(sorted(options.items())), tuple(sorted(limits.items()))
 
     def found(self, settings: Settings, loop: str, design: str) -> Designed | None:
@@ -120,12 +121,9 @@ class ClosedLoops:
 
     def design(self, settings: Settings) -> tuple[LoopSpec, DesignSpec]:
         """Return the loop and the design that are selected."""
-        spec = self._with_limits(settings, self.spec(settings.loop))
+        known_name("loop", settings.loop, tuple(self._specs))
+        spec = next(one for one in with_limits(self.read, settings.limits).loops if one.name == settings.loop)
         return spec, self._named_design(spec, settings.design)
-
-    @staticmethod
-    def _with_limits(settings: Settings, spec: LoopSpec) -> LoopSpec:
-        return dataclasses.replace(spec, limits={**spec.limits, **settings.limits[spec.name]})
 
     @staticmethod
     def _named_design(spec: LoopSpec, name: str) -> DesignSpec:
@@ -133,16 +131,16 @@ class ClosedLoops:
 
     def job(self, settings: Settings) -> Job:
         """Return the job with these settings."""
-        closed = self.closed(settings)
+        closed, limited = self.closed(settings), with_limits(self.read, settings.limits)
         loops = tuple(
             dataclasses.replace(
-                self._with_limits(settings, spec),
+                spec,
                 use=closed[spec.name],
                 designs=tuple(self._as_set(settings, spec, d) for d in spec.designs),
             )
-            for spec in self.read.loops
+            for spec in limited.loops
         )
-        return dataclasses.replace(self.read, loops=loops)
+        return dataclasses.replace(limited, loops=loops)
 
     def _as_set(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> DesignSpec:
         if not self.options.touched(settings, spec.name, design.name):
@@ -249,8 +247,9 @@ class ClosedLoops:
         return self.design_key(settings, spec.name, name), there, settings.parts_on(spec.name, name)
 
     def whole_key(self, settings: Settings) -> Hashable:
-        """Return all that the whole depends on: every closed design."""
-        return tuple(self.closed_key(settings, spec) for spec in self.read.loops)
+        """Return all that the whole depends on: every closed design, and the limits."""
+        limits = tuple(sorted(settings.limits.items()))
+        return limits, *(self.closed_key(settings, spec) for spec in self.read.loops)
 
     def coupled(self, settings: Settings) -> CoupledCheck:
         """Return the check of all loops together, as `check` does it."""
@@ -263,7 +262,7 @@ class ClosedLoops:
 
     def cached_metrics(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
         """Return the cache of a caging loop's metrics."""
-        limits = tuple(sorted(settings.limits[loop.spec.name].items()))
+        limits = tuple(sorted(of_loop(settings.limits, loop.spec.name).items()))
         key = (loop.spec.name, loop.design, limits, self.plants_key(settings, loop.spec), _content(loop.delivered))
         return lambda make: self._measures.get(key, make)
 

@@ -11,6 +11,7 @@ from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.excitation import first_axis
+from platform_ctrl.app.limits import stated_limits
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.feedforward import rate_feedforward
@@ -150,10 +151,7 @@ class DesignOptions:
             optional=optional,
             channel=self._plants.channels_of(first)[0],
             closed=closed,
-            limits={
-                spec.name: {key: x for key, x in spec.limits.items() if isinstance(x, int | float)}
-                for spec in self.read.loops
-            },
+            limits=stated_limits(self.read),
         )
 
     def _options(self, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:

@@ -132,6 +132,8 @@ class Connection:
         self.model.update(response=json.dumps(content, allow_nan=False, separators=(",", ":")))
 
 
+# Name of the limit of a result, by its subject and name.
+LimitNames = Mapping[tuple[str, str], str]
 # Least share of its ratio by which a step has to help a requirement.
 _LEAST_GAIN = 5e-3
 # Shares of a mean square that are none.
@@ -254,20 +256,18 @@ def budget_data(state: BudgetState) -> dict[str, Any]:
     }
 
 
-def requirement_data(picture: Picture, keys: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the requirements, and the goals after them, those that the page can change with the `keys` of limits."""
-    every = (*picture.requirements, *picture.goals)
-    keys = keys or [""] * len(every)
-    return [_row(one) | {"key": key, "limit": one.limit} for one, key in zip(every, keys, strict=True)]
+def requirement_data(results: Sequence[CheckResult], names: LimitNames) -> list[dict[str, Any]]:
+    """Return rows of requirements and goals, with the `names` of the limits that the job states."""
+    return [_row(one) | {"key": names.get((one.subject, one.name), ""), "limit": one.limit} for one in results]
 
 
 def influence_data(
-    influence: OptionEffects, budget: Sequence[CheckResult], sliders: Sequence[Slider]
+    influence: OptionEffects, budget: Sequence[CheckResult], sliders: Sequence[Slider], names: LimitNames
 ) -> dict[str, Any]:
     """Return what the sliders do to the requirements, the rows of those of the budget, and the next step."""
     return {
         "next": _next_step(influence, sliders),
-        "budget": [_row(one) for one in budget],
+        "budget": requirement_data(budget, names),
         "sliders": list(influence.options),
         "ratios": [plain_number(float(ratio)) for ratio in influence.ratios],
         "share": SHARE,

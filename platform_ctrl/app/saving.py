@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.app.controllers import ALWAYS, DesignOptions
+from platform_ctrl.app.limits import Limits, number, put_into
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.arguments import short
@@ -193,10 +194,7 @@ def _complete_text(before: str, old: Path, new: Path, settings: Settings, start:
         }
         for loop, designs in wanted.items()
     }
-    limits = {
-        loop: {key: x for key, x in numbers.items() if x != start.limits[loop][key]}
-        for loop, numbers in settings.limits.items()
-    }
+    limits = {name: x for name, x in settings.limits.items() if x != start.limits[name]}
     text = ""
     # Options that follow from others are right once these are.
     for _ in range(_ROUNDS):
@@ -233,7 +231,7 @@ def _job_text(
     old: Path,
     folder: Path,
     closed: Mapping[str, str],
-    limits: Mapping[str, Mapping[str, float]],
+    limits: Limits,
     written: Options,
     wanted: Options,
 ) -> str:
@@ -245,12 +243,11 @@ def _job_text(
         name = str(loop["name"])
         if loop["use"] != closed.get(name, loop["use"]):
             loop["use"] = closed[name]
-        for key, x in limits.get(name, {}).items():
-            loop["limits"][key] = _number(x)
         for design in loop["design"]:
             numbers = wanted.get(name, {}).get(str(design["name"]))
             if numbers is not None:
                 _put(design, numbers, written[name][str(design["name"])])
+    put_into(document, limits)
     _plant(document, old.parent, folder)
     return str(tomlkit.dumps(document))
 
@@ -264,14 +261,10 @@ def _put(design: Any, wanted: Mapping[str, float], written: Mapping[str, float])
         del design[key]
     for key, x in written.items():
         if key not in design or float(design[key]) != x:
-            design[key] = _number(x)
+            design[key] = number(x)
     if design.get("tune"):
         # They are final values now, not starting values.
         design["tune"] = False
-
-
-def _number(x: float) -> float:
-    return int(x) if float(x).is_integer() and abs(x) < 1e15 else x
 
 
 def _unasked(before: str, after: str, settings: Settings, start: Settings) -> tuple[str, ...]:

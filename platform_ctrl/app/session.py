@@ -297,7 +297,9 @@ class Session:
             "parts": self._parts(settings),
             "sliders": sliders,
             "bar": messages.verdict_data(picture),
-            "requirements": messages.requirement_data(picture, self.backend.limit_keys(settings)),
+            "requirements": messages.requirement_data(
+                (*picture.requirements, *picture.goals), self.backend.limit_names
+            ),
             "strip": self.strip(),
         }
 

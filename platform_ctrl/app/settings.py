@@ -50,7 +50,7 @@ class Settings:
     closed
         Loop → design that is closed there while another loop is shown, and in what is saved.
     limits
-        Loop → key of a limit → number, in the units of the job file.
+        Name of a limit (`limits.stated_limits`) → number, in the units of the job file.
     """
 
     mode: Mode
@@ -65,7 +65,7 @@ class Settings:
     channel: str = ""
     axis: int = 1
     closed: Mapping[str, str] = field(default_factory=dict)
-    limits: Mapping[str, Options] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     def but(self, **changes: Any) -> Settings:
         """Return these settings with some of them changed."""

@@ -126,7 +126,7 @@ class PageTasks:
         def show_influence(influence: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
             if page.shows(settings):
                 sliders = self._backend.sliders(settings)
-                self._connection.answer(influence=influence_data(influence, budget, sliders))
+                self._connection.answer(influence=influence_data(influence, budget, sliders, self._backend.limit_names))
 
         def effects() -> OptionEffects:
             influence = self._backend.influence(settings, expect_shown)

@@ -280,7 +280,7 @@ def judged(
         measured["limit", source.name] = (across(own), f"both axes, {linear}")
     judgements = [
         one.judge(measured[key][0], subject=LINE_OF_SIGHT, stage="coupled", evidence=measured[key][1], method="exact")
-        for key, one in _requirements(budget)
+        for key, one in budget_requirements(budget)
     ]
     return tuple(judgements) if valid else tuple(_not_held(one) for one in judgements)
 
@@ -322,7 +322,7 @@ def by_simulation(results: Sequence[CheckResult], simulated: SimulatedBudget) ->
     return tuple(out)
 
 
-def _requirements(budget: BudgetSpec) -> list[tuple[tuple[str, str], Requirement]]:
+def budget_requirements(budget: BudgetSpec) -> list[tuple[tuple[str, str], Requirement]]:
     """Return the limits with their keys and the names of the sources that they are of, if they are of one."""
     out = []
     for key, metric in BUDGET_METRICS.items():
@@ -337,12 +337,12 @@ def _requirements(budget: BudgetSpec) -> list[tuple[tuple[str, str], Requirement
 
 def is_limited(job: Job) -> bool:
     """Return whether a job has a budget with limits."""
-    return job.budget is not None and bool(_requirements(job.budget))
+    return job.budget is not None and bool(budget_requirements(job.budget))
 
 
 def unstable_results(job: Job) -> tuple[CheckResult, ...]:
     """Return the limits of a job's budget as they are judged where the loop is not stable; none without a budget."""
-    of = [] if job.budget is None else _requirements(job.budget)
+    of = [] if job.budget is None else budget_requirements(job.budget)
     evidence = "the loop is not stable"
     return tuple(
         one.judge(math.inf, subject=LINE_OF_SIGHT, stage="coupled", evidence=evidence, method="exact") for _, one in of

@@ -127,6 +127,18 @@ def test_the_limits_of_the_budget_count_in_the_strip_as_those_of_the_command_do(
     assert "must be stable" in state.line
 
 
+def test_a_limit_of_the_budget_is_edited_judged_and_saved(backend: Backend, tmp_path: Path) -> None:
+    reached = found(backend, backend.start()).jitter
+    name = backend.limit_names["line of sight", "line-of-sight jitter"]
+    tighter = backend.with_limit(backend.start(), name, 0.9 * reached)
+    assert measured(backend, tighter).missed == 1
+    assert [one.limit for one in backend.budget_results(tighter)] == [0.9 * reached]
+    assert measured(backend, backend.start()).missed == 0
+    saved = read_job(backend.save(tighter, tmp_path / "tighter.toml").job)
+    assert saved.budget is not None
+    assert saved.budget.limits.jitter == 0.9 * reached
+
+
 def test_a_page_shows_the_budget_once_it_is_wanted(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
     waiting: list[Any] = []
     monkeypatch.setattr(Connection, "later", lambda connection, act: waiting.append(act))
@@ -223,7 +235,7 @@ def test_what_sliders_do_to_the_jitter_counts_among_their_effects(tight: Backend
     expected = found(tight, faster).results[0].ratio - effects.ratios[-1]
     assert change["crossover_hz"] == pytest.approx(expected, rel=0.05)
     assert change["crossover_hz"] < -0.01
-    step = influence_data(effects, (jitter,), tight.sliders(start))["next"]
+    step = influence_data(effects, (jitter,), tight.sliders(start), tight.limit_names)["next"]
     assert step["slider"] == "crossover_hz"
     assert step["value"] > start.options["rate"]["pi"]["crossover_hz"]
     assert jitter.name in step["words"]

@@ -15,6 +15,7 @@ import pytest
 from cli.test_cli import JOB as THREE
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.limits import stated_limits
 from platform_ctrl.app.saving import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
@@ -22,6 +23,7 @@ from platform_ctrl.design.jobs import loops
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.plant.source import platform_source
+from platform_ctrl.plant.writing import toml
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 LOOP = "caging 9-10"
@@ -114,22 +116,50 @@ def test_a_link_reproduces_the_state_and_is_short(shipped: Backend) -> None:
 
 def test_a_limit_is_changed_judged_linked_and_saved_where_it_stands(bench: Backend, tmp_path: Path) -> None:
     start = bench.start()
-    keys = bench.limit_keys(start)
-    assert [key for key in keys if key] == ["bandwidth_hz", "disk_margin", "damping"]
     before = bench.picture(start)
-    at = keys.index("bandwidth_hz")
+    at = [one.name for one in before.requirements].index("bandwidth")
+    key = bench.limit_names[LOOP, "bandwidth"]
     reached = before.requirements[at].value
-    stricter = bench.with_limit(start, "bandwidth_hz", 1.5 * reached)
+    stricter = bench.with_limit(start, key, 1.5 * reached)
     result = bench.picture(stricter).requirements[at]
     assert (result.value, result.limit, result.passed) == (reached, 1.5 * reached, False)
     assert decode_state(bench, encode_state(bench, stricter)).data() == stricter.data()
-    saved = bench.save(bench.with_limit(start, "disk_margin", 0.35), tmp_path / "limit.toml")
+    saved = bench.save(bench.with_limit(start, f"{LOOP}.limits.disk_margin", 0.35), tmp_path / "limit.toml")
     assert saved.controllers is not None
     assert "disk_margin = 0.35" in saved.job.read_text()
     assert saved.job.read_text().startswith("# Kept: what the user wrote.")
-    for key, number in (("disk_margin", -1.0), ("disk_margin", math.inf), ("disk_margin", "x"), ("noise", 1.0)):
+    for wrong, number in ((key, -1.0), (key, math.inf), (key, "x"), ("noise", 1.0)):
         with pytest.raises(PlatformCtrlError):
-            bench.with_limit(start, key, number)
+            bench.with_limit(start, wrong, number)
+
+
+def test_every_limit_that_a_job_states_has_a_row_that_edits_it(tmp_path: Path) -> None:
+    job = tomllib.loads(SHIPPED.read_text())
+    for loop in job["loop"]:
+        loop["design"] = [one for one in loop["design"] if one["method"] in ("classical", "platform-servo")]
+        loop["use"] = loop["design"][0]["name"]
+    job["loop"][0]["soft"] = {"bandwidth_hz": 30.0}
+    job["coupled"] = {"disk_margin": 0.1, "coupling_cost": 0.9}
+    path = tmp_path / "job.toml"
+    path.write_text(toml(job), encoding="utf-8")
+    page = Backend(path)
+    rows: set[tuple[str, str]] = set()
+    changed = page.start()
+    for loop in page.read.loops:
+        shown = page.picture(page.start(loop.name))
+        rows |= {(one.subject, one.name) for one in (*shown.requirements, *shown.goals)}
+    # Only that loops are stable is required without being stated.
+    assert all("decay" in name or "stab" in name for _, name in rows - page.limit_names.keys()), rows
+    assert set(page.limit_names.values()) == set(changed.limits)
+    for name, x in page.start().limits.items():
+        changed = page.with_limit(changed, name, 1.25 * x)
+    assert decode_state(page, encode_state(page, changed)).data() == changed.data()
+    assert (page.job(changed).coupled.disk_margin, page.job(changed).loops[0].soft) == (0.125, {"bandwidth_hz": 37.5})
+    servo = page.picture(page.chosen(changed, loop="stabilisation")).requirements
+    assert next(one.limit for one in servo if "simultaneous" in one.name) == pytest.approx(0.125)
+    saved = page.save(changed, tmp_path / "changed.toml")
+    assert stated_limits(read_job(saved.job)) == pytest.approx(changed.limits)
+    page.close()
 
 
 @pytest.mark.parametrize("text", ["x", "é", "A" * 30_000, "eJwDAAAAAAE"])
@@ -323,8 +353,6 @@ def test_controllers_beside_a_job_are_taken_until_the_job_has_changed(tmp_path: 
 
 
 def test_a_plant_beside_the_job_is_found_from_another_folder(tmp_path: Path) -> None:
-    from platform_ctrl.plant.source import platform_source
-
     (tmp_path / "plant.toml").write_text(platform_source("three_gyro_platform"))
     (tmp_path / "gyro.toml").write_text(TWO.replace('"three_gyro_platform"', '"plant.toml"'))
     (tmp_path / "deep").mkdir()

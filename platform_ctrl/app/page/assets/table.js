@@ -66,6 +66,7 @@ const buildTable = (requirements, sliders) => {
     row.element = made("tr", {}, made("th", { scope: "row", title: `${one.full} (${one.method})` }, one.name), row.required, row.reached, row.left,
       made("td", { className: "bar", "aria-hidden": true }, track), ...row.cells, made("td", { className: "rest", "aria-hidden": true }));
     if (row.edited) row.required.append(row.edited.field);
+    else row.required.title = "No job file states it: every loop has to be stable";
     return row;
   });
   table.tBodies[0].replaceChildren(...body.map((row) => row.element));
