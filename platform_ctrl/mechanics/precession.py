@@ -1,41 +1,30 @@
-"""Precession theory (15) of a linear model: the test for every subsystem, the model, and its error.
-
-(15) is the linear model (19) without M q̈. Directions V that G leaves alone keep their momenta π = Vᵀ (M q̇ + M_Omega ω):
-
-    along U   Uᵀ (D q̇ + S q + G_Omega ω − Q) = 0          without inertia
-    along V   π' = Vᵀ (Q − D q̇ − S q − G_Omega ω)         with it
-
-with D = G − ∂Q/∂q̇, S = K − ∂Q/∂q and Uᵀ M V = 0: whatever Uᵀ M V is left would be dropped with the inertia of U.
-"""
+"""Where precession theory (15) may be used: the test of every subsystem, what cures it, and the model."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag, null_space, qr
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag, qr
 
 from platform_ctrl.common.arguments import distinct, known_name, positive, real_array, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.mechanics.matrices import inverse_inertia
+from platform_ctrl.mechanics.reduction import ComplexArray, Rows
 from platform_ctrl.mechanics.state_space import gimbal_torquers, subsystems, whole_subsystems
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
     import control
 
-ComplexArray = NDArray[np.complex128]
-
 # Loop frequency where none is given, against the highest nutation frequency.
 _SLOW = 0.01
-# A singular value of G this small against the largest is 0, and a stage of the search for roots at zero takes what is
-# this small against the whole for zero.
-_NOTHING, _ZERO_ROOT = 1e-9, 1e-10
+# A singular value of G this small against the largest is 0.
+_NOTHING = 1e-9
 # Non-zero roots nearer to each other than this, against the largest, are one multiple root: rounding alone parts a
 # double root by the square root of the machine precision.
 _MULTIPLE = 1e-7
@@ -46,17 +35,6 @@ _GROWS = 1e-6
 _AS_LARGE, _SILENT = 1e-3, 0.005
 # Room for rounding where something is to lie a factor above something else.
 _ROUNDING = 1e-9
-# Highest frequency, rad/s: its square is a number still.
-_HIGHEST = 1e150
-
-
-class _Reduced(NamedTuple):
-    """ξ' = A ξ + B Q + E ω of the states ξ = [q, π]; `rate` is ‖∂q̇/∂q‖ in coordinates of unit inertia, rad/s."""
-
-    A: FloatArray
-    B: FloatArray
-    E: FloatArray
-    rate: float
 
 
 @value
@@ -69,8 +47,8 @@ class PrecessionPart:
         The linear model that the subsystem belongs to.
     gimbals
         Names, in the file's order; n of them.
-    loop_frequency, required_separation
-        The model has to hold up to `loop_frequency`, rad/s; what it drops has to be faster by that factor.
+    loop_frequency
+        Up to which the model has to hold, rad/s.
     singular_values : (n,)
         Of Tᵀ G T with Tᵀ M T = 1, rad/s, largest first; with nothing else in the equations they are the nutation
         frequencies. Small against the loop is what counts, not small in N m s.
@@ -108,7 +86,6 @@ class PrecessionPart:
     model: LinearModel
     gimbals: tuple[str, ...]
     loop_frequency: float
-    required_separation: float
     singular_values: FloatArray
     null_directions: FloatArray
     direction_names: tuple[str, ...]
@@ -135,25 +112,10 @@ class PrecessionPart:
         """Return the relative error of this subsystem's model over frequency (N,), rad/s: see `Precession.error`."""
         omega = np.atleast_1d(np.asarray(frequency))
         omega = real_array("frequency", omega, (omega.size,))
-        if np.any(omega <= 0.0) or np.any(omega > _HIGHEST):
-            raise ArgumentError(f"frequency: must be above 0 and up to {_HIGHEST:g} rad/s, got {short(frequency)}")
-        M, D, S = (_part(item, self._rows) for item in (self.model.M, self.model.damping, self.model.stiffness))
-        T = np.linalg.inv(np.linalg.cholesky(M).T)
-        V = np.linalg.inv(T) @ self._kept(momentum_states)
-        inertia = V @ np.linalg.pinv(V)
-        s = 1j * omega[:, None, None]
-        rest = s * (T.T @ D @ T) + T.T @ S @ T
-        reduced = s**2 * inertia + rest
-        # On a root of the reduction its response, and so the error, is infinite.
-        regular = np.linalg.cond(reduced) < 1.0 / np.finfo(float).eps
-        reduced[~regular] = np.eye(len(T))
-        # X_r − X = X (Z − Z_r) X_r holds the difference without cancellation; Z = X⁻¹ is the dynamic stiffness. X is
-        # taken over its norm: finite on a pole of the full equations, too.
-        left, values, right = np.linalg.svd(s**2 * np.eye(len(T)) + rest)
-        share = np.divide(values[:, -1:], values, out=np.ones_like(values), where=values > values[:, -1:])
-        X = np.conj(np.swapaxes(left * share[:, None, :] @ right, 1, 2))
-        difference = X @ (s**2 * (np.eye(len(T)) - inertia)) @ np.linalg.inv(reduced)
-        return np.where(regular, np.linalg.norm(difference, 2, axis=(1, 2)), np.inf)
+        if np.any(omega <= 0.0):
+            raise ArgumentError(f"frequency: must be above 0 rad/s, got {short(frequency)}")
+        rows = Rows.of(self.model, self._rows)
+        return rows.error(np.linalg.solve(rows.T, self._kept(momentum_states)), omega)
 
     def _kept(self, momentum_states: bool) -> FloatArray:
         """Return the directions whose momenta the model keeps."""
@@ -245,24 +207,27 @@ class Precession:
                 raise MechanicsError(f"precession theory is not admissible: {part.reasons[0]}; {part.cures[0]}")
         angles = [self.model.angle_names[self.model.platform.gimbal(name)] for name in self.gimbals]
         torquers, torque_map = gimbal_torquers(self.model, self.gimbals)
-        n, momenta = len(angles), [_leading(part.momentum_directions) for part in self.parts]
+        momenta = [_leading(part.momentum_directions) for part in self.parts]
         names = [f"pi_{part.angles[k]}" for part, leads in zip(self.parts, momenta, strict=True) for k in leads]
         names = [*angles, *(names if momentum_states else [])]
         A, B = np.zeros((len(names), len(names))), np.zeros((len(names), len(torquers) + 3))
-        first = n
+        first = len(angles)
         for part in self.parts:
             V = part._kept(momentum_states)
-            found = _reduced(self.model, part._rows, V)
+            rows = Rows.of(self.model, part._rows)
+            n, k = V.shape
+            found, to_file = rows.reduced(np.linalg.solve(rows.T, V))[0], block_diag(rows.T, np.eye(k))
             mine = [self.gimbals.index(name) for name in part.gimbals]
-            rows = [*mine, *range(first, first + V.shape[1])]
-            first += V.shape[1]
-            A[np.ix_(rows, rows)] = found.A
-            B[rows] = np.hstack([found.B @ torque_map[mine], found.E])
+            at = [*mine, *range(first, first + k)]
+            first += k
+            A[np.ix_(at, at)] = to_file @ found[:, : n + k] @ np.linalg.inv(to_file)
+            into = to_file @ found[:, n + k :]
+            B[at] = np.hstack([into[:, :n] @ torque_map[mine], into[:, n:]])
         return control.StateSpace(
             A,
             B,
-            np.eye(n, len(names)),
-            np.zeros((n, len(torquers) + 3)),
+            np.eye(len(angles), len(names)),
+            np.zeros((len(angles), len(torquers) + 3)),
             inputs=[*torquers, *OMEGA_NAMES],
             outputs=angles,
             states=distinct("states", names),
@@ -376,19 +341,18 @@ def precession(
 def _tested(model: LinearModel, rows: list[int], loop_frequency: float | None, required: float) -> PrecessionPart:
     """Return the test of one subsystem, the gimbals in `rows`."""
     n, angles = len(rows), [model.angle_names[k] for k in rows]
-    inverse_inertia(_part(model.M, rows), angles)
-    T = np.linalg.inv(np.linalg.cholesky(_part(model.M, rows)).T)
-    _, gyro, right = np.linalg.svd(T.T @ _part(model.G, rows) @ T)
-    null = _named(T @ right[int(np.sum(gyro > _NOTHING * gyro[0])) :].T)
+    unit = Rows.of(model, rows)
+    _, gyro, right = np.linalg.svd(unit.T.T @ model.G[np.ix_(rows, rows)] @ unit.T)
+    null = _named(unit.T @ right[int(np.sum(gyro > _NOTHING * gyro[0])) :].T)
     tree = topology(model.platform)
     turning = bool(np.any(tree.on_path[tree.carriers][:, rows] & (tree.L[:, None] != 0.0)))
     V = null if turning else np.eye(n)
     loop = _SLOW * float(gyro[0]) if loop_frequency is None else loop_frequency
-    poles, (roots, chain) = _roots(model, rows, np.eye(n))[0], _roots(model, rows, V)
+    (poles, _, _), (roots, chain, rate) = unit.roots(np.eye(n)), unit.roots(np.linalg.solve(unit.T, V))
     slow, dropped = poles[: len(roots)], poles[len(roots) :]
     gap = np.abs(roots[:, None] - slow[None, :])
     root_error = float(max(gap.min(axis=0).max(), gap.min(axis=1).max())) if gap.size else 0.0
-    fastest = max(float(np.abs(roots).max(initial=0.0)), _reduced(model, rows, V).rate)
+    fastest = max(float(np.abs(roots).max(initial=0.0)), rate)
     lowest, highest = float(np.abs(dropped).min(initial=np.inf)), max(loop, fastest)
     findings = _too_near(lowest, loop, fastest, required)
     growing = dropped[dropped.real > _GROWS * np.abs(dropped)]
@@ -416,7 +380,6 @@ def _tested(model: LinearModel, rows: list[int], loop_frequency: float | None, r
         model=model,
         gimbals=gimbals,
         loop_frequency=loop,
-        required_separation=required,
         singular_values=gyro,
         null_directions=null,
         direction_names=names,
@@ -429,54 +392,6 @@ def _tested(model: LinearModel, rows: list[int], loop_frequency: float | None, r
         multiple_roots=multiple is not None,
         separation=lowest / highest if highest > 0.0 else np.inf,
     )
-
-
-def _part(matrix: FloatArray, rows: list[int]) -> FloatArray:
-    return np.asarray(matrix[np.ix_(rows, rows)])
-
-
-def _reduced(model: LinearModel, rows: list[int], V: FloatArray) -> _Reduced:
-    """Return the state equations that keep the momenta of the directions V, (n, k)."""
-    M, D, S = (_part(item, rows) for item in (model.M, model.damping, model.stiffness))
-    W, g = model.M_Omega[rows], model.G_Omega[rows]
-    n, k = V.shape
-    U = null_space(V.T @ M) if k else np.eye(n)
-    # Columns of everything below: [q, π, Q, ω].
-    force = np.hstack([-S, np.zeros((n, k)), np.eye(n), -g])
-    along_V = V @ np.linalg.solve(V.T @ M @ V, np.hstack([np.zeros((k, n)), np.eye(k), np.zeros((k, n)), -V.T @ W]))
-    rates = along_V + U @ np.linalg.solve(U.T @ D @ U, U.T @ (force - D @ along_V))
-    both = np.vstack([rates, V.T @ (force - D @ rates)])
-    by_angles = U @ np.linalg.solve(U.T @ D @ U, U.T @ S)
-    back = np.linalg.cholesky(M).T
-    rate = float(np.linalg.norm(back @ by_angles @ np.linalg.inv(back), 2)) if n else 0.0
-    return _Reduced(both[:, : n + k], both[:, n + k : 2 * n + k], both[:, 2 * n + k :], rate)
-
-
-def _roots(model: LinearModel, rows: list[int], V: FloatArray) -> tuple[ComplexArray, int]:
-    """Return the roots, slowest first, and the length of the longest chain of vectors at the root 0.
-
-    Roots at 0 are split off by rank, stage by stage: as eigenvalues they would come out as noise of unknown size.
-    """
-    M, D, S = (_part(item, rows) for item in (model.M, model.damping, model.stiffness))
-    back = np.linalg.cholesky(M).T
-    T = np.linalg.inv(back)
-    size = max(np.linalg.norm(T.T @ D @ T, 2), np.sqrt(np.linalg.norm(T.T @ S @ T, 2))) if rows else 0.0
-    # Coordinates of unit inertia; momenta in units of these times frequency.
-    change = block_diag(back, np.linalg.inv(np.linalg.cholesky(V.T @ M @ V)) / (size or 1.0))
-    A = change @ _reduced(model, rows, V).A @ np.linalg.inv(change)
-    tolerance = _ZERO_ROOT * (np.linalg.norm(A, 2) if A.size else 0.0)
-    zeros, chain = 0, 0
-    while len(A):
-        _, values, vectors = np.linalg.svd(A)
-        null = int(np.sum(values <= tolerance))
-        if not null:
-            break
-        zeros, chain = zeros + null, chain + 1
-        rest = vectors[: len(A) - null]
-        A = rest @ A @ rest.T
-    found = np.linalg.eigvals(A) if len(A) else np.zeros(0)
-    found = found[np.argsort(np.abs(found), kind="stable")]
-    return np.concatenate([np.zeros(zeros), found]).astype(np.complex128), chain
 
 
 def _multiple(roots: ComplexArray, chain: int, fastest: float) -> complex | None:
@@ -517,13 +432,14 @@ def _named(directions: FloatArray) -> FloatArray:
 
 
 def _in_words(directions: FloatArray, angles: Sequence[str]) -> tuple[str, ...]:
+    """Return directions as sums of angles; the first coefficient of each is positive."""
     out = []
     for vector in directions.T:
-        words = ""
-        for coefficient, angle in zip(vector, angles, strict=True):
-            if abs(coefficient) >= _SILENT:
-                size = f"{abs(coefficient):.2g}"
-                sign = (" - " if words else "-") if coefficient < 0.0 else (" + " if words else "")
-                words += f"{sign}{'' if size == '1' else size + ' '}{angle}"
-        out.append(words)
+        sizes = [(c, "" if f"{abs(c):.2g}" == "1" else f"{abs(c):.2g} ") for c in vector]
+        parts = [
+            f"{'-' if c < 0.0 else '+'} {size}{angle}"
+            for (c, size), angle in zip(sizes, angles, strict=True)
+            if abs(c) >= _SILENT
+        ]
+        out.append(" ".join(parts).removeprefix("+ "))
     return tuple(out)

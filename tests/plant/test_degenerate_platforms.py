@@ -8,7 +8,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.errors import InputError, MechanicsError
-from platform_ctrl.mechanics.rotors import rotor_momenta
+from platform_ctrl.mechanics.equations import rotor_momenta
 from platform_ctrl.plant.gimbals import Gimbal
 from platform_ctrl.plant.platform import Platform, Rotor
 from platform_ctrl.plant.source import platform_source

@@ -13,9 +13,12 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Topology, topology
 from platform_ctrl.mechanics.linearisation import Terms, connected
-from platform_ctrl.mechanics.symbolic.polynomials import Array, Expression, Polynomial, Polynomials
 from platform_ctrl.mechanics.symbolic.symbols import (
+    Array,
+    Expression,
     NamedSymbol,
+    Polynomial,
+    Polynomials,
     SymbolNames,
     elements,
     inertia_symbols,

@@ -11,7 +11,7 @@ import sympy
 
 from platform_ctrl.common.text import padded, width
 from platform_ctrl.mechanics.symbolic.derivation import Equations, RowTerms
-from platform_ctrl.mechanics.symbolic.polynomials import Expression
+from platform_ctrl.mechanics.symbolic.symbols import Expression
 
 # Columns of a line of text; terms in a line of LaTeX.
 _LINE, _TERMS = 80, 4
