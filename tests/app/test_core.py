@@ -18,6 +18,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Picture
+from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.loop import closed_loop_poles, measured, sampled_plant
 from platform_ctrl.design.plants import loop_plants
@@ -260,6 +261,24 @@ def test_an_impossible_slider_value_is_an_error_of_one_line(
         bench.moved(settings, slider, number)
     assert "\n" not in str(error.value)
     assert slider in str(error.value)
+
+
+def test_a_section_that_is_added_has_sliders_is_in_the_link_and_is_saved(bench: Backend, tmp_path: Path) -> None:
+    job = tmp_path / "job.toml"
+    start = bench.start(LOOP)
+    for section, on in (("lag", True), ("notch", False)):
+        changed = bench.with_part(start, section, on)
+        own = {slider.name for slider in bench.sliders(changed) if slider.part == section}
+        assert bool(own) == on
+        changed = bench.moved(changed, "lag_ratio", 2.0) if on else changed
+        assert decode_state(bench, encode_state(bench, changed)).data() == changed.data()
+        again = Backend(bench.save(changed, job, overwrite=True).job)
+        names = {one.name: one.value for one in again.sliders(again.start(LOOP))}
+        assert names == {one.name: pytest.approx(one.value) for one in bench.sliders(changed)}
+        again.close()
+        assert bench.picture(changed).bode.magnitude[0] != bench.picture(start).bode.magnitude[0] or not on
+    # No other method has sections to add.
+    assert not bench.parts(bench.chosen(start, design="LQG"))
 
 
 def test_parts_are_switched_and_keep_their_numbers(bench: Backend) -> None:

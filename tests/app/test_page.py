@@ -344,6 +344,21 @@ def test_requirements_are_tightest_first_and_a_limit_is_edited_where_it_stands(p
     until(page, lambda: limit.input_value() == "≥ 20 Hz")
 
 
+def test_a_section_is_added_and_removed_by_a_button_and_undone(page: Page) -> None:
+    before = drawn(page)
+    page.get_by_role("button", name="Add lag").click()
+    page.locator('#sliders [data-slider="lag_hz"]').wait_for()
+    until(page, lambda: drawn(page) != before)
+    page.get_by_role("button", name="Remove lag").click()
+    until(page, lambda: page.locator('#sliders [data-slider="lag_hz"]').count() == 0)
+    page.locator("h1").click()
+    page.keyboard.press("Control+z")
+    page.locator('#sliders [data-slider="lag_hz"]').wait_for()
+    page.keyboard.press("Control+z")
+    until(page, lambda: drawn(page) == before)
+    page.get_by_role("button", name="Add lag").wait_for()
+
+
 def test_a_design_that_takes_seconds_is_announced_and_drawn_in_every_plot_once_available(page: Page) -> None:
     # Chosen itself, it stays chosen while the one before is shown.
     page.locator("#design").select_option("H-infinity")

@@ -118,20 +118,30 @@ const build = (sliders, parts) => {
   for (const [k, slider] of sliders.entries()) {
     const row = makeRow(slider, k);
     rows.set(slider.name, row);
-    if (!groups.has(slider.group)) groups.set(slider.group, []);
-    groups.get(slider.group).push(row.element);
+    // A section that was added stands under its own name, beside which it is removed.
+    const group = slider.part ? `part ${slider.part}` : slider.group;
+    if (!groups.has(group)) groups.set(group, []);
+    groups.get(group).push(row.element);
   }
+  const section = (group) => {
+    const part = parts.find((one) => `part ${one.name}` === group);
+    if (!part) return [GROUPS[group] ?? group];
+    const remove = made("button", { type: "button", className: "remove", title: "Remove this section" , "aria-label": `Remove ${part.label}`}, "Remove");
+    remove.addEventListener("click", () => request("part", { part: part.name, on: false }));
+    return [part.label, remove];
+  };
   // The options of a method that designs are for experts: each move of one is a new design.
   const fieldsets = [...groups].map(([group, elements]) => made("fieldset", { "data-group": group }, ...(group === "design"
     ? [made("details", { open: designOpen, ontoggle: (event) => { designOpen = event.target.open; } }, made("summary", {}, "Advanced: options of the method"), ...elements)]
-    : [made("legend", {}, GROUPS[group] ?? group), ...elements])));
-  if (parts.length) {
-    const boxes = parts.map((part) => {
-      const box = made("input", { type: "checkbox", checked: part.on });
-      box.addEventListener("change", () => request("part", { part: part.name, on: box.checked }));
-      return made("label", { title: part.tip }, box, part.label);
+    : [made("legend", {}, ...section(group)), ...elements])));
+  const off = parts.filter((part) => !part.on);
+  if (off.length) {
+    const buttons = off.map((part) => {
+      const button = made("button", { type: "button", title: part.tip, "aria-label": `Add ${part.label}` }, `+ ${part.label}`);
+      button.addEventListener("click", () => request("part", { part: part.name, on: true }));
+      return button;
     });
-    fieldsets.push(made("fieldset", { className: "parts" }, made("legend", {}, "With", ...boxes)));
+    fieldsets.push(made("fieldset", { className: "parts" }, made("legend", {}, "Add a section", ...buttons)));
   }
   // Who has the two main sliders need not see the others.
   const main = fieldsets.filter((one) => one.dataset.group === "main");
