@@ -14,8 +14,7 @@ from side_by_side import Comparison, DisagreementError, Section
 
 from platform_ctrl.design import loops
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation import simulate, simulate_batch
 from platform_ctrl.simulation.closed_loop import Trajectory

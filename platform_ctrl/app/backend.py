@@ -89,7 +89,7 @@ class Backend:
 
     def channels(self, settings: Settings) -> tuple[str, ...]:
         """Return the torquers at which the loop may be shown broken."""
-        return self._loops.plants.channels_of(self._loops.spec(settings.loop))
+        return self._loops.plants.read.channels_of(self._loops.spec(settings.loop))
 
     def start(self, loop: str | None = None) -> Settings:
         """Return the settings of the job file, at one of its loops; None: the first that sliders shape at once."""
@@ -109,7 +109,7 @@ class Backend:
         design = design if design is not None else settings.closed[name]
         names = tuple(d.name for d in spec.designs)
         known_name("design", design, names)
-        channels = self._loops.plants.channels_of(spec)
+        channels = self._loops.plants.read.channels_of(spec)
         return settings.but(
             mode="caged" if spec.has_plants else "stabilised",
             loop=name,
@@ -127,7 +127,7 @@ class Backend:
         labels = self.plants(settings)
         if settings.plant not in labels:
             raise ArgumentError(f"plant: {short(settings.plant)} is none of the {len(labels)} plants of the loop")
-        known_name("channel", settings.channel, self._loops.plants.channels_of(spec))
+        known_name("channel", settings.channel, self._loops.plants.read.channels_of(spec))
         # Those of other loops and of parts that are off stay fixed.
         methods = sorted({one.method for loop in self.read.loops for one in loop.designs})
         sliders = tuple(dict.fromkeys(option for method in methods for option in METHODS[method].options))

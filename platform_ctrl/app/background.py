@@ -20,7 +20,8 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import DesignError, PlatformCtrlError
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.methods import DesignSpec
 
 if TYPE_CHECKING:
     import control

@@ -37,7 +37,8 @@ from platform_ctrl.design.method import Designed, LoopProblem, shaped
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
 from platform_ctrl.verification.coupled_plant import sensed_rates
 

@@ -23,7 +23,8 @@ from platform_ctrl.design.methods.classical import classical_controller, startin
 from platform_ctrl.design.methods.pi import rate_controller, rate_options
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, PlatformCtrlError
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.controllers import read_controllers
 
@@ -149,7 +150,7 @@ class DesignOptions:
             design=closed[first.name],
             options=options,
             optional=optional,
-            channel=self._plants.channels_of(first)[0],
+            channel=self._plants.read.channels_of(first)[0],
             closed=closed,
             limits=stated_limits(self.read),
         )

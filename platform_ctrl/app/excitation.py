@@ -10,8 +10,8 @@ import numpy as np
 
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import Manoeuvre, manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine
 from platform_ctrl.simulation.scenarios import commanded_readings, courses_of
 

@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, sampled
 from platform_ctrl.analysis.system import ComplexArray, System
@@ -22,7 +22,8 @@ from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import commanded_channels, job_signals, tracking_plants, tracking_reference
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import named_rows, whole_subsystems
@@ -206,15 +207,6 @@ class JobPlants:
         """Return the rate loop that a tracking loop commands, of other loops the loop itself."""
         return self._loops[spec.around] if spec.around is not None else spec
 
-    def channels_of(self, spec: LoopSpec) -> tuple[str, ...]:
-        """Return the torquers of a loop, of a tracking loop the commands that it sets."""
-        if spec.around is not None:
-            inner = self.inside(spec)
-            return tuple(f"{name}{COMMAND}" for name in inner.read_by(inner.closed).sensors)
-        if spec.has_plants:
-            return tuple(torquer.name for torquer in loop_signals(self.read.platform, spec).torquers)
-        return tuple(t.name for t in self.read.platform.torquers if t.root_axis is not None)
-
     def loading_axis(self, spec: LoopSpec, axis: int) -> int:
         """Return the axis about which a turn loads the gimbals of a loop: `axis` where it does, else that of most.
 
@@ -284,7 +276,7 @@ class JobPlants:
         Those of a tracking loop are without the combination of its readings, which depends on the loop inside.
         """
         if spec.around is not None:
-            return commanded_channels(len(self.channels_of(spec)))
+            return commanded_channels(len(self.read.channels_of(spec)))
         read = spec.read_by(design)
         return self._channels.get(
             (spec.name, read.sensors),

@@ -15,8 +15,7 @@ from platform_ctrl.common.arguments import known_name, one_of, positive, whole
 from platform_ctrl.common.values import FloatArray, read_only, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.parameters import RunParameter, parameters, varied_scenario
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import Campaign, Points, Vary, campaign_misfits

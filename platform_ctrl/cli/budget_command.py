@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     import control
 
     from platform_ctrl.job.job import Job
-    from platform_ctrl.verification.budget_result import LineOfSightBudget
-    from platform_ctrl.verification.simulated import SimulatedBudget
+    from platform_ctrl.verification.budget_result import LineOfSightBudget, SimulatedBudget
 
 _MICRO = 1e6
 # Shares of the mean square that are none.

@@ -29,7 +29,8 @@ from platform_ctrl.design.loop_signals import LoopSignals, loop_signals, without
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.drive import Feedforward
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space

@@ -19,7 +19,8 @@ from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.design.side_by_side import made_of
 from platform_ctrl.errors import DesignError
-from platform_ctrl.job.job import CoupledLimits, DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import CoupledLimits, Job, LoopSpec
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 
 # What no design may depend on.

@@ -22,7 +22,8 @@ from platform_ctrl.design.tuning import Builder, Tuner, over_decades
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job import methods
 from platform_ctrl.job.drive import CommandShaping
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import LinearModel
 
 if TYPE_CHECKING:

@@ -17,8 +17,9 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import budget_misfits, too_large
 from platform_ctrl.job.drive import Drive, Feedforward, angle_sensors, drive_law
 from platform_ctrl.job.faults import FAULT_KINDS, PART_WORDS, Fault, part_names
-from platform_ctrl.job.job import OWN_RATES, WITH_SIGNALS, DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import OWN_RATES, Job, LoopSpec
 from platform_ctrl.job.manoeuvre import Manoeuvre
+from platform_ctrl.job.methods import WITH_SIGNALS, DesignSpec
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.scenario import Command
 from platform_ctrl.plant.fields import TURN

@@ -54,8 +54,8 @@ def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float], path: Path) -> 
             words = f"{key} is about the platform's rate, and Omega = [0, 0, 0]: the platform never turns"
             yield Mistake((*path, key), f"{words}; state how fast it turns in [operation], or leave the limit out")
         if kind == "torque limit":
-            limited = {one.name: one.limit for one in job.platform.torquers}
-            yield from _without_limit([name for name in _torquers(job, spec) if limited[name] is None], key, path)
+            endless = {one.name for one in job.platform.torquers if one.limit is None}
+            yield from _without_limit([name for name in job.channels_of(spec) if name in endless], key, path)
         if kind == "torque noise" and not _noisy(job, spec):
             words = f"{key} cannot be missed: no sensor of this loop has noise"
             yield Mistake(
@@ -68,15 +68,6 @@ def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float], path: Path) -> 
             )
 
 
-def _torquers(job: Job, spec: LoopSpec) -> list[str]:
-    """Return the names of the torquers that a loop sets."""
-    if spec.kind == "tracking":
-        return []
-    if spec.kind == "stabilisation":
-        return [one.name for one in job.platform.torquers if one.root_axis is not None]
-    return list(spec.torquers) or [job.platform.torquer_on(name).name for name in spec.gimbals]
-
-
 def _without_limit(names: list[str], key: str, path: Path) -> Iterator[Mistake]:
     if names:
         words = f"{key} does not count torquer {', '.join(names)}, which the plant gives no limit"
@@ -87,10 +78,8 @@ def _noisy(job: Job, spec: LoopSpec) -> bool:
     """Return whether a sensor that a loop reads has noise."""
     if spec.kind == "stabilisation":
         return any(one.noise_rms > _SILENT for one in job.platform.sensors)
-    read = set(spec.sensors) | {name for design in spec.designs for name in design.sensors}
+    read = {*job.readings_of(spec)} | {name for design in spec.designs for name in design.sensors}
     read |= {name for design in spec.designs if design.feedforward for name in design.feedforward.sensors}
-    if spec.kind == "caging":
-        read |= {job.platform.pickoff_on(name).name for name in spec.gimbals}
     return any(one.noise_rms > _SILENT for one in job.platform.sensors if one.name in read)
 
 
@@ -115,7 +104,7 @@ def _of_run(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
         words = "initial: all of it is zero, where a run starts anyway; give other numbers, or leave it out"
         yield Mistake((*path, "initial"), words)
     if "torque_share" in limits:
-        used = {name for spec in job.loops for name in _torquers(job, spec)}
+        used = {name for spec in job.loops for name in job.channels_of(spec)}
         free = manoeuvre.mode == "stabilised"
         lacking = [
             one.name

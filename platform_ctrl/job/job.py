@@ -11,18 +11,20 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
+from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.job.budget import BudgetSpec
-from platform_ctrl.job.drive import CommandShaping, Drive, DriveLaw, Feedforward, drive_law
+from platform_ctrl.job.drive import Drive, DriveLaw, drive_law
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.manoeuvre import Manoeuvre
-from platform_ctrl.job.methods import METHODS, LoopKind, Structure
+from platform_ctrl.job.methods import DesignSpec, LoopKind, kind_misfits
 from platform_ctrl.job.requirements import LoopRequirement, limit_misfits, loop_goals, loop_requirements
+from platform_ctrl.job.scenario import HalfCosine, Scenario
 from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.mistakes import Misfit, given, suggestion, useless, within, wrong
-from platform_ctrl.plant.platform import Platform
-from platform_ctrl.plant.tables import TABLE, Array, Collected, Instead, InTable, Shape, unknown_key
+from platform_ctrl.plant.mistakes import Misfit, suggestion, useless, within, wrong
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+from platform_ctrl.plant.tables import TABLE, Array, Instead, InTable, Shape
 
 MOST_LOOPS, MOST_DRIVES = 100, 100
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate, lambda period: 1.0 / period)
@@ -84,61 +86,6 @@ class Sampling:
     delay: fields.NotNegative
 
 
-@input_value
-class DesignSpec:
-    """One way to design a loop.
-
-    Attributes
-    ----------
-    name
-        What the design is called in tables and plots.
-    method
-        Key of the method that makes it: see `job.methods`.
-    options
-        The method's own numbers, by the names of the job file, in SI units.
-    tune
-        Whether the method may move the options to meet the loop's limits.
-    structure
-        What a structured controller is made of; None leaves it to the method.
-    command
-        What it does with commands; None: u = K (y − command) where the loop is commanded.
-    sensors
-        What this design of a rate or pointing loop reads; none: the loop's.
-    feedforward
-        Of the platform's rate, or None.
-    responses
-        Text of a file of measured responses of the loop's plant, or None; before the job is read in whole, its path.
-    """
-
-    name: fields.SystemName
-    method: Annotated[str, fields.one_of(METHODS)]
-    options: Annotated[dict[str, float], Collected(others=fields.NUMBER)] = field(default_factory=dict)
-    tune: fields.Truth = False
-    structure: Annotated[Structure, fields.one_of(get_args(Structure))] | None = None
-    command: Annotated[CommandShaping | None, TABLE] = None
-    sensors: fields.Names = ()
-    feedforward: Annotated[Feedforward | None, TABLE] = None
-    responses: fields.AnyText | None = None
-
-    @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        name = table["method"]
-        method = METHODS[name]
-        known = ["name", "method", *(["structure"] if method.structures else ())]
-        known += ["responses"] if method.responses else []
-        known += ["tune", *DESIGN_SIGNALS, *sorted(method.options), "command"]
-        for key, item in table.items():
-            if key not in known:
-                yield key, unknown_key((key,), item, known).words
-            elif key in method.options and not item > 0.0:
-                yield wrong(table, key, "a number > 0")
-        if table.get("tune") and not method.tunes:
-            tuned = ", ".join(given(one) for one in sorted(METHODS) if METHODS[one].tunes)
-            yield "tune", f"tune must be false: method {given(name)} has no tuner; methods that have one: {tuned}"
-
-
-# Keys of a design that are about signals, and the loops whose designs have them.
-DESIGN_SIGNALS, WITH_SIGNALS = ("sensors", "feedforward"), ("rate", "pointing")
 # Kinds of loops that may be computed at every n-th sample.
 OWN_RATES = ("rate", "pointing", "tracking")
 # Keys that have no effect in a loop, by its kind.
@@ -149,20 +96,6 @@ _NO_EFFECT = {
     "tracking": {"gimbals", "torquers"},
     "stabilisation": {"gimbals", "sensors", "torquers", "around", "soft"},
 }
-
-
-def _of_kind(design: Mapping[str, Any], kind: LoopKind) -> Iterator[tuple[str, str]]:
-    """Walk what a design has that does not go with the kind of its loop."""
-    if kind not in METHODS[design["method"]].kinds:
-        expected = " or ".join(given(name) for name, one in METHODS.items() if kind in one.kinds)
-        words = f"method must be one for a {kind} loop, {expected}, got {given(design['method'])}"
-        yield "method", words
-    if "command" in design and kind in ("caging", "stabilisation"):
-        yield "command", f"command has no effect in a {kind} loop, which holds zero; leave it out"
-    for key in DESIGN_SIGNALS if kind not in WITH_SIGNALS else ():
-        if key in design:
-            words = f"{key} belongs to designs of rate and pointing loops alone; leave it out of this {kind} loop"
-            yield key, words
 
 
 @input_value
@@ -224,7 +157,7 @@ class LoopSpec:
             slower = f"{', '.join(OWN_RATES)} loops alone may be slower than [sampling]"
             yield useless(table, "rate_hz", f"in a {kind} loop; leave it out: {slower}")
         for k, design in enumerate(designs):
-            yield from ((("design", k, key), text) for key, text in _of_kind(design, kind))
+            yield from ((("design", k, key), text) for key, text in kind_misfits(design, kind))
         for key in ("limits", "soft"):
             yield from within((key,), limit_misfits(table.get(key, {})))
         names = [design["name"] for design in designs]
@@ -365,6 +298,21 @@ class Job:
         """
         return self.every(spec) * self.sampling.period
 
+    def channels_of(self, spec: LoopSpec) -> tuple[str, ...]:
+        """Return the names of the torquers that a loop sets; of a tracking loop those of the commands that it sets."""
+        if spec.kind == "tracking":
+            inner = next(one for one in self.loops if one.name == spec.around)
+            return tuple(f"{name}{COMMAND}" for name in inner.read_by(inner.closed).sensors)
+        if not spec.has_plants:
+            return tuple(one.name for one in self.platform.torquers if one.root_axis is not None)
+        return spec.torquers or tuple(self.platform.torquer_on(name).name for name in spec.gimbals)
+
+    def readings_of(self, spec: LoopSpec) -> tuple[str, ...]:
+        """Return the names of the sensors that a loop reads; of a stabilisation loop, which may read all, none."""
+        if spec.kind == "caging":
+            return tuple(self.platform.pickoff_on(name).name for name in spec.gimbals)
+        return spec.sensors
+
     @property
     def often_read(self) -> dict[str, int]:
         """At every how many samples the sensors of slower loops are read, by their names: the common divisor."""
@@ -423,3 +371,44 @@ class Job:
                 tau = 0.5 * period / math.tan(math.pi * shaping.filter_hz * period)
                 out |= dict.fromkeys(spec.read_by(spec.closed).sensors, tau)
         return out
+
+
+def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
+    """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0."""
+    caged = manoeuvre.mode == "caged"
+    torque = np.zeros(3)
+    torque[manoeuvre.axis - 1] = manoeuvre.torque
+    q, rate, Omega = (np.zeros(k) for k in (len(job.platform.gimbals), len(job.platform.gimbals), 3))
+    angles = job.platform.angle_names
+    for name, number in manoeuvre.initial.items():
+        if name in angles:
+            q[angles.index(name)] = number
+        elif name in OMEGA_NAMES:
+            Omega[OMEGA_NAMES.index(name)] = number
+        else:
+            rate[angles.index(name.removesuffix("_rate"))] = number
+    profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
+    return Scenario(
+        platform=job.platform,
+        mode=manoeuvre.mode,
+        duration=manoeuvre.duration,
+        delay=job.sampling.delay,
+        profile=profile if caged and manoeuvre.rate else None,
+        Omega_table=manoeuvre.Omega_table,
+        torque=torque,
+        torque_table=manoeuvre.torque_table,
+        vibrations=manoeuvre.vibrations,
+        sines=manoeuvre.sines,
+        commands=manoeuvre.commands,
+        filters=job.reference_filters,
+        drives=job.drive_laws,
+        faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
+        q=q,
+        rate=rate,
+        Omega=Omega,
+        start=manoeuvre.start,
+        seed=job.seed,
+        settle=manoeuvre.settle,
+        fade=manoeuvre.fade,
+        limits=dict(manoeuvre.limits),
+    )

@@ -1,10 +1,10 @@
-"""A simulated run as the job file says it, and as a scenario of the nominal plant. SI units."""
+"""A simulated run as the job file says it. SI units."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import field
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import Annotated, Any, get_args
 
 import numpy as np
 
@@ -14,9 +14,7 @@ from platform_ctrl.job.budget import too_large
 from platform_ctrl.job.scenario import (
     COMMANDS,
     Command,
-    HalfCosine,
     Mode,
-    Scenario,
     Sine,
     Start,
     TimeTable,
@@ -26,9 +24,6 @@ from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, within, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.plant.tables import Array, Key, Shape
-
-if TYPE_CHECKING:
-    from platform_ctrl.job.job import Job
 
 MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 20, 100, 100
 _LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
@@ -167,44 +162,3 @@ class Manoeuvre:
         if "attenuation_db" in table.get("limits", {}) and table["mode"] == "stabilised":
             words = "attenuation_db is for a caged manoeuvre, whose base moves as prescribed; leave it out"
             yield ("limits", "attenuation_db"), words
-
-
-def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
-    """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0."""
-    caged = manoeuvre.mode == "caged"
-    torque = np.zeros(3)
-    torque[manoeuvre.axis - 1] = manoeuvre.torque
-    q, rate, Omega = (np.zeros(k) for k in (len(job.platform.gimbals), len(job.platform.gimbals), 3))
-    angles = job.platform.angle_names
-    for name, number in manoeuvre.initial.items():
-        if name in angles:
-            q[angles.index(name)] = number
-        elif name in OMEGA_NAMES:
-            Omega[OMEGA_NAMES.index(name)] = number
-        else:
-            rate[angles.index(name.removesuffix("_rate"))] = number
-    profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
-    return Scenario(
-        platform=job.platform,
-        mode=manoeuvre.mode,
-        duration=manoeuvre.duration,
-        delay=job.sampling.delay,
-        profile=profile if caged and manoeuvre.rate else None,
-        Omega_table=manoeuvre.Omega_table,
-        torque=torque,
-        torque_table=manoeuvre.torque_table,
-        vibrations=manoeuvre.vibrations,
-        sines=manoeuvre.sines,
-        commands=manoeuvre.commands,
-        filters=job.reference_filters,
-        drives=job.drive_laws,
-        faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
-        q=q,
-        rate=rate,
-        Omega=Omega,
-        start=manoeuvre.start,
-        seed=job.seed,
-        settle=manoeuvre.settle,
-        fade=manoeuvre.fade,
-        limits=dict(manoeuvre.limits),
-    )

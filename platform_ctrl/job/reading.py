@@ -16,8 +16,8 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.budget import Source, value_mistakes, with_logs
 from platform_ctrl.job.checks import job_mistakes, locked_mistakes
 from platform_ctrl.job.exercised import unexercised
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import MOTION, manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.manoeuvre import MOTION
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.spectra import LogSpectrum
 from platform_ctrl.job.variation import campaign_misfits
@@ -151,7 +151,9 @@ def _with_responses(job: Job, folder: Path) -> tuple[Job, list[Mistake]]:
                     inside = "\n" in given_text
                     label = "the text" if inside else one_line(str(folder / given_text))
                     text = given_text if inside else read_text(folder / given_text, "a CSV file")
-                    METHODS[design.method].expect_responses(job, spec, design, text, label)
+                    read = spec.read_by(design)
+                    signals = (job.channels_of(read), job.readings_of(read), job.period_of(spec))
+                    METHODS[design.method].expect_responses(text, label, *signals)
                     design = replaced(design, {"responses": text})
                 except (InputError, ArgumentError) as error:
                     mistakes.append(Mistake(("loop", i, "design", k, "responses"), f"responses: {error}"))

@@ -25,8 +25,14 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
 )
-from platform_ctrl.verification.budget_result import TOGETHER, LineOfSightBudget, Waterfall, rms_ticks, waterfalls
-from platform_ctrl.verification.simulated import SimulatedBudget
+from platform_ctrl.verification.budget_result import (
+    TOGETHER,
+    LineOfSightBudget,
+    SimulatedBudget,
+    Waterfall,
+    rms_ticks,
+    waterfalls,
+)
 from platform_ctrl.verification.verdict import JobResult
 
 # Shares of the mean square that are none.

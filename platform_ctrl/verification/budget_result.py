@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,9 +14,6 @@ from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.plant.sensors import LOS_ANGLES
-
-if TYPE_CHECKING:
-    from platform_ctrl.verification.simulated import SimulatedBudget
 
 # A step that is smaller than this share of the total is added to those of the others, so are those beyond so many.
 _SMALL, _STEPS = 1e-3, 8
@@ -117,6 +113,40 @@ class LineOfSightBudget:
     def passed(self) -> bool:
         """Whether every limit is kept."""
         return all(one.passed for one in self.results)
+
+
+@value
+class SimulatedBudget:
+    """What runs of the non-linear plant show of the line of sight, and the linear budget for the same.
+
+    Attributes
+    ----------
+    runs, seed
+        Number of runs; they are numbered from 0, and their noise and phases are drawn from the seed and the number.
+    time, settle
+        Length over which the line of sight is observed, after `settle`, s.
+    rms, low, high : (3,)
+        Rms about the mean within that time, by axis, and its 95 % interval by the spread of the runs, rad.
+    linear : (3,)
+        The same by the linear budget, rad.
+    left_out
+        A line for everything that the runs do not have.
+    """
+
+    runs: int
+    seed: int
+    time: float
+    settle: float
+    rms: FloatArray
+    low: FloatArray
+    high: FloatArray
+    linear: FloatArray
+    left_out: tuple[str, ...]
+
+    @property
+    def ratio(self) -> float:
+        """Simulated over linear rms of both axes across the line of sight together, dimensionless."""
+        return across(self.rms) / across(self.linear)
 
 
 @value

@@ -22,13 +22,13 @@ from platform_ctrl.design.loop import (
     with_commands,
     with_largest_rates,
 )
-from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError, began_with_interrupt
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.job.reading import job_hashes
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.mistakes import given, suggestion
@@ -148,7 +148,7 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
         if one not in torquers and one not in commands:
             raise entry.mistake(f"outputs: {given(one)} is no torquer of the plant; {suggestion(one, torquers)}")
     period = next(
-        (job.period_of(spec) for spec in job.loops if set(outputs) == _torques(job, spec)), job.sampling.period
+        (job.period_of(spec) for spec in job.loops if set(outputs) == set(job.channels_of(spec))), job.sampling.period
     )
     whose = "the job's" if period == job.sampling.period else "the loop's"
     for key, words, expected in (
@@ -181,7 +181,7 @@ def outcomes_from(
         placed[spec.name] = K
     for spec in job.loops:
         if spec.name not in placed:
-            wanted = ", ".join(sorted(_torques(job, spec)))
+            wanted = ", ".join(sorted(job.channels_of(spec)))
             raise InputError(
                 f"controllers: none closes the loop {given(spec.name)} of the job; add one with the outputs {wanted}"
             )
@@ -268,29 +268,12 @@ def _free_name(name: str, taken: Sequence[str]) -> str:
     return new
 
 
-def _torques(job: Job, spec: LoopSpec) -> set[str]:
-    """Return the torquers of a loop, as it is designed."""
-    if spec.kind == "stabilisation":
-        return {t.name for t in job.platform.torquers if t.root_axis is not None}
-    if spec.kind == "tracking":
-        inner = next(one for one in job.loops if one.name == spec.around)
-        return {f"{name}{COMMAND}" for name in inner.read_by(inner.closed).sensors}
-    return {torquer.name for torquer in loop_signals(job.platform, spec).torquers}
-
-
 def _read(job: Job, spec: LoopSpec, design: DesignSpec | None) -> set[str]:
-    """Return what a design of a loop reads, or the loop without any; of a stabilisation loop, which may read all, none.
-
-    Sensors of feedforward are among it.
-    """
-    if spec.kind == "tracking":
-        return set(spec.sensors)
-    if not spec.has_plants:
-        return set()
-    read = spec if design is None else spec.read_by(design)
-    out = {sensor.name for sensor in loop_signals(job.platform, read).sensors}
-    fed = None if design is None else design.feedforward
-    return out if fed is None else out | set(fed.sensors)
+    """Return what a design of a loop reads, or the loop without any; of a stabilisation loop none: it may read all."""
+    if design is None:
+        return {*job.readings_of(spec)}
+    fed = () if design.feedforward is None else design.feedforward.sensors
+    return {*job.readings_of(spec.read_by(design)), *fed}
 
 
 def _taken(K: control.StateSpace) -> set[str]:
@@ -311,7 +294,7 @@ def _design_of(job: Job, spec: LoopSpec, K: control.StateSpace) -> DesignSpec:
 def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
     outputs = set(K.output_labels)
     for spec in job.loops:
-        if outputs != _torques(job, spec):
+        if outputs != set(job.channels_of(spec)):
             continue
         every = [_read(job, spec, design) for design in (None, *spec.designs)]
         if every[0] and _taken(K) not in every:
@@ -321,7 +304,7 @@ def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
                 f"measured with {several}: give just these"
             )
         return spec
-    loops = "; ".join(f"{spec.name}: {', '.join(sorted(_torques(job, spec)))}" for spec in job.loops)
+    loops = "; ".join(f"{spec.name}: {', '.join(sorted(job.channels_of(spec)))}" for spec in job.loops)
     raise InputError(
         f"controller {given(K.name)}: its outputs {', '.join(K.output_labels)} are those of no loop of the job; "
         f"they must be those of one loop ({loops})"

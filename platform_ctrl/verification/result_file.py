@@ -27,10 +27,10 @@ from platform_ctrl.job.reading import data_hash, job_hashes
 from platform_ctrl.plant.fields import finite_number
 from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.source import read_json
-from platform_ctrl.verification.budget_result import LineOfSightBudget
+from platform_ctrl.verification.budget_result import LineOfSightBudget, SimulatedBudget
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import Proofs
-from platform_ctrl.verification.simulated import Run, SimulatedBudget, largest
+from platform_ctrl.verification.simulated import Run, largest
 from platform_ctrl.verification.verdict import JobResult
 
 Record = dict[str, Any]

@@ -22,9 +22,9 @@ from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.budget import BudgetLimits, BudgetSpec, Source
-from platform_ctrl.job.job import Job
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult, Requirement
-from platform_ctrl.job.manoeuvre import Manoeuvre, manoeuvre_scenario
+from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.scenario import Scenario, Sine, Vibration
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.simulation import simulate
@@ -33,7 +33,7 @@ from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.simulation.scenarios import equilibrium_torques
 from platform_ctrl.simulation.step_limit import longest_step
 from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
-from platform_ctrl.verification.budget_result import across
+from platform_ctrl.verification.budget_result import SimulatedBudget
 from platform_ctrl.verification.coupled_plant import acts_on_root
 
 if TYPE_CHECKING:
@@ -240,40 +240,6 @@ _RISING = 0.5
 # Probability of the intervals.
 _CONFIDENCE = 0.95
 _KINDS: dict[str, VibrationKind] = {"base-rate": "rate", "specific-force": "force", "torque": "torque"}
-
-
-@value
-class SimulatedBudget:
-    """What runs of the non-linear plant show of the line of sight, and the linear budget for the same.
-
-    Attributes
-    ----------
-    runs, seed
-        Number of runs; they are numbered from 0, and their noise and phases are drawn from the seed and the number.
-    time, settle
-        Length over which the line of sight is observed, after `settle`, s.
-    rms, low, high : (3,)
-        Rms about the mean within that time, by axis, and its 95 % interval by the spread of the runs, rad.
-    linear : (3,)
-        The same by the linear budget, rad.
-    left_out
-        A line for everything that the runs do not have.
-    """
-
-    runs: int
-    seed: int
-    time: float
-    settle: float
-    rms: FloatArray
-    low: FloatArray
-    high: FloatArray
-    linear: FloatArray
-    left_out: tuple[str, ...]
-
-    @property
-    def ratio(self) -> float:
-        """Simulated over linear rms of both axes across the line of sight together, dimensionless."""
-        return across(self.rms) / across(self.linear)
 
 
 def simulated_budget(

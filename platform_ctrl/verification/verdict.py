@@ -15,10 +15,16 @@ from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.budget import line_of_sight_budget
-from platform_ctrl.verification.budget_result import LineOfSightBudget, by_simulation, is_limited, unstable_results
+from platform_ctrl.verification.budget_result import (
+    LineOfSightBudget,
+    SimulatedBudget,
+    by_simulation,
+    is_limited,
+    unstable_results,
+)
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
 from platform_ctrl.verification.proofs import Proofs, coupled_proofs, flint, proofs_of, with_proofs
-from platform_ctrl.verification.simulated import Run, SimulatedBudget, simulate_manoeuvre, simulated_budget
+from platform_ctrl.verification.simulated import Run, simulate_manoeuvre, simulated_budget
 
 FOUND = Requirement(name="controller found", limit=1.0, unit="", sense="at least")
 

@@ -10,8 +10,7 @@ from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.campaign.store import identity
 from platform_ctrl.common.values import replaced
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation import simulate_batch
 
 K = control.ss([], [], [], [[-2.0, 2.0]], 0.001, inputs=["gyro", "gyro_command"], outputs=["Qouter"], name="K")

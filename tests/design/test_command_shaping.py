@@ -14,8 +14,8 @@ from platform_ctrl import read_job
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.simulation import simulate, simulate_batch
 from platform_ctrl.verification import check_job

@@ -13,7 +13,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification.coupled_plant import coupled_plant

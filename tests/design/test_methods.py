@@ -19,8 +19,7 @@ from platform_ctrl.design.method import Designed, LoopProblem, Method, Option
 from platform_ctrl.design.methods import METHODS, read_job
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError, DesignError, InputError
-from platform_ctrl.job.job import DesignSpec
-from platform_ctrl.job.methods import register_method
+from platform_ctrl.job.methods import DesignSpec, register_method
 from platform_ctrl.mechanics.linearisation import linearise
 from report_jobs import caging, classical, job
 

@@ -11,8 +11,7 @@ import pytest
 from generated_c import classical_entry, designed_entry, pid_entry, state_space
 from platform_ctrl import simulation
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"

@@ -20,8 +20,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
 from platform_ctrl.export import write_c
 from platform_ctrl.export.c99.code import WrittenController, controllers_of
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
 
 TYPES = {"double": ctypes.c_double, "float": ctypes.c_float}

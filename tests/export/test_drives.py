@@ -16,8 +16,7 @@ from generated_c import Machine, compiled
 from platform_ctrl import read_job
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_files import Written, write_c
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation import simulate
 
 BOTH = FRICTION | SECANT | {"sensors": ["base_pitch", "base_oblique"], "friction": 0.027}

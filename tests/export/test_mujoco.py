@@ -21,8 +21,7 @@ from platform_ctrl import design, simulation
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
-from platform_ctrl.job.job import Faults, Job, Uncertainty
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import Faults, Job, Uncertainty, manoeuvre_scenario
 from platform_ctrl.plant.source import shipped_models
 from single_runs import simulated
 

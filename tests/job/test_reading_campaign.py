@@ -16,7 +16,7 @@ from job.test_reading_job import job
 from plant.test_reading_plant import JUNK, mutate, outcome, refusal
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.job.faults import FAULT_KINDS, FaultKind
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.scenario import HalfCosine
 from platform_ctrl.simulation.kernel.arrays import ACTIONS

@@ -14,7 +14,7 @@ from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.single_run import metric_of, simulate_runs
 from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.scenario import Scenario, Sine, Vibration
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.plant.platform import Platform

@@ -15,8 +15,7 @@ from platform_ctrl import read_job
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation import simulate, simulate_batch
 
 PERIOD = 1.0 / RATE_HZ

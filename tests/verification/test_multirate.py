@@ -30,8 +30,7 @@ from platform_ctrl.design import loops
 from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_files import write_c
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.manoeuvre import manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification.budget import line_of_sight_budget

@@ -12,7 +12,8 @@ import pytest
 
 from platform_ctrl.cli import main
 from platform_ctrl.verification.budget import line_of_sight_budget
-from platform_ctrl.verification.simulated import SimulatedBudget, simulated_budget
+from platform_ctrl.verification.budget_result import SimulatedBudget
+from platform_ctrl.verification.simulated import simulated_budget
 from verification.test_budget import LIMITS, controllers, job
 
 

@@ -28,7 +28,7 @@ from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz,
 from platform_ctrl.design.partition import Channels, between, first_order, gain, notch
 from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.errors import DesignError
-from platform_ctrl.job.job import DesignSpec
+from platform_ctrl.job.methods import DesignSpec
 
 # Highest frequencies are shares of the sample rate.
 OPTIONS: dict[str, Option] = {

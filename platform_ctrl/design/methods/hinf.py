@@ -37,7 +37,7 @@ from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, h
 from platform_ctrl.design.partition import Channels, between
 from platform_ctrl.design.synthesis import HinfMethod, hinf
 from platform_ctrl.errors import ArgumentError, DesignError
-from platform_ctrl.job.job import DesignSpec
+from platform_ctrl.job.methods import DesignSpec
 
 if TYPE_CHECKING:
     from control import StateSpace

@@ -46,7 +46,7 @@ from platform_ctrl.design.partition import Channels, Partition, between, closed_
 from platform_ctrl.design.scaling import autoscale, balance, unscale
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import DesignError, InfeasibleError, UnscalableError
-from platform_ctrl.job.job import DesignSpec
+from platform_ctrl.job.methods import DesignSpec
 
 if TYPE_CHECKING:
     from platform_ctrl.design.lmi.inequalities import LinearLoop

@@ -29,7 +29,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz
 from platform_ctrl.design.partition import Channels, between
 from platform_ctrl.errors import DesignError, NotStabilisableError
-from platform_ctrl.job.job import DesignSpec
+from platform_ctrl.job.methods import DesignSpec
 
 # Rules of thumb. The largest error over the noise of a sample; without noise the largest error, rad or rad per sample.
 _ERROR, _NO_NOISE = 20.0, 1e-4

@@ -14,12 +14,11 @@ from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.logs import column_unit
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
-from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.measured.design import ClosedLoopResponse, MeasuredDesign, measured_pid
 from platform_ctrl.design.measured.responses import contour, read_measurement, unstable_poles
 from platform_ctrl.design.measured.restriction import CENTRES
@@ -27,8 +26,8 @@ from platform_ctrl.design.measured.search import FEWEST_POINTS
 from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import ArgumentError, DesignError, InputError, NotCertifiedError
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult, Requirement
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.job.requirements import LoopRequirement
 from platform_ctrl.plant.mistakes import one_line
 
@@ -112,18 +111,11 @@ class MeasuredPID(Method):
         }
         return Designed(controller=System.of(found.controller, "measured"), options=options, claims=claims)
 
-    def expect_responses(self, job: Job, spec: LoopSpec, design: DesignSpec, text: str, label: str) -> None:
-        """Raise an InputError where a file's text holds no responses of a loop of the job."""
-        if spec.kind == "tracking":
-            inner = next((one for one in job.loops if one.name == spec.around), None)
-            if inner is None:
-                return
-            torques = [f"{name}{COMMAND}" for name in inner.sensors]
-        else:
-            torques = [one.name for one in loop_signals(job.platform, spec.read_by(design)).torquers]
-        signals = spec.read_by(design)
-        readings = list(signals.sensors) or [one.name for one in loop_signals(job.platform, signals).sensors]
-        read_responses(text, label, torques, readings, job.period_of(spec))
+    def expect_responses(
+        self, text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float
+    ) -> None:
+        """Raise an InputError where a file's text holds no responses of a loop's sampled signals."""
+        read_responses(text, label, torques, readings, period)
 
     def judged(self, problem: LoopProblem, design: LoopDesign) -> LoopDesign:
         """Return a design that is judged on its measured responses too: a plant beside those of the model."""

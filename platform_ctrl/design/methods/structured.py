@@ -27,9 +27,8 @@ from platform_ctrl.design.methods.hinf import hinf_design
 from platform_ctrl.design.methods.pi import PI, rate_controller, rate_options
 from platform_ctrl.design.partition import Channels, between, first_order, side_by_side
 from platform_ctrl.errors import DesignError
-from platform_ctrl.job.job import DesignSpec
 from platform_ctrl.job.judging import STABLE
-from platform_ctrl.job.methods import Structure
+from platform_ctrl.job.methods import DesignSpec, Structure
 from platform_ctrl.job.requirements import LoopRequirement, requirement
 
 # Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
