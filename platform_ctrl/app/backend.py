@@ -13,7 +13,7 @@ import numpy as np
 
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.app.background import IsCancelled, Simulating, Tuning
-from platform_ctrl.app.budget import BudgetState
+from platform_ctrl.app.budget import BudgetState, SightBudgets
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
@@ -21,8 +21,9 @@ from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
 from platform_ctrl.app.limits import limits_of_rows
 from platform_ctrl.app.pictures import Drawing, Measured, Picture
-from platform_ctrl.app.saving import LARGEST, JobSource, Saved, controllers_beside, is_unchanged, write_job
+from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, is_unchanged, write_job
 from platform_ctrl.app.settings import (
+    LARGEST,
     Part,
     Settings,
     Slider,
@@ -76,7 +77,8 @@ class Backend:
         self.read = self._loops.read
         # Whether a manoeuvre has been simulated: the first takes longer, until its equations are compiled.
         self.has_simulated = False
-        self.job_parts = JobParts(self._loops)
+        self.sight = SightBudgets(self._loops)
+        self.job_parts = JobParts(self._loops, self.sight)
         # The names of the limits of results, by the results' subject and name.
         self.limit_names = limits_of_rows(self.read)
 
@@ -269,7 +271,7 @@ class Backend:
 
         It is as `platform-ctrl budget` computes it once the part "budget" of `job_parts` is measured.
         """
-        return None if self.read.budget is None else self._loops.sight.now(settings)
+        return None if self.read.budget is None else self.sight.now(settings)
 
     def _parts(self, settings: Settings) -> tuple[Parts, tuple[str, ...]]:
         """Return the parts of a picture, and lines about its controllers."""
@@ -289,7 +291,7 @@ class Backend:
 
     def budget_results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the limits of the budget within some milliseconds; none before it was computed once."""
-        return self._loops.sight.quick_results(settings)
+        return self.sight.quick_results(settings)
 
     def influence(self, settings: Settings, before_each: Callable[[], None] = lambda: None) -> OptionEffects:
         """Return what each slider does to each requirement, those of the budget behind the loop's.
@@ -310,7 +312,7 @@ class Backend:
         with np.errstate(all="ignore"):
             parts = [
                 option_effects(names, limits, ratios(settings), [partial(with_slider, one, ratios) for one in sliders])
-                for limits, ratios in (of_loop(loops, settings), _of_results(loops.sight.quick_results, settings))
+                for limits, ratios in (of_loop(loops, settings), _of_results(self.sight.quick_results, settings))
                 if limits
             ]
         return OptionEffects(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.plants import Bounded
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import value
@@ -18,8 +19,6 @@ from platform_ctrl.verification.budget_result import LineOfSightBudget, unstable
 
 if TYPE_CHECKING:
     import control
-
-    from platform_ctrl.app.closed_loops import ClosedLoops
 
 # Budgets that are kept: a few steps back and forth.
 _ROOM = 16

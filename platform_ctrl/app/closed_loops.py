@@ -15,7 +15,6 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.background import Background, Designing, DesignPending, DesignQueue, IsCancelled
-from platform_ctrl.app.budget import SightBudgets
 from platform_ctrl.app.caged import CachedMetrics, CagedCurves, CagedLoop
 from platform_ctrl.app.controllers import (
     DesignOptions,
@@ -69,7 +68,6 @@ class ClosedLoops:
         self._specs = {spec.name: spec for spec in job.loops}
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(16)
-        self.sight = SightBudgets(self)
         self.background = Background()
         self.designs = DesignQueue()
         self._take([] if controllers is None else existing_designs(controllers, job))

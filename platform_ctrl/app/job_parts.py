@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
+from platform_ctrl.app.budget import SightBudgets
 from platform_ctrl.app.caged import loop_metrics
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.plants import Bounded
@@ -62,7 +63,7 @@ def run_stamp(loops: ClosedLoops, settings: Settings, manoeuvre: str) -> Hashabl
     return ("run", manoeuvre, loops.whole_key(settings))
 
 
-def _parts(loops: ClosedLoops, settings: Settings) -> Iterator[JobPart]:
+def _parts(loops: ClosedLoops, sight: SightBudgets, settings: Settings) -> Iterator[JobPart]:
     """Return all parts of a job: its loops, the limits on all of them, the budget, and the runs."""
     job, whole = loops.read, loops.whole_key(settings)
     subjects = [subject for subject, _ in coupled_requirements(job)]
@@ -84,7 +85,7 @@ def _parts(loops: ClosedLoops, settings: Settings) -> Iterator[JobPart]:
     yield coupled(Chip(key="coupled", label="coupled", loop=servo), ALL_LOOPS)
     if job.budget is not None:
         chip, count = Chip(key=BUDGET, label=BUDGET, panel=BUDGET), len(unstable_results(job))
-        yield JobPart(chip=chip, count=count, stamp=(BUDGET, whole), measure=lambda: loops.sight.results(settings))
+        yield JobPart(chip=chip, count=count, stamp=(BUDGET, whole), measure=lambda: sight.results(settings))
     chip = Chip(key="runs", label="runs", panel="tree")
     for one in job.manoeuvres:
         # `JobParts.keep` keeps what was simulated.
@@ -123,13 +124,13 @@ class ChipState:
 class JobParts:
     """The results of a job's parts, which all its pages share; safe in several threads."""
 
-    def __init__(self, loops: ClosedLoops) -> None:
-        self._loops = loops
+    def __init__(self, loops: ClosedLoops, sight: SightBudgets) -> None:
+        self._loops, self._sight = loops, sight
         self._results: Bounded[Results | str] = Bounded(_ROOM)
 
     def parts(self, settings: Settings) -> list[JobPart]:
         """Return all parts of the job for these settings, in the order of the strip."""
-        return list(_parts(self._loops, settings))
+        return list(_parts(self._loops, self._sight, settings))
 
     def keep(self, stamp: Hashable, results: Results) -> None:
         """Keep what was measured elsewhere: for a picture, or on request."""

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.app import messages
 from platform_ctrl.app.background import DesignPending, LatestTasks
 from platform_ctrl.app.gimbal_tree import tree_data
+from platform_ctrl.app.link import decode_state, encode_state
 from platform_ctrl.app.messages import Connection, Request, parse_request
 from platform_ctrl.app.plots import Plots
-from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
 from platform_ctrl.app.tasks import PageTasks, error_text
 from platform_ctrl.common.arguments import known_name

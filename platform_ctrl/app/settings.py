@@ -16,6 +16,9 @@ from platform_ctrl.design.method import Family
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.errors import ArgumentError
 
+# Largest number that a page may be given.
+LARGEST = 1e50
+
 Mode = Literal["caged", "stabilised"]
 Group = Literal["main", "gains", "lead", "notch", "lag", "design"]
 

@@ -11,10 +11,10 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from platform_ctrl.app.gimbal_tree import run_data
-from platform_ctrl.app.messages import Request, influence_data
+from platform_ctrl.app.messages import Connection, Request, influence_data
 from platform_ctrl.app.saving import controllers_beside
 from platform_ctrl.common.arguments import known_name, short
 from platform_ctrl.common.values import value
@@ -22,7 +22,7 @@ from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
-    from platform_ctrl.app.session import Session
+    from platform_ctrl.app.backend import Backend
     from platform_ctrl.app.settings import Settings
     from platform_ctrl.design.tuning import OptionEffects
 
@@ -81,10 +81,30 @@ class _Running:
     cancelled: threading.Event
 
 
+class Page(Protocol):
+    """What tasks need of the page whose they are."""
+
+    backend: Backend
+    connection: Connection
+    settings: Settings
+
+    def shows(self, settings: Settings) -> bool:
+        """Return whether the page shows these settings, and no change of them is being computed."""
+
+    def change(self, key: str, change: Callable[[Settings], Settings]) -> None:
+        """Change the settings and show them."""
+
+    def rest(self) -> None:
+        """Measure what is not known once nothing has changed for a while."""
+
+    def parts_measured(self) -> None:
+        """Show what has become known of the parts of the job."""
+
+
 class PageTasks:
     """The long tasks of a session, each in its own thread."""
 
-    def __init__(self, page: Session) -> None:
+    def __init__(self, page: Page) -> None:
         self._page, self._backend, self._connection = page, page.backend, page.connection
         self._running: _Running | None = None
         self._measuring = False
