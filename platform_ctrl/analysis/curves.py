@@ -100,12 +100,14 @@ def refined(
     values: FloatArray,
     evaluate: Callable[[FloatArray], ComplexArray],
     moved: Callable[[ComplexArray], FloatArray],
+    found: ComplexArray | None = None,
 ) -> tuple[FloatArray, ComplexArray]:
     """Return rising `values` (N,) with more between them, and what they come to, (N, ...).
 
-    `moved` says how far it is from each value to the next, (N - 1,): no more than 1 is left.
+    `moved` says how far it is from each value to the next, (N - 1,): no more than 1 is left. `found` is what the values
+    come to where that is known.
     """
-    found = evaluate(values)
+    found = evaluate(values) if found is None else found
     for _ in range(_MOST_HALVINGS):
         with np.errstate(all="ignore"):
             long = np.flatnonzero(np.nan_to_num(moved(found), nan=0.0, posinf=0.0) > 1.0)
@@ -145,8 +147,8 @@ _SLIM, _STRETCH, _FLAT = 0.35, 12.0, 400.0
 _ON = 1e-9
 # An edge of stability this near to an end of the range, against its length, lies at the end.
 _BESIDE = 1e-6
-# Branches are drawn by steps of this share of the view at most.
-_STEP = 0.012
+# Branches are drawn by steps of this share of the view at most, and while a slider moves.
+_STEP, _QUICK_STEP = 0.012, 0.07
 
 
 @value
@@ -183,34 +185,39 @@ class RootLocus:
         return [(ends[k], ends[k + 1]) for k in range(0 if first else 1, len(ends) - 1, 2)]
 
 
-def traced_locus(values: FloatArray, poles: Poles, dt: float) -> RootLocus:
-    """Follow the poles through `values`, finer where they run, and find where stability begins and ends."""
+def traced_locus(values: FloatArray, poles: Poles, dt: float, *, quick: bool = False) -> RootLocus:
+    """Follow the poles through `values`, finer where they run, and find where stability begins and ends.
+
+    `quick`: in longer steps, and without the edges of stability, which cost more than the rest.
+    """
     nominal = poles(np.ones(1))[0]
     nyquist = np.pi / dt if dt else np.inf
-    coarse = np.union1d(values, np.linspace(values[0], values[-1], 61))
+    coarse = values if quick else np.union1d(values, np.linspace(values[0], values[-1], 61))
     coarse = np.union1d(coarse, [1.0]) if values[0] <= 1.0 <= values[-1] else coarse
-    ends = np.concatenate([poles(values[[0, -1]]).ravel(), nominal])
-    view = view_of(continuous_poles(ends, dt), continuous_poles(poles(coarse).ravel(), dt), nyquist)
+    first = poles(coarse)
+    ends = np.concatenate([first[[0, -1]].ravel(), nominal])
+    view = view_of(continuous_poles(ends, dt), continuous_poles(first.ravel(), dt), nyquist)
+    step = (_QUICK_STEP if quick else _STEP) * view.reach
 
     def moved(z: ComplexArray) -> FloatArray:
         s = continuous_poles(pole_branches(z), dt)
         outside = ~(np.abs(s) < 3.0 * view.reach)
         way = np.abs(np.diff(np.where(outside, np.nan, view.stretch * s.real + 1j * s.imag), axis=0))
-        return np.asarray(np.nan_to_num(way, nan=0.0).max(axis=1, initial=0.0) / (_STEP * view.reach))
+        return np.asarray(np.nan_to_num(way, nan=0.0).max(axis=1, initial=0.0) / step)
 
     def stability(z: ComplexArray) -> NDArray[np.bool_]:
         size = np.abs(z).max(axis=-1)
         growth = size - 1.0 if dt else z.real.max(axis=-1)
         return np.asarray(growth < -_ON * (1.0 if dt else size))
 
-    fine, z = refined(coarse, poles, moved)
+    fine, z = refined(coarse, poles, moved, first)
     stable = stability(z)
     # At an end of the range the loop may be undamped: what counts there is stability a little inside.
     stable[[0, -1]] = stability(poles(fine[[0, -1]] + np.array([2.0, -2.0]) * _BESIDE * (fine[-1] - fine[0])))
     edges = np.array(
         [
             _edge(lambda x: bool(stability(poles(np.array([x])))[0]), fine[k], fine[k + 1], bool(stable[k]))
-            for k in np.flatnonzero(stable[1:] != stable[:-1])
+            for k in np.flatnonzero(stable[1:] != stable[:-1] if not quick else [])
         ]
     )
     new = np.setdiff1d(edges, fine)

@@ -30,7 +30,7 @@ from platform_ctrl.app.curves import (
     frequency_gain,
 )
 from platform_ctrl.app.excitation import SampledInput, caged_excitation, drive, settling, step_size
-from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Measured, TimeResponse
+from platform_ctrl.app.pictures import Bode, FrequencyGain, Margins, Measured, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import limits_and_goals
@@ -39,8 +39,6 @@ from platform_ctrl.job.requirements import WORST_CASE, of_readings
 
 # Groups that a band shows: failed parts are not among them.
 _BAND = WORST_CASE
-# Poles of a tracking loop beyond this many times the frequency that it goes by are not looked at first.
-_AROUND = 4.0
 # Largest number of states of a closed loop for which norms are computed while a slider moves.
 _QUICK = 48
 
@@ -196,21 +194,10 @@ class CagedCurves(LoopCurves):
         unit, limit = of_readings(METRICS["Omega rejection"].unit, kind), self.limit("Omega rejection")
         return frequency_gain(f"rate Omega{self.axis} → {words}", unit, frequency, own, band, limit)
 
-    def locus(self) -> Locus:
-        """Return the root locus."""
-        shown, s = self.loop.shown, self.poles
-        nyquist = math.pi / shown.period
-        size = np.where(np.isfinite(s), np.abs(s), np.inf)
-        # Oscillations, and what is about as fast as nutation: faster poles would squeeze everything else together.
-        oscillating = size[(s.imag > 1e-6 * size) & (size < 0.7 * nyquist)]
-        nutation = min(shown.nutation, 0.3 * nyquist)
-        if self.loop.spec.around is not None:
-            # The poles of delayed trackers reach far beyond the loop.
-            oscillating = oscillating[oscillating < _AROUND * nutation]
-        reach = min(1.25 * max(oscillating.max(initial=0.0), 1.5 * nutation), nyquist)
-        none = np.zeros(0, dtype=np.complex128)
-        others = none if self.set is None else continuous_poles(self.set.poles, shown.period).ravel()
-        return self._near_locus(reach, others, self.limit("damping"), [True] * len(self.torquers))
+    @property
+    def other_poles(self) -> ComplexArray:
+        """Closed-loop poles of the plants of the set, in s."""
+        return np.zeros(0, dtype=np.complex128) if self.set is None else continuous_poles(self.set.poles, self.plant.dt)
 
 
 def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMetrics) -> Parts:

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.curves import RootLocus, loop_phase, traced_locus
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.analysis.poles import continuous_poles, pole_branches, poles, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import AxisResponse
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.app.excitation import SampledInput, sampled_responses
@@ -21,7 +22,6 @@ from platform_ctrl.app.pictures import (
     ClosedLoop,
     Drawing,
     FrequencyGain,
-    Locus,
     Measured,
     Nichols,
     Overlay,
@@ -32,11 +32,8 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.drawing import signal_series
 
-# Distance of poles from one factor of the root locus to the next, as a share of what is shown, above which a factor is
-# put between, and how often; how often where a pair of poles becomes real, at which they turn at once.
-_STEP, _HALVINGS, _TURNS = 0.07, 3, 8
-# Imaginary part of a pole in z that counts as zero.
-_REAL = 1e-9
+# Factors of the root locus: from 0 on poles move as the root of the factor, closer steps there.
+_GAINS = np.concatenate([np.linspace(0.0, 1.0, 9) ** 1.5, np.linspace(1.0, 2.5, 6)[1:]])
 
 
 def channel_response(S: ComplexArray, channel: int) -> ComplexArray:
@@ -44,13 +41,6 @@ def channel_response(S: ComplexArray, channel: int) -> ComplexArray:
     with np.errstate(all="ignore"):
         out = 1.0 / S[..., channel, channel] - 1.0
     return np.asarray(np.where(np.isfinite(out), out, 0.0), dtype=np.complex128)
-
-
-def degrees(response: ComplexArray) -> FloatArray:
-    """Return the unwrapped phase (F,), degrees, shifted by whole turns: from -360 to 0 where the gain is nearest 1."""
-    phase = np.degrees(np.unwrap(np.angle(response)))
-    middle = phase[int(np.argmin(np.abs(np.log(np.maximum(np.abs(response), 1e-300)))))]
-    return np.asarray(phase - 360.0 * np.ceil(middle / 360.0))
 
 
 def degrees_beside(responses: ComplexArray, leading: ComplexArray, phase: FloatArray) -> FloatArray:
@@ -90,38 +80,6 @@ def gain_range(response: ComplexArray) -> tuple[float, float]:
         float(factors[factors <= 1.0].max(initial=0.0)),
         float(factors[factors > 1.0].min(initial=np.inf)),
     )
-
-
-def gain_locus(
-    plant: System, controller: System, reach: float, moving: Sequence[bool]
-) -> tuple[FloatArray, ComplexArray]:
-    """Return factors on the `moving` outputs of a controller from 0 to 2.5, 1 among them, and the poles (G, n) in s.
-
-    Columns are continuous branches; s = ln(z)/T. There are more factors where poles within `reach`, rad/s, move far.
-    """
-
-    def z_poles(factors: FloatArray) -> ComplexArray:
-        f = np.where(np.array(moving)[:, None], factors[:, None, None], 1.0)
-        closed = plant.feedback(controller._replace(C=f * controller.C, D=f * controller.D)).A
-        return np.asarray(np.linalg.eigvals(closed), dtype=np.complex128)
-
-    # From 0 on poles move as the root of the factor: closer steps there.
-    gains = np.concatenate([np.linspace(0.0, 1.0, 9) ** 1.5, np.linspace(1.0, 2.5, 6)[1:]])
-    z = z_poles(gains)
-    for k in range(_HALVINGS + _TURNS):
-        far = np.flatnonzero(_steps(continuous_poles(z, plant.dt), 1.5 * reach) > _STEP * reach)
-        if k >= _HALVINGS:
-            far = np.flatnonzero(np.diff((np.abs(z.imag) > _REAL).sum(axis=1)))
-        between = 0.5 * (gains[far] + gains[far + 1])
-        gains, z = np.insert(gains, far + 1, between), np.insert(z, far + 1, z_poles(between), axis=0)
-    return gains, continuous_poles(pole_branches(z), plant.dt)
-
-
-def _steps(s: ComplexArray, reach: float) -> FloatArray:
-    """Return how far a pole (G, n) within `reach` has at most to the nearest one at the next factor, (G - 1,)."""
-    with np.errstate(invalid="ignore"):
-        nearest = np.nan_to_num(np.abs(s[:-1, :, None] - s[1:, None, :]), nan=np.inf).min(axis=2)
-    return np.asarray(np.where(np.abs(s[:-1]) < reach, nearest, 0.0).max(axis=1, initial=0.0), dtype=np.float64)
 
 
 # Sampled loops are shown up to this share of the Nyquist frequency: at its edge sensitivities have no meaning.
@@ -227,15 +185,26 @@ class LoopCurves(ABC):
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from what disturbs the loop at `frequency` (F,), rad/s."""
 
+    @property
     @abstractmethod
-    def locus(self) -> Locus:
-        """Return the root locus over the gain."""
+    def other_poles(self) -> ComplexArray:
+        """Closed-loop poles of the plants of the set, in s, of any shape; none without a band."""
 
-    def _near_locus(self, reach: float, others: ComplexArray, damping: float | None, moving: Sequence[bool]) -> Locus:
-        """Return the root locus over the `moving` torques with the poles of other plants that its view may show."""
-        gains, branches = gain_locus(self.plant, self.controller, reach, moving)
-        others = others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)]
-        return Locus(gains=gains, branches=branches, present=self.poles, others=others, reach=reach, damping=damping)
+    @property
+    def moving(self) -> Sequence[bool]:
+        """Which torques have the factor of the root locus."""
+        return [True] * len(self.torquers)
+
+    def locus(self) -> RootLocus:
+        """Return the root locus over a factor on the `moving` torques."""
+        moving, K = np.array(self.moving)[:, None], self.controller
+
+        def closed(factors: FloatArray) -> ComplexArray:
+            f = np.where(moving, factors[:, None, None], 1.0)
+            A = self.plant.feedback(K._replace(C=f * K.C, D=f * K.D)).A
+            return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
+
+        return traced_locus(_GAINS, closed, self.plant.dt, quick=True)
 
     def transfers(self, frequency: FloatArray) -> LoopTransfers:
         """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
@@ -251,13 +220,17 @@ class LoopCurves(ABC):
         """Return what is drawn; `labels` are those of all plants that may be shown."""
         response = channel_response(self.own.S, self.index)
         bode, nichols = self._frequency_parts(response)
+        locus, others = self.locus(), self.other_poles.ravel()
         return Drawing(
             settings=self.settings,
             plants=labels,
             bode=bode,
             closed=self._closed_loop(),
             nichols=nichols,
-            locus=self.locus(),
+            locus=locus,
+            poles=self.poles,
+            other_poles=others[np.abs(others) < 4.0 * locus.view.reach],
+            damping=self.limit("damping"),
             step=self.step(),
             Omega_time=self.disturbance(),
             Omega_frequency=self.disturbance_gain(self.frequency),
@@ -272,7 +245,7 @@ class LoopCurves(ABC):
         return Overlay(
             design=design,
             response=response,
-            phase=degrees(response),
+            phase=loop_phase(response),
             poles=self.poles,
             step=self.step(),
             Omega_step=self.disturbance(),
@@ -296,7 +269,7 @@ class LoopCurves(ABC):
     def _frequency_parts(self, response: ComplexArray) -> tuple[Bode, Nichols]:
         """Return both diagrams of the loop broken at the channel."""
         grid, shown = self.frequency, self.settings.plant
-        magnitude, phase = np.abs(response), degrees(response)
+        magnitude, phase = np.abs(response), loop_phase(response)
         w = low = high = phase_low = phase_high = np.zeros(0)
         labels: tuple[str, ...] = (shown,)
         phases, sizes, where = phase[None], magnitude[None], grid

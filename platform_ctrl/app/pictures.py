@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from platform_ctrl.analysis.curves import RootLocus
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
@@ -101,24 +102,6 @@ class Nichols:
 
 
 @value
-class Locus:
-    """Closed-loop poles for the controller times a factor; s-plane equivalents ln(z)/T, rad/s.
-
-    `gains` (G,) are the factors, rising from 0, with 1 among them, and `branches` (G, n) continuous in each column.
-    `present` (n,) are the poles at the factor 1;
-    `others` are poles of the other plants of the band, `reach` the radius to show, and `damping` the job's smallest
-    damping ratio, or None.
-    """
-
-    gains: FloatArray
-    branches: ComplexArray
-    present: ComplexArray
-    others: ComplexArray
-    reach: float
-    damping: float | None
-
-
-@value
 class FrequencyGain:
     """Gain over frequency, rad/s, from the platform's rate (or a torque on the platform) to the angles.
 
@@ -185,7 +168,9 @@ class Drawing:
 
     `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
     `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
-    the platform; `Omega_frequency` the same over frequency. `bandwidth` is the limit, Hz, or None.
+    the platform; `Omega_frequency` the same over frequency. `poles` (n,) are those of the closed loop in s, rad/s,
+    `other_poles` those of the other plants of the band that the locus may show. `bandwidth`, Hz, and `damping` are
+    limits, or None.
     """
 
     settings: Settings
@@ -193,7 +178,10 @@ class Drawing:
     bode: Bode
     closed: ClosedLoop
     nichols: Nichols
-    locus: Locus
+    locus: RootLocus
+    poles: ComplexArray
+    other_poles: ComplexArray
+    damping: float | None
     step: TimeResponse
     Omega_time: TimeResponse
     Omega_frequency: FrequencyGain

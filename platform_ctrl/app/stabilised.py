@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.classical_margins import bandwidth_of_response
+from platform_ctrl.analysis.curves import PlaneView, RootLocus
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.interconnection import interconnected
@@ -29,7 +31,7 @@ from platform_ctrl.app.curves import (
     gain_crossings,
 )
 from platform_ctrl.app.excitation import SampledInput, drive, settling, step_size
-from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Measured, TimeResponse
+from platform_ctrl.app.pictures import Bode, FrequencyGain, Margins, Measured, TimeResponse
 from platform_ctrl.app.plants import ATTITUDE, FreePlants
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
@@ -190,11 +192,21 @@ class StabilisedCurves(LoopCurves):
         response = self.loop.plants.response[..., : len(self.readings), self.used]
         return sensitivities_of_plants(response, self._K_of_set)[1]
 
-    def locus(self) -> Locus:
-        """Return the root locus for the servo's gain on all axes; the caging loops stay closed as they are."""
+    @property
+    def other_poles(self) -> ComplexArray:
+        """Closed-loop poles of the plants of the band, in s."""
+        return self._set_poles
+
+    @property
+    def moving(self) -> Sequence[bool]:
+        """Which torques the servo's gain moves; the caging loops stay closed as they are."""
+        return [name in self.roots for name in self.torquers]
+
+    def locus(self) -> RootLocus:
+        """Return the root locus; what is shown goes by the servo, which is far slower than the gyros."""
         crossover = gain_crossings(self.frequency, channel_response(self.own.S, self.index))[0].max(initial=1.0)
-        reach = min(8.0 * float(crossover), math.pi / self.plant.dt)
-        return self._near_locus(reach, self._set_poles.ravel(), None, [name in self.roots for name in self.torquers])
+        view = PlaneView(reach=min(8.0 * float(crossover), math.pi / self.plant.dt))
+        return dataclasses.replace(super().locus(), view=view)
 
     def measured(self, bode: Bode, check: CoupledCheck) -> Measured:
         """Return margins and requirements; `check` is of all loops closed around the nominal plant."""

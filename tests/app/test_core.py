@@ -107,12 +107,12 @@ def test_poles_and_requirements_are_those_of_the_certified_design(
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in made.results]
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in made.results], rtol=1e-6)
     s = continuous_poles(closed_loop_poles(plants, made.controller), plants.period)
-    present = np.sort_complex(np.round(picture.locus.present[np.isfinite(picture.locus.present)], 3))
+    present = np.sort_complex(np.round(picture.poles[np.isfinite(picture.poles)], 3))
     np.testing.assert_allclose(present, np.sort_complex(np.round(s[0][np.isfinite(s[0])], 3)), rtol=1e-6)
     assert picture.margins.disk == pytest.approx(made.measures.disk_margin[0], rel=1e-6)  # type: ignore[union-attr]
     assert picture.margins.bandwidth == pytest.approx(made.measures.bandwidth, rel=2e-2)  # type: ignore[union-attr]
-    at_one = int(np.argmin(np.abs(picture.locus.gains - 1.0)))
-    assert picture.locus.gains[at_one] == 1.0
+    at_one = int(np.argmin(np.abs(picture.locus.values - 1.0)))
+    assert picture.locus.values[at_one] == 1.0
 
 
 def test_time_responses_are_those_of_the_closed_loop_sample_by_sample(
@@ -214,7 +214,7 @@ def test_requirements_of_all_loops_are_those_of_check(bench: Backend) -> None:
         [r.value for r in picture.requirements], [r.value for r in expected.results], rtol=2e-3, atol=2e-4
     )
     s = continuous_poles(expected.poles, job.sampling.period)
-    ours, theirs = (np.sort(np.abs(one[np.isfinite(one) & (np.abs(one) < 5e3)])) for one in (picture.locus.present, s))
+    ours, theirs = (np.sort(np.abs(one[np.isfinite(one) & (np.abs(one) < 5e3)])) for one in (picture.poles, s))
     np.testing.assert_allclose(ours, theirs, rtol=1e-6)
     j = expected.channels.index(settings.channel)
     assert picture.margins.disk == pytest.approx(expected.coupled[j], rel=1e-3)

@@ -49,7 +49,7 @@ def _expect_the_loop_of(over: Overlay, frequency: np.ndarray, own: Picture) -> N
     np.testing.assert_allclose(over.response[ours], own.bode.response[theirs], rtol=1e-9)
     np.testing.assert_allclose(over.phase[ours], own.bode.phase[theirs], atol=1e-6)
     np.testing.assert_allclose(over.Omega_gain[ours], own.Omega_frequency.gain[theirs], rtol=1e-9)
-    np.testing.assert_allclose(np.sort_complex(over.poles), np.sort_complex(own.locus.present), rtol=1e-9)
+    np.testing.assert_allclose(np.sort_complex(over.poles), np.sort_complex(own.poles), rtol=1e-9)
     for one, other in ((over.step, own.step), (over.Omega_step, own.Omega_time)):
         assert (one.title, one.signals, one.units) == (other.title, other.signals, other.units)
         np.testing.assert_array_equal(one.t, other.t)

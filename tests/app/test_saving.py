@@ -19,11 +19,11 @@ from platform_ctrl.app.limits import stated_limits
 from platform_ctrl.app.link import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
+from platform_ctrl.common.files import toml
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.plant.source import platform_source
-from platform_ctrl.plant.writing import toml
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 LOOP = "caging 9-10"

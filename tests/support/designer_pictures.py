@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.analysis.curves import PlaneView, RootLocus
 from platform_ctrl.app.pictures import (
     Bode,
     ClosedLoop,
     FrequencyGain,
-    Locus,
     Margins,
     Nichols,
     Overlay,
@@ -128,14 +128,18 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             frequency=f,
             disk_margin=0.5,
         ),
-        locus=Locus(
-            gains=gains,
+        locus=RootLocus(
+            values=gains,
             branches=branches,
-            present=present,
-            others=np.concatenate([poles(k * gain) for k in spread[1:]]) if plants else np.zeros(0, np.complex128),
-            reach=120.0,
-            damping=0.1,
+            nominal=present,
+            dt=0.0,
+            stable=branches.real.max(axis=1) < 0.0,
+            edges=np.zeros(0),
+            view=PlaneView(reach=120.0),
         ),
+        poles=present,
+        other_poles=np.concatenate([poles(k * gain) for k in spread[1:]]) if plants else np.zeros(0, np.complex128),
+        damping=0.1,
         step=time("1 mN m step at Q4", None),
         Omega_time=time("1 rad/s about axis 1", 1e-6),
         Omega_frequency=FrequencyGain(
@@ -188,6 +192,7 @@ def broken(number: float) -> Picture:
     return dataclasses.replace(
         made,
         **{name: spoilt(getattr(made, name)) for name in names},
+        poles=np.full(made.poles.shape, number, np.complex128),
         margins=dataclasses.replace(made.margins, crossover=number, phase=number, gain_up=number),
         stable=False,
         all_stable=False,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.app.pictures import Drawing, Locus
+from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plots.data import (
     HZ,
     LIMIT_DASHES,
@@ -24,8 +24,8 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import plain
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.7)
-# Gains along the branches, and poles of other plants, that are drawn.
-_GAINS, _OTHERS = 161, 900
+# Poles of other plants that are drawn.
+_OTHERS = 900
 # The view relative to its reach: to the left, to the right, below; and where the rays end, rad/s.
 _LEFT, _RIGHT, _BELOW, _END = 1.12, 0.30, 0.06, 1e7
 # The view follows a reach that is smaller by more than this factor.
@@ -101,20 +101,19 @@ class LocusPanel(Panel):
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
         locus, overlays, put = picture.locus, picture.bode.overlays, self.sources.put
-        at = thinned(len(locus.gains), _GAINS)
-        factors, branches = locus.gains[at], locus.branches[at].T
+        factors, branches, reach = locus.values, locus.s.T, locus.view.reach
         size = np.abs(branches).max(axis=1, where=np.isfinite(branches), initial=0.0)
-        kept = spaced(branches, _SPACING * np.minimum(size, locus.reach))
+        kept = spaced(branches, _SPACING * np.minimum(size, reach))
         columns = branches.real, branches.imag, np.broadcast_to(factors, branches.shape)
         put("branches", **{name: joined_curves(one, kept) for name, one in zip(_BRANCH, columns, strict=True)})
         first = branches[:, 0] if branches.size else np.zeros(0, np.complex128)
-        others = locus.others[thinned(len(locus.others), _OTHERS)]
+        others = picture.other_poles[thinned(len(picture.other_poles), _OTHERS)]
         for name, poles in (("open_poles", first), ("other_poles", others)):
             put(name, re=column(poles.real), im=column(poles.imag))
-        size = np.abs(locus.present)
+        size = np.abs(picture.poles)
         with np.errstate(invalid="ignore", divide="ignore"):
-            damping = column(np.where(size > 0.0, -locus.present.real / size, np.nan))
-        re, im = column(locus.present.real), column(locus.present.imag)
+            damping = column(np.where(size > 0.0, -picture.poles.real / size, np.nan))
+        re, im = column(picture.poles.real), column(picture.poles.imag)
         put("poles", re=re, im=im, damping=damping, hz=column(size * HZ))
         found = [(pole, k, one.design) for k, one in enumerate(overlays) for pole in one.poles]
         put(
@@ -124,12 +123,12 @@ class LocusPanel(Panel):
             colour=[self.theme.colours[series(1 + k)] for _, k, _ in found],
             name=[name for _, _, name in found],
         )
-        self._follow(locus)
-        self._required(locus.damping)
-        limits = [limit_key(f"required damping {locus.damping:g}")] if locus.damping is not None else []
+        self._follow(reach)
+        self._required(picture.damping)
+        limits = [limit_key(f"required damping {picture.damping:g}")] if picture.damping is not None else []
         designs: list[Key] = [(one.design, series(1 + k), (), 1.5) for k, one in enumerate(overlays)]
         self.keys([("gain from 0", "series-3", (), 1.4), *limits, *designs])
-        right = int((locus.present.real > 0.0).sum())
+        right = int((picture.poles.real > 0.0).sum())
         trouble = "" if picture.stable else f"not stable: {right} {'pole' if right == 1 else 'poles'} to the right"
         set_message(self._message, trouble if np.isfinite(column(size)).any() else "no finite pole")
 
@@ -142,13 +141,13 @@ class LocusPanel(Panel):
         left = -_slope(damping) * end
         self.sources.put("required_damping", x=column([left, 0.0, left]), y=column([end, 0.0, -end]))
 
-    def _follow(self, locus: Locus) -> None:
+    def _follow(self, reach: float) -> None:
         """Show the upper half plane as far as it matters; small changes of the reach move nothing."""
-        if not (math.isfinite(locus.reach) and locus.reach > 0.0):
+        if not (math.isfinite(reach) and reach > 0.0):
             return
-        if self._reach / _HYSTERESIS <= locus.reach <= self._reach:
+        if self._reach / _HYSTERESIS <= reach <= self._reach:
             return
-        self._reach = reach = locus.reach * 1.12
+        self._reach = reach
         self._real.show(-_LEFT * reach, _RIGHT * reach)
         self._imaginary.show(-_BELOW * reach, reach)
         decade = math.floor(math.log10(reach * HZ))
