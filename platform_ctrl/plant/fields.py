@@ -86,14 +86,16 @@ def finite_number(item: object) -> float | None:
         return None
 
 
-def _number(fits: Callable[[float], bool]) -> Callable[[object], float]:
-    def judge(item: object) -> float:
-        out = number(item)
+def where(fits: Callable[[Any], bool], judge: Callable[[object], Any] = number) -> Callable[[object], Any]:
+    """Return the judge of what another judge, by itself that of a number, accepts and that fits."""
+
+    def judged(item: object) -> Any:
+        out = judge(item)
         if not fits(out):
             raise Unfit
         return out
 
-    return judge
+    return judged
 
 
 def integer(lowest: int, highest: int) -> Callable[[object], int]:
@@ -122,23 +124,19 @@ def numbers(item: object, count: int, judge: Callable[[object], float] = number)
     return out
 
 
-def numbers_of_any_count(least: int, fits: Callable[[list[float]], bool]) -> Callable[[object], tuple[float, ...]]:
-    """Return the judge of `least` finite floats or more that fit together."""
+def _list(least: int, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[object], tuple[float, ...]]:
+    """Return the judge of `least` numbers or more that fit together."""
 
     def judge(item: object) -> tuple[float, ...]:
-        if not isinstance(item, list):
-            raise Unfit
-        found = numbers(item, len(item))
+        found = tuple(numbers(item, len(item) if isinstance(item, list) else 0))
         if len(found) < least:
-            raise Unfit(f"has {len(item)} element{'' if len(item) == 1 else 's'}")
-        if not fits(found):
-            raise Unfit
-        return tuple(found)
+            raise Unfit(f"has {len(found)} element{'' if len(found) == 1 else 's'}")
+        return found
 
-    return judge
+    return where(fits, judge)
 
 
-def _increasing(found: list[float]) -> bool:
+def _increasing(found: Sequence[float]) -> bool:
     return all(x < y for x, y in itertools.pairwise(found))
 
 
@@ -153,6 +151,11 @@ def text(item: object) -> str:
     return item
 
 
+def _of(kind: type) -> Callable[[object], Any]:
+    """Return the judge of what is of a class."""
+    return where(lambda item: isinstance(item, kind), lambda item: item)
+
+
 def _system_name(item: object) -> str:
     """Return a text that may name a `control.StateSpace`."""
     name = text(item)
@@ -161,26 +164,9 @@ def _system_name(item: object) -> str:
     return name
 
 
-def _any_text(item: object) -> str:
-    if not isinstance(item, str):
-        raise Unfit
-    return item
-
-
-def _truth(item: object) -> bool:
-    if not isinstance(item, bool):
-        raise Unfit
-    return item
-
-
 def one_of(names: Collection[str]) -> Expected:
     """Return the annotation of a key that takes one of a few words; names that are added later count, too."""
-
-    def judge(item: object) -> str:
-        if isinstance(item, str) and item in names:
-            return item
-        raise Unfit
-
+    judge = where(lambda item: isinstance(item, str) and item in names, lambda item: item)
     return Expected(lambda: " or ".join(f'"{name}"' for name in names), judge)
 
 
@@ -189,9 +175,15 @@ def vector(item: object) -> FloatArray:
     return read_only(numbers(item, 3))
 
 
+def one_or_two(item: object) -> tuple[float, float]:
+    """Return two numbers, of one both times."""
+    first, second = numbers(item, 2) if isinstance(item, list) else (number(item), number(item))
+    return first, second
+
+
 def coulomb(item: object) -> tuple[float, float]:
     """Return the dry friction against negative and against positive rates."""
-    low, high = numbers(item, 2) if isinstance(item, list) else (number(item), number(item))
+    low, high = one_or_two(item)
     if min(low, high) < 0:
         raise Unfit("negative")
     return low, high
@@ -280,13 +272,6 @@ def stops_written(ends: Sequence[float]) -> dict[str, list[float]]:
     return {"stops_deg": stops_in_degrees(ends)} if wide else {"stops": list(ends)}
 
 
-def _rates(item: object) -> FloatArray:
-    rates = numbers(item, 3)
-    if min(rates) < 0:
-        raise Unfit
-    return read_only(rates)
-
-
 def rows(*fits: Callable[[float], bool]) -> Callable[[object], FloatArray]:
     """Return the judge of one or more rows of numbers: what each number of a row has to be."""
 
@@ -306,22 +291,10 @@ def rows(*fits: Callable[[float], bool]) -> Callable[[object], FloatArray]:
     return judge
 
 
-def _one_or_range(item: object) -> tuple[float, float]:
-    """Return the lowest and the highest of a number > 0 or of two."""
-    low, high = numbers(item, 2) if isinstance(item, list) else (number(item), number(item))
-    if not 0.0 < low <= high:
-        raise Unfit
-    return low, high
-
-
 def _names(item: object) -> tuple[str, ...]:
     if not isinstance(item, list) or not all(isinstance(name, str) for name in item):
         raise Unfit
     return tuple(item)
-
-
-def _plant(item: object) -> Any:
-    return item if isinstance(item, dict) else text(item)
 
 
 def default_angle(gimbal: str) -> str:
@@ -335,15 +308,18 @@ def default_torquer(gimbal: str | None, root_axis: object) -> str:
 
 
 NUMBER = Expected("a number", number)
-POSITIVE = Expected("a number > 0", _number(lambda x: x > 0))
-NOT_NEGATIVE = Expected("a number >= 0", _number(lambda x: x >= 0))
-FREQUENCY = Expected("a number > 0, Hz", _number(lambda x: x > 0))
-NUMBERS = Expected("one or more numbers", numbers_of_any_count(1, lambda found: True))
-POSITIVES = Expected("one or more numbers > 0", numbers_of_any_count(1, lambda found: min(found) > 0))
-TIMES = Expected("two or more times that increase, s", numbers_of_any_count(2, _increasing))
-PLANT = Expected("the name of a shipped model, a path relative to this file, or a table", _plant)
+POSITIVE = Expected("a number > 0", where(lambda x: x > 0))
+NOT_NEGATIVE = Expected("a number >= 0", where(lambda x: x >= 0))
+FREQUENCY = Expected("a number > 0, Hz", where(lambda x: x > 0))
+NUMBERS = Expected("one or more numbers", _list(1, lambda found: True))
+POSITIVES = Expected("one or more numbers > 0", _list(1, lambda found: min(found) > 0))
+TIMES = Expected("two or more times that increase, s", _list(2, _increasing))
+PLANT = Expected(
+    "the name of a shipped model, a path relative to this file, or a table",
+    lambda item: item if isinstance(item, dict) else text(item),
+)
 TEXT = Expected("a line of text that is not empty", text)
-TRUTH = Expected("true or false", _truth)
+TRUTH = Expected("true or false", _of(bool))
 SCHEMA = Expected("1, the format that this version reads", integer(1, 1))
 STOPS = Expected("[lower, upper] with 0 between them", _stops_in_radians)
 STOPS_DEG = Expected(STOPS.words, stops)
@@ -353,7 +329,7 @@ Positive = Annotated[float, POSITIVE]
 NotNegative = Annotated[float, NOT_NEGATIVE]
 Text = Annotated[str, TEXT]
 SystemName = Annotated[str, Expected("a line of text that is not empty, without full stops", _system_name)]
-AnyText = Annotated[str, Expected("a text", _any_text)]
+AnyText = Annotated[str, Expected("a text", _of(str))]
 Truth = Annotated[bool, TRUTH]
 RootAxis = Annotated[int, Expected("1, 2 or 3", integer(1, 3))]
 Axis = Annotated[FloatArray, Expected("a vector of three numbers that is not zero", axis)]
@@ -363,29 +339,37 @@ Coulomb = Annotated[
 ]
 Inertia = Annotated[FloatArray, Expected("three principal moments > 0 or a symmetric 3 x 3 matrix, kg m2", inertia)]
 Stops = Annotated[tuple[float, float], STOPS]
-NotZero = Annotated[float, Expected("a number other than 0", _number(lambda x: x != 0))]
-AtLeastOne = Annotated[float, Expected("a number >= 1", _number(lambda x: x >= 1))]
-Share = Annotated[float, Expected("a number from 0 to 0.9", _number(lambda x: 0 <= x <= 0.9))]
-Part = Annotated[float, Expected("a share from 0 to 1", _number(lambda x: 0 <= x <= 1))]
-SomePart = Annotated[float, Expected("a share > 0, up to 1", _number(lambda x: 0 < x <= 1))]
+NotZero = Annotated[float, Expected("a number other than 0", where(lambda x: x != 0))]
+AtLeastOne = Annotated[float, Expected("a number >= 1", where(lambda x: x >= 1))]
+Share = Annotated[float, Expected("a number from 0 to 0.9", where(lambda x: 0 <= x <= 0.9))]
+Part = Annotated[float, Expected("a share from 0 to 1", where(lambda x: 0 <= x <= 1))]
+SomePart = Annotated[float, Expected("a share > 0, up to 1", where(lambda x: 0 < x <= 1))]
 Samples = Annotated[int, Expected("a whole number from 0 to 1000", integer(0, 1000))]
 GridPoints = Annotated[int, Expected("a whole number from 2 to 9", integer(2, 9))]
 Seed = Annotated[int, Expected("a whole number >= 0", integer(0, 2**63 - 1))]
-Rates = Annotated[FloatArray, Expected("the largest rate about each root axis, three numbers >= 0, rad/s", _rates)]
+Rates = Annotated[
+    FloatArray,
+    Expected(
+        "the largest rate about each root axis, three numbers >= 0, rad/s", where(lambda found: min(found) >= 0, vector)
+    ),
+]
 Numbers = Annotated[tuple[float, ...], NUMBERS]
 Frequencies = Annotated[
     FloatArray,
     Expected(
         "two or more frequencies > 0 that increase, Hz",
-        numbers_of_any_count(2, lambda found: found[0] > 0 and _increasing(found)),
+        _list(2, lambda found: found[0] > 0 and _increasing(found)),
     ),
 ]
 Densities = Annotated[
     FloatArray,
-    Expected("a density > 0 for each frequency", numbers_of_any_count(1, lambda found: min(found) > 0)),
+    Expected("a density > 0 for each frequency", _list(1, lambda found: min(found) > 0)),
 ]
 Positives = Annotated[tuple[float, ...], POSITIVES]
-OneOrRange = Annotated[tuple[float, float], Expected("a number > 0, or two: lowest and highest", _one_or_range)]
+OneOrRange = Annotated[
+    tuple[float, float],
+    Expected("a number > 0, or two: lowest and highest", where(lambda ends: 0 < ends[0] <= ends[1], one_or_two)),
+]
 Lines = Annotated[int, Expected("a whole number from 1 to 4096", integer(1, 4096))]
 Runs = Annotated[int, Expected("a whole number from 1 to 2^30", integer(1, 2**30))]
 SeveralRuns = Annotated[int, Expected("a whole number from 2 to 100000", integer(2, 100_000))]
