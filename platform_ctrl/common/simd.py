@@ -32,30 +32,22 @@ Number = Any
 Mask = Any
 
 
-class _Lane(types.Type):
-    def __init__(self) -> None:
-        super().__init__(name=f"Lane{LANES}")
+class _Vector(types.Type):
+    """LANES numbers or the bits of a mask, as LLVM has them."""
+
+    def __init__(self, name: str, vector: Any) -> None:
+        super().__init__(name=f"{name}{LANES}")
+        self.vector = vector
 
 
-class _LaneMask(types.Type):
-    def __init__(self) -> None:
-        super().__init__(name=f"LaneMask{LANES}")
+@register_model(_Vector)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, kind.vector)
 
 
-_lane, _mask = _Lane(), _LaneMask()
 _VECTOR, _BITS = ir.VectorType(ir.DoubleType(), LANES), ir.VectorType(ir.IntType(1), LANES)
-
-
-@register_model(_Lane)
-class _LaneModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _VECTOR)
-
-
-@register_model(_LaneMask)
-class _LaneMaskModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _BITS)
+_lane, _mask = _Vector("Lane", _VECTOR), _Vector("LaneMask", _BITS)
 
 
 # Said of functions below, which compiled ones alone call: a wrapper for C takes longer than what is in it.
@@ -130,39 +122,21 @@ for _name, _sign in (
     _binary(_name, _mask, _compare(_sign))
 
 
-@infer_global(operator.neg)
-class _Negative(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(_lane, _lane) if tuple(args) == (_lane,) else None
+def _of_vectors(name: Any, emit: Callable[..., Any], *kinds: Any) -> None:
+    """Make an operator of vectors of these kinds, which returns the same kind."""
 
-
-@lower_builtin(operator.neg, _lane)
-def _negative(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.fneg(args[0])
-
-
-def _of_masks(name: Any, emit: Callable[[Any, Any, Any], Any]) -> None:
     @infer_global(name)
     class _Typing(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
-            return signature(_mask, _mask, _mask) if tuple(args) == (_mask, _mask) else None
+            return signature(kinds[0], *kinds) if tuple(args) == kinds else None
 
-    lower_builtin(name, _mask, _mask)(lambda context, builder, sig, args: emit(builder, *args))
-
-
-_of_masks(operator.and_, lambda builder, a, b: builder.and_(a, b))
-_of_masks(operator.or_, lambda builder, a, b: builder.or_(a, b))
+    lower_builtin(name, *kinds)(lambda context, builder, sig, args: emit(builder, *args))
 
 
-@infer_global(operator.invert)
-class _Inverse(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(_mask, _mask) if tuple(args) == (_mask,) else None
-
-
-@lower_builtin(operator.invert, _mask)
-def _inverse(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.not_(args[0])
+_of_vectors(operator.neg, lambda builder, a: builder.fneg(a), _lane)
+_of_vectors(operator.and_, lambda builder, a, b: builder.and_(a, b), _mask, _mask)
+_of_vectors(operator.or_, lambda builder, a, b: builder.or_(a, b), _mask, _mask)
+_of_vectors(operator.invert, lambda builder, a: builder.not_(a), _mask)
 
 
 @lower_cast(types.Float, _lane)
@@ -194,9 +168,7 @@ def columns(lane: int) -> tuple[int, int]:
 
 @overload(columns, strict=False, jit_options=_INSIDE)
 def _columns(lane: Any) -> Any:
-    if isinstance(lane, types.NoneType):
-        return lambda lane: (0, LANES)
-    return lambda lane: (lane, lane + 1)
+    return (lambda lane: (0, LANES)) if isinstance(lane, types.NoneType) else columns
 
 
 def _row(context: Any, builder: Any, kind: Any, array: Any, slot: Any) -> Any:
@@ -302,20 +274,6 @@ def _anywhere_in_lane(typing: Any, mask: Any) -> Any:
     return types.boolean(mask), generate
 
 
-def _by_llvm(name: str) -> Any:
-    @intrinsic
-    def call(typing: Any, x: Any) -> Any:
-        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            kind = ir.FunctionType(_VECTOR, [_VECTOR])
-            function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
-            return builder.call(function, args)
-
-        return _lane(x), generate
-
-    return call
-
-
-_root_of_lane, _floor_of_lane = _by_llvm("sqrt"), _by_llvm("floor")
 _WHOLE = ir.VectorType(ir.IntType(64), LANES)
 
 
@@ -323,50 +281,59 @@ def _repeated(number: int) -> Any:
     return ir.Constant(_WHOLE, [number] * LANES)
 
 
-@intrinsic
-def _power_of_lane(typing: Any, k: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        exponent = builder.add(builder.fptosi(args[0], _WHOLE), _repeated(1023))
-        return builder.bitcast(builder.shl(exponent, _repeated(52)), _VECTOR)
+def _function(emit: Callable[[Any, Any], Any]) -> Any:
+    """Return a compiled function of a lane that gives a lane."""
 
-    return _lane(k), generate
+    @intrinsic
+    def call(typing: Any, x: Any) -> Any:
+        return _lane(x), lambda context, builder, sig, args: emit(builder, args[0])
 
-
-@intrinsic
-def _mantissa_of_lane(typing: Any, x: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        bits = builder.and_(builder.bitcast(args[0], _WHOLE), _repeated((1 << 52) - 1))
-        return builder.bitcast(builder.or_(bits, _repeated(1023 << 52)), _VECTOR)
-
-    return _lane(x), generate
+    return call
 
 
-@intrinsic
-def _exponent_of_lane(typing: Any, x: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        bits = builder.lshr(builder.bitcast(args[0], _WHOLE), _repeated(52))
-        return builder.sitofp(builder.sub(bits, _repeated(1023)), _VECTOR)
+def _by_llvm(name: str) -> Any:
+    def emit(builder: Any, x: Any) -> Any:
+        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
+        return builder.call(function, [x])
 
-    return _lane(x), generate
+    return _function(emit)
+
+
+@_function
+def _power_of_lane(builder: Any, k: Any) -> Any:
+    exponent = builder.add(builder.fptosi(k, _WHOLE), _repeated(1023))
+    return builder.bitcast(builder.shl(exponent, _repeated(52)), _VECTOR)
+
+
+@_function
+def _mantissa_of_lane(builder: Any, x: Any) -> Any:
+    bits = builder.and_(builder.bitcast(x, _WHOLE), _repeated((1 << 52) - 1))
+    return builder.bitcast(builder.or_(bits, _repeated(1023 << 52)), _VECTOR)
+
+
+@_function
+def _exponent_of_lane(builder: Any, x: Any) -> Any:
+    bits = builder.lshr(builder.bitcast(x, _WHOLE), _repeated(52))
+    return builder.sitofp(builder.sub(bits, _repeated(1023)), _VECTOR)
+
+
+_root_of_lane, _floor_of_lane = _by_llvm("sqrt"), _by_llvm("floor")
 
 
 @overload(choose, strict=False, jit_options=_INSIDE)
 def _choose(mask: Any, a: Any, b: Any) -> Any:
-    if mask == _mask:
-        return lambda mask, a, b: _choose_lane(mask, a, b)
-    return lambda mask, a, b: a if mask else b
+    return (lambda mask, a, b: _choose_lane(mask, a, b)) if mask == _mask else choose
 
 
 @overload(anywhere, strict=False, jit_options=_INSIDE)
 def _anywhere(mask: Any) -> Any:
-    if mask == _mask:
-        return lambda mask: _anywhere_in_lane(mask)
-    return lambda mask: mask
+    return (lambda mask: _anywhere_in_lane(mask)) if mask == _mask else (lambda mask: mask)
 
 
 @overload(root, strict=False, jit_options=_INSIDE)
 def _root(x: Any) -> Any:
-    return (lambda x: _root_of_lane(x)) if x == _lane else (lambda x: math.sqrt(x))
+    return (lambda x: _root_of_lane(x)) if x == _lane else root
 
 
 @overload(whole, strict=False, jit_options=_INSIDE)
@@ -376,26 +343,13 @@ def _whole(x: Any) -> Any:
 
 @overload(power_of_two, strict=False, jit_options=_INSIDE)
 def _power_of_two(k: Any) -> Any:
-    return (lambda k: _power_of_lane(k)) if k == _lane else (lambda k: math.ldexp(1.0, int(k)))
+    return (lambda k: _power_of_lane(k)) if k == _lane else power_of_two
 
 
 @overload(mantissa_and_exponent, strict=False, jit_options=_INSIDE)
 def _mantissa_and_exponent(x: Any) -> Any:
-    if x == _lane:
-        return lambda x: (_mantissa_of_lane(x), _exponent_of_lane(x))
-
-    def parts(x):
-        m, e = math.frexp(x)
-        return 2.0 * m, float(e - 1)
-
-    return parts
+    return (lambda x: (_mantissa_of_lane(x), _exponent_of_lane(x))) if x == _lane else mantissa_and_exponent
 
 
-@overload(lesser, strict=False, jit_options=_INSIDE)
-def _lesser(a: Any, b: Any) -> Any:
-    return lambda a, b: choose(a < b, a, b)
-
-
-@overload(greater, strict=False, jit_options=_INSIDE)
-def _greater(a: Any, b: Any) -> Any:
-    return lambda a, b: choose(a > b, a, b)
+overload(lesser, strict=False, jit_options=_INSIDE)(lambda a, b: lesser)
+overload(greater, strict=False, jit_options=_INSIDE)(lambda a, b: greater)
