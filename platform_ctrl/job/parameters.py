@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from platform_ctrl.common.values import replaced, value
+from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.job.drive import Drive
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.scenario import Command, Scenario
@@ -63,8 +63,8 @@ class RunParameter:
         What a job file calls it.
     group, index
         Where it is: the plant's array and the index in it, or one of ``"root"``, ``"unbalances"``, ``"sampling"``,
-        ``"initial"``, ``"manoeuvre"``, ``"commands"``, ``"drives"``, ``"fault"``, ``"vibration"``; `index` is −1 for an
-        unbalance that the plant lacks, and counts the commands of a reading.
+        ``"initial"``, ``"manoeuvre"``, ``"commands"``, ``"drives"``, ``"fault"``, ``"vibration"``; `index` counts the
+        commands of a reading, and the axes of a vector.
     part, key
         Name of the part or fault; the number of it that is meant.
     factor
@@ -102,8 +102,7 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
 def _of_plant(platform: Platform) -> Iterator[RunParameter]:
     yield RunParameter(path="root.inertia", group="root", key="inertia", factor=True)
     for axis in (1, 2, 3):
-        key = f"specific_force{axis}"
-        yield RunParameter(path=f"root.{key}", group="root", key=key, index=axis - 1)
+        yield RunParameter(path=f"root.specific_force{axis}", group="root", key="specific_force", index=axis - 1)
     parts = {word: key for word, key in shape(Platform).keys.items() if key.array is not None}
     for word, of in parts.items():
         group, numbers = of.field, _numbers(of.holds.make)  # type: ignore[union-attr, arg-type]
@@ -123,16 +122,10 @@ def _of_plant(platform: Platform) -> Iterator[RunParameter]:
                     index=k,
                     factor=key == "inertia" or (group, key) == ("torquers", "gain"),
                 )
-    having = {one.body: k for k, one in reversed([*enumerate(platform.unbalances)])}
     for body in (platform.root_name, *platform.gimbal_names):
         for axis in (1, 2, 3):
-            yield RunParameter(
-                path=f"unbalance.{body}.moment{axis}",
-                group="unbalances",
-                part=body,
-                key=f"moment{axis}",
-                index=having.get(body, -1),
-            )
+            path = f"unbalance.{body}.moment{axis}"
+            yield RunParameter(path=path, group="unbalances", part=body, key="moment", index=axis - 1)
 
 
 def _there(part: Any, key: str) -> bool:
@@ -160,9 +153,9 @@ def _initial(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
 
 def _of_manoeuvres(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
     for key in _OF_MANOEUVRES:
-        if any(in_manoeuvre(key, one) is not None for one in scenarios):
-            scale = key.endswith("_scale")
-            yield RunParameter(path=f"manoeuvre.{key}", group="manoeuvre", key=key, factor=scale)
+        found = RunParameter(path=f"manoeuvre.{key}", group="manoeuvre", key=key, factor=key.endswith("_scale"))
+        if any(_place(found, one) is not None for one in scenarios):
+            yield found
     if any(one.vibrations or one.sines for one in scenarios):
         yield RunParameter(path="vibration.scale", group="vibration", key="scale", factor=True)
 
@@ -184,22 +177,12 @@ def _of_commands(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
             title = reading if k == 0 else f"{reading}#{k + 1}"
             for key in _numbers(Command):
                 found = RunParameter(path=f"command.{title}.{key}", group="commands", part=reading, key=key, index=k)
-                if any(_of_command(found, scenario) is not None for scenario in scenarios):
+                if any(_place(found, scenario) is not None for scenario in scenarios):
                     yield found
 
 
 def _commands_of(scenario: Scenario, reading: str) -> list[int]:
     return [k for k, one in enumerate(scenario.commands) if one.reading == reading]
-
-
-def _of_command(parameter: RunParameter, scenario: Scenario) -> float | None:
-    """Return the number of a command; None where the run has no such command, or the command no such part."""
-    places = _commands_of(scenario, parameter.part)
-    if parameter.index >= len(places):
-        return None
-    one = scenario.commands[places[parameter.index]]
-    there = {"at": one.step or one.ramp, "phase": one.amplitude}.get(parameter.key, getattr(one, parameter.key))
-    return float(getattr(one, parameter.key)) if there else None
 
 
 def unknown_parameter(path: str, known: Iterable[str]) -> str:
@@ -236,48 +219,65 @@ def _between(low: float, high: float) -> Expected:
     return Expected(f"an angle between the stops, {low:.6g} to {high:.6g} rad", judge)
 
 
-def nominal(parameter: RunParameter, scenario: Scenario, faults: Sequence[Fault]) -> float | None:
-    """Return the nominal value; None where the run or the plant does not have the parameter."""
-    if parameter.factor and parameter.group not in ("manoeuvre", "vibration"):
-        return 1.0
-    platform, k, key = scenario.platform, parameter.index, parameter.key
+# Steps from a run to a number of it: names of fields, and places in tuples and arrays.
+_Place = tuple[str | int, ...]
+
+
+def _place(parameter: RunParameter, scenario: Scenario) -> _Place | None:
+    """Return where a number is; None where the run does not have it."""
+    key, k = parameter.key, parameter.index
     match parameter.group:
         case "root":
-            return float(platform.specific_force[k])
+            return ("platform", "root_inertia") if key == "inertia" else ("platform", key, k)
         case "unbalances":
-            return float(platform.unbalances[k].moment[int(key[-1]) - 1]) if k >= 0 else 0.0
+            bodies = [one.body for one in scenario.platform.unbalances]
+            return (
+                ("platform", "unbalances", bodies.index(parameter.part), key, k) if parameter.part in bodies else None
+            )
         case "sampling":
-            return scenario.delay
+            return (key,)
         case "initial":
-            return None if key == "Omega" and scenario.mode == "caged" else float(getattr(scenario, key)[k])
+            return None if key == "Omega" and scenario.mode == "caged" else (key, k)
+        case "manoeuvre" if key == "torque":
+            return (key, int(np.argmax(np.abs(scenario.torque)))) if scenario.torque.any() else None
         case "manoeuvre":
-            return in_manoeuvre(key, scenario)
+            part, own = (key.replace("_scale", "_table"), "scale") if parameter.factor else ("profile", key)
+            return None if getattr(scenario, part) is None else (part, own)
         case "commands":
-            return _of_command(parameter, scenario)
+            places = _commands_of(scenario, parameter.part)
+            if k >= len(places):
+                return None
+            one = scenario.commands[places[k]]
+            there = {"at": one.step or one.ramp, "phase": one.amplitude}.get(key, getattr(one, key))
+            return ("commands", places[k], key) if there else None
         case "drives":
-            return float(getattr(scenario.drives[k], key))
-        case "vibration":
-            return 1.0 if scenario.vibrations or scenario.sines else None
+            return ("drives", k, key)
         case "fault":
-            found = float(getattr(next(one for one in faults if one.name == parameter.part), key))
-            return found if math.isfinite(found) else None
-        case _:
-            number = getattr(getattr(platform, parameter.group)[k], key)
-            # The larger of two directions.
-            return None if number is None else float(np.max(number))
+            names = [one.name for one in scenario.faults]
+            return ("faults", names.index(parameter.part), key) if parameter.part in names else None
+        case group:
+            return ("platform", group, k, key)
 
 
-def in_manoeuvre(key: str, scenario: Scenario) -> float | None:
-    """Return a nominal value of the manoeuvre itself; None where the run does not have it."""
-    match key:
-        case "torque":
-            return float(scenario.torque[np.argmax(np.abs(scenario.torque))]) if scenario.torque.any() else None
-        case "Omega_scale":
-            return None if scenario.Omega_table is None else 1.0
-        case "torque_scale":
-            return None if scenario.torque_table is None else 1.0
-        case _:
-            return None if scenario.profile is None else float(getattr(scenario.profile, key))
+def _number_at(item: Any, place: _Place) -> Any:
+    for step in place:
+        item = getattr(item, step) if isinstance(step, str) else item[step]
+    return item
+
+
+def nominal(parameter: RunParameter, scenario: Scenario, faults: Sequence[Fault]) -> float | None:
+    """Return the nominal value; None where the run or the plant does not have the parameter."""
+    if parameter.group == "vibration":
+        return 1.0 if scenario.vibrations or scenario.sines else None
+    scenario = replaced(scenario, {"faults": tuple(faults)})
+    place = _place(parameter, scenario)
+    if place is None:
+        return 0.0 if parameter.group == "unbalances" else None
+    if parameter.factor:
+        return 1.0
+    number = _number_at(scenario, place)
+    # The larger of two directions.
+    return None if number is None or not np.isfinite(np.max(number)) else float(np.max(number))
 
 
 def varied_scenario(
@@ -288,126 +288,60 @@ def varied_scenario(
     seed: int | None = None,
     run: int = 0,
 ) -> Scenario:
-    """Return the run with drawn numbers in their places; `scenario` stays as it is."""
-    parts: dict[tuple[str, int, str], dict[str, Any]] = {}
-    own: dict[str, Any] = {"faults": scenario.faults if faults is None else faults}
-    own |= {"seed": scenario.seed if seed is None else seed, "run": run}
-    root: dict[str, Any] = {}
+    """Return the run with drawn numbers in their places; `scenario` stays as it is.
+
+    `drawn`: parameters with their numbers, and whether these multiply what is there.
+    """
+    own: dict[str, Any] = {"seed": scenario.seed if seed is None else seed, "run": run}
+    scenario = scenario if faults is None else replaced(scenario, {"faults": faults})
+    changes: dict[str | int, Any] = {}
+    weak: list[Fault] = []
+    moments: dict[str, FloatArray] = {}
     for parameter, number, relative in drawn:
-        key, k = parameter.key, parameter.index
-        match parameter.group:
-            case "root" if key == "inertia":
-                root["root_inertia"] = scenario.platform.root_inertia * number
-            case "root":
-                force = root.setdefault("specific_force", scenario.platform.specific_force.copy())
-                force[k] = number * (scenario.platform.specific_force[k] if relative else 1.0)
-            case "sampling":
-                own["delay"] = number * (scenario.delay if relative else 1.0)
-            case "initial" if key != "Omega" or scenario.mode == "stabilised":
-                start = own.setdefault(key, getattr(scenario, key).copy())
-                start[k] = number * (getattr(scenario, key)[k] if relative else 1.0)
-            case "manoeuvre":
-                own |= _moved(key, number, relative, own, scenario)
-            case "drives" | "commands" as group:
-                own[group] = _with_part(own.get(group, getattr(scenario, group)), parameter, scenario, number, relative)
-            case "vibration":
-                own["vibrations"] = tuple(
-                    replaced(one, {"densities": one.densities * number**2}) for one in scenario.vibrations
-                )
-                own["sines"] = tuple(replaced(one, {"amplitude": one.amplitude * number}) for one in scenario.sines)
-            case "fault":
-                own["faults"] = tuple(
-                    one if one.name != parameter.part else replaced(one, {key: drawn_value(one, key, number, relative)})
-                    for one in own["faults"]
-                )
-            case "torquers" if key == "gain":
-                weak = Fault(name=parameter.path, kind="torquer weak", part=parameter.part, at=0.0, share=number)
-                own["faults"] = (weak, *own["faults"])
-            case "initial":
-                pass
-            case group:
-                parts.setdefault((group, k, parameter.part), {})[key] = (number, relative)
-    if parts or root:
-        own["platform"] = _varied_platform(scenario.platform, parts, root)
-    return replaced(scenario, own)
+        key, place = parameter.key, _place(parameter, scenario)
+        if parameter.group == "vibration":
+            densities = [replaced(one, {"densities": one.densities * number**2}) for one in scenario.vibrations]
+            sines = [replaced(one, {"amplitude": one.amplitude * number}) for one in scenario.sines]
+            own |= {"vibrations": tuple(densities), "sines": tuple(sines)}
+        elif (parameter.group, key) == ("torquers", "gain"):
+            lost = Fault(name=parameter.path, kind="torquer weak", part=parameter.part, at=0.0, share=number)
+            weak.insert(0, lost)
+        elif parameter.group == "unbalances" and place is None:
+            moments.setdefault(parameter.part, np.zeros(3))[parameter.index] = 0.0 if relative else number
+        elif place is not None:
+            old, within = _number_at(scenario, place), changes
+            for step in place[:-1]:
+                within = within.setdefault(step, {})
+            within[place[-1]] = drawn_value(old, number, relative or parameter.factor)
+    out: Scenario = _changed(scenario, changes)
+    if moments:
+        added = tuple(Unbalance(body=body, moment=moment) for body, moment in moments.items())
+        own["platform"] = replaced(out.platform, {"unbalances": (*out.platform.unbalances, *added)})
+    return replaced(out, own | {"faults": (*weak, *out.faults)})
 
 
-def _with_part(
-    parts: tuple[Any, ...], parameter: RunParameter, scenario: Scenario, number: float, relative: bool
-) -> tuple[Any, ...]:
-    """Return drives or commands with a drawn number in one of them, if the run has it."""
-    k = parameter.index
-    if parameter.group == "commands":
-        if _of_command(parameter, scenario) is None:
-            return parts
-        k = _commands_of(scenario, parameter.part)[k]
-    part = parts[k]
-    changed = replaced(part, {parameter.key: drawn_value(part, parameter.key, number, relative)})
-    return (*parts[:k], changed, *parts[k + 1 :])
+def _changed(item: Any, changes: Any) -> Any:
+    """Return a value with others in places further in: fields of records, elements of tuples and arrays."""
+    if not isinstance(changes, dict):
+        return changes
+    if isinstance(item, tuple):
+        return tuple(_changed(one, changes.get(k, {})) for k, one in enumerate(item))
+    if isinstance(item, np.ndarray):
+        out = item.copy()
+        out[list(changes)] = list(changes.values())
+        return out
+    if not changes:
+        return item
+    own = {name: _changed(getattr(item, name), inner) for name, inner in changes.items()}
+    if isinstance(item, Rotor) and {"spin", "axial_inertia"} & own.keys():
+        # L follows from the spin, which another axial inertia leaves as it is.
+        spin = own.pop("spin", item.spin)
+        own.setdefault("angular_momentum", own.get("axial_inertia", item.axial_inertia) * spin)
+    return replaced(item, own)
 
 
-def _moved(key: str, number: float, relative: bool, own: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
-    """Return what a drawn number of the manoeuvre changes in the run."""
-    as_it_stands = in_manoeuvre(key, scenario)
-    if as_it_stands is None:
-        return {}
-    if key == "torque":
-        return {"torque": scenario.torque * (number if relative else number / as_it_stands)}
-    if key.endswith("_scale"):
-        name = key.replace("_scale", "_table")
-        table = getattr(scenario, name)
-        # Runs whose tables differ in the scale alone fly side by side.
-        return {name: replaced(table, {"scale": table.scale * number})}
-    profile: Any = own.get("profile", scenario.profile)
-    return {"profile": replaced(profile, {key: number * (as_it_stands if relative else 1.0)})}
-
-
-def _varied_platform(
-    platform: Platform, parts: dict[tuple[str, int, str], dict[str, Any]], root: dict[str, Any]
-) -> Platform:
-    arrays: dict[str, list[Any]] = {}
-    for (group, k, body), changes in parts.items():
-        if group not in arrays:
-            arrays[group] = list(getattr(platform, group))
-        array = arrays[group]
-        if group == "unbalances":
-            moment = array[k].moment.copy() if k >= 0 else np.zeros(3)
-            for key, (number, relative) in changes.items():
-                axis = int(key[-1]) - 1
-                moment[axis] = number * (moment[axis] if relative else 1.0)
-            if k >= 0:
-                array[k] = replaced(array[k], {"moment": moment})
-            else:
-                array.append(Unbalance(body=body, moment=moment))
-            continue
-        part = array[k]
-        if group == "rotors":
-            array[k] = _varied_rotor(part, changes)
-        else:
-            # An inertia is scaled as a whole whatever was said: a matrix has no other number.
-            array[k] = replaced(
-                part,
-                {
-                    key: drawn_value(part, key, x, relative or key == "inertia")
-                    for key, (x, relative) in changes.items()
-                },
-            )
-    changed: dict[str, Any] = root | {group: tuple(array) for group, array in arrays.items()}
-    return replaced(platform, changed)
-
-
-def _varied_rotor(rotor: Rotor, changes: dict[str, tuple[float, bool]]) -> Rotor:
-    """Return a rotor with other numbers; another axial inertia keeps its spin: L follows."""
-    new = {key: drawn_value(rotor, key, number, relative) for key, (number, relative) in changes.items()}
-    spin = new.pop("spin", rotor.spin)
-    if "angular_momentum" not in new and ("spin" in changes or "axial_inertia" in changes):
-        new["angular_momentum"] = new.get("axial_inertia", rotor.axial_inertia) * spin
-    return replaced(rotor, new)
-
-
-def drawn_value(part: Any, key: str, number: float, relative: bool) -> Any:
-    """Return the value of `key` once a number is drawn."""
-    old = getattr(part, key)
+def drawn_value(old: Any, number: float, relative: bool) -> Any:
+    """Return the value in the place of an old one once a number is drawn."""
     if isinstance(old, tuple):
         return tuple(x * number for x in old) if relative else (number,) * len(old)
     return old * number if relative else number

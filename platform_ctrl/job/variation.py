@@ -300,7 +300,7 @@ def _misfits_together(
         usual = {key for key, _ in judge(table)}
         for ends in product(*(varied[path].support for path in paths.values())):
             drawn = (
-                (key, drawn_value(part, key, end, varied[path].relative))
+                (key, drawn_value(getattr(part, key), end, varied[path].relative))
                 for (key, path), end in zip(paths.items(), ends, strict=True)
             )
             changed = table | {key: list(x) if isinstance(x, tuple) else x for key, x in drawn}
