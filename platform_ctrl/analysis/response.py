@@ -1,4 +1,4 @@
-"""Frequency responses of systems of every kind, and minimal realisations of transfer functions.
+"""Frequency responses of systems of every kind, and states of transfer functions.
 
 Of C (z I - A)^-1 B + D what does not depend on the point is computed once. In modal coordinates the response is a sum
 over the modes, one product of matrices for all points. Where the eigenvectors are too nearly dependent for that
@@ -29,11 +29,6 @@ if TYPE_CHECKING:
 NamedSystem: TypeAlias = "control.StateSpace | control.TransferFunction"
 StateSystem: TypeAlias = "control.StateSpace | control.TransferFunction | System"
 LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData | System"
-
-# Part of |A| (of B or C) below which a direction of the state space counts as not reached (not seen).
-_UNREACHED = 1e-11
-# Largest error of a realisation next to the poles' own frequencies, relative to the largest entry.
-_REALISED = 1e-7
 
 
 def linear_arrays(system: StateSystem, where: str) -> System:
@@ -99,76 +94,24 @@ def _entries(system: Any, where: str = "transfer function") -> list[tuple[int, i
     return out
 
 
-def _realisation(system: Any, where: str) -> System:
-    """Return companion forms of the entries, and of several entries what is reached and seen."""
-    p, m, dt = system.noutputs, system.ninputs, _period(system, where)
-    entries = _entries(system, where)
-    size = sum(len(den) - 1 for _, _, num, den in entries if len(num))
-    A, B, C, D = np.zeros((size, size)), np.zeros((size, m)), np.zeros((p, size)), np.zeros((p, m))
-    at = 0
-    for i, j, num, den in entries:
-        if not len(num):
-            continue
-        n = len(den) - 1
-        num = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0]
-        den = den / den[0]
-        own = slice(at, at + n)
-        A[own, own] = np.eye(n, k=-1)
-        A[at : at + 1, own] -= den[1:]
-        B[at : at + 1, j] = 1.0
-        C[i, own], D[i, j] = num[1:] - num[0] * den[1:], num[0]
-        at += n
-    if p * m == 1 or not size:
-        return System(A, B, C, D, dt)
-    # A pole that entries share would be there twice, and a loop closed around it could not move the second one.
-    A, B, C = _minimal(A, B, C)
-    _require_same(system, System(A, B, C, D, dt), where)
-    return System(A, B, C, D, dt)
+def _realisation(system: control.TransferFunction, where: str) -> System:
+    """Return the companion form of one entry; several have states that they share: python-control finds them."""
+    if system.ninputs * system.noutputs > 1:
+        import control
 
-
-def _minimal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what the inputs reach and the outputs see, in balanced states."""
-    # Each signal in a unit of its own: none is small because of its unit.
-    into, seen = np.linalg.norm(B, axis=0), np.linalg.norm(C, axis=1)
-    into[into == 0.0] = seen[seen == 0.0] = 1.0
-    A, B, C = scaled(A, B / into, C / seen[:, None])
-    Q = _reached(A, B)
-    A, B, C = scaled(Q.T @ A @ Q, Q.T @ B, C @ Q)
-    Q = _reached(A.T, C.T)
-    return Q.T @ A @ Q, (Q.T @ B) * into, seen[:, None] * (C @ Q)
-
-
-def _reached(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of the states that the inputs reach: the staircase form's columns."""
-    size = float(np.linalg.norm(A, 2)) or 1.0
-    Q, new = np.zeros((len(A), 0)), B
-    threshold = _UNREACHED * float(np.linalg.norm(B, 2))
-    while new.shape[1] and Q.shape[1] < len(A):
-        for _ in range(2):
-            new = new - Q @ (Q.T @ new)
-        U, values, _ = np.linalg.svd(new, full_matrices=False)
-        fresh = U[:, values > threshold]
-        Q, new, threshold = np.hstack([Q, fresh]), A @ fresh, _UNREACHED * size
-    return Q
-
-
-def _require_same(system: Any, arrays: System, where: str) -> None:
-    """Raise an ArgumentError where the realisation's response is not that of the transfer function."""
-    rates = np.abs(np.concatenate([np.roots(den) for *_, den in _entries(system)]))
-    w = (
-        np.linspace(0.05, 0.95, 19) * np.pi / arrays.dt
-        if arrays.dt
-        else np.geomspace(0.1, 10.0, 5)[:, None] * np.unique(np.where(rates > 0.0, rates, 1.0))
-    ).ravel()
-    true, ours = rational_response(system, w), state_response(arrays, w)
-    size = np.abs(true).max(axis=-1, where=np.isfinite(true), initial=0.0)
-    with np.errstate(invalid="ignore"):
-        wrong = np.abs(ours - true) > _REALISED * (np.abs(true) + 1e-3 * size[..., None])
-    if np.any(wrong & np.isfinite(true) & np.isfinite(ours)):
-        raise ArgumentError(
-            f"{where}: the transfer function has no realisation of its states to {_REALISED:g} in floating point; "
-            "make a control.StateSpace from the parts of the system"
-        )
+        try:
+            return System.of(control.ss(system), where)
+        except control.ControlMIMONotImplemented:
+            raise ArgumentError(
+                f"{where}: states that the entries of a transfer function share are found by slycot, which is not "
+                "installed: pip install slycot, or give a control.StateSpace"
+            ) from None
+    ((_, _, num, den),), dt = _entries(system, where), _period(system, where)
+    n = len(den) - 1
+    num, den = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0], den / den[0]
+    A = np.eye(n, k=-1)
+    A[:1] -= den[1:]
+    return System(A, np.eye(n, 1), (num[1:] - num[0] * den[1:])[None], np.array([[num[0]]]), dt)
 
 
 def frequency_response(
