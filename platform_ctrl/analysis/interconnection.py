@@ -101,32 +101,32 @@ def interconnected_by_sample(
     between, in states of their own. The same matrices are the same object. Where outputs are `limited` the excess of
     every output, limited − commanded, is a further input, which acts on the states: see `back_calculation`.
     """
-    parts = [System.of(system, _where(k, system)) for k, system in enumerate(controllers)]
-    every = [samples_between(K.dt, period, _where(k, controllers[k])) for k, K in enumerate(parts)]
-    if limited:
-        parts = [
-            _with_excess(K, [name in limited for name in controllers[k].output_labels]) for k, K in enumerate(parts)
-        ]
-    if max(every, default=1) == 1:
-        return [_joined(parts, controllers, inputs, outputs, period, limited=limited)]
+    rates = interconnected_at_rates(controllers, inputs, outputs, period, limited)
     made: dict[tuple[bool, ...], System] = {}
     out = []
-    for sample in range(math.lcm(*every)):
-        due = tuple(sample % n == 0 for n in every)
+    for sample in range(rates.cycle):
+        due = tuple(sample % n == 0 for n in rates.every)
         if due not in made:
-            own = [_held(K, now) if n > 1 else K for K, n, now in zip(parts, every, due, strict=True)]
-            made[due] = _joined(own, controllers, inputs, outputs, period, limited=limited)
+            made[due] = rates.at(sample)
         out.append(made[due])
     return out
 
 
 def interconnected_at_rates(
-    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
+    controllers: Sequence[control.StateSpace],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    period: float,
+    limited: Collection[str] = (),
 ) -> MultiRate:
     """Return what `interconnected_by_sample` returns without the samples of the cycle one by one."""
     parts = [System.of(system, _where(k, system)) for k, system in enumerate(controllers)]
     slow = [k for k, K in enumerate(parts) if samples_between(K.dt, period, _where(k, controllers[k])) > 1]
-    fast = _joined(parts, controllers, inputs, outputs, period, slow)
+    if limited:
+        parts = [
+            _with_excess(K, [name in limited for name in controllers[k].output_labels]) for k, K in enumerate(parts)
+        ]
+    fast = _joined(parts, controllers, inputs, outputs, period, slow, limited)
     return MultiRate(fast, tuple(parts[k] for k in slow))
 
 
@@ -161,8 +161,8 @@ def _joined(
     inputs: Sequence[str],
     outputs: Sequence[str],
     period: float,
-    apart: Collection[int] = (),
-    limited: Collection[str] = (),
+    apart: Collection[int],
+    limited: Collection[str],
 ) -> System:
     """Join the matrices of controllers by the names of their signals.
 
