@@ -30,10 +30,6 @@ from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
-# Where a climb looks around the best frequency, in widths.
-FAN = np.linspace(-1.0, 1.0, 15)
-
-
 # Relative error of a peak: what is returned is the upper end.
 PEAK_TOLERANCE = 5e-10
 
@@ -111,22 +107,26 @@ def _norm(
 def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band = WHOLE) -> tuple[float, float]:
     """Return the largest gain in a band of a system with poles `s`, none on the boundary there, and its frequency.
 
-    The gain at resonances is climbed from the highest; then the
-    eigenvalues of a Hamiltonian matrix show where it exceeds the best one (Bruinsma and Steinbuch).
+    The gain at resonances is refined around its tops; then the eigenvalues of a Hamiltonian matrix show where it
+    exceeds the best one (Bruinsma and Steinbuch).
     """
     top = min(band[1], axis.edge)
     if not band[0] <= top:
         return 0.0, 0.0
 
-    def largest(own: FloatArray) -> tuple[float, float]:
-        return axis.largest(np.concatenate([[band[0], top], own[(own > band[0]) & (own < top)]]))
+    def points(own: FloatArray) -> FloatArray:
+        return np.concatenate([[band[0], top], own[(own > band[0]) & (own < top)]])
 
-    best, frequency = largest(resonances(s))
+    w = points(resonances(s))
+    best, frequency = axis.largest(w)
     for _ in range(_SEARCHES):
-        best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance, band)
+        found, at = refined_peak(axis.gains, np.unique(w[np.isfinite(w)]), 0.01 * tolerance, _PARTS)
+        # The first of gains that are alike but for rounding.
+        best, frequency = (found, at) if found > best * (1.0 + 1e-14) else (best, frequency)
         if not 0.0 < best < math.inf:
             break
-        found, at = largest(_between(axis.crossings(best * (1.0 + tolerance))))
+        w = points(_between(axis.crossings(best * (1.0 + tolerance))))
+        found, at = axis.largest(w)
         if found <= best * (1.0 + tolerance):
             break
         best, frequency = found, at
@@ -149,38 +149,6 @@ def _between(w: FloatArray) -> FloatArray:
 def gains(system: System, frequency: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
     return largest_singular_values(frequency_response(system, frequency, -3))
-
-
-def _climbed(
-    axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float, slack: float, band: Band
-) -> tuple[float, float]:
-    """Return the local maximum near `frequency`: fans of frequencies that contract around the best."""
-    if not (math.isfinite(frequency) and math.isfinite(best)) or frequency == 0.0:
-        return best, frequency
-    # The peak cannot be much narrower than the distance to the nearest pole.
-    width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
-    centre = frequency
-    for _ in range(12):
-        fan = np.abs(centre + width * FAN)
-        fan = fan[(fan >= band[0]) & (fan <= min(band[1], axis.edge))]
-        if not fan.size:
-            break
-        sizes = axis.gains(fan)
-        i = int(np.argmax(sizes))
-        if sizes[i] > best:
-            best, frequency = float(sizes[i]), float(fan[i])
-        # The top lies between the neighbours of the highest: it cannot rise much above where these are as high.
-        three = sizes[max(i - 1, 0) : i + 2]
-        if best - float(three.min()) <= slack * best or width < 1e-15 * frequency:
-            break
-        centre = frequency
-        bend = three[0] + three[-1] - 2.0 * sizes[i] if len(three) == 3 else 0.0
-        if bend < 0.0 and 0 < i < len(fan) - 1:
-            centre += 0.25 * (three[0] - three[-1]) / bend * (fan[i + 1] - fan[i - 1])
-            width *= 0.07
-        else:
-            width *= 0.5
-    return best, frequency
 
 
 def h2_norm(system: StateSystem) -> float:
@@ -335,16 +303,18 @@ def exceeds(system: System, level: float, known: ComplexArray, band: Band = WHOL
     return low <= top and axis.largest(own)[0] > level
 
 
-# Neighbours of a peak on a refined grid are as high as it but for this share, and so many times it is refined.
-REFINED = 1e-3
-_REFINEMENTS = 20
+# Times that a grid is refined, and into how many parts the steps beside a top are cut for an exact peak.
+_REFINEMENTS, _PARTS = 40, 12
 
 
-def refined_peak(gain: Callable[[FloatArray], FloatArray], w: FloatArray) -> tuple[float, float]:
+def refined_peak(
+    gain: Callable[[FloatArray], FloatArray], w: FloatArray, alike: float = 1e-3, parts: int = 4
+) -> tuple[float, float]:
     """Return the largest value of a function on rising frequencies (F,), rad/s, refined around its tops, and where.
 
-    Tops that may be the highest are refined until their neighbours are as high but for 0.1 %. What is narrower than the
-    grid is not seen: it has to contain the resonances.
+    Tops that may be the highest are refined until their neighbours are as high but for a share, `alike`; the steps
+    beside them are cut into so many `parts`. What is narrower than the grid is not seen: it has to contain the
+    resonances.
     """
     y = gain(w)
     for _ in range(_REFINEMENTS):
@@ -352,11 +322,11 @@ def refined_peak(gain: Callable[[FloatArray], FloatArray], w: FloatArray) -> tup
         high = (y >= padded[:-2]) & (y >= padded[2:])
         beside = np.minimum(np.where(padded[:-2] < 0.0, y, padded[:-2]), np.where(padded[2:] < 0.0, y, padded[2:]))
         # Between points that differ much a top may be higher by about as much.
-        tops = np.flatnonzero(high & (2.0 * y - beside >= y.max()) & (beside < (1.0 - REFINED) * y))
+        tops = np.flatnonzero(high & (2.0 * y - beside >= y.max()) & (beside < (1.0 - alike) * y))
         if not tops.size:
             break
         ends = np.unique(np.concatenate([tops[tops > 0] - 1, tops[tops < len(w) - 1]]))
-        shares = np.array([0.25, 0.5, 0.75])
+        shares = np.arange(1, parts) / parts
         new = np.setdiff1d(w[ends, None] + (w[ends + 1] - w[ends])[:, None] * shares, w)
         if not new.size:
             break
