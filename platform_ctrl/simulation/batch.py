@@ -60,10 +60,8 @@ class BatchResult:
     settled : (N,)
         Number of samples from the scenario's `settle` on, over which the means and rms below are taken. All of these
         are of plants with a line of sight: others have no samples and no columns.
-    Omega_mean, Omega_rms : (N, axes)
-        Platform rate: mean, and rms about it, rad/s.
-    gimbal_rate_mean, gimbal_rate_rms : (N, gimbals)
-        Gimbal rates: mean, and rms about it, rad/s.
+    Omega_rms : (N, axes)
+        Platform rate: rms about its mean, rad/s.
     line_of_sight_mean, line_of_sight_rms : (N, outputs)
         Line of sight: mean, and rms about it, of ``los_rate1``, ``los_rate2``, ``los_roll_rate``, rad/s, and of
         ``los_angle1``, ``los_angle2``, ``los_roll``, rad.
@@ -87,10 +85,7 @@ class BatchResult:
     requested: NDArray[np.int64]
     gimbal_rate: FloatArray
     settled: NDArray[np.int64]
-    Omega_mean: FloatArray
     Omega_rms: FloatArray
-    gimbal_rate_mean: FloatArray
-    gimbal_rate_rms: FloatArray
     line_of_sight_mean: FloatArray
     line_of_sight_rms: FloatArray
     angle_following_error: FloatArray
@@ -197,8 +192,6 @@ def simulate_batch(
     )
     of_rates = np.array([sensor.unit == "rad/s" for sensor in sensors], dtype=np.bool_)
     rms = np.sqrt(squares / np.maximum(settled, 1.0))
-    parts = np.cumsum([3, n]) if sight else [0, 0]
-    means, spreads = np.split(mean, parts, axis=1), np.split(rms, parts, axis=1)
     return BatchResult(
         angle=angle,
         attitude=attitude,
@@ -209,12 +202,9 @@ def simulate_batch(
         requested=np.array([member.timing.samples for member in members], dtype=np.int64),
         gimbal_rate=rate,
         settled=np.rint(settled[:, 0]).astype(np.int64),
-        Omega_mean=means[0],
-        Omega_rms=spreads[0],
-        gimbal_rate_mean=means[1],
-        gimbal_rate_rms=spreads[1],
-        line_of_sight_mean=means[2],
-        line_of_sight_rms=spreads[2],
+        Omega_rms=rms[:, :3],
+        line_of_sight_mean=mean[:, 3:],
+        line_of_sight_rms=rms[:, 3:],
         angle_following_error=errors[:, ~of_rates],
         rate_following_error=errors[:, of_rates],
         period=period,

@@ -166,10 +166,10 @@ def test_a_batch_gives_mean_and_rms_of_the_settled_samples() -> None:
         run = simulate(one, [], period=PERIOD)
         rows = slice(50 * k, None)
         assert batch.settled[k] == 201 - 50 * k
-        for name, values in (("line_of_sight", run.line_of_sight), ("gimbal_rate", run.rate), ("Omega", run.Omega)):
-            mean, rms = getattr(batch, f"{name}_mean")[k], getattr(batch, f"{name}_rms")[k]
-            np.testing.assert_allclose(mean, values[rows].mean(axis=0), rtol=1e-12, atol=1e-15)
-            np.testing.assert_allclose(rms, values[rows].std(axis=0), rtol=1e-12, atol=1e-15)
+        sight = run.line_of_sight[rows]
+        np.testing.assert_allclose(batch.line_of_sight_mean[k], sight.mean(axis=0), rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(batch.line_of_sight_rms[k], sight.std(axis=0), rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(batch.Omega_rms[k], run.Omega[rows].std(axis=0), rtol=1e-12, atol=1e-15)
         np.testing.assert_array_equal(batch.gimbal_rate[k], np.abs(run.rate).max(axis=0))
 
 

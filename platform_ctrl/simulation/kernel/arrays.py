@@ -146,10 +146,10 @@ def widths_of_metrics(n: int, nu: int, sight: int) -> tuple[int, ...]:
     """Return how many of each metric come out, of n gimbals, nu torquers and `sight` outputs of the line of sight.
 
     Largest |q|, |rotation vector|, share of limits; saturated samples; contacts; samples; largest |gimbal rate|;
-    samples that are settled; of a plant with a line of sight, of [Omega, gimbal rates, line of sight] the mean over
-    them and the sum of squares about it. Behind them are those of `Layout.following`.
+    samples that are settled; of a plant with a line of sight, of [Omega, line of sight] the mean over them and the sum
+    of squares about it. Behind them are those of `Layout.following`.
     """
-    spread = 3 + n + sight if sight else 0
+    spread = 3 + sight if sight else 0
     return n, 3, nu, nu, n, 1, n, 1, spread, spread
 
 

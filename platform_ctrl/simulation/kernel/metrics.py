@@ -60,8 +60,8 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
         count = load(mem, rates + n, lane) + choose(settled, alive, 0.0 * alive)
         store(mem, rates + n, lane, count)
         share = 1.0 / greater(count, 0.0 * alive + 1.0)
-        _spread(mem, lane, settled, share, layout.velocity, n + 3, rates + n + 1, n + 3 + sight)
-        _spread(mem, lane, settled, share, layout.sight, sight, rates + 2 * n + 4, n + 3 + sight)
+        _spread(mem, lane, settled, share, layout.velocity, 3, rates + n + 1, 3 + sight)
+        _spread(mem, lane, settled, share, layout.sight, sight, rates + n + 4, 3 + sight)
     end = layout.states + nu + layout.drives + 1
     for j in range(layout.commands):
         slot, sensor = layout.following + j, layout.sensor + shared.first[end + j] * arrays.SENSOR
