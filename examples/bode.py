@@ -10,6 +10,8 @@ import argparse
 import math
 from pathlib import Path
 
+from matplotlib import pyplot as plt
+
 import platform_ctrl as pc
 from platform_ctrl.report import figures
 
@@ -33,4 +35,4 @@ plot.figure.set_size_inches(9.0, 8.0)
 if file:
     plot.figure.savefig(file, dpi=120)
 else:
-    figures.show(plot)
+    plt.show()

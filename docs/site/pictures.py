@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 from blocks import Picture, pictures, pieces
 
-from platform_ctrl.common.palette import PALETTE, declarations, figure_variables
+from platform_ctrl.common.palette import PALETTE, declarations
 
 ROOT = Path(__file__).parents[2]
 KEPT = ROOT / "build" / "site-pictures"
@@ -32,7 +32,7 @@ def package_digest() -> str:
 
 def themes() -> dict[str, str]:
     """Return the colours of figures in light and dark, as declarations of CSS variables."""
-    return {str(theme): declarations(figure_variables(theme)) for theme in PALETTE}
+    return {str(theme): declarations(colours) for theme, colours in PALETTE.items()}
 
 
 def as_file(svg: str, theme: str) -> str:
@@ -50,7 +50,7 @@ def of_script(path: Path, digest: str) -> str:
 
 def _figure(text: str, name: str) -> Any:
     """Return what a script binds to `figure`; the file that it would save is not drawn."""
-    from matplotlib.figure import Figure
+    from matplotlib.pyplot import Figure
 
     with tempfile.TemporaryDirectory() as folder, chdir(folder), patch.object(Figure, "savefig"):
         return _run(text, name)["figure"]

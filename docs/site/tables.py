@@ -26,12 +26,12 @@ from platform_ctrl.design.methods import METHODS
 from platform_ctrl.job.budget import Source
 from platform_ctrl.job.faults import FAULT_KINDS
 from platform_ctrl.job.profiles import PROFILES
+from platform_ctrl.job.quantities import axis_text
 from platform_ctrl.job.reading import JOB_FILE
 from platform_ctrl.job.spectra import SPECTRA, ProfileSpectrum
 from platform_ctrl.plant.reading import PLANT_FILE, read_platform
 from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.plant.tables import Key, Shape, shape
-from platform_ctrl.report.figures.axes_view import direction_text
 
 MARK = re.compile(r"^<!-- table: (?P<kind>\w+) of (?P<name>[^\n]+?)(?:\n(?P<notes>.*?))? *-->$", re.M | re.S)
 # The head of a table, and its rows.
@@ -171,8 +171,8 @@ def _profiles(name: str, notes: Mapping[str, str]) -> Table:
 
 def _bodies(name: str, notes: Mapping[str, str]) -> Table:
     plant = read_platform(name)
-    gimbals = [(one.name, one.parent, direction_text(one.axis), f"`{one.angle}`") for one in plant.gimbals]
-    rotors = [(one.name, one.carrier, direction_text(one.axis), f"rotor, {one.control}") for one in plant.rotors]
+    gimbals = [(one.name, one.parent, axis_text(one.axis), f"`{one.angle}`") for one in plant.gimbals]
+    rotors = [(one.name, one.carrier, axis_text(one.axis), f"rotor, {one.control}") for one in plant.rotors]
     return ("body", "carried by", "axis", "angle"), gimbals + rotors
 
 

@@ -41,5 +41,5 @@ job = pc.read_job(
 plan = campaign.plan(job, [pc.design.loops(job)[0].closed.controller])
 table = campaign.run_campaign(plan, tempfile.mkdtemp(), workers=1).table
 
-figure = figures.campaign_histograms(table, {one.name: one.limits for one in job.manoeuvres})
+figure = figures.campaign_histograms(campaign.summarise(plan, table))
 figure.savefig("campaign_histograms.png", dpi=150)

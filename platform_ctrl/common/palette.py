@@ -8,15 +8,13 @@ from typing import Literal
 
 Theme = Literal["light", "dark"]
 
-# What figures are drawn with, beside the numbered series.
-_FIGURE_ROLES = ("ink", "muted", "grid", "frame", "limit", "beyond", "band", "reference")
-
 
 def _roles(page: str, figure: str, series: str) -> Mapping[str, str]:
     roles = ("page", "panel", "line", "accent", "good-track", "good", "good-back", "bad", "bad-back")
+    drawn = ("ink", "muted", "grid", "frame", "limit", "beyond", "band", "reference")
     numbered = {f"series-{k}": colour for k, colour in enumerate(series.split(), 1)}
     return MappingProxyType(
-        dict(zip(roles, page.split(), strict=True)) | dict(zip(_FIGURE_ROLES, figure.split(), strict=True)) | numbered
+        dict(zip(roles, page.split(), strict=True)) | dict(zip(drawn, figure.split(), strict=True)) | numbered
     )
 
 
@@ -35,11 +33,6 @@ PALETTE: Mapping[Theme, Mapping[str, str]] = MappingProxyType(
         ),
     }
 )
-
-
-def figure_variables(theme: Theme) -> dict[str, str]:
-    """Return the colours that figures are drawn with, by role."""
-    return {role: colour for role, colour in PALETTE[theme].items() if role in _FIGURE_ROLES or role[:7] == "series-"}
 
 
 def declarations(colours: Mapping[str, str]) -> str:

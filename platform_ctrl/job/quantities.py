@@ -200,7 +200,8 @@ def axis_text(axis: Sequence[float] | FloatArray) -> str:
     k = max(range(3), key=lambda k: abs(axis[k]))
     if math.isclose(abs(axis[k]), 1.0, rel_tol=1e-5):
         return ("+" if axis[k] > 0.0 else MINUS) + str(k + 1)
-    return f"({', '.join(plain(float(x), 3) for x in axis)})"
+    # Without the last digits of a rounded zero.
+    return f"({', '.join(plain(round(float(x), 9) + 0.0, 3) for x in axis)})"
 
 
 def added_words(platform: Platform) -> str:

@@ -246,14 +246,11 @@ def _plant_tables(result: JobResult) -> list[Block]:
 
 
 def _plant_plates(result: JobResult) -> list[Block]:
-    words = "Drawn from the plant file: which body turns about which axis, and how they carry each other."
-
-    def axes() -> Plate:
-        return Plate(svg=axes_picture(result.job.platform, alone=False), title="Axes and bodies", caption=words)
-
+    words = "Which body turns about which axis. Bodies are drawn apart; in the model all axes go through one point."
+    axes = drawn("Axes and bodies", lambda: (axes_picture(result.job.platform), words))
     caption = sentences("nutation", uncertainty=result.job.uncertainty.spin)
     nutation = attempted("Campbell diagram", lambda: _plate(nutation_figure(result), "Campbell diagram", caption))
-    return [attempted("Axes and bodies", axes), *([] if nutation is None else [nutation])]
+    return [axes, *([] if nutation is None else [nutation])]
 
 
 def _plate(figure: Figure | None, title: str, caption: str) -> Plate | None:

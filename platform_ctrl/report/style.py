@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Sequence
-from functools import partial, wraps
-from io import BytesIO, StringIO
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import wraps
+from importlib import resources
+from io import StringIO
 from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
@@ -22,7 +25,7 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from platform_ctrl.common.palette import figure_variables
+from platform_ctrl.common.palette import PALETTE
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import power_of_ten
@@ -30,7 +33,7 @@ from platform_ctrl.job.quantities import power_of_ten
 P = ParamSpec("P")
 Drawn = TypeVar("Drawn")
 
-_VARIABLES = {colour: role for role, colour in figure_variables("light").items()}
+_VARIABLES = {colour: role for role, colour in PALETTE["light"].items()}
 SERIES = tuple(colour for colour, role in _VARIABLES.items() if role.startswith("series-"))
 # Line styles and markers differ as well.
 DASHES: tuple[Any, ...] = (
@@ -45,10 +48,10 @@ DASHES: tuple[Any, ...] = (
 )
 DASHED, DOTTED, DASH_DOTTED = DASHES[1], DASHES[2], DASHES[3]
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-INK, MUTED, GRID, FRAME, LIMIT, BEYOND, BAND, REFERENCE = tuple(_VARIABLES)[:8]
+PAGE, INK, MUTED, GRID, FRAME, LIMIT, BEYOND, BAND, REFERENCE = (
+    PALETTE["light"][role] for role in ("page", "ink", "muted", "grid", "frame", "limit", "beyond", "band", "reference")
+)
 
-# Pixels an inch of a figure in a page.
-_PAGE_DPI = 96
 # By what they are called in `data-axes`, 0 and 1.
 _SCALES = ("linear", "log")
 # Inches: margins of a figure, gaps between panels, rows of the legend, distance of an axis label from its axis.
@@ -57,82 +60,54 @@ _LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
 _TITLE, _NO_TITLE, _BETWEEN, _LEGEND_ROW = 0.26, 0.08, 0.16, 0.22
 _LABEL_AWAY = 0.5
 
-_SETTINGS: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "platform_ctrl",
-    "font.family": "DejaVu Sans",
-    "font.size": 8.0,
-    "axes.titlesize": 8.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlecolor": INK,
-    "axes.titlepad": 6.0,
-    "axes.titley": 1.0,  # placed once, not searched for among tick labels: a fifth of the drawing time
-    "axes.labelsize": 8.0,
+_COLOURS: Any = {
+    "text.color": INK,
     "axes.labelcolor": MUTED,
     "axes.edgecolor": FRAME,
-    "axes.facecolor": "none",
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.unicode_minus": True,
     "grid.color": GRID,
-    "grid.linewidth": 0.6,
     "xtick.color": FRAME,
     "ytick.color": FRAME,
     "xtick.labelcolor": MUTED,
     "ytick.labelcolor": MUTED,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "xtick.major.size": 3.0,
-    "ytick.major.size": 3.0,
-    "xtick.minor.size": 0.0,
-    "ytick.minor.size": 0.0,
-    "text.color": INK,
-    "text.parse_math": False,  # a dollar sign in a name is a dollar sign
-    "legend.fontsize": 8.0,
-    "legend.frameon": False,
-    "legend.labelcolor": INK,
-    "lines.linewidth": 1.5,
-    "lines.solid_capstyle": "round",
-    "figure.facecolor": "none",
-    "savefig.facecolor": "none",
-    "path.simplify": True,
-    "path.simplify_threshold": 0.2,
 }
+_of_page: ContextVar[bool] = ContextVar("of_page", default=False)
 
 
-def settings() -> Any:
-    """Return the context in which figures are made and drawn; the caller's own settings come back after it."""
-    return mpl.rc_context(_SETTINGS)
+def _look() -> Any:
+    return mpl.rc_context(_COLOURS, str(resources.files("platform_ctrl.report") / "templates" / "report.mplstyle"))
+
+
+@contextmanager
+def settings() -> Iterator[None]:
+    """Make and draw the figures of a page: pyplot does not know them; the caller's own settings come back after it."""
+    before = _of_page.set(True)
+    try:
+        with _look():
+            yield
+    finally:
+        _of_page.reset(before)
 
 
 def standalone(draw: Callable[P, Drawn]) -> Callable[P, Drawn]:
-    """Decorate a plot for scripts and notebooks: in the report's look whatever the settings are, on white paper."""
+    """Decorate a plot for scripts and notebooks: in the report's look whatever the settings are."""
 
     @wraps(draw)
     def drawn(*args: P.args, **keywords: P.kwargs) -> Drawn:
-        with settings():
-            out = draw(*args, **keywords)
-        figure = out if isinstance(out, Figure) else getattr(out, "figure", None)
-        if isinstance(figure, Figure):
-            figure.set_facecolor("white")
-            # What notebooks show of a cell that ends with the plot.
-            out._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]
-        return out
+        with _look():
+            return draw(*args, **keywords)
 
     return drawn
 
 
-def _png(figure: Figure) -> tuple[bytes, dict[str, int]]:
-    """Return a figure as PNG in two pixels for each one of the page, and its size there."""
-    out = BytesIO()
-    with settings():
-        figure.savefig(out, format="png", dpi=2 * _PAGE_DPI)
-    width, height = (round(_PAGE_DPI * inches) for inches in figure.get_size_inches())
-    return out.getvalue(), {"width": width, "height": height}
+def _figure(width: float, height: float) -> Figure:
+    """Return an empty figure: of a page on nothing, of a script on white paper and known to pyplot, which shows it."""
+    if _of_page.get():
+        figure = Figure(figsize=(width, height), facecolor="none")
+        FigureCanvasSVG(figure)
+        return figure
+    from matplotlib import pyplot
+
+    return pyplot.figure(figsize=(width, height), facecolor="white")
 
 
 def panels(
@@ -153,8 +128,7 @@ def panels(
     row_height = over + sum(parts) + (len(parts) - 1) * _BETWEEN + _BOTTOM
     top = 0.1 + _LEGEND_ROW * legend_rows(names, width)
     height = top + rows * row_height
-    figure = Figure(figsize=(width, height))
-    FigureCanvasSVG(figure)
+    figure = _figure(width, height)
     across = panel_width(columns, width)
     axes = np.empty((rows * len(parts), columns), dtype=object)
     for row, column in np.ndindex(rows, columns):
@@ -186,7 +160,7 @@ def signal_style(k: int) -> dict[str, Any]:
 
 def legend_rows(names: Sequence[str], width: float = FULL_WIDTH) -> int:
     """Return how many rows a legend of `names` needs in a figure of `width` inches."""
-    size = float(_SETTINGS["legend.fontsize"])
+    size = float(mpl.rcParams["legend.fontsize"])
     longest = max((text_width(name, size) for name in names), default=0.0)
     columns = max(1, int(72.0 * (width - _LEFT) // (longest + 5.2 * size)))
     return -(-len(names) // columns)
@@ -270,61 +244,46 @@ def envelope(t: FloatArray, y: FloatArray, buckets: int = 250) -> tuple[FloatArr
 
 
 _COLOUR = re.compile("|".join(_VARIABLES))
-_STRIP = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", re.DOTALL)
-_LEGEND = re.compile(r' id="legend_\d+"')
-_NAMES = re.compile(r' id="(?!m[0-9a-f]|p[0-9a-f]|h[0-9a-f])[^"]*"')
-_TAG = re.compile(r"<[^>]*>")
-_FRACTION = re.compile(r"(?<=\.\d\d)\d+")
-_USES = re.compile(r'<g>\n((?:<use [^>]*? (style="[^"]*")/>\n)(?:<use [^>]*? \2/>\n)+)</g>')
-_FONT = re.compile(r"font: ((?:bold |700 )?)([0-9.]+)px [^;\"]*")
-
-
-def _themed(colour: re.Match[str]) -> str:
-    return f"var(--{_VARIABLES[colour[0]]}, {colour[0]})"
-
-
-def _draw_axis(axis: Any, draw: Callable[[Any], None], renderer: Any) -> None:
-    """Draw an axis with one tick that is moved along it: to make a tick for each place takes most of the time."""
-    places, ends = axis.get_majorticklocs(), axis.get_transform().transform(sorted(axis.get_view_interval()))
-    labels = axis.major.formatter.format_ticks(places)
-    if axis.major.formatter.get_offset() or not isinstance(axis.get_minor_locator(), NullLocator) or not len(places):
-        draw(renderer)
-        return
-    (tick,), slack = axis.get_major_ticks(1), 1e-10 * (ends[1] - ends[0])
-    below = []
-    for place, at, label in zip(places, axis.get_transform().transform(places), labels, strict=True):
-        if ends[0] - slack <= at <= ends[1] + slack:
-            tick.update_position(place)
-            tick.label1.set_text(label)
-            tick.draw(renderer)
-            if tick.label1.get_visible():
-                below.append(tick.label1.get_window_extent(renderer).y0)
-    if axis.axis_name == "x" and axis.get_label_text():
-        away = axis.labelpad * renderer.points_to_pixels(1.0)
-        axis.label.set_position((axis.label.get_position()[0], min(below, default=axis.axes.bbox.y0) - away))
-    axis.label.draw(renderer)
+# Hundredths of a point are fine enough; spaces are not needed beside letters of paths and in styles.
+_TAG, _NEEDLESS = re.compile(r"<[^>]*>"), re.compile(r"(?<=\.\d\d)\d+|\s*\n\s*|(?<=[MLCQ;:]) ")
+# What a page does not need: heads, names, the font, turns by nothing.
+_PLAIN = {
+    re.compile(pattern, re.DOTALL): plain
+    for pattern, plain in {
+        r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->": "",
+        r' id="legend_\d+"': ' class="legend"',
+        r' id="(?!m[0-9a-f]|p[0-9a-f]|h[0-9a-f])[^"]*"| transform="rotate\(-?0 [^"]*"': "",
+        "xlink:href": "href",
+        # As Matplotlib 3.10 and 3.11 write fonts.
+        r"font: (bold |700 |)([0-9.]+px) [^;\"]*": r"font-size:\2;font-weight:\1",
+        r"font-weight:(?=[;\"])|font-family: [^;\"]*": "",
+        r">\s+<": ">\n<",
+    }.items()
+}
+_MARKERS = re.compile(r'<g([^>]*)>\n((?:<use [^>]*? (style="[^"]*")/>\n)(?:<use [^>]*? \3/>\n)+)</g>')
 
 
 def svg(figure: Figure, description: str) -> str:
     """Return `figure` as an SVG element for the page: theme variables for colours, the page's own font, no address."""
-    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-        axis.draw = partial(_draw_axis, axis, axis.draw)  # type: ignore[method-assign]
     out = StringIO()
     width, height = figure.get_size_inches() * 72.0
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     figure.savefig(out, format="svg", facecolor="none", metadata=nothing)  # on the page's own ground
-    text = _STRIP.sub("", out.getvalue())
-    text = _LEGEND.sub(' class="legend"', text)
-    text = _NAMES.sub("", text).replace("xlink:href", "href")
-    text = _FONT.sub(lambda found: f"font-size: {found[2]}px" + ("; font-weight: 600" if found[1] else ""), text)
-    # Hundredths of a point are fine enough; numbers between tags are what the reader reads.
-    text = _TAG.sub(lambda found: _COLOUR.sub(_themed, _FRACTION.sub("", found[0])), text)
-    text = re.sub(r"\s*\n\s*", "\n", text[text.index("<svg") :])
+    text = out.getvalue()
+    text = text[text.index("<svg") :]
+    for pattern, plain in _PLAIN.items():
+        text = pattern.sub(plain, text)
     # Markers of one look have it once.
-    text = _USES.sub(lambda found: f"<g {found[2]}>\n{found[1].replace(f' {found[2]}', '')}</g>", text)
+    text = _MARKERS.sub(lambda found: f"<g{found[1]} {found[3]}>\n{found[2].replace(f' {found[3]}', '')}</g>", text)
+    # Numbers between tags are what the reader reads.
+    text = _TAG.sub(lambda found: _COLOUR.sub(_themed, _NEEDLESS.sub("", found[0])), text)
     escaped = description.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
     head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escaped}"{_scales(figure)}>'
     return head + text[text.index(">") + 1 :].strip()
+
+
+def _themed(colour: re.Match[str]) -> str:
+    return f"var(--{_VARIABLES[colour[0]]})"
 
 
 def _scales(figure: Figure) -> str:

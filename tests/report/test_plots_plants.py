@@ -1,13 +1,10 @@
-"""Plots of plants and runs for scripts: Campbell diagram, gimbal tree, simulated runs, campaigns, windows."""
+"""Plots of plants and runs for scripts: Campbell diagram, simulated runs, campaigns, windows."""
 
 from __future__ import annotations
 
 import dataclasses
-import sys
-import types
 
 import control
-import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
@@ -18,7 +15,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report import figures
+from platform_ctrl.report import figures, style
 from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
 from single_runs import simulated
 
@@ -162,7 +159,7 @@ LIMITS = {"turn": {"angle": 1.2e-3}}
 def test_histograms_count_every_run_and_colour_those_beyond_the_limit():
     columns = table()
     beyond = int(np.count_nonzero(columns["angle"] > 1.2e-3))
-    figure = figures.campaign_histograms(columns, LIMITS)
+    figure = figures.campaign_histograms(statistics(columns, LIMITS))
     [axes] = [axes for axes in figure.axes if axes.get_visible()]
     stairs = {to_hex(patch.get_facecolor()): patch.get_data() for patch in axes.patches if hasattr(patch, "get_data")}
     assert stairs[SERIES[0]].values.sum() == 200
@@ -182,10 +179,8 @@ def test_histograms_count_every_run_and_colour_those_beyond_the_limit():
         (lambda p, t: figures.time_run(p, p), "run must be a Trajectory, got a Platform"),
         (lambda p, t: figures.time_run(t, p, limits={"angel": 1.0}), "did you mean 'angle'"),
         (lambda p, t: figures.time_run(t, pc.read_platform("rate_gyro")), "must be the one that was run"),
-        (lambda p, t: figures.campaign_histograms(table()), "has no limits; give them"),
-        (lambda p, t: figures.campaign_histograms(table(), {"turn": {}}), "nothing to draw"),
-        (lambda p, t: figures.campaign_histograms(statistics(table(), LIMITS), LIMITS), "leave limits out"),
-        (lambda p, t: figures.show(p), "show: a plot must be a Figure or a control.ControlPlot, got a Platform"),
+        (lambda p, t: figures.campaign_histograms(table()), "must be what campaign.summarise returned"),
+        (lambda p, t: figures.campaign_histograms(statistics(table(), {"turn": {}})), "nothing to draw"),
     ],
 )
 def test_wrong_input_is_one_line(draw, says, gyro, flown):
@@ -194,35 +189,12 @@ def test_wrong_input_is_one_line(draw, says, gyro, flown):
     assert "\n" not in str(raised.value)
 
 
-def test_show_opens_a_window_for_each_plot_and_for_no_other(gyro, monkeypatch):
+def test_pyplot_knows_the_plots_of_scripts_and_those_of_pages_not(gyro):
     from matplotlib import pyplot
-    from matplotlib.backend_bases import FigureManagerBase
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    shown = []
-
-    class Manager(FigureManagerBase):
-        @classmethod
-        def pyplot_show(cls, *, block=None):
-            shown.extend(pyplot.figure(number) for number in pyplot.get_fignums())
-
-    class FigureCanvas(FigureCanvasAgg):
-        manager_class = Manager
-
-    backend = types.ModuleType("backend_for_show")
-    backend.FigureCanvas, backend.FigureManager = FigureCanvas, Manager
-    monkeypatch.setitem(sys.modules, "backend_for_show", backend)
-    tree = figures.campbell(gyro)
-    loop = figures.nichols(control.tf([1.0], [1.0, 1.0]))
     assert pyplot.get_fignums() == []
-    before = mpl.get_backend()
-    pyplot.switch_backend("module://backend_for_show")
-    try:
-        figures.show(tree, loop)
-        assert shown == [tree, loop.figure]
-        assert len(pyplot.get_fignums()) == 2
-        figures.show(tree)
-        assert len(pyplot.get_fignums()) == 2
-    finally:
-        pyplot.close("all")
-        pyplot.switch_backend(before)
+    loop = figures.nichols(control.tf([1.0], [1.0, 1.0])).figure
+    assert [pyplot.figure(number) for number in pyplot.get_fignums()] == [loop]
+    with style.settings():
+        figures.campbell(gyro)
+    assert len(pyplot.get_fignums()) == 1

@@ -1,16 +1,15 @@
 """Plots for scripts by name, and, in the modules of this package, the figures of loops in a job's report.
 
 Plots take plain values (systems, platforms, runs) and return a `control.ControlPlot` or a `matplotlib.figure.Figure`:
-`show` opens windows for them, `.figure.savefig` writes a file. Bode and Nyquist plots and singular values are those of
-python-control; the others have the report's look. Figures of a report are made from a job's result, and saved, within
-`style.settings`.
+`pyplot.show` opens windows for them, `.figure.savefig` writes a file. Bode and Nyquist plots and singular values are
+those of python-control; the others have the report's look. Figures of a report are made from a job's result, and saved,
+within `style.settings`.
 """
 
 from platform_ctrl.report.figures.axes_picture import axes_picture
 from platform_ctrl.report.figures.campaign import campaign_histograms
 from platform_ctrl.report.figures.campbell import campbell
-from platform_ctrl.report.figures.nichols import disk_margin_region, nichols
-from platform_ctrl.report.figures.panels import show
+from platform_ctrl.report.figures.nichols import nichols
 from platform_ctrl.report.figures.root_locus import root_locus, root_locus_over_spin
 from platform_ctrl.report.figures.systems import bode, nyquist, singular_values
 from platform_ctrl.report.figures.time_run import time_run
@@ -20,12 +19,10 @@ __all__ = [
     "bode",
     "campaign_histograms",
     "campbell",
-    "disk_margin_region",
     "nichols",
     "nyquist",
     "root_locus",
     "root_locus_over_spin",
-    "show",
     "singular_values",
     "time_run",
 ]

@@ -1,252 +1,248 @@
-"""A picture of a platform's axes, from its description alone: the bodies in perspective, and the structure scheme."""
+"""A picture of a platform's axes, from its description alone: the bodies in perspective."""
 
 from __future__ import annotations
 
-import re
-from importlib import resources
-from typing import NamedTuple
+import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from platform_ctrl.common.arguments import instance
-from platform_ctrl.common.palette import PALETTE, Theme
-from platform_ctrl.common.text import greek, text_width
+from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.job.quantities import count, listed
-from platform_ctrl.plant.drawing import camera, signs, spin_direction
-from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.platform import Platform, Rotor
-from platform_ctrl.report.figures.axes_view import (
-    SIGNS,
-    Sketch,
-    arrow_head,
-    attribute,
-    axes_view,
-    direction_text,
-    level_class,
-    line,
-    number,
-    plain_text,
-    sign,
-    triad,
-    words,
+from platform_ctrl.plant.drawing import Outline, bodies, camera, disc_axis, levels
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.report.figures.panels import LabelPlacer
+from platform_ctrl.report.style import (
+    BAND,
+    DASH_DOTTED,
+    DASHED,
+    FULL_WIDTH,
+    INK,
+    MUTED,
+    PAGE,
+    REFERENCE,
+    SERIES,
+    legend,
+    panels,
+    standalone,
 )
 
-WIDTH = 1000.0
-_MARGIN, _HEAD, _FOOT = 24.0, 58.0, 124.0
-_BESIDE, _ABOVE, _LEAST_WIDTH = 500.0, 640.0, 430.0  # the view's height beside or above the scheme, its width
+# Inches of a disc's radius at most, and below a panel for its scale; in radii: room around each body, length of the
+# root's axes.
+_RADIUS, _NO_SCALE, _ROOM, _ROOT_AXIS = 0.62, 0.46, (1.3, 0.55), 0.8
+_MOST_IN_A_ROW = 4
+# Of gimbals by how many joints lie between them and the root.
+_LEVELS = (INK, SERIES[7], SERIES[6], SERIES[3], REFERENCE)
+_ANGLE, _SPIN, _SIGN = SERIES[1], SERIES[0], SERIES[2]
+_ROTORS = {
+    "regulated": ("-", "rotor, constant relative spin"),
+    "free": (DASHED, "rotor, free-running"),
+    "servo": (DASH_DOTTED, "rotor, speed loop"),
+}
+# What acts or measures at a joint: its marker, and what it is called.
+_SIGNS: dict[str, tuple[dict[str, Any], str]] = {
+    "torquer": ({"marker": "s", "markerfacecolor": _SIGN, "markersize": 5.5}, "torquer"),
+    "pickoff": ({"marker": "o", "markerfacecolor": PAGE, "markersize": 5.5}, "pick-off"),
+    "spring": ({"marker": "x", "markersize": 6.0}, "spring"),
+    "cage": ({"marker": "|", "markersize": 9.0}, "cage"),
+    "erection": ({"marker": "v", "markerfacecolor": PAGE, "markersize": 6.0}, "erection"),
+}
 
-_TEMPLATES = resources.files("platform_ctrl.report") / "templates"
 
+@standalone
+def axes_picture(platform: Platform) -> Figure:
+    """Picture of the axes of `platform`.
 
-def axes_picture(platform: Platform, alone: bool = True) -> str:
-    """Return a picture of the axes of `platform`: the text of an SVG file, or with `alone` false an element of a page.
-
-    On the left the bodies: gimbals as frames on their bearings with the positive direction and turn of their angle,
-    rotors as discs with the direction of L, the root as hatched mounts and as axes 1, 2, 3. In the model all axes go
-    through one point; the drawing moves bodies apart and keeps every direction. On the right, or below if it is wide,
-    the tree of the bodies: each joint with its axis in the parent's axes and its angle.
-
-    The same platform gives the same text; nothing is loaded from elsewhere. Colours are those of the report's page.
+    Gimbals are frames on their bearings with the positive direction and turn of their angle, rotors are discs with the
+    direction of L, the root is its axes 1, 2, 3 and the hatched mounts. In the model all axes go through one point; the
+    drawing moves bodies apart and keeps every direction.
 
     Parameters
     ----------
     platform
         From `read_platform`.
-    alone
-        Whether the text is a file of its own.
 
     Returns
     -------
-    str
-        SVG.
+    matplotlib.figure.Figure
+        One panel without scales, the same for the same platform.
     """
     instance("platform", platform, Platform)
-    scheme = structure_scheme(platform)
-    beside = WIDTH - 3.0 * _MARGIN - scheme.width >= _LEAST_WIDTH
-    width = max(WIDTH, scheme.width + 2.0 * _MARGIN)
-    view_width = width - 2.0 * _MARGIN - ((scheme.width + _MARGIN) if beside else 0.0)
     rows = camera(platform)
-    view = axes_view(platform, rows, view_width, max(_BESIDE, scheme.height) if beside else _ABOVE)
-    if beside:
-        high = max(view.height, scheme.height)
-        top, bottom = _HEAD + 0.5 * (high - view.height), _HEAD + high + _MARGIN
-        at = WIDTH - _MARGIN - scheme.width, _HEAD + 0.5 * (high - scheme.height)
+    shapes, low, high = _placed([_root_axes(platform), *bodies(platform, rows[2])], rows)
+    width, height = high - low
+    scale = min(_RADIUS, FULL_WIDTH / width)
+    handles, names = _entries(platform, shapes)
+    figure, [[axes]] = panels(1, 1, scale * height - _NO_SCALE, names, titles=False)
+    axes.set_position((0.0, 0.0, 1.0, scale * height / figure.get_size_inches()[1]))
+    axes.set_axis_off()
+    middle = 0.5 * (low[0] + high[0])
+    axes.set_xlim(middle - 0.5 * FULL_WIDTH / scale, middle + 0.5 * FULL_WIDTH / scale)
+    axes.set_ylim(low[1], high[1])
+    order = sorted(range(len(shapes)), key=lambda k: (round(_depth(shapes[k][0], rows), 6), k))
+    for rank, k in enumerate(order):
+        _draw(axes, *shapes[k], rows, platform, 2.0 + 1e-3 * rank)
+    _label(axes, platform, shapes, rows)
+    legend(figure, handles, names)
+    return figure
+
+
+def _root_axes(platform: Platform) -> list[Outline]:
+    torqued = [t.root_axis for t in platform.torquers if t.root_axis is not None]
+    arrows = [Outline("root", np.array([np.zeros(3), _ROOT_AXIS * e]), str(k)) for k, e in enumerate(np.eye(3), 1)]
+    return [*arrows, *(Outline("sign torquer", 0.5 * _ROOT_AXIS * np.eye(3)[[k - 1]]) for k in torqued)]
+
+
+def _placed(
+    groups: Sequence[list[Outline]], rows: FloatArray
+) -> tuple[list[tuple[Outline, FloatArray]], FloatArray, FloatArray]:
+    """Return every shape with where the origin of its body lies, side by side in rows, and the corners of the whole."""
+    found, top, right = [], 0.0, 0.0
+    for row in np.array_split(np.arange(len(groups)), math.ceil(len(groups) / (_MOST_IN_A_ROW + 1))):
+        flat = [np.concatenate([_ink(shape, rows) for shape in groups[k]]) for k in row]
+        tall = max(float(np.ptp(points[:, 1])) for points in flat) + 2.0 * _ROOM[1]
+        x = 0.0
+        for k, points in zip(row, flat, strict=True):
+            low, high = points.min(axis=0), points.max(axis=0)
+            middle = top - 0.5 * tall - 0.5 * (low[1] + high[1])
+            at = np.array([x + 0.5 * _ROOM[0] - low[0], middle])
+            found += [(shape, at) for shape in groups[k]]
+            x += float(high[0] - low[0]) + _ROOM[0]
+        top, right = top - tall, max(right, x)
+    return found, np.array([0.0, top]), np.array([right, 0.0])
+
+
+def _rim(shape: Outline, face: int) -> FloatArray:
+    """Return points on the rim of a disc's face, (k, 3)."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 73)[:, None]
+    side, other = np.linalg.svd(disc_axis(shape)[None, :])[2][1:]
+    return np.asarray(shape.points[face] + np.cos(turn) * side + np.sin(turn) * other)
+
+
+def _ink(shape: Outline, rows: FloatArray) -> FloatArray:
+    """Return points of a shape as seen, right and up."""
+    points = np.concatenate([_rim(shape, 0), _rim(shape, 1)]) if shape.kind == "disc" else shape.points
+    return np.asarray(points @ rows[:2].T)
+
+
+def _depth(shape: Outline, rows: FloatArray) -> float:
+    # Signs on a pin are seen whichever end of it is nearer.
+    ahead = 0.45 if shape.kind.startswith("sign ") else 1e-3 if shape.kind == "bearing" else 0.0
+    return float(shape.points.mean(axis=0) @ rows[2]) + ahead
+
+
+def _draw(axes: Axes, shape: Outline, at: FloatArray, rows: FloatArray, platform: Platform, order: float) -> None:
+    flat, kind = at + shape.points @ rows[:2].T, shape.kind
+    level = levels(platform).get(shape.body, 1)
+    colour = _LEVELS[(level - 1) % len(_LEVELS)]
+    if kind == "disc":
+        _disc(axes, shape, at, rows, platform, order)
+    elif kind == "mount":
+        _mount(axes, flat, order)
+    elif kind == "plate":
+        axes.fill(*flat.T, facecolor=BAND, edgecolor=colour, linewidth=2.0, zorder=order, clip_on=False)
+    elif kind == "bearing":
+        dot: dict[str, Any] = {"markerfacecolor": PAGE, "markeredgecolor": INK, "markersize": 4.0}
+        axes.plot(*flat.T, "o", zorder=order, clip_on=False, **dot)
+    elif kind.startswith("sign "):
+        look: dict[str, Any] = {"color": _SIGN, **_SIGNS[kind.removeprefix("sign ")][0]}
+        axes.plot(*flat.T, linestyle="none", zorder=order, clip_on=False, **look)
+    elif kind in ("axis", "spin", "root"):
+        colour = {"axis": _ANGLE, "spin": _SPIN, "root": INK}[kind]
+        _arrow(axes, flat[0], flat[1], colour, order, f"{kind} {shape.body}")
     else:
-        top, bottom = _HEAD, _HEAD + view.height + scheme.height + 2.0 * _MARGIN
-        at = 0.5 * (width - scheme.width), _HEAD + view.height + _MARGIN
-    height = bottom + _FOOT
-    size = f"{number(width)} {number(height)}"
-    rules = _TEMPLATES.joinpath("axes.css").read_text(encoding="utf-8").strip()
-    dark = f"@media (prefers-color-scheme:dark){{svg:root{{{_variables('dark', rules)}}}}}\n"
-    colours = f"svg:root{{{_variables('light', rules)}}}\n{dark}" if alone else ""
-    space = 'xmlns="http://www.w3.org/2000/svg" ' if alone else ""
-    pieces = [
-        f'<svg {space}class="axes-picture" viewBox="0 0 {size}" role="img">',
-        f"<title>{plain_text(f'Axes of {platform.name}')}</title>",
-        f"<desc>{plain_text(description(platform))}</desc>",
-        f"<style>\n{colours}{rules}</style>",
-        f'<rect class="paper" width="{number(width)}" height="{number(height)}" rx="6"/>',
-        words(platform.name, (_MARGIN, 34.0), "title"),
-        f'<g class="view" transform="translate({number(_MARGIN)} {number(top)})">\n{view.svg}\n</g>',
-        f'<g class="scheme" transform="translate({number(at[0])} {number(at[1])})">\n{scheme.svg}\n</g>',
-        _foot(platform, rows, bottom, width),
-        "</svg>\n",
-    ]
-    return "\n".join(pieces)
+        colour, thick = {"bar": (colour, 2.8), "pin": (colour, 1.7), "shaft": (_SPIN, 1.6)}.get(kind, (_ANGLE, 1.6))
+        # What lies behind a line is cut off on both sides of it, not so at its ends, where it joins others.
+        along = flat[-1] - flat[0]
+        ends = 0.1 * along / max(float(np.hypot(*along)), 0.3)
+        halo = np.array([flat[0] + ends, *flat[1:-1], flat[-1] - ends])
+        axes.plot(*halo.T, color=PAGE, linewidth=6.0, solid_capstyle="butt", zorder=order, clip_on=False)
+        axes.plot(*flat.T, color=colour, linewidth=thick, zorder=order, clip_on=False, gid=kind)
+        if kind == "turn-tip":
+            _arrow(axes, flat[-2], flat[-1], _ANGLE, order, "")
 
 
-def description(platform: Platform) -> str:
-    """Return in words what the picture shows."""
-    sentences = [f"{platform.name}: {count(len(platform.gimbals), 'gimbal')}, {count(len(platform.rotors), 'rotor')}."]
-    for g in platform.gimbals:
-        sentences.append(f"Gimbal {g.name} turns in {g.parent} about {direction_text(g.axis)} by {greek(g.angle)}.")
-    for r in platform.rotors:
-        sentences.append(
-            f"Rotor {r.name} ({r.control}) spins in {r.carrier}, L along {direction_text(spin_direction(r))}."
-        )
-    torqued = [f"{t.gimbal or f'root axis {t.root_axis}'}" for t in platform.torquers]
-    if torqued:
-        sentences.append(f"Torquers on {listed(torqued)}.")
-    if platform.pickoffs:
-        sentences.append(f"Pick-offs on {listed([s.gimbal for s in platform.pickoffs])}.")
-    if platform.line_of_sight is not None:
-        sight = platform.line_of_sight
-        sentences.append(f"The line of sight is fixed in {sight.body}, along {direction_text(sight.direction)}.")
-    return " ".join(sentences)
-
-
-def _variables(theme: Theme, rules: str) -> str:
-    colours = PALETTE[theme]
-    used = sorted(set(re.findall(r"var\(--([\w-]+)\)", rules)), key=list(colours).index)
-    return "".join(f"--{name}:{colours[name]};" for name in used)
-
-
-def _foot(platform: Platform, rows: FloatArray, top: float, width: float) -> str:
-    """Return the root's axes and what the signs mean, only those that occur."""
-    at = np.array([_MARGIN + 62.0, top + 66.0])
-    pieces = [
-        line(np.array([[_MARGIN, top + 8.0], [width - _MARGIN, top + 8.0]]), "rule"),
-        triad(platform, rows, at, 46.0),
-    ]
-    entries: list[tuple[str, str]] = []
-
-    def arrow(kind: str) -> str:
-        return line(np.array([[0.0, 0.0], [26.0, 0.0]]), kind) + arrow_head(
-            np.zeros(2), np.array([34.0, 0.0]), f"{kind}-head"
-        )
-
-    if platform.gimbals:
-        entries.append((arrow("axis"), "axis and turn of a positive angle"))
-    if platform.rotors:
-        entries.append((arrow("spin"), "spin axis, direction of L"))
-    controls = [r.control for r in platform.rotors]
-    for control, text in (("regulated", "constant relative spin"), ("free", "free-running"), ("servo", "speed loop")):
-        if control in controls:
-            node = f'<rect class="node rotor {control}" x="2" y="-8" width="30" height="16" rx="8"/>'
-            entries.append((node, f"rotor, {text}"))
-    there = {kind for g in platform.gimbals for kind in signs(platform, g.name)}
-    there |= {"torquer"} if platform.torquers else set()
-    entries += [(sign(kind, (17.0, 0.0)), text) for kind, (_, text) in SIGNS.items() if kind in there]
-    left, row = _MARGIN + 180.0, top + 36.0
-    for k, (drawing, text) in enumerate(entries):
-        x, y = left + 275.0 * (k % 3), row + 25.0 * (k // 3)
-        pieces.append(f'<g transform="translate({number(x)} {number(y)})">{drawing}</g>')
-        pieces.append(words(text, (x + 44.0, y + 5.0), "small"))
-    note = f"1, 2, 3: axes of {platform.root_name}; hatched: mounted on it"
-    if platform.gimbals or platform.rotors:
-        note += "; drawn apart, in the model all axes go through one point"
-    pieces.append(words(note, (left, top + _FOOT - 18.0), "muted small"))
-    return "\n".join(pieces)
-
-
-_NODE_FONT = 14.0
-_BOLD = 1.12  # width of bold letters over that of others: angles are bold
-_PITCH, _TIGHT = 42.0, 34.0  # from leaf to leaf; where there are many
-_BOX = 25.0  # height of a node
-_STUB = 15.0  # from a node to where its edges part
-
-
-class _Node(NamedTuple):
-    name: str
-    kind: str  # root, gimbal, rotor
-    edge: tuple[str, str]  # axis, angle
-    line: str  # CSS class of the edge
-    signs: tuple[str, ...]
-    carries: list[_Node]
-
-
-def structure_scheme(platform: Platform) -> Sketch:
-    """Return the tree of `platform`, its upper left corner at the origin."""
-    root = _Node(platform.root_name, "root", ("", ""), "", (), _carried(platform, platform.root_name))
-    levels: list[list[_Node]] = [[root]]
-    while levels[-1]:
-        levels.append([child for node in levels[-1] for child in node.carries])
-    starts, ends = [0.0], [_width(root.name)]
-    for level in levels[1:-1]:
-        starts.append(ends[-1] + _STUB + max(_edge_width(node) for node in level))
-        ends.append(starts[-1] + max(_width(node.name) for node in level))
-    out: list[str] = []
-    leaves = sum(not node.carries for level in levels for node in level)
-    pitch = _PITCH if leaves <= 10 else _TIGHT
-    _drawn(root, 0, 0, starts, pitch, out)
-    return Sketch("\n".join(out), ends[-1], pitch * leaves)
-
-
-def _carried(platform: Platform, name: str) -> list[_Node]:
-    return [_gimbal_node(platform, g) for g in platform.gimbals if g.parent == name] + [
-        _rotor_node(r) for r in platform.rotors if r.carrier == name
-    ]
-
-
-def _gimbal_node(platform: Platform, gimbal: Gimbal) -> _Node:
-    edge = direction_text(gimbal.axis), greek(gimbal.angle)
-    return _Node(gimbal.name, "gimbal", edge, "edge", signs(platform, gimbal.name), _carried(platform, gimbal.name))
-
-
-def _rotor_node(rotor: Rotor) -> _Node:
-    return _Node(rotor.name, "rotor", (direction_text(spin_direction(rotor)), ""), f"edge {rotor.control}", (), [])
-
-
-def _width(name: str) -> float:
-    return max(_BOX, text_width(name, _NODE_FONT) + 16.0)
-
-
-def _edge_width(node: _Node) -> float:
-    axis, angle = node.edge
-    text = text_width(axis, _NODE_FONT) + (_BOLD * text_width(angle, _NODE_FONT) + 7.0 if angle else 0.0)
-    return max(text + 14.0, 15.0 * len(node.signs) + 10.0)
-
-
-def _drawn(node: _Node, level: int, leaf: int, starts: list[float], pitch: float, out: list[str]) -> tuple[float, int]:
-    """Draw a node and all that it carries from the given leaf row down; return its middle and the next free row."""
-    middles, first = [], leaf
-    for child in node.carries:
-        middle, leaf = _drawn(child, level + 1, leaf, starts, pitch, out)
-        middles.append(middle)
-    if not middles:
-        leaf = first + 1
-        middles = [pitch * (first + 0.5)]
-    y, x, width = 0.5 * (middles[0] + middles[-1]), starts[level], _width(node.name)
-    trunk = (starts[level + 1] - max(_edge_width(child) for child in node.carries)) if node.carries else 0.0
-    for child, middle in zip(node.carries, middles, strict=False):
-        out.append(f'<g class="joint" data-body={attribute(child.name)}>')
-        run = np.array([[x + width, y], [trunk, y], [trunk, middle], [starts[level + 1], middle]])
-        out.append(line(run if abs(middle - y) > 0.05 else run[[0, 3]], child.line))
-        axis, angle = child.edge
-        out.append(words(axis, (trunk + 7.0, middle - 8.0), "edge-axis"))
-        if angle:
-            out.append(words(angle, (trunk + 14.0 + text_width(axis, _NODE_FONT), middle - 8.0), "edge-angle"))
-        for k, mark in enumerate(reversed(child.signs)):
-            at = starts[level + 1] - 9.0 - 14.0 * k
-            out.append(sign(mark, (at, middle)))
-        out.append("</g>")
-    radius = 0.5 * _BOX if node.kind == "rotor" else 3.0
-    control = node.line.removeprefix("edge").strip()
-    look = {"root": "root", "gimbal": f"gimbal {level_class(level)}", "rotor": f"rotor {control}"}[node.kind]
-    out.append(
-        f'<rect class="node {look}" x="{number(x)}" y="{number(y - 0.5 * _BOX)}"'
-        f' width="{number(width)}" height="{number(_BOX)}" rx="{number(radius)}"/>'
+def _arrow(axes: Axes, tail: FloatArray, tip: FloatArray, colour: str, order: float, name: str) -> None:
+    look = {"arrowstyle": "-|>,head_length=0.5,head_width=0.2", "shrinkA": 0.0, "shrinkB": 0.0}
+    drawn = axes.annotate(
+        "", (tip[0], tip[1]), (tail[0], tail[1]), arrowprops={**look, "color": colour, "linewidth": 1.7}, zorder=order
     )
-    out.append(words(node.name, (x + 0.5 * width, y + 5.0), f"node-name {node.kind}-node", "middle"))
-    return y, leaf
+    drawn.set_gid(name)
+
+
+def _disc(axes: Axes, shape: Outline, at: FloatArray, rows: FloatArray, platform: Platform, order: float) -> None:
+    near = int(disc_axis(shape) @ rows[2] > 0.0)
+    front, back = (at + _rim(shape, face) @ rows[:2].T for face in (near, 1 - near))
+    [control] = [rotor.control for rotor in platform.rotors if rotor.name == shape.body]
+    dashes = _ROTORS[control][0]
+    look: dict[str, Any] = {
+        "edgecolor": _SPIN,
+        "linewidth": 1.4,
+        "linestyle": dashes,
+        "zorder": order,
+        "clip_on": False,
+    }
+    axes.fill(*back.T, facecolor=BAND, **look)
+    along = front[0] - back[0]
+    side = (front - front.mean(axis=0)) @ np.array([-along[1], along[0]])
+    ends = [int(np.argmax(side)), int(np.argmin(side))]
+    axes.fill(
+        *np.concatenate([back[ends], front[ends[::-1]]]).T, facecolor=BAND, linewidth=0.0, zorder=order, clip_on=False
+    )
+    for k in ends:
+        axes.plot(*np.array([back[k], front[k]]).T, color=_SPIN, linewidth=1.4, zorder=order, clip_on=False)
+    axes.fill(*front.T, facecolor=BAND, **look)
+
+
+def _mount(axes: Axes, flat: FloatArray, order: float) -> None:
+    """Draw a bearing block on either side of the axis, hatched, on the root."""
+    along = (flat[1] - flat[0]) / max(float(np.hypot(*(flat[1] - flat[0]))), 1e-9)
+    across, gap = np.array([-along[1], along[0]]), np.full(2, np.nan)
+    blocks, hatch = [], []
+    for side in (1.0, -1.0):
+        block = flat[0] + side * np.outer([0.1, 0.3], across)
+        blocks += [*block, gap]
+        for foot in np.linspace(block[0], block[1], 4)[:-1] + side * 0.03 * across:
+            hatch += [foot, foot + 0.09 * (along + 0.5 * side * across), gap]
+    for lines, width in ((blocks, 1.7), (hatch, 0.8)):
+        axes.plot(*np.array(lines).T, color=MUTED, linewidth=width, zorder=order, clip_on=False)
+
+
+def _label(axes: Axes, platform: Platform, shapes: Sequence[tuple[Outline, FloatArray]], rows: FloatArray) -> None:
+    """Write the names beside the tips of the arrows."""
+    names = {
+        g.name: greek(g.angle) if g.angle.endswith(g.name) else f"{greek(g.angle)}\n{g.name}" for g in platform.gimbals
+    }
+    places = LabelPlacer(axes, [at + _ink(shape, rows) for shape, at in shapes])
+    for shape, at in shapes:
+        if shape.kind not in ("axis", "spin", "root"):
+            continue
+        tail, tip = at + shape.points @ rows[:2].T
+        text = names[shape.body] if shape.kind == "axis" else shape.body
+        turn = round(math.degrees(math.atan2(*(tip - tail)[::-1])))
+        directions = [turn + more for more in (0, 30, -30, 60, -60, 90, -90, 125, -125)]
+        colour = {"axis": _ANGLE, "spin": _SPIN, "root": INK}[shape.kind]
+        places.write(text, *tip, colour=colour, size=9.0, bold=True, required=True, directions=directions)
+
+
+def _entries(platform: Platform, shapes: Sequence[tuple[Outline, FloatArray]]) -> tuple[list[Any], list[str]]:
+    """Return the legend: what occurs in the picture."""
+    kinds = {shape.kind for shape, _ in shapes}
+    entries: dict[str, Any] = {f"1, 2, 3: axes of {platform.root_name}": Line2D([], [], color=INK)}
+    if platform.gimbals:
+        entries["axis and turn of a positive angle"] = Line2D([], [], color=_ANGLE)
+    if platform.rotors:
+        entries["spin axis, direction of L"] = Line2D([], [], color=_SPIN)
+    for control in dict.fromkeys(rotor.control for rotor in platform.rotors):
+        dashes, name = _ROTORS[control]
+        entries[name] = Patch(facecolor=BAND, edgecolor=_SPIN, linestyle=dashes)
+    for kind, (look, name) in _SIGNS.items():
+        if f"sign {kind}" in kinds:
+            entries[name] = Line2D([], [], color=_SIGN, linestyle="none", **look)
+    return list(entries.values()), list(entries)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,13 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.campaign.statistics import CampaignStatistics, Limits, RequirementStatistics, statistics
-from platform_ctrl.campaign.store import TABLE, read_record
+from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import Table
-from platform_ctrl.common.arguments import one_of, short
+from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import handy_unit, plain
 from platform_ctrl.report.style import (
     BEYOND,
@@ -50,24 +47,13 @@ _CELL = 1.75
 
 
 @standalone
-def campaign_histograms(
-    campaign: CampaignStatistics | Summary | Table,
-    limits: Limits | None = None,
-    *,
-    figure: str | None = None,
-) -> Figure:
+def campaign_histograms(campaign: CampaignStatistics | Summary) -> Figure:
     """Histograms of a campaign's results, a panel for each limit of each manoeuvre; red beyond the limit.
 
     Parameters
     ----------
     campaign
-        What `campaign.statistics` or `campaign.summarise` returned, the folder that ``platform-ctrl campaign`` wrote,
-        or its table: Parquet, or a dict of columns.
-    limits
-        Upper limits of each manoeuvre, {manoeuvre: {figure: limit}}, in SI units; needed for a table,
-        and for a folder without statistics.
-    figure
-        ``"angle"``, ``"attitude"`` or ``"torque_share"``; default all that have a limit.
+        What `campaign.summarise` returned, or its statistics.
 
     Returns
     -------
@@ -77,62 +63,22 @@ def campaign_histograms(
     Raises
     ------
     ArgumentError
-        Something else, a table without limits, or no limit on the runs.
-    InputError
-        The files cannot be read.
+        Something else, or no limit on the runs.
     """
-    if figure is not None:
-        one_of("campaign_histograms: figure", figure, tuple(RUN_METRICS))
-    found = _statistics(campaign, limits)
-    names = [name for name in RUN_METRICS if figure in (None, name)]
-    cells = [(one, name) for name in names for one in with_limit(found, name) if one.violation.runs]
+    if not isinstance(campaign, CampaignStatistics | Summary):
+        raise ArgumentError(
+            f"campaign_histograms: campaign must be what campaign.summarise returned, got {short(campaign)}"
+        )
+    found = campaign.statistics if isinstance(campaign, Summary) else campaign
+    cells = [(one, name) for name in RUN_METRICS for one in with_limit(found, name) if one.violation.runs]
     if not cells:
-        what = "any figure" if figure is None else repr(figure)
-        raise ArgumentError(
-            f"campaign_histograms: no simulated manoeuvre has a limit on {what}; there is nothing to draw"
-        )
-    columns = 2 if len(cells) == 4 else min(_COLUMNS, len(cells))
-    return histograms(cells, columns)
-
-
-def _statistics(campaign: object, limits: Limits | None) -> CampaignStatistics:
-    if isinstance(campaign, CampaignStatistics | Summary):
-        if limits is not None:
-            raise ArgumentError("campaign_histograms: statistics have their own limits; leave limits out")
-        return campaign.statistics if isinstance(campaign, Summary) else campaign
-    if isinstance(campaign, str | os.PathLike):
-        folder = Path(campaign)
-        if not folder.exists():
-            raise InputError(f"campaign_histograms: {folder} does not exist; give a campaign's folder or its table")
-        record = read_record(folder) if folder.is_dir() else None
-        if record is not None:
-            return statistics(folder / TABLE, _limits(record, limits))
-    elif not isinstance(campaign, Mapping | list | tuple):
-        raise ArgumentError(
-            f"campaign_histograms: campaign must be statistics, a campaign's folder or its table, got {short(campaign)}"
-        )
-    return statistics(campaign, _limits({}, limits))
-
-
-def _limits(record: Mapping[str, Any], limits: Limits | None) -> Limits:
-    """Return the limits that were given, or those that the statistics in the record were made with."""
-    if limits is not None:
-        return limits
-    out: dict[str, dict[str, float]] = {}
-    for one in record.get("statistics", {}).get("requirements", []):
-        if one["manoeuvre"] is not None and one["limit"] is not None:
-            out.setdefault(one["manoeuvre"], {})[one["requirement"]] = one["limit"]
-    if not out:
-        raise ArgumentError(
-            "campaign_histograms: the table has no limits; give them, for example {'turn': {'angle': 0.003}}"
-        )
-    return out
+        raise ArgumentError("campaign_histograms: no simulated manoeuvre has a limit; there is nothing to draw")
+    return histograms(cells, 2 if len(cells) == 4 else min(_COLUMNS, len(cells)))
 
 
 def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int) -> Figure:
     """Return a figure with a histogram for each pair of a requirement and its metric, row by row."""
-    rows = -(-len(wanted) // columns)
-    drawn, grid = panels(rows, columns, _CELL)
+    drawn, grid = panels(-(-len(wanted) // columns), columns, _CELL)
     cells = list(grid.flat)
     for axes, (one, name) in zip(cells, wanted, strict=False):
         _histogram_panel(axes, one, name)
@@ -145,60 +91,37 @@ def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int
 
 def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     """Draw the histogram of one metric in one manoeuvre, red beyond its limit."""
-    values, limit = one.values, one.limit
+    values, limit = one.values[np.isfinite(one.values)], one.limit
     assert limit is not None
     factor, unit = handy_unit(RUN_METRICS[name].unit, limit)
     usual = one.quantiles[0.9]
-    top = min(one.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit)) or limit
-    low = values[0] if np.isfinite(values[0]) and values[0] > 0.5 * top else 0.0
-    near = _LOW * low <= limit <= _FAR * max(top, 1e-300)
-    low, high = 0.98 * (min(low, _BEFORE * limit) if near else low), 1.04 * top
+    high = min(values.max(initial=0.0), _WILD * max(limit, usual if np.isfinite(usual) else limit)) or limit
+    low = values.min() if values.size and values.min() > 0.5 * high else 0.0
+    near = _LOW * low <= limit <= _FAR * high
     if near:
+        low = min(low, _BEFORE * limit)
         high = max(high, low + (limit - low) / (1.0 - _BEYOND_LIMIT))
-    edges = _edges(low, high, limit if near else None)
-    counts = np.histogram(values[np.isfinite(values)], edges)[0]
+    width = 1.02 * (high - low) / _BINS or limit
+    # The limit is an edge of two bins.
+    first, last = math.floor((low - limit) / width), math.ceil((1.02 * high - limit) / width)
+    edges = limit + width * np.arange(first, last + 1)
+    counts, beyond = np.histogram(values, edges)[0], np.arange(first, last) >= 0
     axes.stairs(counts, factor * edges, fill=True, color=SERIES[0], linewidth=0)
-    beyond = edges[:-1] >= limit * (1.0 - 1e-9)
     if beyond.any():
         axes.stairs(np.where(beyond, counts, 0), factor * edges, fill=True, color=LIMIT, linewidth=0)
-        shade_beyond(axes, factor * limit, factor * high)
-    axes.set_xlim(factor * low, factor * high)
+        shade_beyond(axes, factor * limit, factor * edges[-1])
+    axes.set_xlim(factor * edges[0], factor * edges[-1])
     axes.set_ylim(0.0, 1.18 * max(counts.max(initial=1), 1))
     linear_axis(axes.xaxis)
     linear_axis(axes.yaxis, 4)
     axes.set_title(str(one.manoeuvre))
     axes.set_xlabel(", ".join(filter(None, [RUN_METRICS[name].name, unit])))
-    _note(axes, one, near, bool(counts[beyond].any()), factor, unit)
-
-
-def _note(axes: Axes, one: RequirementStatistics, near: bool, drawn: bool, factor: float, unit: str) -> None:
-    assert one.limit is not None
-    far = "" if drawn else "far "
-    text = f"{one.violation.events:,} {far}beyond" if one.violation.events else "none beyond"
-    limit = f"{plain(factor * one.limit, 4)} {unit}".rstrip()
-    text += "" if near else f" the limit, {limit}"
-    axes.annotate(
-        text,
-        (1.0, 1.0),
-        (-3, -2),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        ha="right",
-        va="top",
-        fontsize=7,
-        color=LIMIT if one.violation.events else MUTED,
-    )
-
-
-def _edges(low: float, high: float, limit: float | None) -> FloatArray:
-    """Return equal bins, one edge of which is the limit; the first may begin below `low`."""
-    width = (high - low) / _BINS
-    if limit is None:
-        return np.linspace(low, high, _BINS + 1)
-    below = max(round((limit - low) / width), 1)
-    # A limit close to `low` must not make all bins narrow.
-    width = max((limit - low) / below, 0.5 * width)
-    return np.asarray(limit + width * np.arange(-below, int(np.ceil((high - limit) / width)) + 1))
+    far = "" if counts[beyond].any() else "far "
+    words = f"{one.violation.events:,} {far}beyond" if one.violation.events else "none beyond"
+    words += "" if near else f" the limit, {plain(factor * limit, 4)} {unit}".rstrip()
+    look: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "ha": "right", "va": "top"}
+    colour = LIMIT if one.violation.events else MUTED
+    axes.annotate(words, (1.0, 1.0), (-3, -2), fontsize=7, color=colour, **look)
 
 
 def shade_beyond(axes: Axes, limit: float, reach: float = 0.0) -> None:

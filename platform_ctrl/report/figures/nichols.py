@@ -1,46 +1,35 @@
-"""Nichols plots, and the changes of gain and phase that a disk margin allows.
+"""Nichols plots, with the regions that disk margins keep free.
 
 All factors (1 + δ α/2) / (1 − δ α/2) with |δ| < 1 on a loop's gain are safe; −1 over one of them is a value that L
-never takes: it is in the region that the margin keeps free in the Nichols plot.
+never takes: it is in the region.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from numbers import Real
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, MultipleLocator, NullFormatter, NullLocator
+from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.curves import decibels, loop_phase, refined_loop
-from platform_ctrl.analysis.margins import DiskMargin, disk_margin, disk_phase, disk_to_gain_phase
+from platform_ctrl.analysis.curves import decibels, loop_phase
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
-from platform_ctrl.analysis.response import LinearSystem, frequency_response
 from platform_ctrl.analysis.system import ComplexArray
-from platform_ctrl.common.arguments import positive, short
-from platform_ctrl.common.text import at_least, at_most, greek
+from platform_ctrl.common.arguments import short
+from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.quantities import HZ, disk_gain_or_phase, plain
+from platform_ctrl.job.quantities import HZ, plain
 from platform_ctrl.report.curves import broken_loops
 from platform_ctrl.report.figures.panels import LabelPlacer, control_plot, curve_style
-from platform_ctrl.report.figures.systems import (
-    DrawnSystem,
-    Systems,
-    channels,
-    drawn_systems,
-    grid,
-    labelled,
-    sensitivity,
-)
+from platform_ctrl.report.figures.systems import DrawnSystem, Systems, channels, drawn_systems, sensitivity
 from platform_ctrl.report.style import BAND, DOTTED, LIMIT, MUTED, REFERENCE, panels, standalone
 
 if TYPE_CHECKING:
@@ -102,37 +91,25 @@ def nichols(
     alphas = sorted(np.atleast_1d(np.asarray(disk_margins, dtype=np.float64)).tolist(), reverse=True)
     if not all(0.0 < alpha < 2.0 for alpha in alphas):
         raise ArgumentError(f"nichols: disk_margins must be numbers between 0 and 2, got {short(disk_margins)}")
-    drawn = drawn_systems("nichols", loops, loops=True)
-    every = grid(drawn, frequency, "nichols")
-    # Products of systems lose their signal names: those of the first are used.
-    first = list(drawn[0].source.input_labels)
-    curves = []
-    for one in drawn:
-        names = list(one.source.input_labels)
-        curves += _loop_curves(one, every, first if len(first) == len(names) else names)
+    curves = [curve for one in drawn_systems("nichols", loops, frequency, loops=True) for curve in _loop_curves(one)]
     return nichols_plot(curves, alphas)
 
 
-def _loop_curves(loop: DrawnSystem, every: FloatArray, names: Sequence[str]) -> list[LoopCurve]:
-    w, response = loop.along(every)
-    responses = channels(response)
-    if loop.arrays is not None:
-        arrays = loop.arrays
-        w, responses = refined_loop(w, lambda w: channels(frequency_response(arrays, w)))
+def _loop_curves(loop: DrawnSystem) -> list[LoopCurve]:
     S = None if loop.arrays is None else sensitivity(loop.arrays)
     stable = None if S is None else bool(spectral_abscissa(continuous_poles(poles(S.A), S.dt)) < 0.0)
     out = []
-    for k, (h, name) in enumerate(zip(responses, names, strict=True)):
-        words = [loop.label] if loop.label or len(responses) == 1 else []
-        words += [f"at {greek(name)}"] if len(responses) > 1 else []
+    for k, (h, name) in enumerate(zip(channels(loop.response), loop.inputs, strict=True)):
+        words = [loop.label] if loop.label or len(loop.inputs) == 1 else []
+        words += [f"at {greek(name)}"] if len(loop.inputs) > 1 else []
         if S is None or not stable:
-            margin, at = closest(w, h)
+            margin, at = closest(loop.frequency, h)
         else:
             own = S.part([k], [k])
             largest, at = peak(own._replace(D=own.D - 0.5))
             margin = 1.0 / largest
-        label = " ".join(words) or "L"
-        out.append(LoopCurve(label=label, frequency=w, response=h, stable=stable, margin=margin, closest=at))
+        about: dict[str, Any] = {"stable": stable, "margin": margin, "closest": at}
+        out.append(LoopCurve(label=" ".join(words) or "L", frequency=loop.frequency, response=h, **about))
     return out
 
 
@@ -263,161 +240,3 @@ def draw_region(panel: Axes, alpha: float, centres: Sequence[float], dashes: Any
     look: dict[str, Any] = {"facecolor": BAND, "edgecolor": MUTED, "linewidth": 0.9, "linestyle": dashes}
     [one, *_] = [panel.fill(centre + phase, level, alpha=1.0, zorder=0.6, **look)[0] for centre in centres]
     return one
-
-
-# Gain factors beyond which nothing is drawn.
-_WIDEST = 20.0
-# Ticks of the gain axis; the second ones where it is long.
-_FINE = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
-_COARSE = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-
-
-@value
-class _Region:
-    """A disk margin, and the loop that it belongs to, if any."""
-
-    label: str
-    alpha: float
-    loop: DrawnSystem | None = None
-    margin: DiskMargin | None = None
-
-    @property
-    def touching(self) -> tuple[float, float] | None:
-        """The smallest change that makes a loop with one channel unstable: gain factor and degrees."""
-        if self.margin is None or len(self.margin.perturbation) != 1 or not np.isfinite(self.margin.perturbation[0]):
-            return None
-        factor = self.margin.perturbation[0]
-        return abs(factor), math.degrees(abs(np.angle(factor)))
-
-
-@standalone
-def disk_margin_region(
-    margins: float | LinearSystem | Sequence[float | LinearSystem] | Mapping[str, float | LinearSystem],
-) -> control.ControlPlot:
-    """Draw the changes of gain and phase that are safe in every channel at once.
-
-    Inside a region no change makes the loop unstable, at whatever frequencies it happens. The gain and phase
-    margins that a region contains are written where it ends on the axes. For a loop with one channel the dotted curve
-    shows the changes that make it unstable (−1/L): the region touches it.
-
-    Parameters
-    ----------
-    margins
-        Disk margins α, dimensionless, or loop transfers L with negative feedback (`control.StateSpace`,
-        `TransferFunction`, `FrequencyResponseData`) whose disk margins are then found; several in a sequence, or a
-        mapping from labels.
-
-    Returns
-    -------
-    control.ControlPlot
-        One panel, gain factor across and phase in degrees up; ``lines`` the rims of the regions.
-
-    Raises
-    ------
-    ArgumentError
-        A margin that is not a number >= 0, or loops that are not square.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
-    """
-    regions = [_region(label, one) for label, one in labelled("disk_margin_region", margins)]
-    words = [_words(region) for region in regions]
-    _, axes = panels(1, 1, 4.0, words, titles=False, width=7.2)
-    panel = axes[0, 0]
-    lines, curves = [], []
-    for k, region in enumerate(regions):
-        rim_gain, rim_phase = _rim(region.alpha)
-        [line] = panel.plot(rim_gain, rim_phase, **curve_style(k) | {"marker": "", "linewidth": 1.7, "zorder": 3})
-        panel.fill_between(rim_gain, rim_phase, 0.0, color=line.get_color(), alpha=0.10, linewidth=0)
-        lines.append(line)
-        curves += _critical(panel, region, line.get_color())
-    low = max(1.0 / _WIDEST, min(0.7, *(line.get_xdata()[0] / 1.5 for line in lines)))
-    _axes(panel, low, 1.0 / low, min(180.0, max(20.0, *(1.2 * line.get_ydata().max() for line in lines))))
-    places = LabelPlacer(panel, [*lines, *curves])
-    for line, region in zip(lines, regions, strict=True):
-        _mark(panel, places, region, line.get_color())
-    return control_plot(axes, lines, lines, words)
-
-
-def _region(label: str, one: Any) -> _Region:
-    name = "disk_margin_region"
-    if isinstance(one, Real) and not isinstance(one, bool):
-        return _Region(label=label if label.strip("0123456789") else "", alpha=positive(name, float(one), zero=True))
-    [loop] = drawn_systems(name, one, loops=True)
-    found = disk_margin(loop.source)
-    return _Region(label=label or "L", alpha=found.alpha, loop=loop, margin=found)
-
-
-def _words(region: _Region) -> str:
-    head = f"{region.label}: " if region.label else ""
-    if region.alpha == 0.0:
-        stable = region.margin is None or not region.margin.reason
-        return head + ("disk margin 0" if stable else "closed loop not stable, no margin")
-    margin = f"disk margin {plain(region.alpha, 2, 'down')}" if math.isfinite(region.alpha) else "any disk margin"
-    return f"{head}{margin}: {' or '.join(disk_gain_or_phase(region.alpha))}"
-
-
-def _rim(alpha: float) -> tuple[FloatArray, FloatArray]:
-    """Return the rim of a region, gain factors and degrees, down to phase 0 where it ends within what is drawn."""
-    if alpha == 0.0:
-        return np.array([1.0]), np.array([0.0])
-    low, high, _ = disk_to_gain_phase(min(alpha, 1e9))
-    # Denser towards the ends, where the rim is steep.
-    share = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 401)))
-    ends = max(low, 1.0 / _WIDEST), min(high, _WIDEST)
-    gain = ends[0] * (ends[1] / ends[0]) ** share
-    gain[[0, -1]] = ends
-    phase = np.degrees(disk_phase(gain, alpha))
-    phase[[0, -1]] = np.where(np.isclose(ends, (low, high)), 0.0, phase[[0, -1]])
-    return gain, phase
-
-
-def _axes(panel: Axes, left: float, right: float, top: float) -> None:
-    panel.set_xscale("log")
-    panel.set_xlim(left, right)
-    panel.set_ylim(0.0, top)
-    least = np.log(right / left) / 14.0
-    ticks: list[float] = [1.0]
-    factors = _FINE if right < 40.0 * left else _COARSE
-    for factor in sorted((f for f in factors if left <= f <= right), key=lambda f: abs(math.log(f))):
-        if min(abs(math.log(factor / tick)) for tick in ticks) >= least:
-            ticks.append(factor)
-    panel.xaxis.set_major_locator(FixedLocator(sorted(ticks)))
-    panel.xaxis.set_major_formatter(FuncFormatter(lambda factor, _: f"× {factor:g}"))
-    panel.xaxis.set_minor_locator(NullLocator())
-    panel.xaxis.set_minor_formatter(NullFormatter())
-    step = next(step for step in (5.0, 10.0, 15.0, 30.0, 45.0) if top <= 6.5 * step or step == 45.0)
-    panel.set_yticks(np.arange(0.0, top + 1e-9, step))
-    panel.axvline(1.0, color=REFERENCE, linewidth=0.9, zorder=1)
-    panel.set_xlabel("change of gain")
-    panel.set_ylabel("change of phase, either way, degrees")
-
-
-def _critical(panel: Axes, region: _Region, colour: str) -> list[FloatArray]:
-    """Draw the changes that make a loop with one channel unstable, and where the region touches them."""
-    if region.loop is None or region.touching is None:
-        return []
-    _, response = region.loop.along(grid([region.loop], None, "disk_margin_region"))
-    with np.errstate(all="ignore"):
-        factor = -1.0 / response[0, 0]
-    gain, phase = np.abs(factor), np.degrees(np.abs(np.angle(factor)))
-    panel.plot(gain, phase, color=colour, linewidth=1.0, linestyle=(0, (1.2, 1.4)), zorder=2)
-    panel.plot(*([x] for x in region.touching), "D", color=colour, markersize=4.5, zorder=4)
-    return [np.column_stack([gain, phase])]
-
-
-def _mark(panel: Axes, places: LabelPlacer, region: _Region, colour: str) -> None:
-    """Write the margins where a region ends on the axes, and the frequency where its loop is touched."""
-    if region.alpha <= 0.0:
-        return
-    low, high, phase = disk_to_gain_phase(min(region.alpha, 1e9))
-    points = [(low, 0.0, f"× {at_most(low, 3)}")]
-    points += [(high, 0.0, f"× {at_least(high, 3)}")] if math.isfinite(high) else []
-    points += [(1.0, math.degrees(phase), f"{at_least(math.degrees(phase), 3)}°")] if phase < math.pi else []
-    for x, y, text in points:
-        if x > 0.0 and places.shows(x, y):
-            panel.plot([x], [y], color=colour, marker="o", markersize=4.0, clip_on=False, zorder=5)
-            places.write(text, x, y, colour=colour, bold=True, required=True)
-    if region.margin is not None and region.touching is not None:
-        places.write(f"{plain(region.margin.frequency * HZ, 3)} Hz", *region.touching, colour=colour)

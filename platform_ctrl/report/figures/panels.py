@@ -1,4 +1,4 @@
-"""The painter of curves over frequency, and what other plots share: labels where there is room, legends, windows."""
+"""The painter of curves over frequency, and what other plots share: labels where there is room, legends."""
 
 from __future__ import annotations
 
@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.curves import Curves, Level
 from platform_ctrl.analysis.system import ComplexArray
-from platform_ctrl.common.arguments import short
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import plain
 from platform_ctrl.report.style import (
     BAND,
@@ -156,62 +154,6 @@ def control_plot(
     listed[0, 0] = list(lines)
     figure = axes[0, 0].figure
     return control.ControlPlot(listed, axes, figure, legend=legend(figure, handles, names))
-
-
-def show(*plots: Figure | control.ControlPlot) -> None:
-    """Open a window for each plot, by pyplot's current backend, and wait until they are closed.
-
-    In a notebook they appear below the cell instead, and nothing waits. Until this is called no plot of this package
-    is known to pyplot.
-
-    Parameters
-    ----------
-    *plots
-        Figures, and whatever has one as ``figure``: `control.ControlPlot`.
-
-    Raises
-    ------
-    ArgumentError
-        Something else, nothing at all, or a backend that opens no windows: use ``figure.savefig`` there.
-    """
-    figures = [_figure(plot) for plot in plots]
-    if not figures:
-        raise ArgumentError("show: no plot was given; give at least one Figure or control.ControlPlot")
-    from matplotlib import pyplot
-
-    backend = pyplot.get_backend()
-    if _is_silent(backend):
-        raise ArgumentError(
-            f"show: Matplotlib's backend {backend!r} opens no windows; "
-            "save the figure with figure.savefig('plot.png'), or choose another with matplotlib.use('TkAgg')"
-        )
-    for figure in figures:
-        _attached(pyplot, figure)
-    pyplot.show()
-
-
-def _figure(plot: object) -> Figure:
-    figure = plot if isinstance(plot, Figure) else getattr(plot, "figure", None)
-    if not isinstance(figure, Figure):
-        raise ArgumentError(f"show: a plot must be a Figure or a control.ControlPlot, got {short(plot)}")
-    return figure
-
-
-def _is_silent(backend: str) -> bool:
-    from matplotlib.backends.registry import BackendFilter, backend_registry
-
-    names: list[str] = backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE)  # type: ignore[no-untyped-call]
-    return backend.lower() in {name.lower() for name in names}
-
-
-def _attached(pyplot: Any, figure: Figure) -> None:
-    """Give `figure` the window of a figure that pyplot makes: in a way that works with every version of Matplotlib."""
-    manager = figure.canvas.manager
-    if manager is not None and pyplot.fignum_exists(manager.num):
-        return
-    manager = pyplot.figure(figsize=figure.get_size_inches(), dpi=figure.dpi).canvas.manager
-    manager.canvas.figure = figure
-    figure.set_canvas(manager.canvas)
 
 
 # Directions in degrees, the best first, and distances in points at which labels are tried.

@@ -64,7 +64,7 @@
     const left = [...svg.querySelectorAll(".legend path, .legend use")].map((one) => [one, one.getBoundingClientRect()])
       .filter(([, it]) => it.right <= box.left + 2 && it.bottom > box.top - 2 && it.top < box.bottom + 2)
       .sort(([, a], [, b]) => b.right - a.right)[0];
-    const colour = left && /stroke: *(var\(--series-\d+)/.exec(left[0].getAttribute("style") ?? "");
+    const colour = left && /stroke: *(var\(--series-\d+\))/.exec(left[0].getAttribute("style") ?? "");
     return colour && { svg, text, colour: colour[1], name: text.textContent.replace(/, closed$/, "") };
   }).filter(Boolean));
   for (const one of entries) {
@@ -78,7 +78,7 @@
       for (const same of entries.filter((it) => it.name === one.name)) {
         same.text.setAttribute("aria-pressed", String(!off));
         same.text.classList.toggle("off", off);
-        for (const drawn of same.svg.querySelectorAll(`[style*="${same.colour},"]`))
+        for (const drawn of same.svg.querySelectorAll(`[style*="${same.colour}"]`))
           if (!drawn.closest(".legend")) drawn.style.visibility = off ? "hidden" : "";
       }
     };
