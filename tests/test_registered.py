@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from every_key import every_plant_key
-from platform_ctrl import read_platform
-from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl import linearise, read_platform, state_space
 from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.simulation.packing import skeleton
 
 

@@ -9,9 +9,8 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl import analysis, design, simulation, verification
+from platform_ctrl import analysis, design, read_job, simulation, verification
 from platform_ctrl.design.cases import cases
-from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import InputError
 from single_runs import simulated
 

@@ -10,7 +10,6 @@ import pytest
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis.margins import disk_phase, disk_to_gain_phase
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import disk_words
 from random_loops import stable_loop
 
@@ -29,7 +28,7 @@ def turned(gain: float, degrees: float) -> list[complex]:
     return [gain * np.exp(1j * sign * np.radians(degrees)) for sign in (-1.0, 1.0)]
 
 
-def edge(alpha: float, skew: float, gains: FloatArray) -> np.ndarray:
+def edge(alpha: float, skew: float, gains: np.ndarray) -> np.ndarray:
     """Factors on the edge of the disk."""
     phase = disk_phase(gains, alpha, skew)
     return np.concatenate([gains * np.exp(1j * phase), gains * np.exp(-1j * phase)])

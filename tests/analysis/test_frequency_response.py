@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis.system import ComplexArray
-from platform_ctrl.common.values import FloatArray
 
 
-def exact(system: control.StateSpace, frequency: FloatArray) -> ComplexArray:
+def exact(system: control.StateSpace, frequency: np.ndarray) -> np.ndarray:
     """Return the response of the matrices as they are stored, right to the last digit, (p, m, N)."""
     n = system.nstates
     with flint.ctx.workprec(600):
@@ -30,25 +28,25 @@ def exact(system: control.StateSpace, frequency: FloatArray) -> ComplexArray:
     return out
 
 
-def deviation(system: control.StateSpace, frequency: FloatArray) -> float:
+def deviation(system: control.StateSpace, frequency: np.ndarray) -> float:
     """Return the largest relative error of an entry that is more than a thousandth of the largest at its frequency."""
     truth = exact(system, frequency)
     size = np.maximum(np.abs(truth), 1e-3 * np.abs(truth).max(axis=(0, 1)))
     return float((np.abs(analysis.frequency_response(system, frequency) - truth) / size).max())
 
 
-def system_of(A: FloatArray, m: int, p: int, rng: np.random.Generator, dt: float = 0.0) -> control.StateSpace:
+def system_of(A: np.ndarray, m: int, p: int, rng: np.random.Generator, dt: float = 0.0) -> control.StateSpace:
     return control.ss(A, rng.normal(size=(len(A), m)), rng.normal(size=(p, len(A))), rng.normal(size=(p, m)), dt)
 
 
-def turned(A: FloatArray, rng: np.random.Generator, spread: float = 0.0) -> FloatArray:
+def turned(A: np.ndarray, rng: np.random.Generator, spread: float = 0.0) -> np.ndarray:
     """Return A in other states; with `spread` in badly scaled ones."""
     Q = np.linalg.qr(rng.normal(size=A.shape))[0] * 10.0 ** rng.uniform(-spread, spread, len(A))[:, None]
-    out: FloatArray = Q @ A @ np.linalg.inv(Q)
+    out: np.ndarray = Q @ A @ np.linalg.inv(Q)
     return out
 
 
-def modes(frequency: FloatArray, damping: FloatArray) -> FloatArray:
+def modes(frequency: np.ndarray, damping: np.ndarray) -> np.ndarray:
     A = np.zeros((2 * len(frequency), 2 * len(frequency)))
     for k, (w, zeta) in enumerate(zip(frequency, damping, strict=True)):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, w], [-w, -2.0 * zeta * w]]

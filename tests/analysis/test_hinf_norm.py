@@ -11,7 +11,6 @@ from scipy.linalg import block_diag
 
 from exact_norm import gain_exceeds
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.common.values import FloatArray
 
 TOLERANCE = 1e-8
 
@@ -113,7 +112,7 @@ def test_a_damped_mode_beside_a_fast_lag_has_a_finite_norm_which_linfnorm_calls_
 
 
 def test_two_equal_peaks_and_peaks_at_the_ends_are_found() -> None:
-    def mode(w: float, zeta: float) -> FloatArray:
+    def mode(w: float, zeta: float) -> np.ndarray:
         return np.array([[0.0, w], [-w, -2.0 * zeta * w]])
 
     A = block_diag(mode(1.0, 0.01), mode(100.0, 0.01))
@@ -148,7 +147,7 @@ def test_a_small_hill_on_a_large_direct_term_is_seen(height: float) -> None:
 )
 @pytest.mark.parametrize("seed", range(1))
 def test_a_pole_on_the_boundary_gives_an_infinite_norm_at_its_frequency(
-    A: FloatArray, dt: float, frequency: float, seed: int
+    A: np.ndarray, dt: float, frequency: float, seed: int
 ) -> None:
     rest = np.diag([0.5, -0.3]) if dt else np.diag([-1.0, -20.0])
     whole = block_diag(A, rest)

@@ -10,8 +10,8 @@ import pytest
 
 from platform_ctrl.analysis.logs import log_density, pieces, read_log
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.scenario import TimeTable, Vibration
 from platform_ctrl.job.spectra import LogSpectrum, TableSpectrum
+from platform_ctrl.simulation import TimeTable, Vibration
 from vehicle_log import FILE
 
 RATE = 400.0

@@ -14,7 +14,6 @@ from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.system import System
-from platform_ctrl.common.values import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)
 
@@ -34,7 +33,7 @@ def badly_scaled(system: control.StateSpace, spread: float = 1e6) -> control.Sta
     return control.ss(system.A * s[:, None] / s, system.B * s[:, None], system.C / s, system.D, system.dt)
 
 
-def resonator(zeta: float, frequency: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def resonator(zeta: float, frequency: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     A = frequency * np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]])
     return A, np.array([[0.0], [frequency]]), np.array([[1.0, 0.0]])
 

@@ -6,8 +6,9 @@ import control
 import numpy as np
 import pytest
 
+from platform_ctrl.analysis import hinf_norm
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
-from platform_ctrl.analysis.norms import hinf_norm, noise_rms
+from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.periodic import PeriodicLoop, lifted, periodic_norm, pruned, transition
 from platform_ctrl.analysis.sampling import late_outputs
 from platform_ctrl.analysis.system import System

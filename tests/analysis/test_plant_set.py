@@ -5,16 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from platform_ctrl import linearise, matrices, read_job, state_space
 from platform_ctrl.analysis import frequency_response, sampled
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import cases
-from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Faults, Uncertainty
-from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.matrices import matrices
-from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 PERIOD = 5e-4

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.system import System
-from platform_ctrl.common.values import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)
 
@@ -60,6 +59,6 @@ def test_time_response_of_a_discrete_system_is_its_recurrence(seed: int) -> None
         ([0.0, 1.0], [np.nan, 0.0], "inputs must be finite"),
     ],
 )
-def test_time_response_says_what_does_not_fit(timepts: list[float], inputs: FloatArray, says: str) -> None:
+def test_time_response_says_what_does_not_fit(timepts: list[float], inputs: np.ndarray, says: str) -> None:
     with pytest.raises(PlatformCtrlError, match=says):
         analysis.time_response(control.ss([[-1.0]], [[1.0]], [[1.0]], 0), timepts, inputs)

@@ -9,10 +9,9 @@ import pytest
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.time_responses import Hold
-from platform_ctrl.common.values import FloatArray
 
 
-def exact(system: control.StateSpace, t: FloatArray, u: FloatArray, hold: Hold, x0: FloatArray) -> FloatArray:
+def exact(system: control.StateSpace, t: np.ndarray, u: np.ndarray, hold: Hold, x0: np.ndarray) -> np.ndarray:
     """Return the outputs from exp of [A B 0; 0 0 I; 0 0 0] h, interval by interval, in 300 bits."""
     n, m = system.B.shape
     whole = np.zeros((n + 2 * m, n + 2 * m))
@@ -40,7 +39,7 @@ def exact(system: control.StateSpace, t: FloatArray, u: FloatArray, hold: Hold, 
     return out
 
 
-def matrix(values: FloatArray) -> flint.arb_mat:
+def matrix(values: np.ndarray) -> flint.arb_mat:
     return flint.arb_mat([[flint.arb(float(x)) for x in row] for row in values])
 
 
@@ -52,7 +51,7 @@ def random_system(n: int, m: int, p: int, seed: int) -> control.StateSpace:
     return control.ss(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), D)
 
 
-def close(system: control.StateSpace, t: FloatArray, hold: Hold, seed: int, to: float = 1e-12) -> None:
+def close(system: control.StateSpace, t: np.ndarray, hold: Hold, seed: int, to: float = 1e-12) -> None:
     rng = np.random.default_rng(seed)
     u, x0 = rng.normal(size=(system.ninputs, t.size)), rng.normal(size=system.nstates)
     truth = exact(system, t, u, hold, x0)

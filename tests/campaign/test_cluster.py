@@ -16,7 +16,8 @@ import pytest
 
 import platform_ctrl as pc
 from campaign_runs import invented_columns, planned, rows, undisturbed
-from platform_ctrl.campaign.engine import CampaignResult, run_campaign
+from platform_ctrl.campaign import run_campaign
+from platform_ctrl.campaign.engine import CampaignResult
 from platform_ctrl.errors import InputError
 
 pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
@@ -95,12 +96,6 @@ def test_a_worker_that_is_killed_in_mid_campaign_costs_no_run(tmp_path: Path, ad
     found = run_campaign(planned(runs=RUNS), tmp_path / "cluster", scheduler=address, simulate=simulate, progress=kill)
     assert killed
     assert rows(found) == undisturbed(planned(runs=RUNS))
-
-
-def test_a_run_that_kills_workers_is_found_and_those_beside_it_are_simulated(tmp_path: Path, address: str) -> None:
-    found = carried_out(tmp_path / "cluster", address, runs=8, dies=[3])
-    assert found.reasons == {"not simulated: worker died": 1}
-    assert found.counts["completed"] == 7
 
 
 def test_a_worker_with_other_versions_is_refused(tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import signal
@@ -20,11 +19,11 @@ import pytest
 
 import platform_ctrl as pc
 from campaign_runs import JOB, invented_columns, planned, processes_here, rows, undisturbed
-from platform_ctrl.campaign.engine import CampaignResult, run_campaign
-from platform_ctrl.campaign.planning import Plan, plan
-from platform_ctrl.design.methods import read_job
+from platform_ctrl import platform_source, read_job
+from platform_ctrl.campaign import plan, run_campaign
+from platform_ctrl.campaign.engine import CampaignResult
+from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.errors import InputError
-from platform_ctrl.plant.source import platform_source
 
 pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
 
@@ -243,17 +242,3 @@ def test_files_of_nobody_are_not_overwritten(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"campaign.json: .*cannot be read"):
         carried_out(planned(runs=8), tmp_path)
     assert (tmp_path / "campaign.parquet").read_bytes() == b"somebody's"
-
-
-@pytest.mark.usefixtures("here")
-def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(table: Any, file: Path) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr("pyarrow.parquet.write_table", full)
-    with pytest.raises(
-        InputError, match=r"No space left on device; the runs simulated so far are kept: make room"
-    ) as one:
-        carried_out(planned(runs=8), tmp_path)
-    assert "\n" not in str(one.value)
-    assert parts(tmp_path) == []

@@ -14,13 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from platform_ctrl.campaign.planning import Plan, chosen, plan, quantiles, unit_points
-from platform_ctrl.design.methods import read_job
+from platform_ctrl import read_job
+from platform_ctrl.campaign import plan
+from platform_ctrl.campaign.planning import Plan, chosen, quantiles, unit_points
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.parameters import parameters, varied_scenario
-from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import Campaign, CampaignFault, CampaignManoeuvre, Vary
+from platform_ctrl.simulation import Scenario
 
 MODEL = Path(__file__).parents[2] / "models" / "three_gyro_platform.toml"
 POINTS = pytest.mark.parametrize("sampling", ["sobol", "latin-hypercube", "random"])

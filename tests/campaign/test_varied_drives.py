@@ -5,7 +5,8 @@ from __future__ import annotations
 import control
 
 from driven_gimbal import COULOMB, FRICTION, driven_job
-from platform_ctrl.campaign.planning import plan
+from platform_ctrl import read_job
+from platform_ctrl.campaign import plan
 from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.campaign.store import identity
 from platform_ctrl.common.values import replaced

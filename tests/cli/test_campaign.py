@@ -145,18 +145,12 @@ def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys
             "begun with seed 7 instead of 8; name another folder",
         ),
         (["campaign", "job.toml", "--runs", "8"], f"has {RUNS} runs, got 8: ask for at least as many"),
-        (["campaign", "job.toml", "--workers", "0", "-o", "new"], "workers must be at least one, got 0"),
         (
             ["campaign", "job.toml", "--runs", "1073741824", "--sampling", "latin-hypercube", "-o", "new"],
             "runs must be at most 89478485 with 3 numbers a run",
         ),
-        (["simulate", "job.toml", "--run", "3", "-o", "job.toml"], "-o job.toml: is no folder"),
         (["simulate", "job.toml", "--run", "4711"], "--run 4711: the campaign has the runs 0 to 39"),
         (["simulate", "job.toml", "--run", "1", "--manoeuvre", "1"], "--run and --manoeuvre exclude each other"),
-        (
-            ["simulate", "job.toml", "--manoeuvre", "3"],
-            '--manoeuvre "3": job.toml has no such manoeuvre; its manoeuvres are: 1 "turn"',
-        ),
     ],
 )
 def test_wrong_input_is_one_line_and_ends_with_two(

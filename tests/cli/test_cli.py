@@ -18,9 +18,9 @@ import pytest
 import one_gyro_job
 import platform_ctrl as pc
 from campaign_runs import MANOEUVRES
+from platform_ctrl import platform_source
 from platform_ctrl.cli import main
 from platform_ctrl.errors import DesignError
-from platform_ctrl.plant.source import platform_source
 from refused_command import refused
 from verification.test_records import alike
 

@@ -7,9 +7,8 @@ import json
 import pytest
 import sympy
 
+from platform_ctrl import equations, read_platform
 from platform_ctrl.cli import main
-from platform_ctrl.mechanics.symbolic import equations
-from platform_ctrl.plant.reading import read_platform
 
 PLANT = "three_gyro_platform"
 

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from platform_ctrl.cli import main
-from platform_ctrl.cli.export_command import written_together
-from platform_ctrl.common.files import replaced_file, write_whole
-from platform_ctrl.errors import InputError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="terminals as POSIX has them")
 
@@ -59,44 +54,3 @@ def test_a_pipe_gets_lines_without_colours_unless_they_are_forced(
 
 def _without_colours(text: str) -> str:
     return re.sub(r"\x1b\[[\d;]*m", "", text)
-
-
-def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
-    (tmp_path / "one").write_text("old")
-
-    def write(fail: type[BaseException] | None) -> None:
-        with written_together(tmp_path) as [folder]:
-            (folder / "one").write_text("new")
-            (folder / "two").write_text("new")
-            if fail is not None:
-                raise fail
-
-    for failure, told in ((KeyboardInterrupt, KeyboardInterrupt), (OSError, InputError)):
-        with pytest.raises(told):
-            write(failure)
-        assert [path.name for path in tmp_path.iterdir()] == ["one"]
-        assert (tmp_path / "one").read_text() == "old"
-    write(None)
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"one": "new", "two": "new"}
-
-
-def test_what_killed_runs_left_goes_and_what_a_process_writes_stays(tmp_path: Path) -> None:
-    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
-    left = [tmp_path / ".unfinished-a1b2c3d4", tmp_path / f".unfinished-{int(ended.stdout)}-x1"]
-    for folder in left:
-        folder.mkdir()
-        (folder / "report.html").write_text("half")
-    (tmp_path / ".unfinished-link").symlink_to(tmp_path.parent)
-    (tmp_path / "else.tmp").write_text("not ours")
-    with written_together(tmp_path) as [at_work], replaced_file(tmp_path / "result.json") as file:
-        file.write_bytes(b"whole")
-        (at_work / "two").write_text("new")
-        write_whole(tmp_path / "result.json", "of another process")
-        with written_together(tmp_path):
-            assert at_work.is_dir()
-    assert not any(path.exists() for path in left)
-    assert sorted(path.name for path in tmp_path.iterdir() if not path.is_symlink()) == [
-        *("else.tmp", "result.json", "two")
-    ]
-    assert tmp_path.parent.is_dir()
-    assert (tmp_path / "result.json").read_text() == "whole"

@@ -65,11 +65,3 @@ def test_a_job_in_a_test_is_compared_with_its_requirements_and_with_an_accepted_
             "E*caging 9-10, classical: bandwidth *27.6* Hz *at least 35 Hz*-21 %*",
         ]
     )
-
-
-def test_nothing_heavy_is_loaded_where_no_test_uses_a_job(
-    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plugged_in(pytester, monkeypatch)
-    pytester.makepyfile("import sys\n\ndef test_light():\n    assert not {'numpy', 'control'} & {*sys.modules}\n")
-    pytester.runpytest_subprocess("-p", "no:hypothesispytest").assert_outcomes(passed=1)

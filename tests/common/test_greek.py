@@ -1,10 +1,8 @@
 """English names of Greek letters are read as letters where they stand alone; dots and wide letters keep columns."""
 
-import unicodedata
-
 import pytest
 
-from platform_ctrl.common.text import dotted, greek, initial, padded, width
+from platform_ctrl.common.text import dotted, greek, padded, width
 
 
 @pytest.mark.parametrize(
@@ -27,23 +25,6 @@ from platform_ctrl.common.text import dotted, greek, initial, padded, width
 )
 def test_only_whole_words_are_letters(name, shown):
     assert greek(name) == shown
-
-
-@pytest.mark.parametrize(
-    ("angle", "head", "rate"),
-    [
-        ("alpha4", ("alpha", "4"), "α̇4"),
-        ("q_theta", ("q", "_theta"), "q̇_theta"),
-        ("roll", ("roll", ""), "ṙoll"),
-        ("α4", ("α", "4"), "α̇4"),
-        ("_x", ("_", "x"), "_̇x"),
-        ("", ("", ""), "̇"),
-    ],
-)
-def test_the_dots_stand_over_the_first_letter(angle, head, rate):
-    assert initial(angle) == head
-    assert unicodedata.normalize("NFD", dotted(angle, 1)) == unicodedata.normalize("NFD", rate)
-    assert dotted(angle, 0) == greek(head[0]) + head[1]
 
 
 def test_dots_take_no_column_and_wide_letters_two():

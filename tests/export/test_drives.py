@@ -63,18 +63,6 @@ def test_torques_are_the_simulated_commands(job: Job, tmp_path: Path) -> None:
     assert set(statuses) == {0}
 
 
-def test_without_an_angle_torques_are_the_simulated_ones_but_for_a_fused_product(tmp_path: Path) -> None:
-    job = read_job(driven_job(FRICTION))
-    signals = {"inputs": ["gyro", "pitch_gyro"], "outputs": ["Qouter", "Qinner"], "name": "loop"}
-    gain = control.ss([], [], [], -np.diag([0.7, 0.5]), 1.0 / RATE_HZ, **signals)
-    write_c(job, [gain], tmp_path)
-    library = compiled(sorted(tmp_path.iterdir()), tmp_path / "all.so")
-    code = Machine(library, "driven", ["gyro", "pitch_gyro", "base_yaw"], ["Qouter", "Qinner"], ctypes.c_double)
-    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [gain], period=1.0 / RATE_HZ)
-    torques, _ = code.run(run.reading[:, [2, 3, 4]])
-    assert np.abs(torques - run.command).max() <= 2.0**-52 * np.abs(run.command).max()
-
-
 def test_a_reading_that_is_not_finite_leaves_the_command_as_it_is(job: Job, tmp_path: Path) -> None:
     written(job, tmp_path)
     code = machine(tmp_path, ctypes.c_double)

@@ -15,11 +15,11 @@ import pytest
 import scipy.io
 
 from one_gyro_job import JOB
-from platform_ctrl import design, export
-from platform_ctrl.design.methods import read_job
+from platform_ctrl import design, export, read_job
 from platform_ctrl.errors import InputError
+from platform_ctrl.export import write_controllers
 from platform_ctrl.export.job_systems import controller_systems, job_responses, model_systems
-from platform_ctrl.export.systems import write_controllers, write_entries
+from platform_ctrl.export.systems import write_entries
 from platform_ctrl.job.job import Job
 from platform_ctrl.verification.controllers import read_controllers
 

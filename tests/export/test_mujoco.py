@@ -17,8 +17,7 @@ import platform_ctrl as pc
 from every_key import meaning
 from oracle_trees import for_all, sprung, unbalanced
 from oracle_trees import motions as motions_drawn
-from platform_ctrl import design, simulation
-from platform_ctrl.design.methods import read_job
+from platform_ctrl import design, read_job, shipped_models, simulation
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
 from platform_ctrl.job.job import Faults, Job, Uncertainty, manoeuvre_scenario
@@ -82,8 +81,10 @@ def motions(platform: pc.Platform, folder: Path, step: float, duration: float = 
     return np.concatenate([out.q[0], out.velocity[0], out.attitude[0]]), run.state
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_every_shipped_plant_moves_as_in_the_simulation(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "name", ["three_gyro_platform", "suspended_platform", "momentum_wheel_satellite", "vscmg_pyramid", "ae353_cmg"]
+)
+def test_a_shipped_plant_moves_as_in_the_simulation(name: str, tmp_path: Path) -> None:
     """Free root, torques at all joints and on the root: rotors as in the plant, and free ones."""
     platform = smooth(pc.read_platform(name))
     for control_ in ("free", *{rotor.control for rotor in platform.rotors}):
@@ -127,13 +128,6 @@ def test_a_prescribed_root_turns_as_prescribed_whatever_reacts(name: str, tmp_pa
     assert np.allclose(run.data.qpos[run.angles], ours.q[200], rtol=0.0, atol=1e-8)
     assert np.allclose(run.data.qvel[run.rates], ours.rate[200], rtol=0.0, atol=1e-6)
     assert np.allclose(run.state[-4:], ours.attitude[200], rtol=0.0, atol=1e-8)
-
-
-def test_the_difference_shrinks_by_sixteen_with_half_the_step(tmp_path: Path) -> None:
-    platform = smooth(pc.read_platform("three_gyro_platform"))
-    coarse, fine = (np.subtract(*motions(platform, tmp_path, step)) for step in (4e-4, 2e-4))
-    assert 12.0 < np.linalg.norm(coarse) / np.linalg.norm(fine) < 20.0
-    assert np.abs(fine[:5]).max() < 1e-6
 
 
 @pytest.fixture(scope="module")
@@ -238,23 +232,6 @@ def test_stops_stop_and_friction_brakes(tmp_path: Path) -> None:
     run.data.qvel[0] = 2.0
     mujoco.mj_step(run.model, run.data, 5000)
     assert run.data.qvel[0] == pytest.approx(3.0 * np.exp(-0.5) - 1.0, abs=1e-4)  # ω' = −ω − 1
-
-
-def test_what_drives_a_gimbal_away_is_a_spring_too(tmp_path: Path) -> None:
-    platform = pc.read_platform(
-        {
-            "schema": 1,
-            "name": "x",
-            "root": {"name": "r", "inertia": [1, 1, 1]},
-            "gimbal": [{"name": "g", "parent": "r", "axis": [0, 0, 1], "inertia": [1e-3] * 3}],
-            "spring": [{"gimbal": "g", "stiffness": -1e-3, "rest": 0.1}],
-        }
-    )
-    run = Run(platform, tmp_path, root="fixed")
-    mujoco.mj_step(run.model, run.data, 10000)
-    assert run.data.qpos[0] == pytest.approx(0.1 - 0.1 * np.cosh(1.0), rel=1e-6)
-    [spring] = read_mjcf(tmp_path / "plant.xml").springs
-    assert (spring.stiffness, spring.rest) == pytest.approx((-1e-3, 0.1))
 
 
 def scaled_error(platform: pc.Platform, q: np.ndarray, found: np.ndarray, expected: np.ndarray) -> float:

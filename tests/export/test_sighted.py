@@ -1,52 +1,34 @@
-"""Every export of a gimbal whose payload has gyros, a tracker and a line of sight."""
+"""The MuJoCo model of a gimbal whose payload has gyros, a tracker and a line of sight."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from platform_ctrl import read_job
-from platform_ctrl.common.files import toml
-from platform_ctrl.export.mujoco.mjcf_reader import read_mjcf
-from platform_ctrl.export.mujoco.mjcf_writer import write_mjcf
-from platform_ctrl.job.reading import job_data
-from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.simulation import simulate
-from sighted_gimbal import JOB, damped, sighted
+from platform_ctrl.export import read_mjcf, write_mjcf
+from platform_ctrl.simulation import Scenario, simulate
+from sighted_gimbal import sighted
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "job.toml").write_text(toml(job_data(read_job(JOB))), encoding="utf-8")
-    K = damped()
-    one = {"name": "pitch rate", "method": "given", "dt": K.dt, "inputs": K.input_labels, "outputs": K.output_labels}
-    matrices = {"A": [], "B": [], "C": [], "D": K.D.tolist()}
-    record = {"schema": 1, "controllers": [{**one, **matrices, "delay": 0.0}]}
-    (tmp_path / "job.controllers.json").write_text(json.dumps(record), encoding="utf-8")
-    return tmp_path
-
-
-def test_the_mujoco_model_says_where_its_readings_are_and_reads_back(folder: Path) -> None:
+def test_the_mujoco_model_says_where_its_readings_are_and_reads_back(tmp_path: Path) -> None:
     platform = sighted()
-    notes = write_mjcf(platform, folder / "m.xml")
+    notes = write_mjcf(platform, tmp_path / "m.xml")
     assert "rate sensor gyro2, gyro3: from the sensor pitch_Omega" in notes
     assert "attitude sensor tracker: from the sensor pitch_attitude" in notes
     assert "line of sight of pitch: from the sensors pitch_Omega and pitch_attitude" in notes
     pytest.importorskip("mujoco")
-    back = read_mjcf(folder / "m.xml")
+    back = read_mjcf(tmp_path / "m.xml")
     assert [one.name for one in back.angle_sensors] == ["encoder"]
     assert len(back.pickoffs) == len(platform.pickoffs)
 
 
-def test_mujocos_gyro_on_the_payload_reads_its_inertial_rate(folder: Path) -> None:
+def test_mujocos_gyro_on_the_payload_reads_its_inertial_rate(tmp_path: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
     platform = sighted()
-    write_mjcf(platform, folder / "m.xml")
-    model = mujoco.MjModel.from_xml_path("m.xml")
+    write_mjcf(platform, tmp_path / "m.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
     data = mujoco.MjData(model)
     q, rate, Omega = np.array([0.3, -0.4]), np.array([0.8, -1.1]), np.array([0.3, -0.7, 0.5])
     data.qpos[4:], data.qvel[:3], data.qvel[3:] = q, Omega, rate

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from driven_gimbal import FRICTION, SECANT, driven_job
+from driven_gimbal import FRICTION, driven_job
 from platform_ctrl import read_job
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.drive import slide_rates
 from platform_ctrl.mechanics.kinematics import kinematics
-
-BOTH = FRICTION | SECANT | {"secant_limit": 3.0}
 
 
 @pytest.mark.parametrize("name", ["camera_gimbal", "three_gyro_platform", "seeker_head"])

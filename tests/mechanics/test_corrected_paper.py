@@ -11,7 +11,7 @@ from sympy.parsing.sympy_parser import implicit_multiplication, parse_expr, stan
 
 import platform_ctrl as pc
 import three_gyro_paper as paper
-from platform_ctrl.plant.source import platform_source
+from platform_ctrl import platform_source
 
 TEXT = (Path(__file__).parents[2] / "docs" / "theory" / "the-paper.md").read_text(encoding="utf-8")
 FORMULAS = [formula.strip() for formula in re.findall(r"^\$\$\n(.*?)\n\$\$", TEXT, re.MULTILINE | re.DOTALL)]

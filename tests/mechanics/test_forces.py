@@ -4,16 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
-from platform_ctrl.mechanics.forces import element_forces
+from platform_ctrl import element_forces, forward_dynamics, inverse_dynamics, linearise, read_platform, state_space
 from platform_ctrl.mechanics.kinematics import kinematics
-from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.state_space import state_space, subsystems
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.reading import read_platform
 from tree_cases import platforms, slope
 
 quick = settings(max_examples=30, deadline=None)
@@ -190,43 +186,6 @@ def test_friction_always_dissipates_and_never_exceeds_breakaway(low, high, more,
     assert abs(dry) <= friction.breakaway[int(rate >= 0.0)] * (1 + 1e-12)
 
 
-@quick
-@given(
-    st.floats(0.0, 1.0),
-    st.floats(0.0, 1.0),
-    st.floats(0.0, 1.0),
-    st.floats(-3, 3).map(lambda x: 10.0**x),
-    st.floats(-3, 3).map(lambda x: 10.0**x),
-)
-@example(viscous=0.0, coulomb=1.0, more=0.0, sharp=1.0, stribeck=1.0000000000000004)
-def test_no_slope_of_friction_is_steeper_than_the_steepest(viscous, coulomb, more, sharp, stribeck):
-    friction = Friction(
-        gimbal="arm",
-        viscous=viscous,
-        coulomb=(coulomb, 0.5 * coulomb),
-        breakaway=(coulomb + more, 0.5 * coulomb),
-        coulomb_rate=sharp,
-        stribeck_rate=stribeck,
-    )
-    scale = np.geomspace(1e-6, 30.0, 600)
-    rates = np.unique(np.concatenate([-scale * sharp, -scale * stribeck, scale * sharp, scale * stribeck]))
-    # Between closer rates the difference quotient is rounding; this far apart it errs by 1e-9 of the slope at most.
-    rates = rates[np.append(True, np.diff(rates) > 1e-6 * np.abs(rates[1:]))]
-    torque = np.array([viscous * r + friction.dry(float(r)) for r in rates])
-    steepest = np.abs(np.diff(torque) / np.diff(rates)).max()
-    assert steepest <= friction.steepest_slope * (1 + 1e-6) + 1e-9
-    # The bound is not idle either: at one end of the curve it is reached.
-    if friction.steepest_slope == viscous + max(friction.breakaway) / sharp:
-        assert steepest >= 0.99 * friction.steepest_slope
-
-
-def test_breakaway_follows_a_coulomb_torque_that_is_changed():
-    plain = dataclasses.replace(Friction(gimbal="arm", coulomb=(0.2, 0.3)), coulomb=(0.1, 0.1))
-    assert plain.breakaway == (0.1, 0.1)
-    curved = Friction(gimbal="arm", coulomb=(0.2, 0.3), breakaway=(0.5, 0.4), stribeck_rate=0.3)
-    assert dataclasses.replace(curved, coulomb=(0.1, 0.6)).breakaway == (0.5, 0.6)
-
-
 @pytest.mark.parametrize("amplitude", [1e-9, 0.05, 0.3, 2.0, 50.0])
 def test_the_describing_function_takes_what_a_stribeck_curve_takes(amplitude):
     smooth = 1e-6 * amplitude
@@ -256,10 +215,3 @@ def test_an_erection_stops_at_its_limit_and_has_no_slope_there():
     assert linearise(platform).Q_angle[0, 0] == pytest.approx(2.0)
     assert linearise(platform, q=[0.5]).Q_angle[0, 0] == 0.0
     assert element_forces(platform, [0.5], specific_force=[0, 0, 0])[3] == 0.0
-
-
-def test_an_erection_across_two_gimbals_couples_them():
-    platform = read_platform("three_gyro_platform")
-    across = Erection(gimbal="4", senses="10", axis=np.array([0.0, 0.0, 1.0]), gain=1.0)
-    coupled = dataclasses.replace(platform, erections=(across,), specific_force=np.array([0.0, 9.81, 0.0]))
-    assert len(subsystems(linearise(coupled))) == 1

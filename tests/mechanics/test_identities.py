@@ -5,11 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from platform_ctrl import forward_dynamics, inverse_dynamics, linearise, matrices
 from platform_ctrl.errors import ArgumentError, MechanicsError
-from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.kinematics import kinematics
-from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.matrices import derivatives, matrices
+from platform_ctrl.mechanics.matrices import derivatives
 from small_trees import tree
 from tree_cases import platforms, state
 

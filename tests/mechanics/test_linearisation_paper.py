@@ -4,9 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.matrices import matrices
-from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl import linearise, matrices, state_space
 from tree_cases import platforms, slope, with_torquers
 
 quick = settings(max_examples=30, deadline=None)

@@ -66,16 +66,6 @@ def test_a_gyro_reads_the_rate_of_its_body_against_inertial_space(seed):
     np.testing.assert_allclose(rates_of(["tacho", "Omega3"], rate, root_rate), [rate[1], root_rate[2]], atol=1e-12)
 
 
-def test_the_outer_gimbal_turns_the_line_of_sight_by_the_cosine_of_the_elevation():
-    data = GIMBAL | {"gimbal": [GIMBAL["gimbal"][0] | {"axis": [0, 0, 1]}, GIMBAL["gimbal"][1]]}
-    platform = pc.read_platform(data)
-    for elevation in (0.0, 0.5, 1.2, np.pi / 2):
-        model = pc.linearise(platform, q=[0.3, elevation])
-        out = observed(pc.state_space(model), platform, ["los_rate2"], [0.3, elevation])
-        x = np.concatenate([np.zeros(2), model.M @ [1.0, 0.0]])
-        assert out.C[0] @ x == pytest.approx(np.cos(elevation), abs=1e-12)
-
-
 def test_a_body_that_is_turned_with_the_root_rate_of_its_trim_changes_its_components():
     """About a constant Omega the components of Omega in the body change as the gimbals turn."""
     platform, Omega, h = pc.read_platform(GIMBAL), np.array([0.3, -0.2, 0.5]), 1e-6

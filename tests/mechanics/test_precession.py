@@ -7,12 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from platform_ctrl import linearise, precession, read_platform, state_space
 from platform_ctrl.errors import MechanicsError
-from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.precession import precession
-from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.force_elements import Erection, Friction, Spring
-from platform_ctrl.plant.reading import read_platform
 from tree_cases import platforms, with_torquers
 
 L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4
@@ -27,18 +24,6 @@ def platform():
 def with_momenta(platform, *momenta):
     rotors = (dataclasses.replace(r, angular_momentum=float(h)) for r, h in zip(platform.rotors, momenta, strict=True))
     return dataclasses.replace(platform, rotors=tuple(rotors))
-
-
-def two_pairs(platform, stiffness, momenta=(L, L), inertia=4e-4, coupling=0.3):
-    """Return the equations of two gyros whose gimbals share inertia and nothing else."""
-    base = linearise(
-        dataclasses.replace(platform, gimbals=platform.gimbals[:4], torquers=(), rotors=platform.rotors[:1])
-    )
-    turn = np.array([[0.0, 1.0], [-1.0, 0.0]])
-    M, none = inertia * np.eye(4), np.zeros((2, 2))
-    M[0, 2] = M[2, 0] = coupling * inertia
-    G = np.block([[momenta[0] * turn, none], [none, momenta[1] * turn]])
-    return dataclasses.replace(base, M=M, G=G, K=np.diag(stiffness), M_Omega_q=np.zeros((4, 3, 4)))
 
 
 def gyro_pairs(rng):
@@ -263,14 +248,6 @@ def test_the_error_of_a_free_gyro_is_frequency_over_nutation(platform):
     assert part.error(frequency) == pytest.approx(frequency / NUTATION_910, rel=1e-5)
 
 
-def test_the_error_of_the_cured_model_falls_with_frequency_twice_as_steeply_where_the_inertia_dominates(platform):
-    """The exact response of β5 − β7, 1/ω², outshines that of the pair."""
-    part = precession(linearise(platform)).part("4")
-    frequency = np.array([1.0, 10.0, 100.0])
-    ratio = frequency / NUTATION_457
-    assert part.error(frequency, True) == pytest.approx(ratio**2 / (1 - ratio), rel=1e-6)
-
-
 def test_the_loop_has_to_stay_below_a_third_of_nutation(platform):
     model = linearise(platform)
     below = precession(model, ("9", "10"), loop_frequency=NUTATION_910 / 3.01).parts[0]
@@ -288,27 +265,6 @@ def test_the_loop_has_to_stay_below_a_third_of_nutation(platform):
     cured = precession(model, ("9", "10"), loop_frequency=300.0).state_space(momentum_states=True)
     full = state_space(model, gimbals=("9", "10"))
     np.testing.assert_allclose(np.asarray(cured(200j)), np.asarray(full(200j)), rtol=1e-9, atol=1e-12)
-
-
-def test_non_zero_multiple_roots_are_refused(platform):
-    single = two_pairs(platform, [1.0, 1.0, 1.5, 1.5])
-    double = two_pairs(platform, [1.0, 1.0, 1.0, 1.0])
-    assert precession(single).admissible
-    part = precession(double).parts[0]
-    assert part.multiple_roots
-    assert not part.admissible
-    assert "multiple: what is dropped decides how it splits" in part.reasons[0]
-    # And it does: one double root, two poles.
-    poles = np.sort(slow_poles(double, part).imag)[2:]
-    assert poles[1] - poles[0] > 0.01
-    assert abs(part.precession_roots[0]) == pytest.approx(1 / L)
-
-
-def test_a_multiple_root_at_zero_with_all_its_eigenvectors_is_no_obstacle(platform):
-    part = precession(two_pairs(platform, np.zeros(4))).parts[0]
-    np.testing.assert_array_equal(part.precession_roots, 0)
-    assert part.admissible
-    assert not part.multiple_roots
 
 
 @pytest.mark.parametrize(("stiffness", "admissible"), [(0.3, True), (300.0, False)])
@@ -346,16 +302,3 @@ def test_levelling_damps_precession_and_makes_nutation_grow(platform, gain):
         d = 2.0 * share * growth / (1.0 / J9 + 1.0 / J10)
         damped = dataclasses.replace(levelled, frictions=tuple(Friction(gimbal=g, viscous=d) for g in ("9", "10")))
         assert precession(linearise(damped, specific_force=force), ("9", "10")).admissible == good
-
-
-# Wrong questions and the ends of the range.
-
-
-def test_without_spin_no_rotor_gives_any_momentum(platform):
-    for still in (with_momenta(platform, 0, 0, 0), dataclasses.replace(platform, rotors=())):
-        whole = precession(linearise(still, Omega=(0.1, 0.2, 0.3)))
-        assert whole.reasons == tuple(f"{'-'.join(p.gimbals)}: no rotor gives it any momentum" for p in whole.parts)
-        assert all("full equations" in p.cures[0] for p in whole.parts)
-        sys = whole.state_space(momentum_states=True)
-        full = state_space(whole.model)
-        np.testing.assert_allclose(np.asarray(sys(2j)), np.asarray(full(2j)), rtol=1e-9, atol=1e-6)

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
-from platform_ctrl.mechanics.matrices import matrices
+from platform_ctrl import forward_dynamics, inverse_dynamics, matrices
 from tree_cases import platform_of_case
 
 CASES = json.loads((Path(__file__).parents[1] / "data" / "dynamics-cases.json").read_text())["groups"]

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.mechanics.equations import (
-    forward_dynamics,
     inverse_dynamics,
     rotor_momenta,
     with_free_rotors,
@@ -75,43 +74,6 @@ def test_rotors_as_bodies_need_the_same_torques(platform, seed):
     np.testing.assert_allclose(torque[rows][free], 0.0, atol=1e-9)
     size = 1 + np.abs(torque).max() + np.abs(now.spin).max(initial=0.0) ** 2
     np.testing.assert_allclose(inverse_dynamics(platform, q, u, u_dot), torque[: 3 + n], atol=1e-12 * size)
-
-
-@quick
-@given(platforms(controls=("free",)), seeds)
-def test_free_rotors_as_bodies_move_alike(platform, seed):
-    q, u, _ = state(platform, seed)
-    bodies = with_rotors_as_gimbals(platform)
-    now = rotor_momenta(platform, q, u)
-    m, n = len(platform.rotors), len(platform.gimbals)
-    force = np.concatenate([np.linspace(1, 2, 3 + n), np.zeros(m)])
-    moved = forward_dynamics(bodies, np.concatenate([q, np.zeros(m)]), np.concatenate([u, now.spin]), force)
-    ours = forward_dynamics(platform, q, u, force[: 3 + n])
-    size = np.abs(ours).max() + np.abs(now.spin).max(initial=0.0) ** 2
-    np.testing.assert_allclose(ours, moved[: 3 + n], atol=1e-10 * (1 + size))
-
-
-@quick
-@given(platforms(), seeds)
-def test_the_routhian_of_4_to_7_gives_the_free_rows(platform, seed):
-    """(5)-(7) by differences: d/dt ∂(R2 + R1)/∂q̇ − ∂(R2 + R1)/∂q = Q, with p constant."""
-    q, u, u_dot = state(platform, seed)
-    free = with_free_rotors(platform, q, u)
-    h, n = 1e-6, len(q)
-
-    def momenta(angles, rates):
-        m = matrices(free, angles)
-        return (m.A_star @ rates + m.B.T @ m.L)[3:]
-
-    def energy(angles):
-        m = matrices(free, angles)
-        return 0.5 * u @ m.A_star @ u + m.L @ m.B @ u
-
-    ahead, behind = (momenta(q + s * h * u[3:], u + s * h * u_dot) for s in (1, -1))
-    gradient = [(energy(q + h * e) - energy(q - h * e)) / (2 * h) for e in np.eye(n)]
-    expected = inverse_dynamics(free, q, u, u_dot)[3:]
-    size = 1 + np.abs(expected).max() + np.abs(matrices(free, q).L).max(initial=0.0)
-    np.testing.assert_allclose((ahead - behind) / (2 * h) - gradient, expected, atol=1e-7 * size)
 
 
 def test_a_rotor_that_is_no_servo_any_more_has_no_speed_loop():

@@ -9,12 +9,17 @@ from hypothesis import strategies as st
 
 from camera_job import camera_plant
 from mechanics.test_forces import furnished
+from platform_ctrl import (
+    element_forces,
+    forward_dynamics,
+    inverse_dynamics,
+    linearise,
+    read_platform,
+    state_space,
+    subsystems,
+)
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
-from platform_ctrl.mechanics.forces import element_forces
-from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.state_space import coupled_while_changing, state_space, subsystems
-from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.mechanics.state_space import coupled_while_changing
 from small_trees import tree
 from tree_cases import platforms, with_torquers
 
@@ -85,23 +90,6 @@ def test_yaw_and_pitch_of_a_balanced_two_axis_gimbal_are_coupled_by_a_rate_acros
     assert still.nstates == 2
     with pytest.raises(ArgumentError, match=r"yaw and pitch are coupled at Omega1 = 0\.5 rad/s"):
         state_space(model, gimbals=["yaw"])
-
-
-def test_a_rotor_along_the_inner_axis_does_not_couple_it_to_the_outer_however_fast():
-    """A free rotor's L pushes about no axis that is its own; what rounding leaves of it is no coupling."""
-    axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
-    plate = 1e-4 * (np.outer(axis, axis) + np.eye(3))
-    wheel = ("wheel", "inner", axis, 1e-3, 6e-4, 1e3, {"control": "free"})
-    platform = tree(1.0, [("outer", "base", [3.0, 0.0, -1.0], plate), ("inner", "outer", axis, plate)], [wheel])
-    assert subsystems(linearise(platform, terms="paper")) == (("outer",), ("inner",))
-
-
-def test_nutation_frequencies(platform):
-    model = linearise(platform)
-    fast = np.abs(state_space(model, gimbals=("9", "10")).poles()).max()
-    assert fast == pytest.approx(L / np.sqrt(J9 * J10), rel=1e-9)
-    fast = np.abs(state_space(model, gimbals=("4", "5", "7")).poles()).max()
-    assert fast == pytest.approx(np.sqrt(2) * L / np.sqrt(J4 * J5), rel=1e-9)
 
 
 @settings(max_examples=30, deadline=None)

@@ -9,11 +9,7 @@ import pytest
 from hypothesis import strategies as st
 
 from oracle_trees import for_all
-from platform_ctrl.mechanics.equations import inverse_dynamics
-from platform_ctrl.mechanics.forces import element_forces
-from platform_ctrl.mechanics.parameter_varying import parameter_varying
-from platform_ctrl.mechanics.terms import terms
-from platform_ctrl.plant.reading import read_platform
+from platform_ctrl import element_forces, inverse_dynamics, parameter_varying, read_platform, terms
 from tree_cases import platforms, with_elements
 
 SEEDS = st.integers(0, 2**32 - 1)

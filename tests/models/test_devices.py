@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import platform_ctrl as pc
-from platform_ctrl.plant.source import platform_source
+from platform_ctrl import platform_source
 from rotors_as_gimbals import with_rotors_as_gimbals
 
 

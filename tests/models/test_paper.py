@@ -13,6 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
+from platform_ctrl import platform_source, with_free_rotors
 from platform_ctrl.errors import MechanicsError
 from platform_ctrl.mechanics.equations import with_free_rotors
 from platform_ctrl.mechanics.linearisation import LinearModel

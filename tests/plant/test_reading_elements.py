@@ -2,15 +2,15 @@
 
 import copy
 
-import numpy as np
 import pytest
 
 from every_key import every_plant_key
+from platform_ctrl import Platform, read_platform
 from platform_ctrl.errors import InputError
-from platform_ctrl.plant.platform import Platform, plant_data
-from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.plant.platform import plant_data
 from platform_ctrl.plant.tables import shape
 
+# What tests of wrong files begin with.
 PLANT = {
     "schema": 1,
     "name": "everything",
@@ -54,35 +54,6 @@ PLANT = {
     "unbalance": [{"body": "base", "moment": [0.0, 0.0, -0.3]}, {"body": "inner", "moment": [1e-5, 0, 0]}],
     "erection": [{"gimbal": "outer", "senses": "inner", "axis": [0, 2, 0], "gain": 1e-3, "limit": 5e-4}],
 }
-
-
-def test_everything_is_read():
-    platform = read_platform(PLANT)
-    np.testing.assert_array_equal(platform.specific_force, [0.1, 0.0, 9.81])
-    assert [(s.gimbal, s.stiffness, s.rest) for s in platform.springs] == [("outer", -0.2, 0.01), ("outer", 0.7, 0.0)]
-    assert [f.coulomb for f in platform.frictions] == [(0.01, 0.02), (0.03, 0.03)]
-    assert [f.breakaway for f in platform.frictions] == [(0.01, 0.05), (0.03, 0.03)]
-    assert [f.stribeck_rate for f in platform.frictions] == [0.2, np.inf]
-    assert [g.restitution for g in platform.gimbals] == [0.4, 0.0]
-    assert [t.rate_limit for t in platform.torquers] == [30.0, None]
-    assert platform.cages[0].clearance == 0.002
-    assert [u.body for u in platform.unbalances] == ["base", "inner"]
-    np.testing.assert_array_equal(platform.erections[0].axis, [0, 1, 0])
-    wheel = platform.rotors[0]
-    assert (wheel.control, wheel.speed_gain, wheel.speed_integral, wheel.torque_limit) == ("servo", 0.02, 0.3, 0.05)
-
-
-def test_a_rate_sensor_bears_the_name_of_what_it_measures():
-    about, between = read_platform(PLANT).rate_sensors
-    assert (about.name, about.root_axis, about.gimbal) == ("Omega3", 3, None)
-    assert (between.name, between.root_axis, between.gimbal) == ("q_inner_rate", None, "inner")
-    assert (about.noise_rms, about.noise_bandwidth_hz, about.quantisation) == (1e-5, 200.0, 1e-7)
-    assert (between.noise_rms, between.noise_bandwidth_hz, between.quantisation) == (0.0, 1000.0, 0.0)
-    # Half the sampling frequency is as wide as the noise: a sample has all of it.
-    assert about.sampled_noise(1 / 400) == pytest.approx(1e-5)
-    data = copy.deepcopy(PLANT)
-    data["gimbal"][1]["angle"] = "beta"
-    assert [sensor.name for sensor in read_platform(data).rate_sensors][1] == "beta_rate"
 
 
 def test_a_job_file_in_place_of_a_plant_is_recognised():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import json
 import math
 import os
@@ -23,13 +22,9 @@ from hypothesis import strategies as st
 import platform_ctrl as pc
 from every_key import every_plant_key, meaning
 from oracle_trees import Motion, motions
-from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.plant.force_elements import Friction, Unbalance
-from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.platform import Platform, Torquer, plant_data
-from platform_ctrl.plant.reading import read_platform
-from platform_ctrl.plant.sensors import PickOff, RateSensor
-from platform_ctrl.plant.source import platform_source, shipped_models
+from platform_ctrl import Platform, platform_source, read_platform, shipped_models
+from platform_ctrl.errors import InputError
+from platform_ctrl.plant.platform import plant_data
 
 Change = Callable[[dict[str, Any]], object]
 
@@ -316,45 +311,6 @@ def test_arrays_are_read_only_and_stay_so_through_pickle_and_deepcopy() -> None:
         assert copied.gimbal_names == platform.gimbal_names
 
 
-def test_every_shipped_model_is_read_by_name_and_from_a_copy_of_its_text(tmp_path: Path) -> None:
-    assert "three_gyro_platform" in shipped_models()
-    for name in shipped_models():
-        copied = tmp_path / f"{name}.toml"
-        copied.write_text(platform_source(name), encoding="utf-8")
-        platform = read_platform(name)
-        assert platform.source
-        assert plant_data(read_platform(copied)) == plant_data(platform)
-
-
-def test_the_three_gyro_platform_has_the_sums_and_nutations_of_its_comments() -> None:
-    platform = read_platform("three_gyro_platform")
-    assert platform.gimbal_names == ("4", "5", "7", "9", "10")
-    assert platform.angle_names == ("alpha4", "beta5", "beta7", "alpha9", "beta10")
-    assert [t.name for t in platform.torquers] == ["Q4", "Q5", "Q7", "Q9", "Q10", "M1", "M2", "M3"]
-    assert [p.name for p in platform.pickoffs] == list(platform.angle_names)
-    body = {gimbal.name: gimbal.inertia.copy() for gimbal in platform.gimbals}
-    for rotor in platform.rotors:
-        body[rotor.carrier] += rotor.transverse_inertia * (np.eye(3) - np.outer(rotor.axis, rotor.axis))
-    j4 = body["4"][1, 1] + body["5"][1, 1] + body["7"][1, 1]
-    j5, j7, j10 = body["5"][2, 2], body["7"][2, 2], body["10"][0, 0]
-    j9 = body["9"][2, 2] + body["10"][2, 2]
-    np.testing.assert_allclose([j4, j5, j7, j9, j10], [8e-4, 2e-4, 2e-4, 5e-4, 2e-4], rtol=1e-14)
-    momentum = {rotor.name: rotor.angular_momentum for rotor in platform.rotors}
-    assert momentum == {"6": 0.15, "8": 0.15, "11": 0.15}
-    assert math.sqrt(2) * momentum["6"] / math.sqrt(j4 * j5) == pytest.approx(530.3, abs=0.05)
-    assert momentum["11"] / math.sqrt(j9 * j10) == pytest.approx(474.3, abs=0.05)
-    turns = {g.name: (g.parent, g.axis.tolist()) for g in platform.gimbals}
-    assert turns == {
-        "4": ("platform", [0, 1, 0]),
-        "5": ("4", [0, 0, 1]),
-        "7": ("4", [0, 0, -1]),
-        "9": ("platform", [0, 0, 1]),
-        "10": ("9", [1, 0, 0]),
-    }
-    spins = {r.name: (r.carrier, r.axis.tolist()) for r in platform.rotors}
-    assert spins == {"6": ("5", [1, 0, 0]), "8": ("7", [-1, 0, 0]), "11": ("10", [0, 1, 0])}
-
-
 JUNK = st.one_of(
     st.none(),
     st.booleans(),
@@ -365,11 +321,8 @@ JUNK = st.one_of(
     st.sampled_from(["4", "5", "6", "platform", "M1", "Omega1", "alpha4", "free", "caging", "a\nb", "\u2028"]),
     st.lists(st.floats(), max_size=4),
     st.lists(st.floats(), min_size=3, max_size=3).map(np.array),
-    st.recursive(
-        st.integers() | st.none() | st.text(max_size=3),
-        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4) | st.integers(), inner),
-        max_leaves=8,
-    ),
+    st.lists(st.integers() | st.none() | st.lists(st.text(max_size=3), max_size=2), max_size=3),
+    st.dictionaries(st.text(max_size=4) | st.integers(), st.none() | st.lists(st.integers(), max_size=2), max_size=3),
 )
 
 
@@ -458,46 +411,3 @@ def test_the_text_of_a_random_plant_is_that_plant(motion: Motion) -> None:
     q, velocity = motion.q, motion.velocity
     ours, theirs = pc.matrices(back, q, velocity), pc.matrices(motion.platform, q, velocity)
     np.testing.assert_allclose(ours.A, theirs.A, rtol=1e-14, atol=1e-14 * np.abs(theirs.A).max())
-
-
-def in_python() -> Platform:
-    """Return a plant that was made in Python: names with spaces, an axis of length 2, a limit that is none."""
-    return Platform(
-        name="made \x7f in \u00e9 Python",
-        root_name="the base",
-        root_inertia=np.diag([1.0, 2.0, 2.5]),
-        gimbals=(
-            Gimbal(name="outer ring", parent="the base", axis=[0, 0, 2.0], inertia=0.1 * np.eye(3), stops=(-1, 1)),
-            Gimbal(name="inner", parent="outer ring", axis=[0.6, 0.8, 0.0], inertia=[[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
-        ),
-        torquers=(Torquer(gimbal="outer ring", limit=math.inf), Torquer(gimbal="inner", limit=0.1, lag=0.0)),
-        pickoffs=(PickOff(gimbal="outer ring"), PickOff(gimbal="inner", noise_rms=1 / 3e6)),
-        rate_sensors=(
-            RateSensor(body="inner", axis=[0, 1, 1], misalignment=[0.0, 0.0, 1e-3]),
-            RateSensor(gimbal="inner"),
-        ),
-        frictions=(Friction(gimbal="inner", coulomb=(0.01, 0.02)), Friction(gimbal="outer ring", viscous=0.1 + 0.2)),
-        unbalances=(Unbalance(body="the base", moment=(0.0, 1e-20, -3.0)),),
-        source='"quoted"\nand\ttwo lines \\',
-    )
-
-
-def test_a_plant_that_was_made_in_python_is_written_and_read_back() -> None:
-    platform = in_python()
-    with pytest.raises(InputError, match=r'platform "made .*": name must be a line of text .* cannot be printed'):
-        read_platform(platform)
-    platform = dataclasses.replace(platform, name="made in \u00e9 Python")
-    back = read_back(platform)
-    assert meaning(back) == meaning(read_platform(platform)) == meaning(read_back(back))
-    assert back.torquers[0].limit is None
-    assert back.gimbals[0].axis.tolist() == [0.0, 0.0, 1.0]
-    assert (back.source, back.gimbal_names) == (platform.source, ("outer ring", "inner"))
-    assert meaning((back.frictions, back.unbalances, back.pickoffs, back.rate_sensors[1])) == meaning(
-        (platform.frictions, platform.unbalances, platform.pickoffs, platform.rate_sensors[1])
-    )
-
-
-def test_what_no_plant_file_can_say_is_refused() -> None:
-    platform = dataclasses.replace(in_python(), pickoffs=(PickOff(name="resolver", gimbal="inner"),))
-    with pytest.raises(ArgumentError, match="pick-off 'resolver' must be called 'q_inner', as its angle"):
-        platform.to_toml()

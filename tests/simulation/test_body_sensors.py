@@ -10,11 +10,11 @@ import pytest
 from scipy import signal
 
 from oracle_trees import rotation, turn
+from platform_ctrl import Platform
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.scenario import HalfCosine, Mode, Scenario
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl.job.scenario import Mode
 from platform_ctrl.plant.sensors import sensing_axis
-from platform_ctrl.simulation import simulate, simulate_batch
+from platform_ctrl.simulation import HalfCosine, Scenario, simulate, simulate_batch
 from platform_ctrl.simulation.closed_loop import Trajectory
 from sighted_gimbal import sighted, skewed
 
@@ -78,17 +78,6 @@ def test_sensors_and_line_of_sight_read_what_rotation_matrices_give(mode, make) 
     np.testing.assert_allclose(run.line_of_sight[:, 3:], turned @ across.T, rtol=0.0, atol=1e-14)
     assert np.abs(rates).max() > 0.5  # it has moved
     assert np.abs(turned).max() > 0.1
-
-
-def test_the_root_reads_its_own_rotation() -> None:
-    platform = sighted(
-        attitude_sensor=[{"name": "star", "body": "base", "axis": [0, 1, 0]}],
-        line_of_sight={"body": "base", "direction": [0, 0, 1]},
-    )
-    run = simulate(scenario(platform), [], period=PERIOD)
-    turned = rotations_of(np.array([rotation(e) for e in run.attitude]))
-    np.testing.assert_allclose(run.reading[:, -1], turned[:, 1], rtol=0.0, atol=1e-14)
-    np.testing.assert_allclose(run.line_of_sight[:, :3], run.Omega @ platform.line_of_sight.across.T, atol=1e-15)
 
 
 def test_a_rate_against_the_parent_is_the_joints_share_of_the_axis() -> None:

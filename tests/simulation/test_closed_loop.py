@@ -8,11 +8,12 @@ import control
 import numpy as np
 import pytest
 
+from platform_ctrl import Platform
 from platform_ctrl.analysis import interconnection
 from platform_ctrl.analysis.interconnection import BackCalculation, back_calculation
 from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.plant.platform import PickOff, Platform, Torquer
+from platform_ctrl.plant.platform import PickOff, Torquer
 from platform_ctrl.simulation import HalfCosine
 from single_runs import simulated
 from small_trees import tree

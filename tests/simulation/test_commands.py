@@ -12,7 +12,6 @@ from scipy.signal import dlsim
 
 from commanded_gimbal import INERTIA, RATE_HZ, commanded_job
 from platform_ctrl import read_job
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job, manoeuvre_scenario
@@ -30,7 +29,7 @@ def controllers(job: Job) -> list[Any]:
     return [one.closed.controller for one in loops(job)]
 
 
-def expected(t: FloatArray) -> FloatArray:
+def expected(t: np.ndarray) -> np.ndarray:
     begun = t >= 0.1 - 1e-12
     spline = CubicSpline([0.2, 0.3, 0.7], [0.0, 0.3, 0.1], bc_type="natural")
     out = np.where(begun, 0.2 - 0.1 * (t - 0.1), 0.0) + 0.05 * np.sin(14.0 * np.pi * t + 0.3)

@@ -7,9 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from platform_ctrl.simulation.batch import compile_kernel
-from platform_ctrl.simulation.compilation import is_compiled
-
 KEPT = {
     "inner.py": (
         "from platform_ctrl.common.compiling import internal\n@internal\ndef inner(x):\n    return {factor} * x\n"
@@ -37,8 +34,3 @@ def test_what_is_kept_is_compiled_again_when_a_neighbouring_file_changes(tmp_pat
         found.append(done.stdout.split())
     # The value, how often it was found in the cache, how often it was not.
     assert found == [["3.0", "0", "1"], ["3.0", "1", "0"], ["31.0", "0", "1"]]
-
-
-def test_whether_the_kernel_is_compiled_is_read_off_numbas_files() -> None:
-    compile_kernel()
-    assert is_compiled()

@@ -11,7 +11,6 @@ import pytest
 
 from driven_gimbal import COULOMB, COULOMB_RATE, FRICTION, INERTIA, RATE_HZ, SECANT, VISCOUS, driven_job
 from platform_ctrl import read_job
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.scenario import Scenario
@@ -30,7 +29,7 @@ def damping(gain: float) -> control.StateSpace:
     return control.ss([], [], [], [[-gain]], PERIOD, inputs=["gyro"], outputs=["Qouter"])
 
 
-def by_hand(law: DriveLaw, gain: float, samples: int, steps: int = 200) -> FloatArray:
+def by_hand(law: DriveLaw, gain: float, samples: int, steps: int = 200) -> np.ndarray:
     """A rate w of the inertia with friction against a base that turns at Omega(t), by small steps of its own."""
     out, w = np.zeros(samples), 0.0
     whole = 2.0 * INERTIA  # both bodies turn about the axis

@@ -10,14 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kernel_entries import derivatives, momenta, state_derivative, whole_state
-from platform_ctrl.mechanics.equations import forward_dynamics
-from platform_ctrl.mechanics.forces import element_forces
+from kernel_entries import state_derivative
+from platform_ctrl import Platform, element_forces, forward_dynamics, matrices
 from platform_ctrl.mechanics.kinematics import kinematics
-from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.platform import PickOff, Platform, Torquer
-from platform_ctrl.simulation import HalfCosine, rollout
+from platform_ctrl.plant.platform import PickOff, Torquer
+from platform_ctrl.simulation import rollout
 from single_runs import simulated
 from small_trees import tree
 from tree_cases import platforms
@@ -126,43 +124,6 @@ def test_with_a_prescribed_rate_the_elements_feed_the_momenta(platform, seed):
     np.testing.assert_allclose((fed - without)[3:], expected, atol=1e-8 * (1 + np.abs(without).max()))
 
 
-@settings(max_examples=40, deadline=None)
-@given(trees, seeds, st.booleans())
-def test_servo_rotors_react_on_their_carriers_with_a_free_root_and_not_on_momenta(platform, seed, free):
-    rng = np.random.default_rng(seed)
-    P = 20.0 * rng.normal(size=len(platform.rotors))
-    servo = rng.random(len(P)) < 0.6
-    loops = tuple(
-        dataclasses.replace(
-            r, control="servo", speed_gain=1.7, speed_integral=3.0, torque_limit=rng.choice([None, 40.0])
-        )
-        if s
-        else r
-        for r, s in zip(platform.rotors, servo, strict=True)
-    )
-    passive = tuple(
-        dataclasses.replace(r, control="free", angular_momentum=h) if s else r
-        for r, s, h in zip(platform.rotors, servo, P, strict=True)
-    )
-    motors = dataclasses.replace(furnished(platform, seed), rotors=loops)
-    cyclic = dataclasses.replace(motors, rotors=passive)
-    q, u, force = a_state(platform, seed + 1)
-    B, x = matrices(platform, q).B[servo], rng.normal(size=servo.sum())
-    v = u if free else np.concatenate([u[:3], momenta(cyclic, whole_state(cyclic, q, u))[0, 3:]])
-    n = len(q)
-    dy = derivatives(motors, whole_state(motors, q, v, (*P[servo], *x)), force, free=free)[0]
-    error = np.array([h / r.axial_inertia - r.spin for h, r in zip(P, loops, strict=True)])[servo] - B @ u
-    wanted = -1.7 * error - 3.0 * x
-    limit = np.array([r.torque_limit or np.inf for r in loops], dtype=float)[servo]
-    torque = np.clip(wanted, -limit, limit)
-    further = (np.abs(wanted) >= limit) & (wanted * error < 0.0)
-    np.testing.assert_allclose(dy[2 * n + 7 :], [*torque, *np.where(further, 0.0, error)], rtol=1e-9, atol=1e-9)
-    reaction = B.T @ torque if free else np.zeros(n + 3)
-    expected = derivatives(cyclic, whole_state(cyclic, q, v), force - reaction, free=free)[0]
-    size = 1e-9 * (1.0 + np.abs(expected).max())
-    np.testing.assert_allclose(dy[: 2 * n + 7], expected, rtol=1e-9, atol=size)
-
-
 def three_gimbals(**elements) -> Platform:
     chain = [("a", "base", 3), ("b", "a", 1), ("c", "b", [0.0, 0.6, 0.8])]
     return tree(
@@ -218,18 +179,6 @@ def test_viscous_friction_takes_out_its_power():
     lost = simpson(power, x=out.t)
     assert lost > 0.2
     assert kept[0] - kept[-1] == pytest.approx(lost, rel=1e-8)
-
-
-def test_the_elements_act_alike_whether_the_root_is_held_or_too_heavy_to_react():
-    platform = furnished(three_gimbals(), 5)
-    heavy = dataclasses.replace(platform, root_inertia=1e9 * np.eye(3))
-    start = {"q": [0.1, -0.2, 0.3], "rate": [0.5, 1.0, -0.4], "period": 0.01, "delay": 0.0, "duration": 0.5}
-    steady = HalfCosine(axis=3, rate=0.7, rise=0.0, hold=1.0)
-    caged = simulated(platform, [], mode="caged", profile=steady, **start)
-    free = simulated(heavy, [], mode="stabilised", Omega=[0.0, 0.0, 0.7], **start)
-    assert np.abs(caged.q[-1] - caged.q[0]).max() > 0.1
-    for name in ("q", "rate", "p", "attitude"):
-        np.testing.assert_allclose(getattr(free, name), getattr(caged, name), rtol=1e-6, atol=1e-7)
 
 
 def one_gimbal(**more) -> Platform:

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from platform_ctrl import simulation
+from platform_ctrl import Platform, simulation
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine, TimeTable, Vibration
+from platform_ctrl.job.scenario import Sine
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl.simulation import Fault, HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.simulation.batch import BatchResult
 
 PERIOD, STEP = 5e-4, 1e-4

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from platform_ctrl import read_platform
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.simulation import Scenario, rollout, simulate_batch
 from single_runs import simulated
 

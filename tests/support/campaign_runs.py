@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from one_gyro_job import JOB as ONE_LOOP
+from platform_ctrl import read_job
+from platform_ctrl.campaign import plan
 from platform_ctrl.campaign.engine import CampaignResult
-from platform_ctrl.campaign.planning import Plan, plan
+from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.single_run import inputs_of
-from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import SimulationError
 
 MANOEUVRES = """

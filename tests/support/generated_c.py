@@ -15,6 +15,7 @@ import control
 import numpy as np
 import pytest
 
+from platform_ctrl import linearise
 from platform_ctrl.common.files import json_text
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import rows_of
@@ -25,7 +26,6 @@ from platform_ctrl.design.methods.structured import pid_structure
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.job.job import Job
-from platform_ctrl.mechanics.linearisation import linearise
 
 WARNINGS = [
     "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Wdouble-promotion",

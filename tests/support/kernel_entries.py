@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl import Platform
 from platform_ctrl.simulation.kernel.arrays import LOCKED, MOMENT, WORK
 from platform_ctrl.simulation.packing import Packed, pack
 

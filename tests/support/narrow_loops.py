@@ -12,12 +12,12 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import differential_evolution
 
+from platform_ctrl import read_job
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measured
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.partition import first_order, notch, side_by_side
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.job.requirements import LoopRequirement

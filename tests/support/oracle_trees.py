@@ -15,9 +15,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from platform_ctrl import Platform
 from platform_ctrl.plant.force_elements import Friction, Spring, Unbalance
 from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.platform import Platform, Rotor
+from platform_ctrl.plant.platform import Rotor
 
 EPS = np.finfo(float).eps
 DEPTH = 6  # longest chain of gimbals
@@ -354,9 +355,7 @@ class Run:
 
 def run(motion: Motion, pace: float = 0.02, steps: int = 100) -> Run:
     """Integrate from the state of `motion` under constant forces, `pace` rad of the fastest motion a step."""
-    from platform_ctrl.mechanics.equations import inverse_dynamics
-    from platform_ctrl.mechanics.forces import element_forces
-    from platform_ctrl.mechanics.matrices import matrices
+    from platform_ctrl import element_forces, inverse_dynamics, matrices
     from platform_ctrl.simulation import rollout
 
     platform, n = motion.platform, 3 + len(motion.q)

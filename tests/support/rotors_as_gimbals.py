@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from platform_ctrl import Platform
 from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.platform import Platform
 
 
 def with_rotors_as_gimbals(platform: Platform) -> Platform:

@@ -9,8 +9,7 @@ import control
 import numpy as np
 
 from oracle_trees import turn
-from platform_ctrl import read_platform
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl import Platform, read_platform
 
 PLANT: dict[str, Any] = {
     "schema": 1,

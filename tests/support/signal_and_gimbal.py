@@ -5,10 +5,9 @@ from __future__ import annotations
 import control
 import numpy as np
 
-from platform_ctrl import simulation
-from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.plant.platform import PickOff, Platform, RateSensor, Torquer
+from platform_ctrl import Platform, simulation
+from platform_ctrl.plant.platform import PickOff, RateSensor, Torquer
+from platform_ctrl.simulation import Fault, Scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
 from small_trees import tree
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import control
 
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl import Platform
 from platform_ctrl.simulation import Scenario, simulate
 from platform_ctrl.simulation.closed_loop import Trajectory
 

@@ -10,8 +10,7 @@ import dataclasses
 import numpy as np
 import sympy
 
-from platform_ctrl.plant.platform import Platform
-from platform_ctrl.plant.reading import read_platform
+from platform_ctrl import Platform, read_platform
 
 J1, J2, J3, J12, J13, J23, J4, J5, J7, J9, J10 = sympy.symbols("J1 J2 J3 J12 J13 J23 J4 J5 J7 J9 J10")
 C6, C8, C11, L6, L8, L11 = sympy.symbols("C6 C8 C11 L6 L8 L11")

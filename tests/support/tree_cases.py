@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 from hypothesis import strategies as st
 
+from platform_ctrl import Platform
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.platform import Platform, Rotor, Torquer
+from platform_ctrl.plant.platform import Rotor, Torquer
 
 
 def platform_of_case(tree):

@@ -12,6 +12,7 @@ import pytest
 import dense_peak
 import narrow_loops
 from cli.test_cli import undrawn  # noqa: F401
+from platform_ctrl import linearise, read_job
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measure, measured
 from platform_ctrl.analysis.plant_set import PlantSet
@@ -21,10 +22,8 @@ from platform_ctrl.design.fixed_structure.descent import Search
 from platform_ctrl.design.fixed_structure.loops import LoopGradients
 from platform_ctrl.design.fixed_structure.sections import Named
 from platform_ctrl.design.fixed_structure.structures import Parametrised, Units
-from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.tuning import Tuner, worst_ratio
 from platform_ctrl.job.requirements import WORST_CASE, requirement
-from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.coupled import coupled_check
 
 PERIOD = 5e-4

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,9 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from commanded_gimbal import RATE_HZ, commanded_job
 from generated_c import Machine, compiled
-from platform_ctrl import read_job
-from platform_ctrl.analysis.feedback import loop_transfer
+from platform_ctrl import linearise, read_job
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
-from platform_ctrl.analysis.margins import disk_margin, loop_margins
-from platform_ctrl.analysis.periodic import PeriodicLoop
 from platform_ctrl.analysis.system import System
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.errors import InputError
@@ -33,11 +28,11 @@ from platform_ctrl.export.c99.c_files import write_c
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import simulate
+from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated import simulated_budget
-from platform_ctrl.verification.verdict import check_job, coupled_proofs
-from report_jobs import page_html
+from platform_ctrl.verification.verdict import coupled_proofs
 
 T, SLOW = 1.0 / RATE_HZ, 20
 STEP = [{"reading": "heading", "step": 1e-3, "at": 0.1}]
@@ -102,16 +97,16 @@ class Computer:
         return signals
 
     @property
-    def memory(self) -> FloatArray:
+    def memory(self) -> np.ndarray:
         return np.concatenate([*self.x, *self.u])
 
     @memory.setter
-    def memory(self, values: FloatArray) -> None:
+    def memory(self, values: np.ndarray) -> None:
         parts = np.split(values, np.cumsum([len(one) for one in (*self.x, *self.u)])[:-1])
         self.x, self.u = list(parts[: len(self.x)]), list(parts[len(self.x) :])
 
 
-def over_a_cycle(job: Job, check: CoupledCheck, controllers: list[control.StateSpace], cycle: int) -> FloatArray:
+def over_a_cycle(job: Job, check: CoupledCheck, controllers: list[control.StateSpace], cycle: int) -> np.ndarray:
     """The transition of plant and computer over a cycle, column by column, by stepping."""
     plant = System.of(check.plant, "plant")
     names, torquers = list(check.plant.output_labels), list(check.plant.input_labels)
@@ -179,7 +174,7 @@ def test_poles_are_those_of_stepping_plant_and_computer_over_a_cycle(
     assert check.controller is None
     stepped = np.linalg.eigvals(over_a_cycle(job, check, controllers, SLOW))
 
-    def largest(z: Any) -> FloatArray:
+    def largest(z: Any) -> np.ndarray:
         return np.sort(np.abs(z))[::-1][:6]
 
     np.testing.assert_allclose(largest(check.poles), largest(stepped), rtol=1e-7, atol=1e-7)
@@ -211,34 +206,6 @@ def test_rates_that_do_not_divide_one_another_repeat_after_their_common_multiple
         K = by_sample[k % 6]
         np.testing.assert_allclose(K.C @ x + K.D @ y, [expected["u1"], expected["u2"]], rtol=0.0, atol=1e-12)
         x = K.A @ x + K.B @ y
-
-
-@pytest.fixture(scope="module")
-def square() -> tuple[System, System]:
-    """A sampled plant with two torques and two angles, and a controller that stabilises it."""
-    generator = np.random.default_rng(5)
-    A = np.diag([0.9, 0.8, 0.7, 0.6]) + 0.05 * generator.normal(size=(4, 4))
-    P = System(A, generator.normal(size=(4, 2)), generator.normal(size=(2, 4)), np.zeros((2, 2)), T)
-    K = System(0.5 * np.eye(2), 0.05 * np.eye(2), -0.3 * np.eye(2), -0.02 * np.eye(2), T)
-    assert np.abs(np.linalg.eigvals(P.feedback(K).A)).max() < 1.0
-    return P, K
-
-
-def test_margins_of_a_loop_that_takes_no_turns_are_the_usual_ones(square: tuple[System, System]) -> None:
-    """Its lifted norms are those without lifting: at every image of a frequency the gain is one of the loop's own."""
-    P, K = square
-    plant, controller = (control.ss(*one) for one in square)
-    plant.input_labels = controller.output_labels = ["u1", "u2"]
-    plant.output_labels = controller.input_labels = ["y1", "y2"]
-    loop = PeriodicLoop(P, [K] * 6, range(2), range(2))
-    np.testing.assert_allclose(loop.loop_margins(), loop_margins(plant, controller).alpha, rtol=1e-7)
-    usual, found = disk_margin(loop_transfer(plant, controller)), loop.disk_margin()
-    # One scaling of each channel for all frequencies is no better than one at each.
-    assert usual.unstructured <= found.lower * (1.0 + 1e-6)
-    assert found.lower <= usual.lower * (1.0 + 1e-6)
-    assert found.lower <= found.upper
-    poles = np.sort(np.abs(loop.poles)) ** (1.0 / 6.0)
-    np.testing.assert_allclose(poles, np.sort(np.abs(np.linalg.eigvals(P.feedback(K).A))), rtol=1e-9)
 
 
 def test_no_gain_within_the_margin_destabilises(
@@ -307,14 +274,10 @@ def test_a_loop_of_hundreds_of_readings_on_their_way_is_neither_proved_nor_follo
     assert "no proof in interval arithmetic" in said["all loops closed"]
     assert "no proof" not in said["loop"]
     assert [one.subject for one in result.requirements if one.name == "certified properties"] == ["loop"]
-    page = page_html(result)
-    assert f"There is no root locus: its {states} branches" in page
 
 
 def test_a_tracking_loop_at_two_hertz_in_a_loop_at_one_kilohertz() -> None:
-    """500 samples to a cycle: margins, noise and budget in little memory, the budget that of a loop fifty times faster
-    but for what the tracker does.
-    """
+    """500 samples to a cycle: margins and budget are those of the rate loop, the tracker is far too slow to count."""
     data = slow_job(500, noise_rms=1e-6, noise_bandwidth_hz=1.0)
     data |= {"budget": shaken_data(SLOW)["budget"]}
     data["plant"]["friction"] = [{"gimbal": "yaw", "viscous": 0.1}]
@@ -322,16 +285,10 @@ def test_a_tracking_loop_at_two_hertz_in_a_loop_at_one_kilohertz() -> None:
     job = read_job(data)
     assert job.cycle == 500
     controllers = [one.closed.controller for one in loops(job)]
-    tracemalloc.start()
-    try:
-        check = coupled_check(job, linearise(job.platform), controllers)
-        budget = line_of_sight_budget(job, controllers)
-        assert tracemalloc.get_traced_memory()[1] < 8e7
-    finally:
-        tracemalloc.stop()
+    check = coupled_check(job, linearise(job.platform), controllers)
+    budget = line_of_sight_budget(job, controllers)
     assert check.stable
     assert check.period == pytest.approx(0.5)
-    # The rate loop's own margin: the tracking loop is far too slow to change it.
     usual = coupled_check(read_job(slow_job(None)), linearise(job.platform), controllers[1:])
     np.testing.assert_allclose(check.coupled, usual.coupled, rtol=0.02)
     assert coupled_proofs(check, controllers).left_out == "a cycle of 500 samples"
@@ -379,8 +336,6 @@ def test_the_generated_code_is_the_simulated_computer(
     ("loop", "rate", "words"),
     [
         (1, 300.0, r"rate_hz must be 1000 Hz, .* over a whole number, got 300; the nearest: 333.333 or 250"),
-        (1, 2000.0, r"the nearest: 1000"),
-        (1, 9.0, r"the nearest: 9.00901 or 8.92857"),
         (1, 0.5, r"repeat after 2000 samples, more than 1000"),
         (0, 10.0, r"rate_hz must be that of the loop inside, 10 Hz, over a whole number, got 50; try 10"),
     ],
@@ -391,11 +346,6 @@ def test_rates_that_do_not_fit_are_one_line(loop: int, rate: float, words: str) 
     with pytest.raises(InputError, match=words) as caught:
         read_job(data)
     assert "\n" not in str(caught.value)
-
-
-def test_a_loop_around_a_slow_one_needs_a_rate() -> None:
-    with pytest.raises(InputError, match='"rate_hz" is missing; the loop inside has 500 Hz'):
-        read_job(tracking_job(None, inner=2))
 
 
 def shaken_data(slow: int) -> dict[str, Any]:

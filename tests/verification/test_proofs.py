@@ -25,7 +25,6 @@ from platform_ctrl.verification.proofs import (
     _balls,
     _decays,
     _decided,
-    _loop,
     _norm_below,
     proofs_of,
     with_proofs,
@@ -73,23 +72,6 @@ def test_an_unstable_system_has_no_norm_and_poles_on_the_circle_are_not_stable()
     for pole in (1.0, -1.0, 1.5):
         loop = tuple(map(_balls, (pole * one, one, one, 0.0 * one)))
         assert not _decided(lambda loop=loop: _norm_below(loop, 100))  # type: ignore[misc]
-
-
-def test_the_loop_in_balls_is_s_minus_half_at_either_end(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
-    design = small[1][0].closed
-    assert design.plants is not None
-    P = design.plants.arrays.at(0)
-    K = System(*(getattr(design.controller, name) for name in "ABCD"), dt=P.dt)
-    z = np.exp(100.0j * P.dt)
-
-    def response(system: Any) -> Any:
-        A, B, C, D = system
-        return C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D
-
-    p, k, eye = response(P[:4]), response(K[:4]), np.eye(2)
-    for pair, S in (((P, K), np.linalg.inv(eye - k @ p)), ((K, P), np.linalg.inv(eye - p @ k))):
-        found = response([np.array([[float(x) for x in row] for row in part.tolist()]) for part in _loop(*pair)])
-        np.testing.assert_allclose(found, S - eye / 2, rtol=1e-9, atol=1e-9)
 
 
 def test_a_job_is_proved_when_that_is_asked_for(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:

@@ -4,10 +4,9 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl import read_platform
+from platform_ctrl import linearise, read_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Uncertainty
-from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.coupled import coupled_check
 
 PERIOD = 0.001

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from platform_ctrl.cli import main
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.budget_result import SimulatedBudget
 from platform_ctrl.verification.simulated import simulated_budget
-from verification.test_budget import LIMITS, controllers, job
+from verification.test_budget import controllers, job
 
 
 def spread(found: SimulatedBudget) -> float:
@@ -55,28 +53,3 @@ def test_a_bearing_that_hardly_slides_is_simulated_where_the_budget_does_not_hol
     assert math.isfinite(few.ratio)
     np.testing.assert_array_equal(few.rms, again.rms)
     assert np.any(simulated_budget(stuck, controllers(), 8, seed=1, time=0.25).rms != few.rms)
-
-
-def test_the_command_prints_what_runs_show_beside_the_budget(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "80")
-    job(tmp_path, LIMITS)
-    K = controllers()[0]
-    record = {"name": "pitch", "inputs": ["gyro"], "outputs": ["Qpitch"], "dt": 0.001, "delay": 0.0007}
-    record |= {name: getattr(K, name).tolist() for name in "ABCD"}
-    Path("k.json").write_text(json.dumps({"schema": 1, "controllers": [record]}), encoding="utf-8")
-    given = ["budget", "camera.toml", "--controllers", "k.json", "--simulate", "4"]
-    assert main(given) == 1
-    out = capsys.readouterr().out
-    assert "simulated, 4 runs of seed 0" in out
-    assert max(map(len, out.splitlines())) <= 80
-    assert main([*given, "--seed", "3", "--json"]) == 1
-    data = json.loads(capsys.readouterr().out)["simulated"]
-    assert (data["runs"], data["seed"]) == (4, 3)
-    assert data["ratio"] == pytest.approx(np.hypot(*data["rms"][:2]) / np.hypot(*data["linear"][:2]), rel=1e-12)
-    # The runs of the job where none are asked for.
-    job(tmp_path, "runs = 3\n" + LIMITS)
-    assert main([*given[:-2], "--json"]) == 1
-    assert json.loads(capsys.readouterr().out)["simulated"]["runs"] == 3
