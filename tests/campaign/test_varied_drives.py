@@ -10,7 +10,6 @@ from platform_ctrl.campaign import plan
 from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.campaign.store import identity
 from platform_ctrl.common.values import replaced
-from platform_ctrl.design.methods import read_job
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation import simulate_batch
 

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from generated_c import classical_entry, designed_entry, pid_entry, state_space
-from platform_ctrl import simulation
-from platform_ctrl.design.methods import read_job
+from platform_ctrl import read_job, simulation
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
 

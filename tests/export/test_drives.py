@@ -15,7 +15,8 @@ from driven_gimbal import FRICTION, RATE_HZ, SECANT, driven_job
 from generated_c import Machine, compiled
 from platform_ctrl import read_job
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.c99.c_files import Written, write_c
+from platform_ctrl.export import write_c
+from platform_ctrl.export.c99.c_files import Written
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation import simulate
 

@@ -21,7 +21,6 @@ from platform_ctrl import design, read_job, shipped_models, simulation
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
 from platform_ctrl.job.job import Faults, Job, Uncertainty, manoeuvre_scenario
-from platform_ctrl.plant.source import shipped_models
 from single_runs import simulated
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from job.test_reading_job import job
 from plant.test_reading_plant import JUNK, mutate, outcome, refusal
-from platform_ctrl.design.methods import read_job
+from platform_ctrl import read_job
 from platform_ctrl.job.faults import FAULT_KINDS
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.reading import job_data

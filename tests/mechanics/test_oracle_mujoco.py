@@ -26,10 +26,8 @@ from oracle_trees import (
     sprung,
     unbalanced,
 )
-from platform_ctrl.mechanics.equations import inverse_dynamics, rotor_momenta
-from platform_ctrl.mechanics.forces import element_forces
-from platform_ctrl.mechanics.matrices import matrices
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl import Platform, element_forces, inverse_dynamics, matrices
+from platform_ctrl.mechanics.equations import rotor_momenta
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
 

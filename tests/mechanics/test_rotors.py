@@ -5,14 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.mechanics.equations import (
-    inverse_dynamics,
-    rotor_momenta,
-    with_free_rotors,
-    with_regulated_rotors,
-)
-from platform_ctrl.mechanics.matrices import matrices
-from platform_ctrl.plant.reading import read_platform
+from platform_ctrl import inverse_dynamics, matrices, read_platform, with_free_rotors, with_regulated_rotors
+from platform_ctrl.mechanics.equations import rotor_momenta
 from rotors_as_gimbals import with_rotors_as_gimbals
 from tree_cases import platforms, state
 

@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import three_gyro_paper
-from platform_ctrl.mechanics.equations import inverse_dynamics, rotor_momenta
+from platform_ctrl import inverse_dynamics, linearise, matrices
+from platform_ctrl.mechanics.equations import rotor_momenta
 from platform_ctrl.mechanics.kinematics import kinematics, topology
-from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.matrices import matrices
 from rotors_as_gimbals import with_rotors_as_gimbals
 from small_trees import tree
 from three_gyro_energy import (

@@ -15,9 +15,7 @@ from hypothesis import strategies as st
 import platform_ctrl as pc
 from platform_ctrl import platform_source, with_free_rotors
 from platform_ctrl.errors import MechanicsError
-from platform_ctrl.mechanics.equations import with_free_rotors
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.plant.source import platform_source
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = sorted(file.stem for file in (ROOT / "models").glob("*.toml"))

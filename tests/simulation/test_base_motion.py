@@ -13,10 +13,8 @@ from platform_ctrl import Platform, design, element_forces, read_job, read_platf
 from platform_ctrl.campaign.single_run import metric_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import manoeuvre_scenario
-from platform_ctrl.job.scenario import Scenario, Sine, Vibration
-from platform_ctrl.mechanics.forces import element_forces
-from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation import simulate, simulate_batch
+from platform_ctrl.job.scenario import Sine
+from platform_ctrl.simulation import Scenario, Vibration, simulate, simulate_batch
 from platform_ctrl.verification.simulated import simulate_manoeuvre
 from sighted_gimbal import FRICTION, GAIN, HZ, JOB, PLANT, damped, sighted
 

@@ -13,8 +13,7 @@ from driven_gimbal import COULOMB, COULOMB_RATE, FRICTION, INERTIA, RATE_HZ, SEC
 from platform_ctrl import read_job
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import manoeuvre_scenario
-from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.simulation import simulate, simulate_batch
+from platform_ctrl.simulation import Scenario, simulate, simulate_batch
 
 PERIOD = 1.0 / RATE_HZ
 TACHO = FRICTION | {"sensors": ["tacho"]}

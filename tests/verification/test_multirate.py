@@ -24,9 +24,8 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.c99.c_files import write_c
+from platform_ctrl.export import write_c
 from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import line_of_sight_budget
