@@ -32,7 +32,7 @@ KINDS = {
     "stabilised-platform": "three_gyro_platform",
     "control-moment-gyro": "control_moment_gyro",
 }
-_PLANT = re.compile(r'^plant = "(\w+)(\.toml)?" *', re.MULTILINE)
+_PLANT = re.compile(r'^plant = "(\w+)(\.toml)?"', re.MULTILINE)
 
 
 def new(
@@ -93,7 +93,7 @@ def _copied(example: str, title: str) -> tuple[str, str]:
     found = _PLANT.search(job)
     assert found is not None, example
     plant = example_source(found[1]) if found[2] else platform_source(found[1])
-    job = _PLANT.sub(f'plant = "{title}_plant.toml" ', job, count=1)
+    job = _PLANT.sub(f'plant = "{title}_plant.toml"', job, count=1)
     job = re.sub(r'^name = ".*?"', f'name = "{title}"', job, count=1, flags=re.MULTILINE)
     return tuple(  # type: ignore[return-value]
         re.sub(rf"(examples/)?\b{example}(_plant)?\.toml", rf"{title}\2.toml", text) for text in (plant, job)
