@@ -241,7 +241,7 @@ def scaled_error(platform: pc.Platform, q: np.ndarray, found: np.ndarray, expect
     return float(np.linalg.norm((found - expected) * scale) / max(size, 1e-9))
 
 
-@for_all(st.tuples(motions_drawn(min_size=1e-3), st.booleans()), quick=12, long=500)
+@for_all(st.tuples(motions_drawn(min_size=1e-3), st.booleans()), 12)
 def test_any_tree_accelerates_as_its_plant_there_and_when_it_is_back(drawn):
     """Springs, dampers, unbalance; regulated and free rotors; chains and bushes drawn together or apart."""
     motion, heavy = drawn

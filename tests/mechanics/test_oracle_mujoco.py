@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
 from oracle_trees import (
     EPS,
@@ -19,10 +16,7 @@ from oracle_trees import (
     moments_carried,
     motions,
     rotation,
-    rotation_vector,
     rounding,
-    run,
-    solved,
     sprung,
     unbalanced,
 )
@@ -82,7 +76,7 @@ def inverse(tree: MujocoTree, acceleration: np.ndarray) -> np.ndarray:
     return tree.data.qfrc_inverse.copy()
 
 
-@for_all(motions(controls=("regulated", "free", "servo")), quick=60)
+@for_all(motions(controls=("regulated", "free", "servo")), 60)
 def test_inverse_dynamics_is_that_of_bodies_with_rotors_held_or_free(motion):
     bodies = as_bodies(motion)
     ours = inverse_dynamics(motion.platform, motion.q, motion.velocity, motion.acceleration)
@@ -90,7 +84,7 @@ def test_inverse_dynamics_is_that_of_bodies_with_rotors_held_or_free(motion):
     agree("[M, Q]", ours, bodies.rows, FEW * size.torque[: len(ours)])
 
 
-@for_all(motions(), quick=30)
+@for_all(motions(), 30)
 def test_both_mass_matrices_are_composites_of_bodies(motion):
     """Of locked rotors A*; of all bodies A + BᵀA_R B with A_R B beside it, and Schur takes the free rotors out."""
     platform, n = motion.platform, 3 + len(motion.q)
@@ -111,7 +105,7 @@ def test_both_mass_matrices_are_composites_of_bodies(motion):
     agree("A* by elimination", m.A_star, without_free, allowed[:n, :n])
 
 
-@for_all(motions(controls=("regulated", "servo")), quick=30)
+@for_all(motions(controls=("regulated", "servo")), 30)
 def test_gyroscopic_and_coriolis_terms_are_the_bias_of_bodies(motion):
     still = dataclasses.replace(motion, acceleration=0.0 * motion.acceleration)
     bodies = as_bodies(still)
@@ -122,7 +116,7 @@ def test_gyroscopic_and_coriolis_terms_are_the_bias_of_bodies(motion):
     agree("G u", ours, bias, FEW * rounding(still, bodies.spin).torque[: len(ours)])
 
 
-@for_all(motions(), quick=30)
+@for_all(motions(), 30)
 def test_energy_and_angular_momentum_are_those_of_all_bodies(motion):
     platform, u = motion.platform, motion.velocity
     bodies = as_bodies(motion)
@@ -138,7 +132,7 @@ def test_energy_and_angular_momentum_are_those_of_all_bodies(motion):
     agree("H", momentum, data.subtree_angmom[1], FEW * size.momentum)
 
 
-@for_all(motions(), quick=40)
+@for_all(motions(), 40)
 def test_springs_friction_and_unbalance_are_passive_forces_and_gravity(motion):
     platform, masses, offsets, gravity = unbalanced(sprung(motion))
     bodies = as_bodies(motion, masses=masses, offsets=offsets, gravity=gravity, elements=platform)
@@ -152,64 +146,3 @@ def test_springs_friction_and_unbalance_are_passive_forces_and_gravity(motion):
         size[3 + k] += abs(spring.stiffness) * (abs(motion.q[k]) + abs(spring.rest))
         size[3 + k] += friction.viscous * abs(motion.velocity[3 + k])
     agree("[M, Q]", ours - forces, bodies.rows, FEW * size)
-
-
-@contextmanager
-def held(tree: MujocoTree, places: np.ndarray) -> Iterator[None]:
-    """Give the hinges at `places` the torques that leave them without acceleration, at every stage of every step."""
-    others = np.setdiff1d(np.arange(tree.size), places)
-
-    def drive(model, data) -> None:
-        mass = np.zeros((tree.size, tree.size))
-        mujoco.mj_fullM(model, data, mass)
-        force = data.qfrc_passive + data.qfrc_applied - data.qfrc_bias
-        own = mass[np.ix_(others, others)]
-        scale = 1.0 / np.sqrt(np.diag(own))
-        change = scale * np.linalg.solve(scale[:, None] * own * scale, scale * force[others])
-        data.qfrc_applied[places] += mass[np.ix_(places, others)] @ change - force[places]
-
-    try:
-        if len(places):
-            mujoco.set_mjcb_control(drive)
-        yield
-    finally:
-        mujoco.set_mjcb_control(None)
-
-
-def drift(motion: Motion, bodies: Bodies) -> np.ndarray:
-    """What rounding does to u̇ of all bodies, (3 + n,): a held rotor's inertia and its drive cancel each other there."""
-    tree, n = bodies.tree, 3 + len(motion.q)
-    places = np.concatenate([tree.platform_places, tree.rotors])
-    whole = whole_mass_matrix(tree)[np.ix_(places, places)]
-    mujoco.mj_forward(tree.model, tree.data)
-    change = tree.data.qacc[places]
-    size = rounding(dataclasses.replace(motion, acceleration=change[:n]), bodies.spin, change[n:])
-    away, scale = solved(whole, size.torque, size.mass, change), np.sqrt(np.diag(whole))
-    return (np.linalg.norm(away * scale) / scale)[:n]
-
-
-@for_all(st.one_of(motions(), motions(min_size=0.1)), quick=10)
-def test_runs_are_those_of_bodies_by_mujocos_own_integrator(motion):
-    """RK4 as ours, over the same steps; its own error shows with steps twice as long. Springs and friction act."""
-    motion = dataclasses.replace(motion, platform=sprung(motion).platform)
-    ours = run(motion)
-    ends = []
-    for step, steps in ((ours.step, ours.steps), (2 * ours.step, ours.steps // 2)):
-        bodies = as_bodies(motion, elements=motion.platform)
-        tree = bodies.tree
-        tree.model.opt.timestep = step
-        tree.data.qfrc_applied[:] = tree.vector(ours.force)
-        with held(tree, tree.rotors[~free(motion.platform)]):
-            away = FEW * drift(motion, bodies) * step * steps
-            for _ in range(steps):
-                # What mj_step does, without its alarm at 1e10 rad/s².
-                mujoco.mj_forward(tree.model, tree.data)
-                mujoco.mj_RungeKutta(tree.model, tree.data, 4)
-        turned = rotation(tree.data.qpos[:4] / np.linalg.norm(tree.data.qpos[:4]))
-        ends.append((tree.data.qpos[1 + tree.gimbals], tree.data.qvel[tree.platform_places], turned))
-    (q, velocity, turned), (q_coarse, velocity_coarse, turned_coarse) = ends
-    duration = ours.step * ours.steps
-    agree("q", ours.q, q, ours.q_error + np.linalg.norm(q - q_coarse) + away[3:] * duration)
-    agree("u", ours.velocity, velocity, ours.velocity_error + np.linalg.norm(velocity - velocity_coarse) + away)
-    turn = np.linalg.norm(rotation_vector(turned @ turned_coarse.T)) + np.linalg.norm(away[:3]) * duration
-    agree("attitude", rotation_vector(ours.turned @ turned.T), 0.0, ours.turn_error + turn)

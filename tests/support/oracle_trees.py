@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from platform_ctrl import Platform
 from platform_ctrl.plant.force_elements import Friction, Spring, Unbalance
@@ -37,32 +37,22 @@ class Motion:
     rng: np.random.Generator
 
 
-def for_all(strategy: st.SearchStrategy[Any], quick: int, long: int = 1000) -> Callable[..., Any]:
-    """Turn a statement about one drawn value into a test of `quick` examples and a slow one of `long` examples."""
-
-    def decorate(statement: Callable[[Any], None]) -> Callable[[int], None]:
-        @pytest.mark.parametrize("examples", [quick, pytest.param(long, marks=pytest.mark.slow)])
-        def test(examples: int) -> None:
-            effort = settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck))
-            effort(given(strategy)(statement))()
-
-        test.__name__, test.__doc__ = statement.__name__, statement.__doc__
-        return test
-
-    return decorate
+def for_all(strategy: st.SearchStrategy[Any], examples: int) -> Callable[..., Any]:
+    """Turn a statement about one drawn value into a test of so many examples."""
+    effort = settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck))
+    return lambda statement: effort(given(strategy)(statement))
 
 
 def turn(axis: np.ndarray, angle: float) -> np.ndarray:
     """Return the rotation about a unit axis, (3, 3)."""
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    matrix: np.ndarray = Rotation.from_rotvec(np.asarray(axis) * angle).as_matrix()
+    return matrix
 
 
 def rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Return the rotation of a unit quaternion w, x, y, z, (3, 3)."""
-    w, v = quaternion[0], quaternion[1:]
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + 2 * (w * cross + cross @ cross)
+    """Return the rotation of a quaternion w, x, y, z, (3, 3)."""
+    matrix: np.ndarray = Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
+    return matrix
 
 
 @st.composite
@@ -317,124 +307,6 @@ def rounding(motion: Motion, spin: np.ndarray | None = None, spin_acceleration: 
     )
 
 
-def solved(mass: np.ndarray, torque: np.ndarray, mass_size: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """First-order bound of u̇ = M⁻¹ f, by eps: `torque` is uncertain in f, `mass_size` in M, `change` is |u̇|.
-
-    A solver that scales M to a unit diagonal errs by eps √(M_ii M_jj) at any i, j.
-    """
-    diagonal = np.sqrt(np.diag(mass))
-    return np.abs(np.linalg.inv(mass)) @ (torque + (mass_size + np.outer(diagonal, diagonal)) @ np.abs(change))
-
-
-@dataclass(frozen=True)
-class Run:
-    """The end of a run of the package's own integrator, and how far an exact one may be away.
-
-    Attributes
-    ----------
-    q, velocity, turned
-        Angles, [Omega, q̇], root axes to inertial axes (3, 3) after `steps` of `step` s.
-    force : (3 + n,)
-        [M, Q] all the way.
-    q_error, velocity_error, turn_error
-        Difference to the run with steps twice as long (a fourth-order method is 15 times closer to the truth), and what
-        rounding does to u̇ all the way. Both are measured by the energy that they have in A*: the motion carries errors
-        from one coordinate to others, and those that move little inertia err more.
-    """
-
-    q: np.ndarray
-    velocity: np.ndarray
-    turned: np.ndarray
-    force: np.ndarray
-    step: float
-    steps: int
-    q_error: np.ndarray
-    velocity_error: np.ndarray
-    turn_error: float
-
-
-def run(motion: Motion, pace: float = 0.02, steps: int = 100) -> Run:
-    """Integrate from the state of `motion` under constant forces, `pace` rad of the fastest motion a step."""
-    from platform_ctrl import element_forces, inverse_dynamics, matrices
-    from platform_ctrl.simulation import rollout
-
-    platform, n = motion.platform, 3 + len(motion.q)
-    m = matrices(platform, motion.q, motion.velocity)
-    inertia = m.A_star
-    scale = 1.0 / np.sqrt(np.diag(inertia))
-    values, vectors = np.linalg.eigh(scale[:, None] * inertia * scale)
-    root = scale[:, None] * (vectors / np.sqrt(values)) @ vectors.T  # root @ root.T is the inverse of inertia
-    stiffness, viscous = np.zeros(n), np.zeros(n)
-    for spring in platform.springs:
-        stiffness[3 + platform.gimbal_names.index(spring.gimbal)] += abs(spring.stiffness)
-    for friction in platform.frictions:
-        viscous[3 + platform.gimbal_names.index(friction.gimbal)] += friction.viscous
-
-    def needed(q: np.ndarray) -> np.ndarray:
-        return inverse_dynamics(platform, q, motion.velocity, np.zeros(n)) - element_forces(
-            platform, q, motion.velocity
-        )
-
-    bias, slope = needed(motion.q), np.zeros((n, n))
-    for k in range(n - 3):
-        away = 1e-4 * np.eye(n - 3)[k]
-        slope[:, 3 + k] = (needed(motion.q + away) - needed(motion.q - away)) / 2e-4
-    # Forces as large as what the motion itself calls for.
-    force = np.abs(bias).max() * motion.rng.normal(size=n) * np.minimum(1.0, np.diag(inertia) / np.diag(inertia).max())
-    push = force - bias
-    damping = 2 * m.G_A + m.G_R + m.G_root + np.diag(viscous)
-    rate = np.linalg.norm(motion.velocity) + 1e-9
-    start = root @ (root.T @ push)
-    # From rest the run is to turn nothing by more than 0.1 rad: beside gimbal lock another A* is not far.
-    rate += np.linalg.norm(root.T @ damping @ root, 2) + 5 * np.linalg.norm(start) ** 0.5
-    rate += np.linalg.norm(root.T @ slope @ root, 2) ** 0.5
-    step = pace / rate
-    ends = [
-        rollout(
-            platform,
-            motion.q[None],
-            motion.velocity[None],
-            step=h,
-            steps=k,
-            attitude=motion.attitude[None],
-            force=force[None],
-            threads=1,
-        )
-        for h, k in ((step, steps), (2 * step, steps // 2))
-    ]
-    fine, coarse = ends
-    duration = step * steps
-    fastest = np.abs(motion.velocity) + np.abs(fine.velocity[0])
-    spins = np.array([rotor.spin for rotor in platform.rotors])
-    limits = rounding(replace(motion, velocity=fastest, acceleration=start), spins)
-    torque = limits.torque[:n] + viscous * fastest
-    torque[3:] += stiffness[3:] * (np.abs(motion.q) + np.pi)
-    drift = duration * 30 * EPS * solved(inertia, torque, limits.mass[:n, :n], start)
-    turned = [rotation(end.attitude[0]) for end in ends]
-    turn = rotation_vector(turned[0] @ turned[1].T)
-    size = np.linalg.norm
-    change = np.concatenate([turn, fine.q[0] - coarse.q[0]])
-    q_error = (size(change / scale) + size(duration * drift / scale)) * scale
-    u_error = (size((fine.velocity - coarse.velocity)[0] / scale) + size(drift / scale)) * scale
-    floor = steps * EPS
-    return Run(
-        q=fine.q[0],
-        velocity=fine.velocity[0],
-        turned=turned[0],
-        force=force,
-        step=step,
-        steps=steps,
-        q_error=q_error[3:] + floor * (1 + np.abs(motion.q)),
-        velocity_error=u_error + floor * fastest,
-        turn_error=float(size(q_error[:3])) + floor,
-    )
-
-
-def rotation_vector(turned: np.ndarray) -> np.ndarray:
-    """Return the axis times the sine of the angle of a rotation: of a small one, the angle."""
-    return 0.5 * np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
-
-
 def agree(what: str, ours: np.ndarray | float, theirs: np.ndarray | float, allowed: np.ndarray | float) -> None:
     """Assert |ours − theirs| <= allowed, entry by entry."""
     away = np.abs(np.asarray(ours) - np.asarray(theirs))
@@ -520,7 +392,12 @@ class MujocoTree(Tree):
                 moments, basis = np.roll(moments, 1), np.roll(basis, 1, axis=1)
             # Not `fullinertia`: the principal axes that MuJoCo finds are good to 50 eps, as much as is allowed here.
             added = made[1 + body.parent].add_body(
-                name=body.name, mass=mass, ipos=offset, inertia=moments, iquat=quaternion(basis), explicitinertial=True
+                name=body.name,
+                mass=mass,
+                ipos=offset,
+                inertia=moments,
+                iquat=np.roll(Rotation.from_matrix(basis).as_quat(), 1),
+                explicitinertial=True,
             )
             if body.axis is None:
                 added.add_joint(type=mujoco.mjtJoint.mjJNT_BALL)
@@ -540,18 +417,3 @@ class MujocoTree(Tree):
         self.data.qpos[1 + self.gimbals] = q
         self.data.qpos[1 + self.rotors] = phi
         self.data.qvel[:] = velocity
-
-
-def quaternion(turned: np.ndarray) -> np.ndarray:
-    """Return the unit quaternion w, x, y, z of a rotation, to rounding at every angle."""
-    # The dominant eigenvector of Bar-Itzhack's matrix: no branch by the angle.
-    t = turned
-    symmetric = np.array(
-        [
-            [t[0, 0] + t[1, 1] + t[2, 2], t[2, 1] - t[1, 2], t[0, 2] - t[2, 0], t[1, 0] - t[0, 1]],
-            [t[2, 1] - t[1, 2], t[0, 0] - t[1, 1] - t[2, 2], t[0, 1] + t[1, 0], t[0, 2] + t[2, 0]],
-            [t[0, 2] - t[2, 0], t[0, 1] + t[1, 0], t[1, 1] - t[0, 0] - t[2, 2], t[1, 2] + t[2, 1]],
-            [t[1, 0] - t[0, 1], t[0, 2] + t[2, 0], t[1, 2] + t[2, 1], t[2, 2] - t[0, 0] - t[1, 1]],
-        ]
-    )
-    return np.linalg.eigh(symmetric)[1][:, -1]
