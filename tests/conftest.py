@@ -40,19 +40,6 @@ def _compile_kernel() -> None:
     simulation.rollout(read_platform("rate_gyro"), q=[[0.0]], velocity=[[0.0] * 4], step=1e-4, steps=1)
 
 
-def _compile_analysis() -> None:
-    import control
-    import numpy as np
-
-    from platform_ctrl import analysis
-
-    loop = control.ss(-np.diag([1.0, 2.0]), np.eye(2), [[1.0, 0.2], [0.1, 1.0]], 0)
-    analysis.disk_margin(loop)
-    analysis.time_response(loop, np.linspace(0.0, 1.0, 50), np.ones((2, 50)))
-    almost_undamped = control.ss([[0.0, 1.0], [-1.0, -1e-12]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
-    analysis.frequency_response(almost_undamped, [1.0])
-
-
 def pytest_xdist_auto_num_workers() -> int:
     """One process more than there are processors: some tests wait, for a browser or another process."""
     return (os.cpu_count() or 1) + 1
@@ -60,7 +47,7 @@ def pytest_xdist_auto_num_workers() -> int:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session: pytest.Session) -> Iterator[None]:
-    """Let one worker of a fresh checkout compile what all of them load; the others compile the kernels meanwhile."""
+    """Let one worker of a fresh checkout compile what all of them load; another one compiles the kernel meanwhile."""
     worker = getattr(session.config, "workerinput", None)
     if worker is None:
         return (yield)
@@ -69,7 +56,8 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
     if number == 0:
         with first:
             return (yield)
-    (_compile_kernel, _compile_analysis)[number % 2]()
+    if number == 1:
+        _compile_kernel()
     with first:
         pass
     return (yield)

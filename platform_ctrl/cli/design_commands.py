@@ -95,7 +95,7 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
         expect_proofs_possible(prove)
         from platform_ctrl.common.processes import processors
         from platform_ctrl.design.jobs import attempted_loops
-        from platform_ctrl.simulation.compilation import start_compilation
+        from platform_ctrl.simulation.batch import start_compilation
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.result_file import result_record, write_record
 

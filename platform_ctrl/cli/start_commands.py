@@ -220,10 +220,10 @@ def warm_up(as_json: Json = False, quiet: Quiet = False) -> None:
     start = time.monotonic()
     with progress(quiet or as_json, "compiling the simulation"):
         from platform_ctrl.plant.reading import read_platform
-        from platform_ctrl.simulation.batch import compile_ahead
+        from platform_ctrl.simulation.batch import compile_kernel
         from platform_ctrl.simulation.free_motion import rollout
 
-        compile_ahead()
+        compile_kernel()
         rollout(read_platform("rate_gyro"), q=[[0.0]], velocity=[[0.0] * 4], step=1e-4, steps=1)
     seconds = time.monotonic() - start
     typer.echo(json_text({"schema": 1, "seconds": seconds}) if as_json else f"compiled in {seconds:.0f} s")

@@ -55,7 +55,7 @@ def _compiling(line: str) -> str:
     """Say of the first run after an installation why it takes so long."""
     if not line.startswith(("simulated run", "run ")):
         return ""
-    from platform_ctrl.simulation.compilation import is_compiled
+    from platform_ctrl.simulation.batch import is_compiled
 
     return "" if is_compiled() else " (its kernel is compiled first, once: half a minute)"
 

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from platform_ctrl.cli import main
-from platform_ctrl.simulation.compilation import is_compiled
+from platform_ctrl.simulation.batch import is_compiled
 
 
 def test_what_runs_need_is_compiled(capsys: pytest.CaptureFixture[str]) -> None:
