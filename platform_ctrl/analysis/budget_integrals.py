@@ -1,4 +1,7 @@
-"""How the budget of a loop is put together: powers of its controls, and integrals over panels of frequency."""
+"""How the budget of a loop is put together: powers of its controls, and integrals over panels of frequency.
+
+Integrals are taken by Gauss and Kronrod's rule of 21 nodes, over many panels at once.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,93 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.budget_records import BudgetResult, Disturbance, RandomDisturbance, SampleNoise, Window
-from platform_ctrl.analysis.frequency_grids import UP_TO
 from platform_ctrl.analysis.hybrid_plant import HybridPlant, Modulator
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray
+
+# QUADPACK (Piessens and de Doncker, 1983): Kronrod's nodes above zero from the outside, then their weights; every
+# second one from the second on is a node of Gauss's rule of ten.
+_NODES = (
+    0.995657163025808080735527280689003,
+    0.973906528517171720077964012084452,
+    0.930157491355708226001207180059508,
+    0.865063366688984510732096688423493,
+    0.780817726586416897063717578345042,
+    0.679409568299024406234327365114874,
+    0.562757134668604683339000099272694,
+    0.433395394129247190799265943165784,
+    0.294392862701460198131126603103866,
+    0.148874338981631210884826001129720,
+)
+_WEIGHTS = (
+    0.011694638867371874278064396062192,
+    0.032558162307964727478818972459390,
+    0.054755896574351996031381300244580,
+    0.075039674810919952767043140916190,
+    0.093125454583697605535065465083366,
+    0.109387158802297641899210590325805,
+    0.123491976262065851077958109831074,
+    0.134709217311473325928054001771707,
+    0.142775938577060080797094273138717,
+    0.147739104901338491374841515972068,
+)
+_MIDDLE = 0.149445554002916905664936468389821
+
+NODES = np.array([*(-x for x in _NODES), 0.0, *reversed(_NODES)])
+KRONROD = np.array([*_WEIGHTS, _MIDDLE, *reversed(_WEIGHTS)])
+GAUSS = np.zeros(21)
+GAUSS[1::2] = np.polynomial.legendre.leggauss(10)[1]
+
+# Integrals of a polynomial through the nodes, from -1 to each node and to 1, in terms of its values there.
+_DEGREES = np.polynomial.legendre.legvander(NODES, len(NODES) - 1)
+_INTEGRALS = np.polynomial.legendre.legvander(np.append(NODES, 1.0), len(NODES)) @ np.polynomial.legendre.legint(
+    np.eye(len(NODES)), lbnd=-1.0
+)
+UP_TO = np.linalg.solve(_DEGREES.T, _INTEGRALS.T).T
+
+Panel = tuple[float, float]
+# Relative distance of edges of panels below which they are one.
+_SAME = 1e-9
+
+
+def nodes(panels: list[Panel]) -> tuple[FloatArray, FloatArray]:
+    """Return the nodes of each panel (P, 21) and half the width of each (P,)."""
+    ends = np.array(panels).reshape(-1, 2)
+    half = 0.5 * (ends[:, 1] - ends[:, 0])
+    return ends[:, :1] + half[:, None] * (1.0 + NODES), half
+
+
+def between(edges: FloatArray, low: float, high: float) -> list[Panel]:
+    """Return the panels between `low`, the `edges` inside, and `high`; edges that hardly differ are one."""
+    inside = np.unique(edges[(edges > low) & (edges < high)])
+    kept = [low]
+    for one in inside:
+        if one - kept[-1] > _SAME * one and high - one > _SAME * high:
+            kept.append(float(one))
+    return list(zip(kept, [*kept[1:], high], strict=True))
+
+
+def halves(panel: Panel) -> list[Panel]:
+    """Return both halves; of a panel over more than a factor of four, the parts beside its geometric mean."""
+    low, high = panel
+    middle = float(np.sqrt(low * high)) if 0.0 < 4.0 * low < high else 0.5 * (low + high)
+    if low == 0.0:
+        middle = high / 16.0
+    return [(low, middle), (middle, high)]
+
+
+# Poles with less damping than this have panels of their own, unless panels around are within so many of their widths.
+_SHARP, WIDE = 0.1, 30.0
+
+
+def edges_around(s: ComplexArray) -> FloatArray:
+    """Return edges around the resonances of poles."""
+    sharp = (s.imag > 0.0) & (np.abs(s.real) < _SHARP * np.abs(s))
+    centre, width = s[sharp].imag, np.maximum(np.abs(s[sharp].real), 1e-6 * s[sharp].imag)
+    edges = [np.abs(s[np.isfinite(s)]), *(centre + k * width for k in (-12.0, -3.0, 0.0, 3.0, 12.0))]
+    out: FloatArray = np.concatenate(edges)
+    return out[out > 0.0]
+
 
 # Edges of cumulative variances that are nearer to each other than this, relative, are one where there are many images.
 _NEAR = 1e-3

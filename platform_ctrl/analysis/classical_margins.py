@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity, loop_of_sensitivity
-from platform_ctrl.analysis.mu import search_grid
 from platform_ctrl.analysis.norms import level_frequencies
-from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, search_grid, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values, pencil_crossings
 from platform_ctrl.analysis.system import ComplexArray, System

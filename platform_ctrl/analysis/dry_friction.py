@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.budget_integrals import KRONROD, between, nodes
 from platform_ctrl.analysis.budget_records import Density
-from platform_ctrl.analysis.frequency_grids import KRONROD, between, nodes
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, real_array, short
 from platform_ctrl.common.values import FloatArray, value
@@ -119,18 +119,23 @@ def describing_function(friction: DryTorque, rms: float) -> Describing:
     if rms <= 1e-7 * near:
         slope = 0.5 * sum(friction.breakaway) / near
         return Describing(0.0, slope, 0.0)
-    scales = np.array([near, rms, min(friction.stribeck_rate, _FAR * rms)])
-    edges = np.outer(scales, [0.25, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5, 12.0, 20.0]).ravel()
-    v, half = nodes(between(edges, 0.0, _FAR * rms))
-    weight = (KRONROD * half[:, None]).ravel()
-    v = v.ravel()
-    density = weight * np.exp(-0.5 * (v / rms) ** 2) / (rms * math.sqrt(2.0 * math.pi))
-    ahead = np.array([friction.dry(float(one)) for one in v])
-    back = np.array([friction.dry(float(-one)) for one in v])
-    mean = float(density @ (ahead + back))
-    viscous = float(density @ ((ahead - back) * v)) / rms**2
-    square = float(density @ (ahead**2 + back**2))
+    x, weight = _gaussian([near / rms, friction.stribeck_rate / rms])
+    values = _torques(friction, rms, x)
+    mean, viscous, square = (float(weight @ one) for one in (values, values * x / rms, values**2))
     return Describing(mean, viscous, math.sqrt(max(0.0, square - mean**2 - (viscous * rms) ** 2)))
+
+
+def _gaussian(scales: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    """Return points of a unit Gaussian and their weights, in panels that end where torques turn about, at `scales`."""
+    edges = np.outer([*np.minimum(scales, _FAR), 1.0], [0.25, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5, 12.0, 20.0]).ravel()
+    ahead, half = nodes(between(edges, 0.0, _FAR))
+    x = np.concatenate([ahead.ravel(), -ahead.ravel()])
+    weight = np.tile((KRONROD * half[:, None]).ravel(), 2)
+    return x, weight * np.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
+
+
+def _torques(torque: DryTorque, rms: float, x: FloatArray) -> FloatArray:
+    return np.array([torque.dry(float(rms * one)) for one in x])
 
 
 @value
@@ -262,8 +267,6 @@ _TERMS, _GROWTH, _GROUPS = 60, 1.6, 16
 _POINTS, _PER_OCTAVE = 2**18, 6
 # Highest frequency, in that below which the rate has 99 % of its variance: lags resolve what a drive is late.
 _BEYOND = 128.0
-# The series is summed in so many σ, on so many points.
-_QUADRATURE = 4001
 
 
 class Remainder(NamedTuple):
@@ -312,7 +315,8 @@ def friction_noise(
         return np.diff(np.interp(grid, edges, of), prepend=0.0)
 
     v = bins(cumulative)
-    x, weight = _points(friction, rms, found)
+    near = [friction.coulomb_rate / rms, friction.stribeck_rate / rms]
+    x, weight = _gaussian(near if found is None or not found.rms else [*near, found.drive.coulomb_rate / found.rms])
     f = _coefficients(friction, rms, x, weight)
     correlation = _powers(_correlation(v, v)[: _POINTS + 1], f[0] * f[0], float(weight @ f[1] ** 2))
     if found is not None and found.rms > 0.0:
@@ -392,21 +396,9 @@ def _smooth(correlation: FloatArray, grid: FloatArray, lowest: float) -> Density
     return Density(knots=octaves, density=lambda w: np.exp(law(np.log(w))))
 
 
-def _points(friction: DryTorque, rms: float, found: FoundRate | None) -> tuple[FloatArray, FloatArray]:
-    """Return midpoints of a unit Gaussian and their weights, dense where the torques turn about: near zero."""
-    near = min(friction.coulomb_rate / rms, 1.0)
-    if found is not None and found.rms > 0.0:
-        near = min(near, found.drive.coulomb_rate / found.rms)
-    s = np.linspace(-1.0, 1.0, _QUADRATURE)
-    bend = math.asinh(_FAR / near)
-    x = near * np.sinh(bend * s)
-    weight = near * bend * np.cosh(bend * s) * (s[1] - s[0]) * np.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
-    return x, weight
-
-
 def _coefficients(torque: DryTorque, rms: float, x: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the Hermite coefficients n = 0, 1, ... of a torque at a Gaussian rate, and the torque at the points."""
-    values = np.array([torque.dry(float(rms * one)) for one in x])
+    values = _torques(torque, rms, x)
     before, now = np.ones_like(x), x
     out = [float(weight @ values), float(weight @ (values * x))]
     for n in range(2, _TERMS + 1):

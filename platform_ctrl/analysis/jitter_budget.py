@@ -23,13 +23,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.budget_integrals import (
+    GAUSS,
+    KRONROD,
+    WIDE,
     Contribution,
+    Panel,
     aliased,
     alike,
     assembled,
+    between,
     between_nodes,
+    edges_around,
     exclusive,
+    halves,
     moved_by_samples,
+    nodes,
     packed,
     packed_matrix,
     packed_product,
@@ -44,7 +52,6 @@ from platform_ctrl.analysis.budget_records import (
     SineDisturbance,
     window_shares,
 )
-from platform_ctrl.analysis.frequency_grids import GAUSS, KRONROD, WIDE, Panel, between, edges_around, halves, nodes
 from platform_ctrl.analysis.hybrid_plant import MOST_OF_SOURCES, HybridPlant, Modulator, OpenLoop
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.poles import continuous_poles, poles

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.mu import SLACK, MuPeak, search_grid
+from platform_ctrl.analysis.mu import SLACK, MuPeak
 from platform_ctrl.analysis.norms import hinf_norm, peak_gain
-from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, poles, search_grid, spectral_abscissa
 from platform_ctrl.analysis.response import LinearSystem, NamedSystem, linear_arrays
 from platform_ctrl.analysis.singular_values import boundary_poles, largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System, frequencies

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.poles import resonances
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
@@ -131,24 +130,6 @@ def perturbation(M: ComplexArray, Q: ComplexArray) -> ComplexArray:
 def _largest_eigenvalue(Q: ComplexArray | FloatArray, M: ComplexArray | FloatArray) -> complex:
     eigenvalues = np.linalg.eigvals(Q[:, None] * M)
     return complex(eigenvalues[np.argmax(np.abs(eigenvalues))])
-
-
-def search_grid(system: System, s: ComplexArray) -> FloatArray:
-    """Return frequencies that follow the closed loop's poles, and some a decade between and beyond them."""
-    own = resonances(s)
-    own = own[own > 0.0]
-    if own.size == 0:
-        own = np.ones(1)
-    low, high = 0.1 * float(own.min()), 10.0 * float(own.max())
-    if system.dt > 0.0:
-        high = math.pi / system.dt
-        low = min(low, 1e-3 * high)
-    low = max(low, 1e-9 * high)
-    decades = math.log10(high / low)
-    # Like `np.geomspace`, which takes a twentieth of the time of a margin.
-    fill = low * 10.0 ** np.linspace(0.0, decades, 2 + int(10.0 * decades))
-    fill[-1] = high
-    return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
 
 
 # Relative amount by which mu may exceed its peak between the frequencies that were evaluated, once that is proved.

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.margins import DiskMargin, no_margin
-from platform_ctrl.analysis.mu import search_grid
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.poles import (
     continuous_poles,
     poles,
+    search_grid,
     spectral_abscissa,
     unseen_equilibria,
     without_drift_over_a_cycle,

@@ -1,4 +1,4 @@
-"""Poles, their damping and their branches over a parameter, of continuous and of sampled systems alike.
+"""Poles, frequencies around them, their damping and their branches over a parameter, of any system.
 
 A pole z of a sampled system counts as the continuous pole s = ln(z)/T with |Im s| <= pi/T that has the
 same samples. So a pole at z = 0 (a delay) is infinitely fast and fully damped, and one on the negative real axis of z
@@ -87,6 +87,88 @@ def resonances(s: ComplexArray) -> FloatArray:
     centre, width = s.imag, np.abs(s.real)
     beside = np.abs(centre[:, None] + width[:, None] * np.array([-1.0, -0.3, 0.0, 0.3, 1.0]))
     return np.unique(np.concatenate([beside.ravel(), np.abs(s), 1.7 * np.abs(s)]))
+
+
+def search_grid(system: System, s: ComplexArray) -> FloatArray:
+    """Return frequencies that follow the closed loop's poles, and some a decade between and beyond them."""
+    own = resonances(s)
+    own = own[own > 0.0]
+    if own.size == 0:
+        own = np.ones(1)
+    low, high = 0.1 * float(own.min()), 10.0 * float(own.max())
+    if system.dt > 0.0:
+        high = math.pi / system.dt
+        low = min(low, 1e-3 * high)
+    low = max(low, 1e-9 * high)
+    decades = math.log10(high / low)
+    # Like `np.geomspace`, which takes a twentieth of the time of a margin.
+    fill = low * 10.0 ** np.linspace(0.0, decades, 2 + int(10.0 * decades))
+    fill[-1] = high
+    return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
+
+
+# Grids of sampled systems end at this share of the Nyquist frequency.
+_LAST = 0.999
+# Points below, around and above the nutation frequency: for a search, and for one that misses no resonance.
+_COUNTS, _FINE_COUNTS = (15, 60, 15), (15, 130, 25)
+
+# Offsets from a resonance in units of its half-width: its shape is drawn whatever its sharpness.
+_OFFSETS = np.array([0.0, 0.35, 0.7, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0])
+# A pole sharper than this is drawn as if it had this damping ratio: no spike of one point, no division by zero.
+_MINIMUM_DAMPING = 2e-3
+# Relative spacing below which two frequencies are one.
+_RESOLUTION = 2e-4
+
+# Offsets next to a pole or zero in units of its half-width, then growing by a factor.
+_NEAR = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0])
+_GROWTH = 1.5
+
+
+def tuning_grid(nutation: float, period: float, fine: bool = False) -> FloatArray:
+    """Return frequencies, rad/s, dense where margins are lost: between a sixth and about twice the nutation."""
+    last = _LAST * np.pi / period
+    # Where nutation is faster than what is sampled, the grid covers what is left below the Nyquist frequency.
+    slowest = min(nutation / 150.0, np.pi / period / 100.0)
+    edges = np.minimum([slowest, nutation / 6.0, 2.2 * nutation, last], last)
+    parts = [
+        np.geomspace(low, high, k, endpoint=False)
+        for low, high, k in zip(edges, edges[1:], _FINE_COUNTS if fine else _COUNTS, strict=False)
+        if high > low
+    ]
+    return np.append(np.concatenate(parts), last)
+
+
+def following_grid(poles: ComplexArray, low: float, high: float, points: int = 220) -> FloatArray:
+    """Return frequencies from `low` to `high`, logarithmic, denser around every resonance of `poles` (s-plane)."""
+    s = np.asarray(poles).ravel()
+    s = s[np.isfinite(s)]
+    centre, distance = np.abs(s.imag), np.abs(s.real)
+    sharp = (centre > low) & (centre < high) & (distance < 0.5 * centre)
+    centre, distance = centre[sharp], distance[sharp]
+    width = np.maximum(distance, _MINIMUM_DAMPING * centre)
+    near = centre[:, None] + width[:, None] * np.concatenate([-_OFFSETS, _OFFSETS[1:]])
+    grid = np.unique(np.concatenate([np.geomspace(low, high, points), near.ravel()]))
+    grid = grid[(grid >= low) & (grid <= high)]
+    # Next to an undamped pole the response is infinite, and sensitivities have no digits left.
+    for at in centre[distance < _MINIMUM_DAMPING * centre]:
+        grid = grid[np.abs(grid - at) > 0.3 * _MINIMUM_DAMPING * at]
+    kept = np.concatenate([[True], np.diff(np.log(grid)) > _RESOLUTION])
+    return np.asarray(grid[kept])
+
+
+def around_resonances(s: ComplexArray, low: float, high: float, undamped: float, closest: float) -> FloatArray:
+    """Return frequencies around each resonance among poles (or zeros) `s`, out to a quarter of its frequency.
+
+    One with a damping ratio below `undamped` is approached to the relative distance `closest`.
+    """
+    s = np.unique(s[(np.abs(s.imag) > low) & (np.abs(s.imag) < high) & (np.abs(s.real) < 0.5 * np.abs(s.imag))])
+    out = [np.zeros(0)]
+    for centre, distance in sorted({(abs(one.imag), abs(one.real)) for one in s}):
+        width = distance if distance > undamped * centre else closest * centre
+        count = math.ceil(math.log(max(0.25 * centre / (4.0 * width), 1.0)) / math.log(_GROWTH))
+        offsets = width * np.concatenate([_NEAR, 4.0 * _GROWTH ** np.arange(1, count + 1)])
+        out += [centre + offsets, centre - offsets]
+    return np.concatenate(out)
 
 
 def damping_ratio(poles: ComplexArray) -> FloatArray:

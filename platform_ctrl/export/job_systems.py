@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis import frequency_response
 from platform_ctrl.analysis.feedback import gang
-from platform_ctrl.analysis.frequency_grids import following_grid
-from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.analysis.poles import continuous_poles, following_grid, poles
 from platform_ctrl.common.arguments import one_of, short
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray, value

@@ -11,13 +11,12 @@ import numpy as np
 
 from platform_ctrl.analysis.curves import Curve, Curves, Level, loop_phase, refined_loop
 from platform_ctrl.analysis.feedback import gang
-from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop import ANGLE_PER_OMEGA, FOLLOWING, S_OUTPUT, Loop
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import gains
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.poles import continuous_poles, following_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.analysis.frequency_grids import following_grid
+from platform_ctrl.analysis.poles import following_grid
 
 
 @settings(max_examples=40, deadline=None)

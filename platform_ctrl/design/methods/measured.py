@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
-from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.logs import column_unit
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.poles import following_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.curves import Curve, Curves, Level, loop_phase, upper_half_plane
 from platform_ctrl.analysis.feedback import gang
-from platform_ctrl.analysis.frequency_grids import following_grid
-from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.poles import continuous_poles, following_grid
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.analysis.system import ComplexArray, System

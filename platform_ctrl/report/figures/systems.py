@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.curves import refined
-from platform_ctrl.analysis.frequency_grids import around_resonances
-from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.analysis.poles import around_resonances, continuous_poles, poles
 from platform_ctrl.analysis.response import LinearSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.system import ComplexArray, System, frequencies
 from platform_ctrl.common.arguments import short
