@@ -16,6 +16,7 @@ from platform_ctrl.cli.job_arguments import (
     Json,
     Quiet,
     controller_file,
+    folder_option,
     job_of,
     option,
     prepare_folder,
@@ -36,55 +37,55 @@ PAGE = "campaign.html"
 WHAT, WHERE = "Runs", "Where they are simulated"
 
 
+Runs = Annotated[int | None, option("--runs", metavar="N", help="Number of runs. Default: as in the job.", panel=WHAT)]
+Out = Annotated[
+    Path,
+    folder_option(
+        "Folder for campaign.html, campaign.parquet and campaign.json; made if needed.",
+        default=True,
+    ),
+]
+Workers = Annotated[
+    int | None,
+    option(
+        "--workers",
+        metavar="N",
+        help="Processes. Default: as many as there are processors. The results do not depend on it.",
+        panel=WHERE,
+    ),
+]
+Seed = Annotated[int | None, option("--seed", metavar="N", help="Random seed. Default: as in the job.", panel=WHAT)]
+Sampling = Annotated[
+    str | None,
+    option(
+        "--sampling",
+        metavar="sobol|latin-hypercube|random",
+        help="How the runs fill the space of what varies. Default: as in the job.",
+        panel=WHAT,
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="A Dask scheduler (tcp://host:8786), whose workers simulate the runs.",
+        panel=WHERE,
+    ),
+]
+Restart = Annotated[bool, option("--restart", help="Discard the campaign in DIR and start again.", default=True)]
+
+
 def campaign(
     job: JobFile,
-    runs: Annotated[
-        int | None, option("--runs", metavar="N", help="Number of runs. Default: as in the job.", panel=WHAT)
-    ] = None,
-    out: Annotated[
-        Path,
-        option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="Folder for campaign.html, campaign.parquet and campaign.json; made if needed.",
-            default=True,
-        ),
-    ] = CAMPAIGN,
+    runs: Runs = None,
+    out: Out = CAMPAIGN,
     controllers: Controllers = None,
-    workers: Annotated[
-        int | None,
-        option(
-            "--workers",
-            metavar="N",
-            help="Processes. Default: as many as there are processors. The results do not depend on it.",
-            panel=WHERE,
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None, option("--seed", metavar="N", help="Random seed. Default: as in the job.", panel=WHAT)
-    ] = None,
-    sampling: Annotated[
-        str | None,
-        option(
-            "--sampling",
-            metavar="sobol|latin-hypercube|random",
-            help="How the runs fill the space of what varies. Default: as in the job.",
-            panel=WHAT,
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="A Dask scheduler (tcp://host:8786), whose workers simulate the runs.",
-            panel=WHERE,
-        ),
-    ] = None,
-    restart: Annotated[
-        bool, option("--restart", help="Discard the campaign in DIR and start again.", default=True)
-    ] = False,
+    workers: Workers = None,
+    seed: Seed = None,
+    sampling: Sampling = None,
+    scheduler: Scheduler = None,
+    restart: Restart = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:

@@ -27,6 +27,7 @@ from platform_ctrl.cli.job_arguments import (
     Quiet,
     controller_file,
     files_read,
+    folder_option,
     job_of,
     option,
     prepare_folder,
@@ -45,16 +46,20 @@ if TYPE_CHECKING:
 CHECKED = Path("check")
 
 
+Out = Annotated[
+    Path,
+    folder_option(f"Folder for {RESULT} and {REPORT}; made if needed.", default=True),
+]
+Watch = Annotated[
+    bool,
+    option("--watch", help="Go on: design again whenever JOB or a file that it names is saved.", default=True),
+]
+
+
 def design(
     job: JobFile,
-    out: Annotated[
-        Path,
-        option("--out", "-o", metavar="DIR", help=f"Folder for {RESULT} and {REPORT}; made if needed.", default=True),
-    ] = DESIGNED,
-    watch: Annotated[
-        bool,
-        option("--watch", help="Go on: design again whenever JOB or a file that it names is saved.", default=True),
-    ] = False,
+    out: Out = DESIGNED,
+    watch: Watch = False,
     prove: Prove = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -171,28 +176,29 @@ def expect_proofs_possible(prove: bool) -> None:
         flint()
 
 
+CheckOut = Annotated[
+    Path | None,
+    folder_option(
+        f"Folder for {RESULT} and {REPORT}, default: {CHECKED}. If it is named here and holds a {RESULT}, the "
+        "controllers come from there by default.",
+    ),
+]
+Baseline = Annotated[
+    Path | None,
+    option(
+        "--baseline",
+        metavar="FILE",
+        help=f"An accepted {RESULT}: the exit code is also 1 if a value is worse by more than 1 %, or than the "
+        "tolerance of the job. What became worse is printed.",
+    ),
+]
+
+
 def check(
     job: JobFile,
     controllers: Controllers = None,
-    out: Annotated[
-        Path | None,
-        option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help=f"Folder for {RESULT} and {REPORT}, default: {CHECKED}. If it is named here and holds a {RESULT}, the "
-            "controllers come from there by default.",
-        ),
-    ] = None,
-    baseline: Annotated[
-        Path | None,
-        option(
-            "--baseline",
-            metavar="FILE",
-            help=f"An accepted {RESULT}: the exit code is also 1 if a value is worse by more than 1 %, or than the "
-            "tolerance of the job. What became worse is printed.",
-        ),
-    ] = None,
+    out: CheckOut = None,
+    baseline: Baseline = None,
     campaign: CampaignFolder = None,
     prove: Prove = False,
     as_json: Json = False,

@@ -17,6 +17,7 @@ from platform_ctrl.cli.job_arguments import (
     JobFile,
     Json,
     Quiet,
+    Word,
     controller_file,
     existing_controllers,
     expect_no_file_above,
@@ -43,42 +44,50 @@ def _how(flag: str, metavar: str, help: str) -> Any:
     return option(flag, metavar=metavar, help=help, panel=HOW, default=True)
 
 
+C = Annotated[
+    Path | None,
+    _target(
+        "--c",
+        "DIR",
+        "The controllers as C99 source, into this folder: a new or empty one, or one of an earlier export.",
+    ),
+]
+Mat = Annotated[
+    Path | None, _target("--mat", "FILE", "Controllers and linear models as MATLAB data, a struct for ss each.")
+]
+Models = Annotated[
+    Path | None,
+    _target("--models", "FILE", "Controllers, where there are some, and linear models as JSON."),
+]
+Csv = Annotated[
+    Path | None,
+    _target("--csv", "DIR", "Frequency responses of plants, controllers and loops, a CSV file each."),
+]
+Responses = Annotated[
+    str,
+    _how("--form", "FORM", "Responses in CSV: complex (real and imaginary parts) or polar (magnitude and phase)."),
+]
+Root = Annotated[
+    str,
+    _how(
+        "--root",
+        "KIND",
+        "Root of the MuJoCo model: free, prescribed (its angular acceleration is a control) or fixed.",
+    ),
+]
+
+
 def export(
     job: JobFile,
     controllers: Controllers = None,
-    c: Annotated[
-        Path | None,
-        _target(
-            "--c",
-            "DIR",
-            "The controllers as C99 source, into this folder: a new or empty one, or one of an earlier export.",
-        ),
-    ] = None,
-    mat: Annotated[
-        Path | None, _target("--mat", "FILE", "Controllers and linear models as MATLAB data, a struct for ss each.")
-    ] = None,
-    models: Annotated[
-        Path | None,
-        _target("--models", "FILE", "Controllers, where there are some, and linear models as JSON."),
-    ] = None,
-    csv: Annotated[
-        Path | None,
-        _target("--csv", "DIR", "Frequency responses of plants, controllers and loops, a CSV file each."),
-    ] = None,
+    c: C = None,
+    mat: Mat = None,
+    models: Models = None,
+    csv: Csv = None,
     mjcf: Annotated[Path | None, _target("--mjcf", "FILE", "The plant as a MuJoCo model.")] = None,
     number: Annotated[str, _how("--number", "TYPE", "Numbers of the C source: double or float.")] = NUMBERS[0],
-    form: Annotated[
-        str,
-        _how("--form", "FORM", "Responses in CSV: complex (real and imaginary parts) or polar (magnitude and phase)."),
-    ] = RESPONSES[0],
-    root: Annotated[
-        str,
-        _how(
-            "--root",
-            "KIND",
-            "Root of the MuJoCo model: free, prescribed (its angular acceleration is a control) or fixed.",
-        ),
-    ] = ROOTS[0],
+    form: Responses = RESPONSES[0],
+    root: Root = ROOTS[0],
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
@@ -106,18 +115,9 @@ def export(
     chosen = {one: at for one in sorted(FORMS, key=lambda one: one.folder) if (at := targets[one.name]) is not None}
     if not chosen:
         raise InputError(f"nothing to write; name at least one of {', '.join(one.flag for one in FORMS)} (see --help)")
-    for flag, given, default, of in (
-        ("--number", number, NUMBERS[0], "c"),
-        ("--form", form, RESPONSES[0], "csv"),
-        ("--root", root, ROOTS[0], "mjcf"),
-    ):
-        if given != default and targets[of] is None:
-            raise InputError(f"{flag}: is an option of --{of}, which must be given too")
-    numbers, responses, kind = (
-        one_of("--number", number, NUMBERS),
-        one_of("--form", form, RESPONSES),
-        one_of("--root", root, ROOTS),
-    )
+    numbers = _how_of("--number", number, NUMBERS, "c", chosen)
+    responses = _how_of("--form", form, RESPONSES, "csv", chosen)
+    kind = _how_of("--root", root, ROOTS, "mjcf", chosen)
     with progress(quiet or as_json, f"reading {job}") as say:
         work = Export(job_of(job), job, number=numbers, responses=responses, root=kind)
         uses = {one.controllers for one in chosen}
@@ -150,6 +150,13 @@ def export(
     for note in work.notes:
         noted(note)
     return 0
+
+
+def _how_of(flag: str, given: str, known: tuple[Word, ...], of: str, chosen: Mapping[Form, Path]) -> Word:
+    """Return the word among `known` that an option has, which is one of a form that must be chosen for that."""
+    if given != known[0] and of not in [one.name for one in chosen]:
+        raise InputError(f"{flag}: is an option of --{of}, which must be given too")
+    return one_of(flag, given, known)
 
 
 def _write(

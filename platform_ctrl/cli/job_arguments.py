@@ -29,6 +29,11 @@ def option(*names: str, metavar: str | None = None, help: str, panel: str | None
     return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=panel, show_default=default)
 
 
+def folder_option(help: str, default: bool = False) -> Any:
+    """Return the option of the folder that a command writes to."""
+    return option("--out", "-o", metavar="DIR", help=help, default=default)
+
+
 JobFile = Annotated[
     Path,
     typer.Argument(

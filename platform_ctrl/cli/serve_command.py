@@ -20,51 +20,58 @@ if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer
 
 
+Job = Annotated[
+    Path,
+    typer.Argument(
+        metavar="JOB",
+        help="Job file (TOML).",
+        show_default=False,
+    ),
+]
+Host = Annotated[
+    str,
+    option(
+        "--host",
+        metavar="ADDRESS",
+        help="Address to listen on; another than this machine's own needs --allow.",
+        default=True,
+    ),
+]
+Port = Annotated[
+    int | None,
+    typer.Option(
+        "--port",
+        metavar="PORT",
+        min=0,
+        max=65535,
+        help="Port to listen on; 0: any free one. Default: 5006, or a free one after it.",
+        show_default=False,
+    ),
+]
+Allow = Annotated[
+    list[str] | None,
+    option(
+        "--allow",
+        metavar="NAME",
+        help="Name or address by which browsers may ask for this machine; may be given several times.",
+    ),
+]
+Browser = Annotated[
+    bool | None,
+    option(
+        "--open/--no-browser",
+        help="Open the page in a browser, or do not. Default: open it where there is a terminal and a screen.",
+    ),
+]
+
+
 def serve(
-    job: Annotated[
-        Path,
-        typer.Argument(
-            metavar="JOB",
-            help="Job file (TOML).",
-            show_default=False,
-        ),
-    ],
+    job: Job,
     controllers: Controllers = None,
-    host: Annotated[
-        str,
-        option(
-            "--host",
-            metavar="ADDRESS",
-            help="Address to listen on; another than this machine's own needs --allow.",
-            default=True,
-        ),
-    ] = "127.0.0.1",
-    port: Annotated[
-        int | None,
-        typer.Option(
-            "--port",
-            metavar="PORT",
-            min=0,
-            max=65535,
-            help="Port to listen on; 0: any free one. Default: 5006, or a free one after it.",
-            show_default=False,
-        ),
-    ] = None,
-    allow: Annotated[
-        list[str] | None,
-        option(
-            "--allow",
-            metavar="NAME",
-            help="Name or address by which browsers may ask for this machine; may be given several times.",
-        ),
-    ] = None,
-    browser: Annotated[
-        bool | None,
-        option(
-            "--open/--no-browser",
-            help="Open the page in a browser, or do not. Default: open it where there is a terminal and a screen.",
-        ),
-    ] = None,
+    host: Host = "127.0.0.1",
+    port: Port = None,
+    allow: Allow = None,
+    browser: Browser = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -16,6 +16,7 @@ from platform_ctrl.cli.job_arguments import (
     Json,
     Quiet,
     controller_file,
+    folder_option,
     job_of,
     option,
     prepare_folder,
@@ -35,31 +36,33 @@ TABLE = "campaign.parquet"
 Shown = Callable[[bool], int]
 
 
+RunNumber = Annotated[
+    int | None,
+    option("--run", metavar="NUMBER", help="Run of the job's campaign, as its table numbers them from 0."),
+]
+ManoeuvreName = Annotated[
+    str | None,
+    option(
+        "--manoeuvre",
+        metavar="NAME",
+        help="Manoeuvre: its name, or its number from 1.",
+    ),
+]
+Out = Annotated[
+    Path | None,
+    folder_option(
+        f"Of a run of the campaign: the campaign's folder, default: {CAMPAIGN}; seed and sampling are those "
+        "of the campaign there. A figure of the run goes there; of a manoeuvre only if a folder is named.",
+    ),
+]
+
+
 def simulate(
     job: JobFile,
-    run: Annotated[
-        int | None,
-        option("--run", metavar="NUMBER", help="Run of the job's campaign, as its table numbers them from 0."),
-    ] = None,
-    manoeuvre: Annotated[
-        str | None,
-        option(
-            "--manoeuvre",
-            metavar="NAME",
-            help="Manoeuvre: its name, or its number from 1.",
-        ),
-    ] = None,
+    run: RunNumber = None,
+    manoeuvre: ManoeuvreName = None,
     controllers: Controllers = None,
-    out: Annotated[
-        Path | None,
-        option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help=f"Of a run of the campaign: the campaign's folder, default: {CAMPAIGN}; seed and sampling are those "
-            "of the campaign there. A figure of the run goes there; of a manoeuvre only if a folder is named.",
-        ),
-    ] = None,
+    out: Out = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:

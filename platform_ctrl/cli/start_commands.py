@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from platform_ctrl.cli.job_arguments import Json, Quiet, one_of, option, prepare_folder
+from platform_ctrl.cli.job_arguments import Json, Quiet, folder_option, one_of, option, prepare_folder
 from platform_ctrl.errors import InputError
 from platform_ctrl.mechanics.symbolic import HIGHEST_ORDER, TERMS, WRITTEN
 
@@ -35,20 +35,23 @@ KINDS = {
 _PLANT = re.compile(r'^plant = "(\w+)(\.toml)?"', re.MULTILINE)
 
 
+Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="What the two files will be called: NAME_plant.toml and NAME.toml.", show_default=False
+    ),
+]
+Out = Annotated[Path, folder_option("Folder for both; made if needed. Default: here.")]
+Kind = Annotated[
+    str,
+    option("--kind", metavar="KIND", help=f"What you have: {', '.join(KINDS)}.", default=True),
+]
+
+
 def new(
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="NAME", help="What the two files will be called: NAME_plant.toml and NAME.toml.", show_default=False
-        ),
-    ],
-    out: Annotated[
-        Path, option("--out", "-o", metavar="DIR", help="Folder for both; made if needed. Default: here.")
-    ] = Path("."),
-    kind: Annotated[
-        str,
-        option("--kind", metavar="KIND", help=f"What you have: {', '.join(KINDS)}.", default=True),
-    ] = "caged-gyro",
+    name: Name,
+    out: Out = Path("."),
+    kind: Kind = "caged-gyro",
     force: Annotated[bool, option("--force", help="Overwrite files that are there.", default=True)] = False,
     as_json: Json = False,
 ) -> None:
@@ -133,39 +136,45 @@ def models(as_json: Json = False) -> None:
     show_pairs(screen(), pairs)
 
 
+Plant = Annotated[
+    str,
+    typer.Argument(
+        metavar="PLANT",
+        help="A shipped plant's name (see platform-ctrl models), or a plant file (TOML).",
+        show_default=False,
+    ),
+]
+Form = Annotated[
+    str,
+    option(
+        "--format",
+        metavar="|".join(WRITTEN),
+        help="How they are written; latex is to be put into a document that loads amsmath.",
+        default=True,
+    ),
+]
+Order = Annotated[
+    str,
+    typer.Option(
+        metavar="N",
+        help=f"Matrices to order 0 to {HIGHEST_ORDER} in the angles, or {EXACT}: in sines and cosines, for small "
+        "trees.",
+    ),
+]
+Terms = Annotated[
+    str,
+    typer.Option(
+        metavar="|".join(TERMS),
+        help="paper: A constant, and in (27) the terms that the paper keeps. exact: all terms.",
+    ),
+]
+
+
 def equations(
-    plant: Annotated[
-        str,
-        typer.Argument(
-            metavar="PLANT",
-            help="A shipped plant's name (see platform-ctrl models), or a plant file (TOML).",
-            show_default=False,
-        ),
-    ],
-    form: Annotated[
-        str,
-        option(
-            "--format",
-            metavar="|".join(WRITTEN),
-            help="How they are written; latex is to be put into a document that loads amsmath.",
-            default=True,
-        ),
-    ] = "text",
-    order: Annotated[
-        str,
-        typer.Option(
-            metavar="N",
-            help=f"Matrices to order 0 to {HIGHEST_ORDER} in the angles, or {EXACT}: in sines and cosines, for small "
-            "trees.",
-        ),
-    ] = "1",
-    terms: Annotated[
-        str,
-        typer.Option(
-            metavar="|".join(TERMS),
-            help="paper: A constant, and in (27) the terms that the paper keeps. exact: all terms.",
-        ),
-    ] = "paper",
+    plant: Plant,
+    form: Form = "text",
+    order: Order = "1",
+    terms: Terms = "paper",
     as_json: Annotated[bool, option("--json", help="The same as --format json; no progress.", default=True)] = False,
     quiet: Quiet = False,
 ) -> None:

@@ -16,7 +16,7 @@ from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.cli.error_lines import noted
 from platform_ctrl.cli.interrupts import interruptible
-from platform_ctrl.common.progress import spinner
+from platform_ctrl.common.progress import run_words, shown_runs, spinner
 from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
@@ -223,46 +223,22 @@ def _show_alternatives(console: Console, result: JobResult) -> None:
         show_words(console, f"failed: {one.loop}, {one.name}: {one.sentence}", "red", indent="  ")
 
 
-Tick = Callable[[int, int], None]
-
-
 @contextmanager
-def campaign_progress(quiet: bool, runs: int) -> Iterator[Tick]:
+def campaign_progress(quiet: bool, runs: int) -> Iterator[Callable[[int, int], None]]:
     """Yield a function for the numbers of stored and of failed runs: a bar on a terminal, elsewhere a line each tenth.
 
     A Ctrl-C that a library swallowed takes effect at the next call.
     """
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        *(TimeElapsedColumn(), BarColumn(), MofNCompleteColumn()),
-        TextColumn("runs{task.fields[failed]}", markup=False),
-        TimeRemainingColumn(),
-    )
-    bar = sys.stderr.isatty() and not quiet
-    with (
-        interruptible() as check,
-        Progress(*columns, console=Console(stderr=True), transient=True, disable=not bar) as shown,
-    ):
-        task = shown.add_task("", total=runs, failed="")
-        tenth = 0
+    bar, tenth = sys.stderr.isatty() and not quiet, 0
+    with interruptible() as check, shown_runs(bar, runs) as show:
 
         def tick(done: int, failed: int) -> None:
             nonlocal tenth
             check()
-            words = f", {failed:,} diverged or not simulated" if failed else ""
-            shown.update(task, completed=done, failed=words)
+            show(done, failed)
             if not (quiet or bar) and 10 * done // runs > tenth:
                 tenth = 10 * done // runs
-                noted(f"{done:,} of {runs:,} runs{words}")
+                noted(run_words(done, failed, runs))
 
         yield tick
         check()

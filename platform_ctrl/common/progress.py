@@ -46,6 +46,11 @@ def shown(progress: Progress | bool | None) -> Iterator[Progress]:
             yield show
 
 
+def run_words(done: int, failed: int, runs: int) -> str:
+    """Return how far a campaign is."""
+    return f"{done:,} of {runs:,} runs" + (f", {failed:,} diverged or not simulated" if failed else "")
+
+
 @contextmanager
 def shown_runs(progress: Callable[[int, int], None] | bool | None, runs: int) -> Iterator[Callable[[int, int], None]]:
     """Yield what is called with the numbers of runs that are done and that failed: True shows a bar."""
@@ -53,17 +58,20 @@ def shown_runs(progress: Callable[[int, int], None] | bool | None, runs: int) ->
         yield progress
     elif not progress:
         yield lambda done, failed: None
+    elif (cell := _cell()) is not None:
+        yield lambda done, failed: cell(
+            f'<progress max="{runs}" value="{done}"></progress> {run_words(done, failed, runs)}'
+        )
     else:
-        cell = _cell()
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import Progress as Shown
 
-        def words(done: int, failed: int) -> str:
-            return f"{done:,} of {runs:,} runs" + (f", {failed:,} diverged or not simulated" if failed else "")
-
-        if cell is not None:
-            yield lambda done, failed: cell(f'<progress max="{runs}" value="{done}"></progress> {words(done, failed)}')
-        else:
-            with spinner(words(0, 0)) as show:
-                yield lambda done, failed: show(words(done, failed))
+        text = TextColumn("{task.description}", markup=False)
+        columns = (TimeElapsedColumn(), BarColumn(), text, TimeRemainingColumn())
+        with Shown(*columns, console=Console(stderr=True), transient=True) as shown:
+            task = shown.add_task(run_words(0, 0, runs), total=runs)
+            yield lambda done, failed: shown.update(task, completed=done, description=run_words(done, failed, runs))
 
 
 @contextmanager

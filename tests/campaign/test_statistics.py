@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from platform_ctrl.campaign.influences import influences
 from platform_ctrl.campaign.statistics import clopper_pearson, statistics
+from platform_ctrl.campaign.summary import influences
 
 LIMITS = {"turn": {"angle": 0.003, "torque_share": 1.0}, "push": {"angle": 0.002, "attitude": 0.01}}
 
