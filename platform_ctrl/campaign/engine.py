@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.campaign import single_run
 from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, kinds_of, row_not_simulated
-from platform_ctrl.campaign.store import Record, Store, identity, versions
-from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_SIMULATED, Columns
+from platform_ctrl.campaign.store import DIVERGED, ENDED, NOT_SIMULATED, Columns, Record, Store, identity, versions
 from platform_ctrl.common.processes import processes, processors
 from platform_ctrl.common.progress import shown_runs
 from platform_ctrl.common.values import value

@@ -12,8 +12,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.run_metrics import attenuation_db, over_limit, run_metrics, worst_value
-from platform_ctrl.campaign.store import TABLE, Record, differences, identity
-from platform_ctrl.campaign.table import ENDED, MANOEUVRE, NOT_SIMULATED, PASSED, RUN, Array, Columns, Kind, arrow
+from platform_ctrl.campaign.store import (
+    ENDED,
+    MANOEUVRE,
+    NOT_SIMULATED,
+    PASSED,
+    RUN,
+    TABLE,
+    Array,
+    Columns,
+    Kind,
+    Record,
+    arrow,
+    differences,
+    identity,
+)
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job

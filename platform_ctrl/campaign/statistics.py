@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS, over_limit, worst_value
-from platform_ctrl.campaign.table import (
+from platform_ctrl.campaign.store import (
     DIVERGED,
     ENDED,
     MANOEUVRE,

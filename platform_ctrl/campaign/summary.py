@@ -1,22 +1,203 @@
-"""The result of a campaign in one value, from which its page, its terminal tables and campaign.json are made."""
+"""The result of a campaign in one value, from which its page, its terminal tables and campaign.json are made.
+
+With what violating runs have in common and what drives each requirement, from the runs there are.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from platform_ctrl.campaign.influences import Influence, influences
+import numpy as np
+from numpy.typing import NDArray
+
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.statistics import (
     CONFIDENCE,
+    SIGNIFICANCE,
     CampaignStatistics,
+    Limits,
     Probability,
     RequirementStatistics,
+    answer_columns,
+    clopper_pearson,
+    holm,
+    in_order,
+    over_limits,
     statistics,
 )
-from platform_ctrl.campaign.table import Table
+from platform_ctrl.campaign.store import (
+    ENDED,
+    MANOEUVRE,
+    PASSED,
+    Array,
+    Table,
+    input_names,
+    read_columns,
+    was_simulated,
+)
 from platform_ctrl.common.files import plain_types
-from platform_ctrl.common.values import value
+from platform_ctrl.common.values import FloatArray, value
+
+# A number with more values than this, or with about one for each run, is divided into thirds.
+_MOST_LEVELS = 12
+# Ranks of so many runs, the first ones of the table, are correlated: more show nothing else.
+_RANKED = 1 << 16
+
+Level = bool | float | str
+
+
+@value
+class Influence:
+    """What one input has to do with one requirement.
+
+    Attributes
+    ----------
+    requirement
+        Name of the limit, or ``"passed"``: whether a run violates anything at all.
+    manoeuvre
+        Within this manoeuvre alone; None: over all.
+    parameter
+        Name of the input.
+    correlation, correlation_p
+        Spearman's rank correlation of the input with the metric over its limit, of ``"passed"`` with the largest such
+        ratio, and its p-value; NaN where the input is a word, or the metric is the same in every run.
+    level, present, absent, p_value
+        The value of the input with which runs violate most tellingly: True for a fault that happens, a manoeuvre's
+        name, one of a few numbers, or a third of the runs, such as ``"above 1.02"``; violations among the runs with it
+        and among the others; the p-value of Fisher's exact test, two-sided.
+
+    Notes
+    -----
+    All p-values of a requirement and manoeuvre are corrected together (Holm, Scandinavian Journal of Statistics 6,
+    1979).
+    """
+
+    requirement: str
+    manoeuvre: str | None
+    parameter: str
+    correlation: float
+    correlation_p: float
+    level: Level
+    present: Probability
+    absent: Probability
+    p_value: float
+
+    @property
+    def driver(self) -> bool:
+        """Whether the metric follows the input, and chance alone is no explanation."""
+        return bool(self.correlation_p < SIGNIFICANCE)
+
+    @property
+    def cause(self) -> bool:
+        """Whether the counts show that the value sets violating runs apart: of one run nothing does."""
+        return bool(self.p_value < SIGNIFICANCE) and self.present.events + self.absent.events > 1
+
+    @property
+    def in_every_violation(self) -> bool:
+        """Whether there are violations, and none without this value."""
+        return self.present.events > 0 and self.absent.events == 0
+
+
+def influences(
+    table: Table, limits: Limits, *, inputs: Sequence[str] | None = None, confidence: float = CONFIDENCE
+) -> tuple[Influence, ...]:
+    """Return what every input has to do with every requirement, the most telling input first.
+
+    Every requirement over all manoeuvres comes first, then within each manoeuvre. An input that is the same in all runs
+    is left out. Arguments and errors are those of `statistics`; `inputs` are the columns of inputs, by default all that
+    are no outcome.
+    """
+    names = tuple(input_names(table) if inputs is None else inputs)
+    answers = answer_columns(table)
+    metrics = [name for name in answers if name != PASSED]
+    wanted = tuple(dict.fromkeys((MANOEUVRE, *names, *metrics, *answers.values(), ENDED)))
+    data = read_columns(table, wanted)
+    data = {name: column[was_simulated(data)] for name, column in data.items()}
+    manoeuvres = np.unique(data[MANOEUVRE].astype(str)).tolist()
+    ratios = dict(zip(metrics, over_limits(data, metrics, limits)[:, 2], strict=True))
+    ratios[PASSED] = np.max([*ratios.values()], axis=0) if ratios else np.zeros(len(data[MANOEUVRE]))
+    out: list[Influence] = []
+    for manoeuvre in (None, *(in_order(manoeuvres, limits) if len(manoeuvres) > 1 else ())):
+        here = np.ones(len(data[MANOEUVRE]), dtype=bool) if manoeuvre is None else data[MANOEUVRE] == manoeuvre
+        for requirement, column in answers.items():
+            rows = here & (data[column] >= 0)
+            given = {name: data[name][rows] for name in names if _varies(data[name][rows])}
+            violated = data[column][rows] == 0
+            out += _of_one((requirement, manoeuvre), given, violated, ratios[requirement][rows], confidence)
+    return tuple(out)
+
+
+def _varies(column: Array) -> bool:
+    return bool((column != column[:1]).any())
+
+
+def _of_one(
+    of: tuple[str, str | None],
+    inputs: Mapping[str, Array],
+    violated: NDArray[np.bool_],
+    ratio: FloatArray,
+    confidence: float,
+) -> list[Influence]:
+    """Return the influences on one requirement, within one manoeuvre or over all."""
+    from scipy import stats
+
+    whole = np.array([violated.sum(), len(violated)])
+    tests: list[tuple[str, Level, Sequence[Probability], float]] = []
+    ranked: dict[str, tuple[float, float]] = {}
+    for name, column in inputs.items():
+        for level, rows in _levels(column):
+            own = np.array([violated[rows].sum(), rows.sum()])
+            sides = [clopper_pearson(int(events), int(runs), confidence) for events, runs in (own, whole - own)]
+            p = float(stats.fisher_exact([(side.events, side.runs - side.events) for side in sides])[1])
+            tests.append((name, level, sides, p))
+        x, y = column[:_RANKED], ratio[:_RANKED]
+        if column.dtype.kind in "if" and _varies(x) and _varies(y):
+            correlation, p = stats.spearmanr(x, y)
+            ranked[name] = (float(correlation), float(p))
+    corrected = holm([*(p for *_, p in tests), *(p for _, p in ranked.values())])
+    correlated = zip(ranked.items(), corrected[len(tests) :].tolist(), strict=True)
+    correlations = {name: (r, p) for (name, (r, _)), p in correlated}
+    found: dict[str, Influence] = {}
+    for (name, level, (present, absent), _), p in zip(tests, corrected.tolist(), strict=False):
+        correlation, correlation_p = correlations.get(name, (float("nan"), 1.0))
+        one = Influence(
+            requirement=of[0],
+            manoeuvre=of[1],
+            parameter=name,
+            correlation=correlation,
+            correlation_p=correlation_p,
+            level=level,
+            present=present,
+            absent=absent,
+            p_value=p,
+        )
+        if name not in found or _telling(one) < _telling(found[name]):
+            found[name] = one
+    return sorted(found.values(), key=lambda one: min(one.p_value, one.correlation_p))
+
+
+def _telling(one: Influence) -> tuple[bool, float]:
+    # Of a value with which runs violate seldom, its complement is what violating runs have in common.
+    return one.present.estimate < one.absent.estimate, one.p_value
+
+
+def _levels(column: Array) -> Iterator[tuple[Level, NDArray[np.bool_]]]:
+    """Walk the values of an input with the runs that have them; thirds of the runs where there are many values."""
+    if column.dtype == np.int8:  # that a fault does not happen is the other side of that it does
+        yield True, column == 1
+        return
+    levels = np.unique(column if column.dtype.kind == "f" else column.astype(str))
+    if column.dtype.kind != "f" or len(levels) <= min(_MOST_LEVELS, len(column) // 2):
+        for level in levels.tolist():
+            yield level, column == level
+        return
+    low, high = np.quantile(column, [1.0 / 3.0, 2.0 / 3.0])
+    yield f"below {low:.4g}", column < low
+    yield f"{low:.4g} to {high:.4g}", (column >= low) & (column <= high)
+    yield f"above {high:.4g}", column > high
+
 
 Record = dict[str, Any]
 

@@ -7,11 +7,10 @@ import os
 from pathlib import Path
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.campaign.influences import Influence
 from platform_ctrl.campaign.single_run import ROUNDING, rerun
 from platform_ctrl.campaign.statistics import Probability
 from platform_ctrl.campaign.store import identity, source_hashes
-from platform_ctrl.campaign.summary import Summary
+from platform_ctrl.campaign.summary import Influence, Summary
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError

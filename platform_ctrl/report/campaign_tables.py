@@ -6,10 +6,9 @@ import math
 from collections.abc import Sequence
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.campaign.influences import Influence
 from platform_ctrl.campaign.statistics import Probability, RequirementStatistics, WorstRun
-from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import DIVERGED, MANOEUVRE, PASSED
+from platform_ctrl.campaign.store import DIVERGED, MANOEUVRE, PASSED
+from platform_ctrl.campaign.summary import Influence, Summary
 from platform_ctrl.common.text import Rounding, rounded
 from platform_ctrl.common.values import value
 from platform_ctrl.job.quantities import (
