@@ -346,7 +346,8 @@ def value_mistakes(budget: BudgetSpec) -> Iterator[Mistake]:
         path: Path = ("budget", "source", k)
         lead = next(key for key, kind in SPECTRA.items() if isinstance(source.spectrum, kind))
         edges = np.concatenate([source.knots_hz, source.lines.frequencies_hz])
-        if edges.min() > budget.to_hz or edges.max() < budget.from_hz:
+        shaken = (budget.from_hz <= source.lines.frequencies_hz) & (source.lines.frequencies_hz <= budget.to_hz)
+        if not source.spectrum.within(budget.from_hz, budget.to_hz).size and not shaken.any():
             words = f"{lead}: nothing of it lies in the band of the budget, {budget.from_hz:g} to {budget.to_hz:g} Hz"
             range_words = f"{edges.min():.4g} to {edges.max():.4g} Hz"
             yield Mistake((*path, lead), f"{words}, got {range_words}; widen the band or leave the source out")

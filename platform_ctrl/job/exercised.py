@@ -33,15 +33,6 @@ def unexercised(job: Job) -> Iterator[Mistake]:
             yield from _of_loop(job, spec, limits, ("loop", i, table))
     for k, manoeuvre in enumerate(job.manoeuvres):
         yield from _of_run(job, manoeuvre, ("manoeuvre", k))
-    if job.budget is not None:
-        low, high = job.budget.from_hz, job.budget.to_hz
-        for k, source in enumerate(job.budget.sources):
-            lines, knots = source.lines.frequencies_hz, source.knots_hz
-            if knots.size and min(high, knots[-1]) > max(low, knots[0]):
-                continue
-            if not np.any((lines >= low) & (lines <= high)):
-                words = f"{source.name} shakes nothing between from_hz = {low:g} and to_hz = {high:g}"
-                yield Mistake(("budget", "source", k), f"{words}; widen the band, or leave the source out")
 
 
 def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float], path: Path) -> Iterator[Mistake]:

@@ -65,6 +65,13 @@ class SourceSpectrum:
         """Frequencies (k,) at which the density has a bend or a jump, increasing, Hz; it is zero outside of them."""
         return np.zeros(0) if self.table is None else self.table.frequencies_hz
 
+    def within(self, from_hz: float, to_hz: float) -> FloatArray:
+        """Return the knots of the density between two frequencies and the ends of that band; none where it is zero."""
+        knots = self.knots_hz
+        if not knots.size or max(from_hz, knots[0]) >= min(to_hz, knots[-1]):
+            return np.zeros(0)
+        return np.unique(np.clip(knots, from_hz, to_hz))
+
     @property
     def lines(self) -> Lines:
         """Its sines; most descriptions have none."""
@@ -101,12 +108,9 @@ class SourceSpectrum:
         float
             In units².
         """
-        lines, knots = self.lines, self.knots_hz
+        lines, edges = self.lines, self.within(from_hz, to_hz)
         inside = (from_hz <= lines.frequencies_hz) & (lines.frequencies_hz <= to_hz)
         total = 0.5 * float(np.sum(lines.amplitudes[inside] ** 2))
-        if not knots.size or max(from_hz, knots[0]) >= min(to_hz, knots[-1]):
-            return total
-        edges = np.unique(np.clip(knots, max(from_hz, knots[0]), min(to_hz, knots[-1])))
         # Over the logarithm of frequency, in which a power law is an exponential.
         half = 0.5 * np.log(edges[1:] / edges[:-1])[:, None]
         f = np.sqrt(edges[1:] * edges[:-1])[:, None] * np.exp(half * _NODES)

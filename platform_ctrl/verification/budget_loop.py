@@ -244,10 +244,9 @@ def _torque_on(angle: str) -> str:
 
 def _spectrum(source: Source, low: float, high: float) -> Density | None:
     """Return the density of a source within the band, None where there is none."""
-    knots = source.knots_hz
-    if not knots.size or max(low, knots[0]) >= min(high, knots[-1]):
+    knots = source.spectrum.within(low, high)
+    if not knots.size:
         return None
-    knots = np.unique(np.clip(knots, low, high))
     thin = _thinned(knots)
     if len(thin) == len(knots):
         return Density(knots=2.0 * math.pi * knots, density=lambda w: source.density(w / (2.0 * math.pi)))

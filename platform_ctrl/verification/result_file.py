@@ -94,16 +94,12 @@ def budget_record(
         ],
         "total": {"rms": found.total, "across": found.jitter},
         "windows": [
-            {
-                "exposure": one.exposure,
-                "displacement": one.displacement,
-                "smear": one.smear,
-                "jitter": one.jitter,
-                "about_mean": one.about_mean,
+            _fields(one, "exposure", "displacement", "smear", "jitter", "about_mean")
+            | {
                 "contrast": [
                     {"spatial_frequency": nu, "contrast": one.contrast[:, k]}
                     for k, nu in enumerate(job.budget.spatial_frequencies)
-                ],
+                ]
             }
             for one in found.windows
         ],
@@ -116,54 +112,33 @@ def budget_record(
             {"name": name, "rms": one and one.total, "across": one and one.jitter} for name, one in others.items()
         ]
     if runs is not None:
-        record["simulated"] = {
-            "runs": runs.runs,
-            "seed": runs.seed,
-            "time": runs.time,
-            "settle": runs.settle,
-            "rms": runs.rms,
-            "low": runs.low,
-            "high": runs.high,
-            "linear": runs.linear,
-            "ratio": runs.ratio,
-            "left_out": runs.left_out,
-        }
+        numbers = ("runs", "seed", "time", "settle", "rms", "low", "high", "linear", "ratio", "left_out")
+        record["simulated"] = _fields(runs, *numbers)
     out: Record = plain_types(record)
     return out
 
 
+def _fields(item: object, *names: str) -> Record:
+    return {name: getattr(item, name) for name in names}
+
+
 def _friction(balance: FrictionBalance) -> list[Record]:
-    return [
-        {
-            "rate_rms": rate,
-            "viscous": viscous,
-            "fed": fed,
-            "remainder": left,
-            "sticking": sticking,
-            "valid": bool(valid),
-            "says": says,
-        }
-        for rate, viscous, fed, left, sticking, valid, says in zip(
-            balance.rate,
-            balance.viscous,
-            balance.fed,
-            balance.remainder,
-            balance.sticking,
-            balance.valid,
-            balance.statement,
-            strict=True,
-        )
-    ]
+    columns = {
+        "rate_rms": balance.rate,
+        "viscous": balance.viscous,
+        "fed": balance.fed,
+        "remainder": balance.remainder,
+        "sticking": balance.sticking,
+        "valid": balance.valid > 0.0,
+        "says": balance.statement,
+    }
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def run_record(job: Job, run: Run) -> Record:
     """Return how a simulated run went, in plain types."""
     trajectory, manoeuvre = run.trajectory, run.manoeuvre
-    record = {
-        "name": manoeuvre.name,
-        "mode": manoeuvre.mode,
-        "axis": manoeuvre.axis,
-        "duration": manoeuvre.duration,
+    record = _fields(manoeuvre, "name", "mode", "axis", "duration") | {
         "ended": trajectory.ended,
         "passed": all(one.passed for one in run.results),
         "largest": {
@@ -262,11 +237,12 @@ def _proofs(proofs: Proofs | None) -> Record:
 
 def _requirement(result: CheckResult) -> Record:
     names = ("name", "subject", "design", "value", "limit", "unit", "sense", "margin", "passed", "stage")
-    return {name: getattr(result, name) for name in (*names, "method", "evidence")}
+    return _fields(result, *names, "method", "evidence")
 
 
 def _coupled(result: JobResult, check: CoupledCheck) -> Record:
-    figures = zip(check.channels, check.decoupled, check.coupled, check.cost, check.torque_noise, strict=True)
+    keys = ("channel", "decoupled", "coupled", "cost", "torque_noise")
+    values = (check.channels, check.decoupled, check.coupled, check.cost, check.torque_noise)
     simultaneous = check.simultaneous
     return {
         "stable": check.stable,
@@ -277,10 +253,7 @@ def _coupled(result: JobResult, check: CoupledCheck) -> Record:
             "frequency": simultaneous.frequency,
         },
         "channels": list(check.channels),
-        "loop_by_loop": [
-            {"channel": name, "decoupled": alone, "coupled": together, "cost": cost, "torque_noise": noise}
-            for name, alone, together, cost, noise in figures
-        ],
+        "loop_by_loop": [dict(zip(keys, row, strict=True)) for row in zip(*values, strict=True)],
         **_proofs(result.proofs.get(("", ""))),
     }
 

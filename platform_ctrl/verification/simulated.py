@@ -346,12 +346,12 @@ def _linear(job: Job, budget: BudgetSpec, controllers: Sequence[control.StateSpa
 
 def _vibrations(source: Source, budget: BudgetSpec) -> list[Vibration]:
     """Return a source's density within the band as a sum of sines."""
-    knots = source.knots_hz
-    if not knots.size or max(budget.from_hz, knots[0]) >= min(budget.to_hz, knots[-1]):
+    knots = source.spectrum.within(budget.from_hz, budget.to_hz)
+    if not knots.size:
         return []
-    low, high = max(budget.from_hz, float(knots[0])), min(budget.to_hz, float(knots[-1]))
+    low, high = map(float, knots[[0, -1]])
     grid = np.geomspace(low, high, max(2, math.ceil(_PER_DECADE * math.log10(high / low))))
-    f = np.unique(np.concatenate([grid[1:-1], knots[(knots > low) & (knots < high)], [low, high]]))
+    f = np.unique(np.concatenate([grid[1:-1], knots]))
     density = source.density(f)
     inside = density > 0.0
     return [
