@@ -17,7 +17,7 @@ import one_gyro_job
 import platform_ctrl as pc
 from platform_ctrl import analysis, design, simulation
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import Design
 
 MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
 PERIOD = 0.0005
@@ -27,11 +27,11 @@ JOB = tomllib.loads(one_gyro_job.JOB)
 
 
 @pytest.fixture(scope="module")
-def loop() -> LoopDesign:
+def loop() -> Design:
     return design.loops(JOB)[0].closed
 
 
-def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(loop: LoopDesign) -> None:
+def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(loop: Design) -> None:
     made = loop
     assert made.plant is not None
     angles = list(made.controller.input_labels)
@@ -44,7 +44,7 @@ def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(lo
     np.testing.assert_allclose(analysis.frequency_response(theirs, w), expected, rtol=1e-8)
 
 
-def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(loop: LoopDesign) -> None:
+def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(loop: Design) -> None:
     plant = loop.plant
     assert plant is not None
     angles = list(plant.output_labels)
@@ -55,7 +55,7 @@ def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(loop: Loo
     np.testing.assert_allclose(found, control.forced_response(direct, t, u).outputs, rtol=0, atol=1e-13)
 
 
-def test_names_of_states_last(loop: LoopDesign) -> None:
+def test_names_of_states_last(loop: Design) -> None:
     assert loop.plant is not None
     gyro = pc.state_space(MODEL, gimbals=("9", "10"))
     assert gyro.state_labels == STATES

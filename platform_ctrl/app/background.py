@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import control
 
     from platform_ctrl.analysis.plant_set import PlantSet
-    from platform_ctrl.design.method import Designed
+    from platform_ctrl.design.loop import Design
     from platform_ctrl.design.partition import Channels
     from platform_ctrl.simulation.closed_loop import Trajectory
 
@@ -327,10 +327,10 @@ class Designing:
     loop: str
     design: str
 
-    def run(self, progress: Progress) -> Designed:
+    def run(self, progress: Progress) -> Design:
         """Return the controller u = K y, with its completed options and what the method claims."""
         from platform_ctrl.design.jobs import loops
-        from platform_ctrl.design.method import Designed
+        from platform_ctrl.design.loop import Design
 
         spec = next(one for one in self.job.loops if one.name == self.loop)
         design = next(one for one in spec.designs if one.name == self.design)
@@ -340,8 +340,14 @@ class Designing:
             alone.insert(0, dataclasses.replace(inner, designs=(inner.closed,)))
         outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress)
         closed = next(one.closed for one in outcomes if one.spec.name == spec.name)
-        controller = System.of(closed.own_controller, closed.name)
-        return Designed(controller=controller, options=dict(closed.options), claims=dict(closed.claims))
+        return Design(
+            loop=closed.loop,
+            name=closed.name,
+            method=closed.method,
+            controller=closed.own_controller,
+            options=closed.options,
+            claims=closed.claims,
+        )
 
 
 @value

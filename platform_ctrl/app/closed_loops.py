@@ -31,8 +31,8 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.stabilised import StabilisedCurves, StabilisedLoop
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import designed
-from platform_ctrl.design.method import Designed, LoopProblem, shaped
+from platform_ctrl.design.loop import Design
+from platform_ctrl.design.method import LoopProblem, designed, shaped
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
@@ -63,8 +63,8 @@ class ClosedLoops:
         self.plants = JobPlants(job)
         self.options = DesignOptions(self.plants)
         # By loop, design and options: made here, and read from a file, which no method could make again.
-        self._made: Bounded[Designed] = Bounded(_ROOM)
-        self._given: dict[Hashable, Designed] = {}
+        self._made: Bounded[Design] = Bounded(_ROOM)
+        self._given: dict[Hashable, Design] = {}
         self._specs = {spec.name: spec for spec in job.loops}
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(16)
@@ -77,15 +77,15 @@ class ClosedLoops:
         """The settings of the job file, with the controllers that exist already."""
         return self.options.start
 
-    def _take(self, given: Iterable[tuple[str, str, str, Designed]]) -> None:
+    def _take(self, given: Iterable[Design]) -> None:
         """Start from designs that exist already."""
         start = self.start
-        for loop, design, method, made in given:
-            spec = self._specs[loop]
-            known = next((d for d in spec.designs if d.name == design), None)
+        for made in given:
+            loop, design = made.loop, made.name
+            known = next((d for d in self._specs[loop].designs if d.name == design), None)
             if known is None:
                 continue
-            if method == known.method and METHODS[method].tunes and known.tune:
+            if made.method == known.method and METHODS[made.method].tunes and known.tune:
                 mine = start.options[loop]
                 options = {name: made.options.get(name, x) for name, x in mine[design].items()}
                 start = start.but(options={**start.options, loop: {**mine, design: options}})
@@ -104,7 +104,7 @@ class ClosedLoops:
         options, limits = settings.options[loop][design], of_loop(settings.limits, loop)
         return loop, design, tuple(sorted(options.items())), tuple(sorted(limits.items()))
 
-    def found(self, settings: Settings, loop: str, design: str) -> Designed | None:
+    def found(self, settings: Settings, loop: str, design: str) -> Design | None:
         """Return the design that a method has made for these settings, or None."""
         key = self.design_key(settings, loop, design)
         return self._given.get(key) or self._made.found(key)
@@ -339,7 +339,7 @@ class ClosedLoops:
         made = self.found(settings, spec.name, design.name)
         if made is None:
             raise DesignError(f"{spec.name}, {design.name}: is not designed yet; wait until it is")
-        return made.controller
+        return System.of(made.controller, made.name)
 
 
 def _content(K: System) -> tuple[object, ...]:

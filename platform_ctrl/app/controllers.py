@@ -15,9 +15,9 @@ from platform_ctrl.app.limits import stated_limits
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.feedforward import rate_feedforward
-from platform_ctrl.design.loop import designed
+from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import loop_signals
-from platform_ctrl.design.method import Designed, LoopProblem
+from platform_ctrl.design.method import LoopProblem, designed
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
 from platform_ctrl.design.methods.pi import rate_controller, rate_options
@@ -177,8 +177,8 @@ def built_directly(design: DesignSpec) -> bool:
     return METHODS[design.method].instant
 
 
-def existing_designs(path: Path, job: Job) -> list[tuple[str, str, str, Designed]]:
-    """Return loop, design, method and controller of each entry of a file that fits the job's caging loops."""
+def existing_designs(path: Path, job: Job) -> list[Design]:
+    """Return each entry of a file that fits the job's caging loops, without feedforward and commands."""
     out = []
     _, data = read_json(path, "a JSON file with controllers")
     for part in ("controllers", "alternatives"):
@@ -212,8 +212,9 @@ def existing_designs(path: Path, job: Job) -> list[tuple[str, str, str, Designed
                 for name, x in (options.items() if isinstance(options, dict) else ())
                 if isinstance(x, int | float) and not isinstance(x, bool) and x > 0.0
             }
-            made = Designed(controller=ordered, options=numbers)
-            out.append((spec.name, str(entry.get("design") or "given"), str(entry.get("method")), made))
+            name, method = str(entry.get("design") or "given"), str(entry.get("method"))
+            given = ordered.to_control(readings, torques)
+            out.append(Design(loop=spec.name, name=name, method=method, controller=given, options=numbers))
     return out
 
 

@@ -11,9 +11,9 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.progress import Local, Progress, shown
 from platform_ctrl.common.values import replaced
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.loop import FailedDesign, LoopDesign, LoopOutcome, commanded, instability, with_commands
+from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, commanded, with_commands
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
-from platform_ctrl.design.method import LoopProblem
+from platform_ctrl.design.method import LoopProblem, instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
@@ -108,10 +108,10 @@ def _loops(job: Job, progress: Progress, processes: int) -> tuple[LoopOutcome, .
     return in_order(job, list(map(made.__getitem__, specs)))
 
 
-def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, LoopDesign | Exception]]) -> LoopOutcome:
+def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, Design | Exception]]) -> LoopOutcome:
     """Return the outcome of a loop of what its designs have come to."""
-    designs = tuple(one for _, one in found if isinstance(one, LoopDesign))
-    errors = [(design, instability(one, design.tune) if isinstance(one, LoopDesign) else one) for design, one in found]
+    designs = tuple(one for _, one in found if isinstance(one, Design))
+    errors = [(design, instability(one, design.tune) if isinstance(one, Design) else one) for design, one in found]
     failed = tuple(_failed(spec, design, error) for design, error in errors if error is not None)
     names = [one.name for one in designs]
     use = spec.use if spec.use in names or not names else names[0]
@@ -136,7 +136,7 @@ def _problems(
     spec: LoopSpec,
     model: LinearModel,
     plants: Sequence[PlantSet | None],
-    inner: LoopDesign | None,
+    inner: Design | None,
     progress: Progress,
 ) -> list[LoopProblem]:
     """Return what the methods of a loop's designs are given.
@@ -177,7 +177,7 @@ def _plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
     return out
 
 
-def _commanded(job: Job, design: LoopDesign, around: bool) -> LoopDesign:
+def _commanded(job: Job, design: Design, around: bool) -> Design:
     """Return a design with commands where a loop around it or a manoeuvre commands what it reads."""
     plants = design.plants
     return commanded(design) if plants is not None and (around or job.commanded & set(plants.angles)) else design

@@ -15,10 +15,9 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import value
-from platform_ctrl.design.method import Designed, LoopProblem, known_method
 from platform_ctrl.design.partition import Channels, gain
 from platform_ctrl.design.sections import Section
-from platform_ctrl.errors import NotCertifiedError, reason
+from platform_ctrl.errors import reason
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import LoopRequirement
@@ -34,8 +33,10 @@ _LATE = ("ramp error", "tracking error")
 
 
 @value
-class LoopDesign:
-    """A sampled controller of one loop with what it does there.
+class Design:
+    """A sampled controller of one loop, what it does there, and whether that meets the limits.
+
+    A method makes it, `design.method.evaluated` measures it.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class LoopDesign:
     plants
         What it was designed for, nominal plant first; None for a loop that is only checked in the coupled system.
     measures
-        Recomputed from the closed loop; None as above.
+        Recomputed from the closed loop; None as above, and until it is measured.
     results
         The loop's limits compared with the measures.
     goals
@@ -122,17 +123,17 @@ class LoopOutcome:
     """
 
     spec: LoopSpec
-    designs: tuple[LoopDesign, ...]
+    designs: tuple[Design, ...]
     use: str
     failed: tuple[FailedDesign, ...] = ()  # An unstable design is among `designs` as well
 
     @property
-    def closed(self) -> LoopDesign:
+    def closed(self) -> Design:
         """The design that is closed together with those of the other loops."""
         return next(design for design in self.designs if design.name == self.use)
 
     @property
-    def alternatives(self) -> tuple[LoopDesign, ...]:
+    def alternatives(self) -> tuple[Design, ...]:
         """The other designs."""
         return tuple(design for design in self.designs if design.name != self.use)
 
@@ -145,51 +146,6 @@ class LoopOutcome:
 def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
     """Return the nominal sampled plant (or plant `k` of the set) with its signal names."""
     return plants.arrays.at(k).to_control(plants.torques, plants.angles, plants.states)
-
-
-def designed(problem: LoopProblem) -> LoopDesign:
-    """Return the design that the problem's method makes, with all its values recomputed; a DesignError says why not."""
-    out = evaluated(problem, known_method(problem.design.method).design(problem))
-    if (error := instability(out, problem.design.tune)) is not None:
-        raise error
-    return out
-
-
-def evaluated(problem: LoopProblem, found: Designed) -> LoopDesign:
-    """Return what a method has found, all values recomputed from the closed loops; they may be unstable."""
-    spec, design, plants = problem.spec, problem.design, problem.plant_set
-    method = known_method(design.method)
-    if plants is None:
-        K = found.controller._replace(dt=problem.job.sampling.period)
-        named = K.to_control(found.inputs, found.outputs, name=f"{spec.name}, {design.name}")
-        out = LoopDesign(loop=spec.name, name=design.name, method=design.method, controller=named)
-    else:
-        out = measured(spec, design.name, design.method, problem.in_signals(found.controller), plants)
-        out = dataclasses.replace(out, directions=problem.channel)
-    out = dataclasses.replace(out, options=found.options, claims=found.claims)
-    if method.goals:
-        ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
-        largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
-        out = dataclasses.replace(out, claims=out.claims | largest)
-    # There are none where commands or feedforward are added to the method's controller.
-    if plants is None or tuple(out.controller.input_labels) == plants.angles:
-        out = dataclasses.replace(out, sections=method.sections(problem, out.options))
-    return method.judged(problem, out)
-
-
-def instability(design: LoopDesign, tuned: bool) -> NotCertifiedError | None:
-    """Return the error that the closed loop with the nominal plant is unstable; None where it is stable."""
-    measures = design.measures
-    if measures is None or measures.decay[0] > 0.0:
-        return None
-    advice = known_method(design.method).advice
-    if tuned:
-        advice = "a higher rate_hz, a shorter delay or other limits: no start of the tuner leads to a stable loop"
-    return NotCertifiedError(
-        f"{design.loop}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s: it is unstable; try "
-        f"{advice}",
-        design.plants,
-    )
 
 
 def limits_and_goals(
@@ -211,21 +167,19 @@ def filter_lag(hz: float) -> str:
     return f"behind the reference filter (filter_hz = {hz:g}), which alone is {1.0 / (math.pi * hz):.3g} s late"
 
 
-def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
-    """Return an existing controller as a design of `spec`, measured again, without its claims."""
-    return measured(spec, name, "given", with_commands(plants, controller), plants)
-
-
-def measured(spec: LoopSpec, name: str, method: str, controller: System, plants: PlantSet) -> LoopDesign:
-    """Return a controller with its measures, compared with the limits and goals."""
-    K = controller._replace(dt=plants.period)
+def measured(
+    spec: LoopSpec, name: str, method: str, controller: System | control.StateSpace, plants: PlantSet
+) -> Design:
+    """Return a controller of what the plants measure, perhaps of its commands behind it, as a design, measured."""
+    K = controller if isinstance(controller, System) else with_commands(plants, controller)
+    K = K._replace(dt=plants.period)
     measures = measure(plants, K, spec.requests)
     results, goals = limits_and_goals(spec, name, plants, measures)
-    return LoopDesign(
+    return Design(
         loop=spec.name,
         name=name,
         method=method,
-        controller=_delivered(K, plants, f"{spec.name}, {name}"),
+        controller=delivered(K, plants, f"{spec.name}, {name}"),
         plants=plants,
         measures=measures,
         results=results,
@@ -237,7 +191,7 @@ def _commands(plants: PlantSet) -> list[str]:
     return [f"{name}{COMMAND}" for name in plants.angles]
 
 
-def _delivered(K: System, plants: PlantSet, name: str) -> control.StateSpace:
+def delivered(K: System, plants: PlantSet, name: str) -> control.StateSpace:
     """Return a controller of what the plants measure, perhaps of its commands behind it, with feedforward, by name."""
     commands = _commands(plants)[: K.B.shape[1] - len(plants.angles)]
     whole = K if plants.feedforward is None else plants.feedforward.joined_to(K)
@@ -259,14 +213,19 @@ def with_commands(plants: PlantSet, controller: control.StateSpace) -> System:
     return own if error else K
 
 
-def commanded(design: LoopDesign) -> LoopDesign:
+def takes_commands(design: Design) -> bool:
+    """Return whether a design of a loop with plants has commands of what it reads among its inputs."""
+    return design.plants is not None and set(_commands(design.plants)) <= set(design.controller.input_labels)
+
+
+def commanded(design: Design) -> Design:
     """Return the design with commands: u = K (y − command) unless it says otherwise."""
     plants = design.plants
     assert plants is not None, "a loop that is commanded has plants"
-    if set(_commands(plants)) <= set(design.controller.input_labels):
+    if takes_commands(design):
         return design
     arrays = with_error_alone(plants.joined(design.controller))
-    controller = _delivered(arrays, plants, str(design.controller.name))
+    controller = delivered(arrays, plants, str(design.controller.name))
     errors = {name: f"{name}_error" for name in plants.angles}
     compared = gain(np.hstack([np.eye(len(errors)), -np.eye(len(errors))]))
     inputs = (*plants.angles, *_commands(plants))
@@ -276,15 +235,6 @@ def commanded(design: LoopDesign) -> LoopDesign:
     return dataclasses.replace(design, controller=controller, sections=sections)
 
 
-def with_own_controller(design: LoopDesign, controller: System) -> LoopDesign:
-    """Return a design with another controller of what its plants measure; nothing of it is measured again."""
-    plants = design.plants
-    assert plants is not None, "the loop has plants"
-    K = _delivered(controller._replace(dt=plants.period), plants, str(design.controller.name))
-    found = dataclasses.replace(design, controller=K, sections=())
-    return commanded(found) if set(_commands(plants)) <= set(design.controller.input_labels) else found
-
-
 def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> ComplexArray:
     """Return the poles of every plant's closed loop, complex (N, poles), in z."""
     K = System.of(controller, "closed_loop_poles")
@@ -292,26 +242,16 @@ def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> Compl
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
 
-def with_largest_rates(design: LoopDesign) -> LoopDesign:
-    """Return a caging design with the rates that it can hold where it is closed.
-
-    What does not exist for a loop is left out: the largest Omega of torquers without limits, of an axis that loads
-    none, and of a loop that is not stable.
-    """
-    if design.measures is None or not design.measures.decay[0] > 0.0:
-        return design
-    return dataclasses.replace(design, claims=dict(design.claims) | largest_rates(design))
-
-
-def largest_rates(design: LoopDesign) -> dict[str, float]:
-    """Return the constant rates about the root axes at which the first torquer comes to its limit, rad/s.
+def with_largest_rates(design: Design) -> Design:
+    """Return a caging design with the constant rates about the root axes at which a torquer comes to its limit, rad/s.
 
     Those of the nominal plant, and where they are all stable the least over the plants of the parameter uncertainty.
-    They follow from the torques in the steady state; while Omega changes the torques may be larger.
+    They follow from the torques in the steady state; while Omega changes the torques may be larger. What does not exist
+    for a loop is left out: the rate of torquers without limits, of an axis that loads none, and of an unstable loop.
     """
     plants, measures = design.plants, design.measures
-    assert plants is not None, "a caging loop has plants"
-    assert measures is not None, "and is measured"
+    if plants is None or measures is None or not measures.decay[0] > 0.0:
+        return design
     A, B, C, D, _ = Loop(plants, with_commands(plants, design.controller)).arrays
     torques, rates = slice(len(plants.torques)), slice(len(plants.torques), len(plants.torques) + 3)
     varied = plants.of(("nominal", "uncertainty"))
@@ -320,15 +260,15 @@ def largest_rates(design: LoopDesign) -> dict[str, float]:
     try:
         steady = D + C @ np.linalg.solve(np.eye(A.shape[-1]) - A, B)
     except np.linalg.LinAlgError:
-        return {}
+        return design
     # Per axis: share of its limit that the most loaded torquer needs for 1 rad/s.
     share = np.abs(steady / plants.torque_limit[:, None]).max(axis=1)
-    out = {}
+    claims = dict(design.claims)
     for axis in map(int, np.flatnonzero(share[0] > _NO_LOAD)):
-        out[largest_Omega_name(axis + 1)] = float(1.0 / share[0, axis])
+        claims[largest_Omega_name(axis + 1)] = float(1.0 / share[0, axis])
         if len(share) > 1:
-            out[largest_Omega_name(axis + 1, worst_case=True)] = float(1.0 / share[:, axis].max())
-    return out
+            claims[largest_Omega_name(axis + 1, worst_case=True)] = float(1.0 / share[:, axis].max())
+    return dataclasses.replace(design, claims=claims)
 
 
 def largest_Omega_name(axis: int, *, worst_case: bool = False) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
+from dataclasses import replace
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
@@ -15,19 +15,17 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import known_name, nearest
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.loop import Design, delivered, measured
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels, gain, low_pass
 from platform_ctrl.design.sections import Section
 from platform_ctrl.design.tuning import Builder, Tuner, over_decades
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job import methods
 from platform_ctrl.job.drive import CommandShaping
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import LinearModel
-
-if TYPE_CHECKING:
-    from platform_ctrl.design.loop import LoopDesign
 
 OptionGroup = Literal["gains", "lead", "notch", "lag", "design"]
 Family = Literal["speed", "robustness"]
@@ -109,17 +107,36 @@ class LoopProblem:
         sense = self.channel.sense
         return self.with_commands(K if sense is None else K._replace(B=K.B @ sense, D=K.D @ sense), sense)
 
+    def made(
+        self,
+        controller: System,
+        options: dict[str, float],
+        claims: dict[str, float] | None = None,
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
+    ) -> Design:
+        """Return what a method has made as a design that is not measured yet.
 
-@value
-class Designed:
-    """What a design method returns; `design.loop.designed` measures the closed loop and does not rely on the claims."""
-
-    controller: System  # u = K y, sampled with the job's period or a static gain
-    options: dict[str, float]  # the method's numbers as finally used, in the units of the job file
-    claims: dict[str, float] = field(default_factory=dict)  # what the method claims, by name, in SI units
-    # inputs, outputs: names of the signals; by default the pick-offs and the torquers of the loop's plants.
-    inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
+        `controller` is u = K y of `plants`, sampled with the loop's period or a static gain; of a loop without plants
+        with the signals `inputs` and `outputs`. `options` are the method's numbers as finally used, in the units of the
+        job file, `claims` what it claims, by name, in SI units.
+        """
+        spec, design, plants = self.spec, self.design, self.plant_set
+        name = f"{spec.name}, {design.name}"
+        if plants is None:
+            K = controller._replace(dt=self.job.sampling.period).to_control(inputs, outputs, name=name)
+        else:
+            K = delivered(self.in_signals(controller)._replace(dt=plants.period), plants, name)
+        return Design(
+            loop=spec.name,
+            name=design.name,
+            method=design.method,
+            controller=K,
+            options=options,
+            claims=claims or {},
+            plants=plants,
+            directions=None if plants is None else self.channel,
+        )
 
 
 class Method(methods.JobMethod, ABC):
@@ -156,8 +173,8 @@ class Method(methods.JobMethod, ABC):
         return tuple(self.families.get("speed", ()))
 
     @abstractmethod
-    def design(self, problem: LoopProblem) -> Designed:
-        """Return the controller of a loop; a `DesignError` says why there is none."""
+    def design(self, problem: LoopProblem) -> Design:
+        """Return a design of a loop, see `LoopProblem.made`; a `DesignError` says why there is none."""
 
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
         """Return all options of a design, those that are not given by rules of thumb.
@@ -193,7 +210,7 @@ class Method(methods.JobMethod, ABC):
         """Return the controller of complete options section by section, in their order; none: it is matrices alone."""
         return ()
 
-    def judged(self, problem: LoopProblem, design: LoopDesign) -> LoopDesign:
+    def judged(self, problem: LoopProblem, design: Design) -> Design:
         """Return a design that is judged on what the method alone knows too, as measured responses."""
         return design
 
@@ -218,6 +235,46 @@ def known_method(key: str) -> Method:
     """Return the method with this key; an `ArgumentError` names those that are there."""
     keys = tuple(METHODS)
     return METHODS[keys[known_name("method", key, keys)]]
+
+
+def designed(problem: LoopProblem) -> Design:
+    """Return the design that the problem's method makes, with all its values recomputed; a DesignError says why not."""
+    out = evaluated(problem)
+    if (error := instability(out, problem.design.tune)) is not None:
+        raise error
+    return out
+
+
+def evaluated(problem: LoopProblem) -> Design:
+    """Return what the problem's method makes, all values recomputed from the closed loops; they may be unstable."""
+    method = known_method(problem.design.method)
+    out = method.design(problem)
+    if (plants := out.plants) is not None:
+        found = measured(problem.spec, out.name, out.method, out.controller, plants)
+        out = replace(out, measures=found.measures, results=found.results, goals=found.goals)
+    if method.goals:
+        ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
+        largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
+        out = replace(out, claims=out.claims | largest)
+    # There are none where commands or feedforward are added to the method's controller.
+    if plants is None or tuple(out.controller.input_labels) == plants.angles:
+        out = replace(out, sections=method.sections(problem, out.options))
+    return method.judged(problem, out)
+
+
+def instability(design: Design, tuned: bool) -> NotCertifiedError | None:
+    """Return the error that the closed loop with the nominal plant is unstable; None where it is stable."""
+    measures = design.measures
+    if measures is None or measures.decay[0] > 0.0:
+        return None
+    advice = known_method(design.method).advice
+    if tuned:
+        advice = "a higher rate_hz, a shorter delay or other limits: no start of the tuner leads to a stable loop"
+    return NotCertifiedError(
+        f"{design.loop}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s: it is unstable; try "
+        f"{advice}",
+        design.plants,
+    )
 
 
 class TunedMethod(Method):
@@ -254,7 +311,7 @@ class TunedMethod(Method):
         together = [name for name in self.rates if name in options and name not in fixed]
         return [one for base in bases for one in over_decades(base, together, plants.period)]
 
-    def design(self, problem: LoopProblem) -> Designed:
+    def design(self, problem: LoopProblem) -> Design:
         """Return the loop of a job, with ``tune = true`` its options moved until the limits are met."""
         channel, plants = problem.channel, self.seen(problem.plants)
 
@@ -272,7 +329,7 @@ class TunedMethod(Method):
                 starts=self.starts(problem, options),
                 reserve=self.reserve,
             )
-        return Designed(controller=build(options), options=options)
+        return problem.made(build(options), options)
 
 
 def tuned(

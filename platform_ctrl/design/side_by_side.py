@@ -10,11 +10,11 @@ from concurrent.futures import BrokenExecutor, as_completed
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.processes import processes
 from platform_ctrl.common.progress import Progress
-from platform_ctrl.design.loop import LoopDesign, evaluated, with_largest_rates
-from platform_ctrl.design.method import LoopProblem, known_method
+from platform_ctrl.design.loop import Design, with_largest_rates
+from platform_ctrl.design.method import LoopProblem, evaluated
 from platform_ctrl.errors import DesignError, began_with_interrupt
 
-Made = LoopDesign | Exception
+Made = Design | Exception
 
 # A process that is forked has all that is loaded and known here; elsewhere it would have to load it for seconds.
 _FORKS = sys.platform == "linux"
@@ -51,7 +51,7 @@ def _in_processes(problems: Sequence[LoopProblem], workers: int, progress: Progr
             except BrokenExecutor:
                 continue
             k = under_way[future]
-            known = isinstance(made, LoopDesign) and made.plants is None
+            known = isinstance(made, Design) and made.plants is None
             out[k] = _with_plants(made, problems[k].plant_set) if known else made
     return out
 
@@ -65,19 +65,19 @@ def _made_in_process(k: int) -> Made:
     # A thread of the other process may have held what a progress display waits for when this one was forked.
     made = _made(dataclasses.replace(_problems[k], progress=lambda line: None))
     # The plants are known where it goes.
-    known = isinstance(made, LoopDesign) and made.plants is _problems[k].plant_set
+    known = isinstance(made, Design) and made.plants is _problems[k].plant_set
     return _with_plants(made, None) if known else made
 
 
 def _with_plants(made: Made, plants: PlantSet | None) -> Made:
-    return dataclasses.replace(made, plants=plants) if isinstance(made, LoopDesign) else made
+    return dataclasses.replace(made, plants=plants) if isinstance(made, Design) else made
 
 
 def _made(problem: LoopProblem) -> Made:
     spec, design = problem.spec, problem.design
     problem.progress(f"{spec.name}: {design.name}")
     try:
-        made = evaluated(problem, known_method(design.method).design(problem))
+        made = evaluated(problem)
         return with_largest_rates(made) if spec.kind == "caging" and spec.use else made
     except Exception as error:
         if began_with_interrupt(error):

@@ -18,7 +18,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.text import Rounding
-from platform_ctrl.design.loop import LoopDesign, LoopOutcome, largest_Omega_name
+from platform_ctrl.design.loop import Design, LoopOutcome, largest_Omega_name
 from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.job.quantities import BOUND, HZ, compared, count, disk_words, listed, percent, plain, quantity
 from platform_ctrl.job.requirements import FAULTS, WORST_CASE, of_readings
@@ -70,12 +70,12 @@ def share(number: float, rounding: Rounding = "nearest") -> str:
     return f"{plain(100.0 * number, 2, rounding)}\u00a0%"
 
 
-def unstable(design: LoopDesign) -> bool:
+def unstable(design: Design) -> bool:
     """Return whether the closed loop with the nominal plant is unstable; False for a design without plants."""
     return design.measures is not None and not design.measures.decay[0] > 0.0
 
 
-def bandwidth_hz(design: LoopDesign) -> float:
+def bandwidth_hz(design: Design) -> float:
     """Return the bandwidth of the nominal loop in Hz; 0 where the loop is unstable or has no plants of its own."""
     if design.measures is None or unstable(design) or not np.isfinite(design.measures.bandwidth):
         return 0.0
@@ -102,7 +102,7 @@ def sensitivity(outcome: LoopOutcome, loop: ShownLoop) -> str:
     )
 
 
-def _margins(design: LoopDesign) -> list[str]:
+def _margins(design: Design) -> list[str]:
     """Return the nominal disk margin and those that it falls to with other plants; nothing without others."""
     measures = design.measures
     if measures is None:
@@ -229,7 +229,7 @@ def _against_others(outcome: LoopOutcome) -> list[str]:
     return [text, *_largest_cost(closed, best)]
 
 
-def _largest_cost(closed: LoopDesign, best: LoopDesign) -> list[str]:
+def _largest_cost(closed: Design, best: Design) -> list[str]:
     """Name the limit, bandwidth apart, to which `closed` is nearer than `best` by most; nothing below 5 %."""
     theirs = {one.name: one for one in best.results}
     apart = [
@@ -243,7 +243,7 @@ def _largest_cost(closed: LoopDesign, best: LoopDesign) -> list[str]:
     return [sentences("largest_cost", cost=cost, other=theirs[cost.name].value)]
 
 
-def _against_bounds(design: LoopDesign) -> list[str]:
+def _against_bounds(design: Design) -> list[str]:
     out = []
     own, claims = bandwidth_hz(design), design.claims
     bound = claims.get("bandwidth_bound_hz", np.nan)

@@ -10,7 +10,7 @@ from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import Group as PlantGroup
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.design.loop import LoopDesign, LoopOutcome
+from platform_ctrl.design.loop import Design, LoopOutcome
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import (
     BOUND,
@@ -143,7 +143,7 @@ def _measured(metrics: LoopMetrics, loop: str) -> dict[str, str]:
     return out
 
 
-def proof_rows(designs: Sequence[LoopDesign], proofs: Mapping[tuple[str, str], Proofs]) -> list[Row]:
+def proof_rows(designs: Sequence[Design], proofs: Mapping[tuple[str, str], Proofs]) -> list[Row]:
     """Return of every design what is proved with how many plants; no rows where no proofs were asked for."""
     return _rows([_proved(proofs.get((design.loop, design.name), Proofs())) for design in designs])
 
@@ -174,7 +174,7 @@ def plants_in_words(plants: PlantSet) -> str:
     return f"{count(len(plants.labels), 'plant')}: {listed(parts)}" if len(parts) > 1 else "the nominal plant alone"
 
 
-def group_rows(design: LoopDesign) -> list[tuple[str, str, str, str, str, str]]:
+def group_rows(design: Design) -> list[tuple[str, str, str, str, str, str]]:
     """Return for each group: number of plants, least decay, damping and disk margin, and the plant of the last."""
     plants, measures = design.plants, design.measures
     if plants is None or measures is None or len(set(plants.groups)) == 1:
@@ -201,7 +201,7 @@ def group_rows(design: LoopDesign) -> list[tuple[str, str, str, str, str, str]]:
     return rows
 
 
-def signals(design: LoopDesign) -> dict[str, str]:
+def signals(design: Design) -> dict[str, str]:
     """Return a controller's inputs and outputs, its order and sample period, in words."""
     K = design.controller
     return {
@@ -211,11 +211,11 @@ def signals(design: LoopDesign) -> dict[str, str]:
     }
 
 
-def _claims(design: LoopDesign) -> dict[str, str]:
+def _claims(design: Design) -> dict[str, str]:
     return dict(claimed(name, number) for name, number in design.claims.items())
 
 
-def _options(design: LoopDesign) -> dict[str, str]:
+def _options(design: Design) -> dict[str, str]:
     return {name: plain(number) for name, number in design.options.items()}
 
 

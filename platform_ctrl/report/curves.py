@@ -20,7 +20,7 @@ from platform_ctrl.analysis.poles import continuous_poles, following_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import LoopDesign, LoopOutcome, closed_loop_poles, sampled_plant
+from platform_ctrl.design.loop import Design, LoopOutcome, closed_loop_poles, sampled_plant
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.quantities import HZ
 from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings
@@ -46,7 +46,7 @@ _FIRST = np.zeros(1, dtype=np.intp)
 class ShownDesign:
     """What is shown of one design with the loop's nominal plant."""
 
-    design: LoopDesign
+    design: Design
     # By the keys of METRICS: the gain over frequency whose peak each metric is (N,), and the metric itself
     gains: Mapping[str, FloatArray]
     peaks: Mapping[str, float]
@@ -133,7 +133,7 @@ def shown_loop(outcome: LoopOutcome, palette: Mapping[str, bool] | None = None) 
     )
 
 
-def _loops(design: LoopDesign, plants: PlantSet) -> tuple[Loop, Loop]:
+def _loops(design: Design, plants: PlantSet) -> tuple[Loop, Loop]:
     """Return the loop of a design with the nominal plant, and the one whose line of sight is shown.
 
     That has dry friction, which brings of the platform's motion what a balanced gimbal would not transmit.
@@ -171,7 +171,7 @@ def _per_rate(loop: Loop) -> FloatArray:
 
 
 def _shown_design(
-    design: LoopDesign,
+    design: Design,
     plants: PlantSet,
     loops: tuple[Loop, Loop],
     kinds: Sequence[str],
@@ -217,7 +217,7 @@ def _singular_values(responses: ComplexArray) -> FloatArray:
     return out
 
 
-def broken_loops(design: LoopDesign, k: int = 0) -> tuple[FloatArray, ComplexArray]:
+def broken_loops(design: Design, k: int = 0) -> tuple[FloatArray, ComplexArray]:
     """Return frequencies (N,), rad/s, and the loop at every torquer with all others closed, (m, N), with plant `k`."""
     assert design.plants is not None
     plants, K = design.plants.only([k]), design.own_controller

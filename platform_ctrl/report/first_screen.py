@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.design.loop import LoopDesign, LoopOutcome
+from platform_ctrl.design.loop import Design, LoopOutcome
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import BOUND, DASH, compared, count, listed, percent, plain
@@ -201,7 +201,7 @@ def _nichols(result: JobResult) -> Plate | None:
     return plate(nichols_figure(outcome, k), "Tightest loop, worst plant", caption)
 
 
-def worst_plant(design: LoopDesign) -> int:
+def worst_plant(design: Design) -> int:
     """Return the plant of the set with the smallest disk margin, or that is furthest from stable."""
     assert design.measures is not None
     decay, margin = design.measures.decay, design.measures.disk_margin

@@ -20,12 +20,12 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.jobs import design_job, plant_job
 from platform_ctrl.design.loop import (
-    LoopDesign,
+    Design,
     LoopOutcome,
-    designed,
+    commanded,
     limits_and_goals,
+    takes_commands,
     with_commands,
-    with_own_controller,
 )
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
@@ -327,16 +327,14 @@ class _Trials:
             if name in known and not known[name].whole and x > 0.0 and (known[name].group == "gains" or not gains)
         ]
 
-    def _moved(self, outcome: LoopOutcome, trial: _Trial) -> LoopDesign:
+    def _moved(self, outcome: LoopOutcome, trial: _Trial) -> Design:
         """Return the closed design with one option moved, not measured."""
         closed, problem = outcome.closed, self._problem(outcome)
         assert problem is not None, "a loop with moves has a problem"
         moved = dataclasses.replace(problem.design, options={**closed.options, trial.name: trial.after}, tune=False)
         problem = dataclasses.replace(problem, design=moved)
-        if problem.plant_set is None:
-            return designed(problem)
-        K = METHODS[closed.method].design(problem).controller
-        return with_own_controller(closed, problem.in_signals(K))
+        made = METHODS[closed.method].design(problem)
+        return commanded(made) if takes_commands(closed) else made
 
     def _problem(self, outcome: LoopOutcome) -> LoopProblem | None:
         """Return what the method of a closed design is given; None where it does not build a design from options."""
@@ -359,7 +357,7 @@ class _Trials:
         directions = problem.channel if inner is None else self._plants_around(outcome, inner, inner.closed)[1]
         return dataclasses.replace(problem, directions=directions)
 
-    def _plants_around(self, outcome: LoopOutcome, inner: LoopOutcome, design: LoopDesign) -> tuple[PlantSet, Channels]:
+    def _plants_around(self, outcome: LoopOutcome, inner: LoopOutcome, design: Design) -> tuple[PlantSet, Channels]:
         """Return the plants of a tracking loop around a `design` of the loop inside, and their directions."""
         assert design.plants is not None, "a rate loop has plants"
         K = with_commands(design.plants, design.controller)
@@ -367,7 +365,7 @@ class _Trials:
         return tracking_plants(job, outcome.spec, inner.spec, design.plants, K)
 
 
-def _own(outcome: LoopOutcome, design: LoopDesign, exact: bool) -> Results:
+def _own(outcome: LoopOutcome, design: Design, exact: bool) -> Results:
     """Return the requirements of a loop with a design of it."""
     plants = design.plants
     assert plants is not None, "the loop has plants"

@@ -15,10 +15,10 @@ from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.jobs import in_order
 from platform_ctrl.design.loop import (
+    Design,
     FailedDesign,
-    LoopDesign,
     LoopOutcome,
-    remeasured,
+    measured,
     with_commands,
     with_largest_rates,
 )
@@ -192,13 +192,13 @@ def outcomes_from(
     made: dict[str, LoopOutcome] = {}
     # The plants of a tracking loop have the rate loop inside them.
     for tracking in (False, True):
-        found: list[LoopDesign | FailedDesign] = []
+        found: list[Design | FailedDesign] = []
         for name, closed in placed.items():
             if (specs[name].kind == "tracking") is tracking:
                 inner = made.get(specs[name].around or "")
                 found += _remeasured(job, specs[name], (closed, *others[name]), inner)
         for name in dict.fromkeys(one.loop for one in found):
-            designs = tuple(one for one in found if one.loop == name and isinstance(one, LoopDesign))
+            designs = tuple(one for one in found if one.loop == name and isinstance(one, Design))
             failed = tuple(one for one in found if one.loop == name and isinstance(one, FailedDesign))
             made[name] = LoopOutcome(spec=specs[name], designs=designs, use=designs[0].name, failed=failed)
     return in_order(job, list(made.values()))
@@ -206,7 +206,7 @@ def outcomes_from(
 
 def _remeasured(
     job: Job, spec: LoopSpec, controllers: Sequence[control.StateSpace], inner: LoopOutcome | None
-) -> Iterator[LoopDesign | FailedDesign]:
+) -> Iterator[Design | FailedDesign]:
     """Measure the controllers of a loop again, the closed one first."""
     inside, directions = None, None
     if inner is not None and inner.closed.plants is not None:
@@ -228,7 +228,7 @@ def _remeasured(
         names.append(name)
 
 
-def _attempted(job: Job, spec: LoopSpec, name: str, *given: Any) -> LoopDesign | FailedDesign:
+def _attempted(job: Job, spec: LoopSpec, name: str, *given: Any) -> Design | FailedDesign:
     """Return a controller that is not closed, measured again, or why it cannot be: that does not end the others."""
     try:
         return _measured(job, spec, name, *given)
@@ -246,11 +246,11 @@ def _measured(
     plants: PlantSet | None,
     directions: Channels | None,
     closed: bool,
-) -> LoopDesign:
+) -> Design:
     """Return a controller as a design of a loop, measured again."""
     if plants is None:
-        return LoopDesign(loop=spec.name, name=name, method="given", controller=K)
-    made = remeasured(spec, name, K, plants)
+        return Design(loop=spec.name, name=name, method="given", controller=K)
+    made = measured(spec, name, "given", K, plants)
     for own in spec.designs:
         if own.name == name and own.responses is not None:
             model = linearise(job.platform)

@@ -26,7 +26,7 @@ from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, replaced, value
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import Design
 from platform_ctrl.design.partition import side_by_side
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import LoopSpec
@@ -128,7 +128,7 @@ def with_proofs(
     return [*results, judged]
 
 
-def proofs_of(spec: LoopSpec, design: LoopDesign) -> Proofs:
+def proofs_of(spec: LoopSpec, design: Design) -> Proofs:
     """Return the proofs of a design: with each plant its decay rate, and the disk margin that is required of it.
 
     With the nominal plant the disk margin itself is claimed. Nothing is claimed of an unstable loop, nor of one in

@@ -19,7 +19,7 @@ from platform_ctrl.analysis.dry_friction import FrictionBalance
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.files import plain_types, write_json
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import Design
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
@@ -204,7 +204,7 @@ def _content_hash(record: Mapping[str, Any]) -> str:
     return data_hash({**record, "sha256": hashes})
 
 
-def _controller(result: JobResult, design: LoopDesign) -> Record:
+def _controller(result: JobResult, design: Design) -> Record:
     K, claims = design.controller, dict(design.claims)
     if design.measures is not None:
         claims |= {"disk_margin": design.measures.disk_margin[0], "damping": design.measures.damping[0]}
@@ -284,7 +284,7 @@ def unconfirmed(source: str | os.PathLike[str] | Mapping[str, Any], result: JobR
     return tuple(out)
 
 
-def _is_of(entry: Mapping[str, Any], design: LoopDesign) -> bool:
+def _is_of(entry: Mapping[str, Any], design: Design) -> bool:
     """Return whether an entry of a file, which was read as a controller, has a design's matrices and outputs."""
     K = design.controller
     pairs = [(np.asarray(entry.get(name, ())), getattr(K, name)) for name in "ABCD"]

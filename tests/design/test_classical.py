@@ -9,8 +9,8 @@ from hypothesis import given, settings
 
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design.cases import cases, changed
-from platform_ctrl.design.loop import closed_loop_poles, instability, measured, sampled_plant
-from platform_ctrl.design.method import LoopProblem
+from platform_ctrl.design.loop import closed_loop_poles, measured, sampled_plant
+from platform_ctrl.design.method import LoopProblem, instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
 from platform_ctrl.design.methods.platform_servo import PlatformServo, rate_estimate

@@ -13,7 +13,7 @@ from commanded_gimbal import INERTIA, RATE_HZ, commanded_job
 from platform_ctrl import read_job
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import Design
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.reading import job_data
@@ -44,12 +44,12 @@ def job_of(kind: str, command: dict[str, Any] | None) -> dict[str, Any]:
 
 
 @functools.cache
-def made(kind: str, shaping: str = "") -> LoopDesign:
+def made(kind: str, shaping: str = "") -> Design:
     command = {"": None, "filter": FILTER, "both": BOTH}[shaping]
     return loops(read_job(job_of(kind, command)))[0].closed
 
 
-def metrics(design: LoopDesign) -> dict[str, float]:
+def metrics(design: Design) -> dict[str, float]:
     return {one.name: one.value for one in design.results}
 
 

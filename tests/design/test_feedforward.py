@@ -18,7 +18,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.fixed_structure.loops import LoopGradients
 from platform_ctrl.design.fixed_structure.maps import torque_per_Omega
-from platform_ctrl.design.loop import LoopDesign, LoopOutcome, closed_loop_poles
+from platform_ctrl.design.loop import Design, LoopOutcome, closed_loop_poles
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.drive import Feedforward
 from platform_ctrl.job.job import Job
@@ -77,11 +77,11 @@ def perfect() -> LoopOutcome:
     return design.loops(job([DIRECT, INDIRECT]))[0]
 
 
-def of(outcome: LoopOutcome, name: str) -> LoopDesign:
+def of(outcome: LoopOutcome, name: str) -> Design:
     return next(one for one in outcome.designs if one.name == name)
 
 
-def sight_per_base(one: LoopDesign, hz: float) -> np.ndarray:
+def sight_per_base(one: Design, hz: float) -> np.ndarray:
     """Return the closed loop's response from Omega2, Omega3 to the rates across the line of sight."""
     loops = Loop(one.plants, one.plants.joined(one.controller))
     A, B, C, D, dt = (item[0] if np.ndim(item) else item for item in loops.arrays)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design.loop import measured
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.design.methods.hinf import hinf_design, hinf_options, weighted_plant
+from platform_ctrl.design.methods.hinf import hinf_controller, hinf_options, weighted_plant
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.mechanics.linearisation import linearise
 
@@ -28,7 +29,7 @@ def with_options(problem, options):
 
 @pytest.fixture(scope="module")
 def by_route(loop):
-    return {route: hinf_design(loop, route) for route in ("lmi", "riccati")}
+    return {route: loop.made(*hinf_controller(loop, route)) for route in ("lmi", "riccati")}
 
 
 def test_both_routes_find_the_same_bound(loop, by_route):
@@ -36,7 +37,7 @@ def test_both_routes_find_the_same_bound(loop, by_route):
     assert lmi["gamma_optimal"] == pytest.approx(riccati["gamma_optimal"], rel=5e-3)
     for claims in (lmi, riccati):
         assert claims["gamma_optimal"] <= claims["gamma"] <= 1.11 * claims["gamma_optimal"]
-    assert hinf_design(loop).claims == riccati
+    assert hinf_controller(loop)[2] == riccati
 
 
 @pytest.mark.parametrize("route", ["lmi", "riccati"])
@@ -53,7 +54,7 @@ def weighted_response(problem, found, z):
     def at(A, B, C, D):
         return C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape))) + D
 
-    P, K = at(plants.A[0], plants.B[0], plants.C[0], plants.D[0]), at(*found.controller[:4])
+    P, K = at(plants.A[0], plants.B[0], plants.C[0], plants.D[0]), at(*System.of(found.controller, "K")[:4])
     s = 2 / plants.period * (z - 1) / (z + 1)
     unit = problem.channel.momenta[0] * plants.nutation
     We = (1 / options["sensitivity_peak"] + 2 * np.pi * options["bandwidth_hz"] / s)[:, None, None]
@@ -73,9 +74,9 @@ def test_the_claimed_h_infinity_norm_is_the_peak_along_the_unit_circle(loop, by_
 
 
 def test_without_the_torque_disturbance_nutation_is_left_undamped(loop, by_route):
-    damped = measure(loop.plants, by_route["riccati"].controller).damping[0]
+    damped = measure(loop.plants, System.of(by_route["riccati"].controller, "K")).damping[0]
     undisturbed = with_options(loop, loop.design.options | {"disturbance": 0.004})
-    bare = measure(loop.plants, hinf_design(undisturbed, "riccati").controller)
+    bare = measure(loop.plants, hinf_controller(undisturbed, "riccati")[0])
     assert bare.damping[0] < 0.1 * damped
 
 

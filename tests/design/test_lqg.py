@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 
 from paper_loop import closed_by_hand, paper_plant
 from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.design.method import LoopProblem
@@ -56,6 +57,10 @@ def problems(job: Job) -> dict[str, LoopProblem]:
 def with_options(problem: LoopProblem, **options: float) -> LoopProblem:
     design = dataclasses.replace(problem.design, options=problem.design.options | options, tune=False)
     return dataclasses.replace(problem, design=design)
+
+
+def made(problem: LoopProblem) -> System:
+    return System.of(LQG().design(problem).controller, "K")
 
 
 @BOTH
@@ -113,7 +118,7 @@ def test_the_poles_are_those_of_the_feedback_and_of_the_estimator(problems: dict
         ]
     )
     A, B, C, _, _ = plants.of_torques()
-    Ak, Bk, Ck, Dk, _ = found.controller
+    Ak, Bk, Ck, Dk, _ = System.of(found.controller, "K")
     poles = np.linalg.eigvals(np.block([[A + B @ Dk @ C, B @ Ck], [Bk @ C, Ak]]))
     # Of poles far inside the circle a share is rounding.
     for one in expected[np.abs(expected) > 0.1]:
@@ -125,10 +130,10 @@ def test_an_estimator_that_expects_torques_alone_is_faster_and_noisier(
 ) -> None:
     """Omega moves the gyros without exciting nutation, so the estimator need not damp it as hard."""
     problem = problems["caging 9-10"]
-    expected = measure(problem.plants, LQG().design(with_options(problem)).controller)
+    expected = measure(problem.plants, made(with_options(problem)))
     without = measure(
         problem.plants,
-        LQG().design(with_options(problem, platform_rate=1e-6, recovery=0.03, recovery2=0.03)).controller,
+        made(with_options(problem, platform_rate=1e-6, recovery=0.03, recovery2=0.03)),
     )
     assert without.damping[0] > 1.5 * expected.damping[0]
     assert without.torque_noise.max() > 2.0 * expected.torque_noise.max()
@@ -146,8 +151,7 @@ def test_the_tuner_meets_the_limits_from_rules_of_thumb(problems: dict[str, Loop
     kept = {"bandwidth_hz": 35.0, "disk_margin": 0.45, "torque_noise": 0.008}
     design = dataclasses.replace(problem.design, options={})
     problem = dataclasses.replace(problem, design=design, spec=dataclasses.replace(problem.spec, limits=kept))
-    found = LQG().design(problem)
-    reached = measure(problem.plants, found.controller)
+    reached = measure(problem.plants, made(problem))
     assert reached.bandwidth >= 2.0 * np.pi * kept["bandwidth_hz"]
     assert reached.disk_margin[0] >= kept["disk_margin"]
     assert reached.torque_noise.max() <= kept["torque_noise"]

@@ -10,7 +10,7 @@ import pytest
 from platform_ctrl import design
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import Design
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.measured import MeasuredPID, read_responses
@@ -67,12 +67,12 @@ def write(path: Path, read: Job, factor: float = 1.0, rows: int = 120) -> str:
 
 
 @pytest.fixture(scope="module")
-def exact() -> LoopDesign:
+def exact() -> Design:
     [outcome] = design.loops(job())
     return outcome.closed
 
 
-def test_a_design_on_the_responses_of_the_plants_keeps_its_margin_and_integrates(exact: LoopDesign) -> None:
+def test_a_design_on_the_responses_of_the_plants_keeps_its_margin_and_integrates(exact: Design) -> None:
     assert exact.passed
     assert exact.measures is not None
     assert MARGIN <= exact.measures.disk_margin[0] < 1.2 * MARGIN  # the limit is what bounds the integral gain
@@ -95,7 +95,7 @@ def test_limits_that_no_frequency_decides_alone_are_met_by_smaller_peaks() -> No
 
 
 @pytest.fixture(scope="module")
-def of_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Job, LoopDesign]:
+def of_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Job, Design]:
     """Return a file with the responses of the model, its job, and the design on it."""
     folder = tmp_path_factory.mktemp("responses")
     name = write(folder / "pitch.csv", read_job(job()))
@@ -104,7 +104,7 @@ def of_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Job, LoopDe
     return folder / name, found, outcome.closed
 
 
-OfFile = tuple[Path, Job, LoopDesign]
+OfFile = tuple[Path, Job, Design]
 
 
 def test_a_file_with_the_responses_of_the_model_is_no_distance_from_it(of_file: OfFile) -> None:
@@ -126,7 +126,7 @@ def test_a_file_with_the_responses_of_the_model_is_no_distance_from_it(of_file: 
 
 @pytest.mark.parametrize(("factor", "unstable"), [(1.6, False), (40.0, True)])
 def test_a_limit_that_is_met_on_the_model_and_missed_on_the_data_fails_the_loop(
-    exact: LoopDesign, tmp_path: Path, factor: float, unstable: bool
+    exact: Design, tmp_path: Path, factor: float, unstable: bool
 ) -> None:
     whole = read_job(job())
     name = write(tmp_path / "pitch.csv", whole, factor)

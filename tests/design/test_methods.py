@@ -14,8 +14,8 @@ import pytest
 from camera_job import camera_job
 from one_gyro_job import JOB as ONE
 from platform_ctrl import design
-from platform_ctrl.design.loop import designed
-from platform_ctrl.design.method import Designed, LoopProblem, Method, Option
+from platform_ctrl.design.loop import Design
+from platform_ctrl.design.method import LoopProblem, Method, Option, designed
 from platform_ctrl.design.methods import METHODS, read_job
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError, DesignError, InputError
@@ -92,7 +92,7 @@ def test_a_method_is_known_to_the_reader_as_long_as_it_is_registered() -> None:
         options: ClassVar = {"stiffness": Option(label="stiffness", unit="N m/rad", tip="torque over angle")}
         advice = "another one"
 
-        def design(self, problem: LoopProblem) -> Designed:
+        def design(self, problem: LoopProblem) -> Design:
             raise NotImplementedError
 
     data = tomllib.loads(job)

@@ -11,7 +11,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl.design import side_by_side
 from platform_ctrl.design.jobs import attempted_loops
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import Design
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.job.job import Job
 
@@ -47,7 +47,7 @@ def test_a_design_whose_process_is_killed_fails_alone(job: Job, monkeypatch: pyt
     made = side_by_side.evaluated
     first, *others = job.loops[0].designs
 
-    def killed(problem: LoopProblem, *given: object, **more: object) -> LoopDesign:
+    def killed(problem: LoopProblem, *given: object, **more: object) -> Design:
         if problem.design.name == first.name:
             os.kill(os.getpid(), signal.SIGKILL)
         return made(problem, *given, **more)

@@ -26,7 +26,7 @@ from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS, Metric, Sense
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
-from platform_ctrl.design.loop import closed_loop_poles, remeasured
+from platform_ctrl.design.loop import closed_loop_poles, measured
 from platform_ctrl.job.quantities import compared, plain
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
@@ -228,7 +228,7 @@ def test_an_unstable_given_controller_is_called_unstable(lone_loop: JobResult) -
         K.A, K.B, -K.C, -K.D, K.dt, inputs=K.input_labels, outputs=K.output_labels, remove_useless_states=False
     )
     assert outcome.closed.plants is not None
-    design = remeasured(outcome.spec, "given", wrong, outcome.closed.plants)
+    design = measured(outcome.spec, "given", "given", wrong, outcome.closed.plants)
     unstable = check_job(lone_loop.job, [dataclasses.replace(outcome, designs=(design,), use="given")])
     page = page_html(unstable)
     text = visible_text(page)
@@ -421,7 +421,7 @@ def test_captions_have_peaks_that_every_grid_misses() -> None:
     assert plants is not None
     # A narrow notch in the way of the nutation; the worst of several axes is more than that of any one.
     K = narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, 0.20796, 0.0061867]))
-    narrow = remeasured(outcome.spec, outcome.closed.name, K.to_control(plants.angles, plants.torques), plants)
+    narrow = measured(outcome.spec, outcome.closed.name, "given", K.to_control(plants.angles, plants.torques), plants)
     outcome = dataclasses.replace(outcome, designs=(narrow,))
     loop = curves.shown_loop(outcome)
     assert loop is not None

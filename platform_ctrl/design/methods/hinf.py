@@ -32,8 +32,8 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import LoopOutcome, remeasured
-from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, hertz, number
+from platform_ctrl.design.loop import Design, LoopOutcome, measured
+from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.partition import Channels, between
 from platform_ctrl.design.synthesis import HinfMethod, hinf
 from platform_ctrl.errors import ArgumentError, DesignError
@@ -158,9 +158,9 @@ class MixedSensitivity(Method):
         """Return all options, those that are not given by rules of thumb."""
         return hinf_options(design.options, channel, nutation, period)
 
-    def design(self, problem: LoopProblem) -> Designed:
+    def design(self, problem: LoopProblem) -> Design:
         """Return the H-infinity loop. Claims: ``gamma`` and ``gamma_optimal``."""
-        return hinf_design(problem)
+        return problem.made(*hinf_controller(problem))
 
 
 def hinf_options(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
@@ -168,8 +168,10 @@ def hinf_options(given: dict[str, float], channel: Channels, nutation: float, pe
     return MixedSensitivity.completed(given, default_weights(channel, nutation) | {"backoff": 0.05}, period)
 
 
-def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Designed:
-    """Return the H-infinity loop; `method` as for `design.hinf`. Claims: ``gamma`` and ``gamma_optimal``."""
+def hinf_controller(
+    problem: LoopProblem, method: HinfMethod | None = None
+) -> tuple[System, dict[str, float], dict[str, float]]:
+    """Return the H-infinity controller, its options and its claims; `method` as for `design.hinf`."""
     channel, plants = problem.channel, problem.plants.regular()
     options = hinf_options(problem.design.options, channel, plants.nutation, plants.period)
     weighted = weighted_plant(options, channel, plants)
@@ -177,7 +179,7 @@ def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Desig
     found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])
     sampled = from_w_plane(weighted.weight().series(System.of(found.controller, "controller")), plants.period)
     claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
-    return Designed(controller=weighted.at_gimbals(sampled, channel), options=options, claims=claims)
+    return weighted.at_gimbals(sampled, channel), options, claims
 
 
 # Methods whose options are these weights.
@@ -274,7 +276,7 @@ def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "g
         if channel.sense is not None:
             sampled = sampled._replace(B=sampled.B @ channel.sense, D=sampled.D @ channel.sense)
         given = sampled.to_control(plants.angles, plants.torques)
-    made = remeasured(loop.spec, name, given, plants)
+    made = measured(loop.spec, name, "given", given, plants)
     kept = tuple(one for one in loop.designs if one.name != name)
     return replace(loop, designs=(*kept, replace(made, directions=loop.closed.directions)), use=name)
 

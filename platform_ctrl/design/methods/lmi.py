@@ -33,7 +33,8 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, number, tuned
+from platform_ctrl.design.loop import Design
+from platform_ctrl.design.method import LoopProblem, Method, Option, number, tuned
 from platform_ctrl.design.methods.hinf import (
     BACKOFF,
     WEIGHTS,
@@ -99,7 +100,7 @@ class LMI(Method):
         defaults = weights | {"backoff": 0.1, "share": 0.5, "pole_decay": decay, "time_limit": 30.0} | optional
         return self.completed(design.options, defaults, period)
 
-    def design(self, problem: LoopProblem) -> Designed:
+    def design(self, problem: LoopProblem) -> Design:
         """Return the loop.
 
         Claims: ``gamma`` of the performance, its least value, ν, plants that share a matrix.
@@ -121,7 +122,7 @@ class LMI(Method):
         if loops.decay[0] > 0.0:
             shared = sharing(loops.own_arrays.A, options["time_limit"])
             claims |= {"plants with one Lyapunov matrix": float(shared), "plants": float(len(plants.labels))}
-        return Designed(controller=controller, options=options, claims=claims)
+        return problem.made(controller, options, claims)
 
 
 def _synthesis(

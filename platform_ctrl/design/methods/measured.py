@@ -18,12 +18,12 @@ from platform_ctrl.analysis.poles import following_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.loop import Design
 from platform_ctrl.design.measured.design import ClosedLoopResponse, MeasuredDesign, measured_pid
 from platform_ctrl.design.measured.responses import contour, read_measurement, unstable_poles
 from platform_ctrl.design.measured.restriction import CENTRES
 from platform_ctrl.design.measured.search import FEWEST_POINTS
-from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, hertz, number
+from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import ArgumentError, DesignError, InputError, NotCertifiedError
 from platform_ctrl.job.judging import CheckResult, Requirement
@@ -87,7 +87,7 @@ class MeasuredPID(Method):
         defaults = {"rolloff_hz": 0.4 / period, "sensitivity_peak": 2.0, "resonance_damping": 0.03, "steps": 40.0}
         return self.completed(design.options, defaults, period)
 
-    def design(self, problem: LoopProblem) -> Designed:
+    def design(self, problem: LoopProblem) -> Design:
         """Return the PID; its claims say what the integral gain is and how many plants and steps it took."""
         plants = problem.plants.regular()
         options = self.defaults(problem.design, problem.channel, plants.nutation, plants.period)
@@ -109,7 +109,7 @@ class MeasuredPID(Method):
             "plants": float(len(view)),
             "steps": float(len(found.history) - 1),
         }
-        return Designed(controller=System.of(found.controller, "measured"), options=options, claims=claims)
+        return problem.made(System.of(found.controller, "measured"), options, claims)
 
     def expect_responses(
         self, text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float
@@ -117,7 +117,7 @@ class MeasuredPID(Method):
         """Raise an InputError where a file's text holds no responses of a loop's sampled signals."""
         read_responses(text, label, torques, readings, period)
 
-    def judged(self, problem: LoopProblem, design: LoopDesign) -> LoopDesign:
+    def judged(self, problem: LoopProblem, design: Design) -> Design:
         """Return a design that is judged on its measured responses too: a plant beside those of the model."""
         if problem.design.responses is None:
             return design
@@ -303,7 +303,7 @@ def _in_SI(labels: Sequence[str], names: Sequence[str]) -> tuple[list[str], Floa
     return out, np.array(factors)
 
 
-def _results(problem: LoopProblem, design: LoopDesign, data: LoopData, plants: PlantSet) -> list[CheckResult]:
+def _results(problem: LoopProblem, design: Design, data: LoopData, plants: PlantSet) -> list[CheckResult]:
     """Return the limits that responses can be held against, and stability, on a file's responses."""
     K = plants.feedback(plants.joined(design.own_controller))
     sense = np.eye(len(plants.angles)) if problem.channel.sense is None else problem.channel.sense

@@ -12,8 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import parallel
-from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, hertz, number
+from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.partition import between, first_order, gain, low_pass
 from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.errors import DesignError
@@ -46,7 +47,7 @@ class PlatformServo(Method):
     tunable = tuple(OPTIONS)
     instant = True
 
-    def design(self, problem: LoopProblem) -> Designed:
+    def design(self, problem: LoopProblem) -> Design:
         """Return the servo of the three root axes for the options of the design.
 
         ``crossover_hz`` ωc of the rate loop, ``position_hz`` ωp, ``filter_hz`` and ``filter_damping`` of the low-pass.
@@ -69,9 +70,9 @@ class PlatformServo(Method):
         period = job.sampling.period
         turns, speeds = _per_axis("turn"), _per_axis("speed")
         servo = between(estimate, flattened(_axis_sections(options, period), turns, speeds), _strength(options, model))
-        return Designed(
-            controller=servo,
-            options=options,
+        return problem.made(
+            servo,
+            options,
             inputs=tuple(torquers[model.gimbal_names[k]] for k in used),
             outputs=tuple(roots[k] for k in (1, 2, 3)),
         )

@@ -21,9 +21,10 @@ from platform_ctrl.design.fixed_structure.descent import Found, Search
 from platform_ctrl.design.fixed_structure.sections import PID, Named, Sampled, Series
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
 from platform_ctrl.design.fixed_structure.structures import Parametrised, StateSpaceOrder, Units
-from platform_ctrl.design.method import Designed, LoopProblem, Method, Option, TunedMethod, hertz, number
+from platform_ctrl.design.loop import Design
+from platform_ctrl.design.method import LoopProblem, Method, Option, TunedMethod, hertz, number
 from platform_ctrl.design.methods.classical import Classical, classical_controller, starting_values
-from platform_ctrl.design.methods.hinf import hinf_design
+from platform_ctrl.design.methods.hinf import hinf_controller
 from platform_ctrl.design.methods.pi import PI, rate_controller, rate_options
 from platform_ctrl.design.partition import Channels, between, first_order, side_by_side
 from platform_ctrl.errors import DesignError
@@ -86,7 +87,7 @@ class Structured(Method):
             raise DesignError(f"structured: reserve must be less than 1, got {out['reserve']:g}")
         return out
 
-    def design(self, problem: LoopProblem) -> Designed:
+    def design(self, problem: LoopProblem) -> Design:
         """Return the loop: its limits as constraints, its goals minimised."""
         spec, design, channel = problem.spec, problem.design, problem.channel
         plants, structure = problem.plants.regular(), design.structure or DEFAULT
@@ -105,8 +106,10 @@ class Structured(Method):
                 f"{spec.name}: {design.name}, {ratios if math.isfinite(limits) else 'not stable with all plants yet'}"
             )
 
-        others = [lambda: hinf_design(full_order, "riccati").controller]
-        return tuned_controller(options, structure, cross_axis, channel, plants, spec.requests, others, progress)
+        others = [lambda: hinf_controller(full_order, "riccati")[0]]
+        return problem.made(
+            *tuned_controller(options, structure, cross_axis, channel, plants, spec.requests, others, progress)
+        )
 
 
 def tuned_controller(
@@ -118,8 +121,8 @@ def tuned_controller(
     requirements: Sequence[LoopRequirement],
     others: Sequence[Callable[[], System]],
     progress: Callable[[float, float], None],
-) -> Designed:
-    """Return a controller of the given structure that meets the requirements, or comes nearest.
+) -> tuple[System, dict[str, float], dict[str, float]]:
+    """Return a controller of a structure that meets the requirements, or comes nearest, its options and its claims.
 
     `options` are complete. ``order``: states of "state-space" beside the integrators;
     ``integral_hz``: of the PI, kept; ``rolloff_hz``: where the PID's filter starts; ``starts``: how many starting
@@ -176,7 +179,7 @@ def tuned_controller(
     }
     if structure == "cross-axis":
         options = options | cross_axis.named(found.x)
-    return Designed(controller=controller, options=options, claims=claims)
+    return controller, options, claims
 
 
 def classical_structure(options: dict[str, float], channel: Channels, period: float) -> Parametrised:

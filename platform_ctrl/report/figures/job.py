@@ -17,7 +17,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import LoopDesign, sampled_plant
+from platform_ctrl.design.loop import Design, sampled_plant
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.quantities import HZ, plain, quantity
 from platform_ctrl.mechanics.outputs import observed
@@ -124,7 +124,7 @@ def apart(s: ComplexArray, left: float, right: float, top: float) -> ComplexArra
     return np.asarray(s[np.unique(cells, axis=0, return_index=True)[1]])
 
 
-def root_locus_plot(design: LoopDesign, spec: LoopSpec) -> Any:
+def root_locus_plot(design: Design, spec: LoopSpec) -> Any:
     """Return a root locus over gains up to twice the design's, with the limits on poles; `locus` has the numbers."""
     assert design.plants is not None
     plot = root_locus(sampled_plant(design.plants), design.own_controller, gains=_GAINS)
