@@ -32,7 +32,7 @@ BoolArray = NDArray[np.bool_]
 # Matrices that differ by less than this share of their largest entry are the same.
 _ALIKE = 1e-9
 # Rate at which drifting angles decay in plants for a synthesis, 1/s: slow beside any loop.
-_REGULAR = 5e-3
+REGULAR = 5e-3
 # Ending of the name of a command: what a loop holds a reading at.
 COMMAND = "_command"
 
@@ -187,7 +187,7 @@ class PlantSet:
         """Return the set for a synthesis: angles that drift decay slowly, else nothing would hold the loop together."""
         if not self.drifting:
             return self
-        decay = np.where(np.isin(self.states, self.drifting), np.exp(-_REGULAR * self.period), 1.0)[:, None]
+        decay = np.where(np.isin(self.states, self.drifting), np.exp(-REGULAR * self.period), 1.0)[:, None]
         B = np.concatenate([decay * self.B, self.B_Omega], axis=-1)
         regular = self.whole._replace(A=decay * self.A, B=B)
         return replaced(self, {"whole": regular, "drifting": ()}).on(self.frequency)

@@ -8,12 +8,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.between_samples import Disturbed, response_at
 from platform_ctrl.analysis.classical_margins import LEVEL
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.norms import stationary_covariance
-from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.plant_set import REGULAR, PlantSet
 from platform_ctrl.analysis.poles import SPLIT, continuous_poles
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
@@ -43,6 +44,8 @@ _SPIKE = 1.1
 # less; poles as many units from their limit are in view.
 _DECAY_UNIT, _NO_DECAY = 0.02, 20.0
 _SLOW = 2.0
+# Poles this near to that of the angles of regular plants, relative, are theirs: a loop's gain hardly moves them.
+_NEARLY = 0.1
 # Relative step in frequency for the slope of a singular value.
 _SLOPE_STEP = 1e-4
 # A gain below this is none: a balanced gimbal without friction transmits nothing.
@@ -82,7 +85,9 @@ class Points:
 class LoopGradients:
     """A sampled controller, u = K y, closed around every plant of a set: what pieces have in common."""
 
-    def __init__(self, plants: PlantSet, controller: System) -> None:
+    def __init__(self, plants: PlantSet, controller: System, regular: bool = False) -> None:
+        # Whether angles that drift decay slowly in `plants`, which gives closed loops poles that they do not have.
+        self.regular = regular
         self.plants = plants
         self.A_K, self.B_K, self.C_K, self.D_K, _ = controller
         self.M = np.block([[self.A_K, self.B_K], [self.C_K, self.D_K]])
@@ -233,9 +238,13 @@ class LoopGradients:
             # No decay at all has to be worse than most other things.
             unit = min(unit, limit / _NO_DECAY)
         ratio = np.where(np.isfinite(s), 1.0 + (limit + s.real) / unit, -np.inf)
-        row, k = reaching(ratio, s.imag >= 0.0, 1.0 - _SLOW)
+        row, k = reaching(ratio, (s.imag >= 0.0) & ~self._artificial(s), 1.0 - _SLOW)
         gradient = self._pole_gradient(np.full(len(k), 1.0 / unit), members[row], k)
         return Pieces(ratio=ratio[row, k], gradient=gradient, plant=members[row])
+
+    def _artificial(self, s: ComplexArray) -> NDArray[np.bool_]:
+        """Return which poles are those of angles that decay slowly in regular plants alone."""
+        return np.asarray(np.abs(s + REGULAR) < _NEARLY * REGULAR) & self.regular
 
     def fastest(self, floor: float, limit: float, members: Numbers) -> Pieces:
         """Return |w|/limit of the closed-loop poles in the w-plane, w = (2/T) (z − 1)/(z + 1)."""

@@ -90,7 +90,7 @@ class Structured(Method):
     def design(self, problem: LoopProblem) -> Design:
         """Return the loop: its limits as constraints, its goals minimised."""
         spec, design, channel = problem.spec, problem.design, problem.channel
-        plants, structure = problem.plants.regular(), design.structure or DEFAULT
+        plants, structure = problem.plants, design.structure or DEFAULT
         options = self.defaults(design, channel, plants.nutation, plants.period)
         kept = {"integral_hz": options["integral_hz"]}
         if channel.order == 1:
