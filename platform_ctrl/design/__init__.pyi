@@ -6,9 +6,8 @@ from .fixed_structure.structures import StateSpaceOrder as StateSpaceOrder
 from .fixed_structure.structures import Static as Static
 from .fixed_structure.synthesis import structured as structured
 from .jobs import loops as loops
-from .measured.design import measured_pid as measured_pid
-from .measured.responses import read_measurement as read_measurement
 from .methods.hinf import generalised_plant as generalised_plant
 from .methods.hinf import with_controller as with_controller
+from .responses import read_measurement as read_measurement
 from .synthesis import h2 as h2
 from .synthesis import hinf as hinf

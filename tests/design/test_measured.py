@@ -10,17 +10,11 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import analysis
 from platform_ctrl.analysis.feedback import gang
-from platform_ctrl.design.measured.design import measured_pid
-from platform_ctrl.design.measured.responses import contour, read_measurement, unstable_poles
-from platform_ctrl.design.measured.restriction import basis, controller_response, realisation
-from platform_ctrl.design.measured.search import candidates
-from platform_ctrl.errors import (
-    ArgumentError,
-    InfeasibleError,
-    InputError,
-    NotCertifiedError,
-    TimeLimitError,
-)
+from platform_ctrl.design import measured_pid as searching
+from platform_ctrl.design.convex_step import actions, controller_response, realisation
+from platform_ctrl.design.measured_pid import candidates, measured_pid
+from platform_ctrl.design.responses import contour, read_measurement, unstable_poles
+from platform_ctrl.errors import DesignError, InfeasibleError, InputError, NotCertifiedError, TimeLimitError
 
 PERIOD, DELAY, LAG = 5e-4, 5e-4, 2e-4
 ANGLES, TORQUES = ["alpha9", "beta10"], ["Q9", "Q10"]
@@ -52,9 +46,22 @@ def measured(plant):
     return measurement(plant)
 
 
+LIMITS = {"sensitivity_peak": 2.0, "disk_margin": 0.5, "torque_per_noise": 400.0, "resonance_damping": 0.05}
+
+
+def pid(*measurements, limits=LIMITS, **more):
+    data = [(one.omega, np.moveaxis(one.frdata, -1, 0)) for one in measurements]
+    return measured_pid(data, PERIOD, limits, filter_time=0.4 * PERIOD, **more)
+
+
 @pytest.fixture(scope="module")
 def design(measured):
-    return measured_pid(measured, pattern="cross-axis", disk_margin=0.5, torque_per_noise=400.0)
+    return pid(measured)
+
+
+@pytest.fixture(scope="module")
+def controller(design):
+    return design.controller.to_control(ANGLES, TORQUES)
 
 
 # The file
@@ -124,7 +131,7 @@ def test_the_realised_controller_answers_like_its_actions():
     gains = np.random.default_rng(1).standard_normal((3, 2, 2)) * np.array([1.0, 50.0, 0.02])[:, None, None]
     w = np.geomspace(1.0, 5000.0, 30)
     K = realisation(gains, 1e-3, PERIOD).to_control(ANGLES, TORQUES)
-    expected = np.moveaxis(controller_response(gains, basis(1j * w, 1e-3, PERIOD)), 0, -1)
+    expected = np.moveaxis(controller_response(gains, actions(1j * w, 1e-3, PERIOD)), 0, -1)
     np.testing.assert_allclose(analysis.frequency_response(K, w), expected, rtol=1e-9)
     assert K.nstates == 4
 
@@ -134,7 +141,7 @@ def test_sampled_actions_are_python_controls_tustin():
     w = np.geomspace(1.0, 5000.0, 30)
     for k, action in enumerate([1 / s, s / (1e-3 * s + 1)], 1):
         expected = control.sample_system(action, PERIOD, method="tustin")(np.exp(1j * w * PERIOD))
-        np.testing.assert_allclose(basis(1j * w, 1e-3, PERIOD)[:, k], expected, rtol=1e-9)
+        np.testing.assert_allclose(actions(1j * w, 1e-3, PERIOD)[:, k], expected, rtol=1e-9)
 
 
 # Stability from data
@@ -151,7 +158,7 @@ def test_the_nyquist_count_is_that_of_the_poles_for_all_kinds_of_controllers(pla
             K = realisation(trial, 2e-4, PERIOD).to_control(ANGLES, TORQUES)
             true = int(np.sum(np.abs(analysis.closed_loop(plant, K).poles()) > 1.0))
             try:
-                found = unstable_poles(path, lambda s, g=trial: controller_response(g, basis(s, 2e-4, PERIOD)))
+                found = unstable_poles(path, lambda s, g=trial: controller_response(g, actions(s, 2e-4, PERIOD)))
             except NotCertifiedError:
                 continue
             assert found == true
@@ -169,7 +176,7 @@ def test_an_unstable_plant_needs_its_encirclements():
         gains = -np.array([gain, 0.01 * gain, 0.0]).reshape(3, 1, 1)
 
         def controller(s, gains=gains):
-            return controller_response(gains, basis(s, 1e-3, 1e-4))
+            return controller_response(gains, actions(s, 1e-3, 1e-4))
 
         assert unstable_poles(path, controller, unstable=1) == count
         assert unstable_poles(path, controller) == count - 1
@@ -188,7 +195,7 @@ def test_data_that_do_not_decide_stability_say_what_is_missing(measured):
     gains = next(itertools.islice(candidates(measured.omega, P), 4, None))
 
     def controller(s, factor=1.0):
-        return controller_response(factor * gains, basis(s, 2e-4, PERIOD))
+        return controller_response(factor * gains, actions(s, 2e-4, PERIOD))
 
     for low, high, missing in ((70, None, "measure lower frequencies"), (0, 60, "measure higher frequencies")):
         with pytest.raises(NotCertifiedError, match=missing):
@@ -196,47 +203,44 @@ def test_data_that_do_not_decide_stability_say_what_is_missing(measured):
     w = np.geomspace(0.01, 100.0, 40)
     delayed = (30.0 * np.exp(-1j * w) / (1j * w + 1.0))[:, None, None]
     with pytest.raises(NotCertifiedError, match="measure more frequencies there"):
-        unstable_poles(contour(w, delayed), lambda s: controller_response(-np.ones((3, 1, 1)), basis(s, 1.0, 1e-3)))
+        unstable_poles(contour(w, delayed), lambda s: controller_response(-np.ones((3, 1, 1)), actions(s, 1.0, 1e-3)))
 
 
 # The design
 
 
-def test_the_design_is_stable_on_the_true_plant_and_keeps_its_limits_within_the_noise(plant, design):
-    loop = analysis.closed_loop(plant, design.controller)
+def test_the_design_is_stable_on_the_true_plant_and_keeps_its_limits_within_the_noise(plant, measured, controller):
+    loop = analysis.closed_loop(plant, controller)
     damping = analysis.damping(loop)
     assert np.all(damping.poles.real < 0.0)
     assert damping.ratio.min() > 0.04
-    margins = [analysis.loop_transfer(plant, design.controller, at) for at in ("input", "output")]
+    margins = [analysis.loop_transfer(plant, controller, at) for at in ("input", "output")]
     assert min(analysis.disk_margin(margin).unstructured for margin in margins) > 0.5 * 0.95
-    w = design.responses[0].frequency
-    noise = np.moveaxis(gang(plant, design.controller, w).torque_per_noise, -1, 0)
+    noise = np.moveaxis(gang(plant, controller, measured.omega).torque_per_noise, -1, 0)
     assert np.linalg.norm(noise, 2, axis=(1, 2)).max() < 400.0 * 1.05
 
 
-def test_every_limit_is_kept_at_every_measured_frequency(measured, design):
-    [response] = design.responses
-    np.testing.assert_allclose(response.frequency, measured.omega)
+def test_every_limit_is_kept_at_every_measured_frequency(measured, design, controller):
+    P, eye = np.moveaxis(measured.frdata, -1, 0), np.eye(2)
+    K = np.moveaxis(analysis.frequency_response(controller, measured.omega), -1, 0)
+    S, S_input = np.linalg.inv(eye - P @ K), np.linalg.inv(eye - K @ P)
+
+    def peak(X):
+        return np.linalg.norm(X, 2, axis=(1, 2)).max()
+
     assert design.unstable_poles == (0,)
-    assert {"sensitivity_peak", "disk_margin", "torque_per_noise"} <= set(response.ratios)
-    assert max(ratio.max() for ratio in response.ratios.values()) <= 1.0
-    # A limit is what stops the gain, which the iterations have raised by orders of magnitude.
-    assert max(ratio.max() for ratio in response.ratios.values()) > 0.99
-    assert design.objective > 100.0 * design.history[0, 0]
-    assert np.all(design.gains[1][[0, 1], [0, 1]] == 0.0)
-    eye = np.eye(2)
-    for S in (response.S, response.S_input):
-        assert np.linalg.norm(S, 2, axis=(1, 2)).max() <= 2.0
-        assert np.linalg.norm(S - 0.5 * eye, 2, axis=(1, 2)).max() <= 1.0 / 0.5
-    assert np.linalg.norm(response.torque_per_noise, 2, axis=(1, 2)).max() <= 400.0
-    K = np.moveaxis(analysis.frequency_response(design.controller, measured.omega), -1, 0)
-    np.testing.assert_allclose(np.linalg.inv(eye - np.moveaxis(measured.frdata, -1, 0) @ K), response.S, rtol=1e-6)
+    ratios = [peak(X) / 2.0 for X in (S, S_input)] + [peak(X - 0.5 * eye) * 0.5 for X in (S, S_input)]
+    ratios.append(peak(K @ S) / 400.0)
+    # A limit is what stops the gain.
+    assert 0.99 < max(ratios) <= 1.0
+    assert design.peaks["torque_per_noise"] == pytest.approx(peak(K @ S), rel=1e-6)
+    assert design.peaks["complementary_sensitivity_peak"] == pytest.approx(peak(eye - S), rel=1e-6)
 
 
-def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant, design):
+def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant, design, controller):
     """‖P S‖ → ω ‖Ki⁻¹‖: what is maximised is the rejection of slow disturbances."""
     w = np.array([1e-3])
-    slow = gang(plant, design.controller, w).angle_per_torque[:, :, 0]
+    slow = gang(plant, controller, w).angle_per_torque[:, :, 0]
     assert np.linalg.norm(slow, 2) / w[0] == pytest.approx(1.0 / design.objective, rel=1e-3)
 
 
@@ -244,12 +248,11 @@ def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant,
 def test_one_controller_serves_several_measured_plants(plant):
     """A second plant with 15 % more momentum: every limit on both, and stable on both."""
     both = [measurement(one, points=50) for one in (plant, second_plant())]
-    options = {"pattern": "cross-axis", "disk_margin": 0.6, "torque_per_noise": 400.0}
-    found = measured_pid(both, **options)
+    found = pid(*both, limits=LIMITS | {"disk_margin": 0.6})
     assert found.unstable_poles == (0, 0)
-    assert max(ratio.max() for response in found.responses for ratio in response.ratios.values()) <= 1.0
+    K = found.controller.to_control(ANGLES, TORQUES)
     for one in (plant, second_plant()):
-        assert analysis.damping(analysis.closed_loop(one, found.controller)).ratio.min() > 0.0
+        assert analysis.damping(analysis.closed_loop(one, K)).ratio.min() > 0.0
 
 
 def second_plant():
@@ -269,31 +272,13 @@ def test_limits_that_cannot_be_met_are_named_with_their_frequency(measured):
         InfeasibleError,
         match=r"measured_pid: (sensitivity_peak|resonance_damping) is [\d.]+ times its limit at [\d.]+ Hz",
     ) as caught:
-        measured_pid(measured, pattern="cross-axis", sensitivity_peak=1.02, steps=12)
+        pid(measured, limits={"sensitivity_peak": 2.0, "resonance_damping": 0.9}, steps=12)
     assert caught.value.problem is not None
 
 
-def test_a_time_limit_that_is_too_short_is_an_error(measured):
-    with pytest.raises(TimeLimitError, match="time_limit is exceeded"):
-        measured_pid(measured, pattern="cross-axis", time_limit=1e-3)
-
-
-def test_arguments_that_make_no_sense_are_named(measured, design):
-    w = measured.omega
-    cases = {
-        r"sensitivity_peak must be between 1 and inf, got 0\.9": {"sensitivity_peak": 0.9},
-        "disk_margin must be between 0 and 2, got 2.5": {"disk_margin": 2.5},
-        "pattern must be 'full', 'diagonal' or 'cross-axis', got 'cross'": {"pattern": "cross"},
-        "steps must be a whole number >= 0, got -1": {"steps": -1},
-    }
-    for message, options in cases.items():
-        with pytest.raises(ArgumentError, match=message):
-            measured_pid(measured, **options)
-    for wrong, message in (
-        (control.FRD(0.0 * measured.frdata, w, PERIOD), "must have a response"),
-        (control.FRD(measured.frdata[:, :1], w, PERIOD), "as many outputs as inputs"),
-        (control.FRD(measured.frdata, w), "give its period"),
-        (design.controller, r"must be a control\.FRD"),
-    ):
-        with pytest.raises(ArgumentError, match=message):
-            measured_pid(wrong)
+def test_too_short_a_time_and_limits_that_make_no_sense_are_errors(measured, monkeypatch):
+    with pytest.raises(DesignError, match=r"disk_margin must be between 0 and 2, got 2\.5"):
+        pid(measured, limits=LIMITS | {"disk_margin": 2.5})
+    monkeypatch.setattr(searching, "_TIME_LIMIT", 1e-3)
+    with pytest.raises(TimeLimitError, match=r"not finished in 0\.001 s"):
+        pid(measured)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Sequence
-from importlib import import_module
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,21 +16,17 @@ from platform_ctrl.analysis.poles import following_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.convex_step import CENTRES
 from platform_ctrl.design.loop import Design
-from platform_ctrl.design.measured.design import ClosedLoopResponse, MeasuredDesign, measured_pid
-from platform_ctrl.design.measured.responses import contour, read_measurement, unstable_poles
-from platform_ctrl.design.measured.restriction import CENTRES
-from platform_ctrl.design.measured.search import FEWEST_POINTS
+from platform_ctrl.design.measured_pid import MeasuredDesign, measured_pid
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.partition import Channels
-from platform_ctrl.errors import ArgumentError, DesignError, InputError, NotCertifiedError
+from platform_ctrl.design.responses import contour, read_measurement, unstable_poles
+from platform_ctrl.errors import DesignError, InputError, NotCertifiedError
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.job.requirements import LoopRequirement
 from platform_ctrl.plant.mistakes import one_line
-
-if TYPE_CHECKING:
-    import control
 
 # Share by which the limits are kept at the frequencies of the data: between them loops are a little worse.
 _RESERVE = 0.02
@@ -48,7 +42,8 @@ _INTEGRATOR = 1e-5
 _SLOW = 0.2
 # The grid on which plants are described: points beside resonances, and the share of the slowest pole that it begins at.
 _POINTS, _BELOW = 100, 0.05
-_TIME_LIMIT = 300.0
+# Fewest frequencies of a file.
+_FEWEST_POINTS = 10
 _HZ = 1.0 / (2.0 * np.pi)
 _ON_DATA = ", measured responses"
 # What the signals of a loop may be, by the units in which the names of columns state them.
@@ -98,18 +93,14 @@ class MeasuredPID(Method):
             )
         bounds = _bounds(problem.spec.requests)
         bounds["sensitivity_peak"] = min(bounds.get("sensitivity_peak", np.inf), options["sensitivity_peak"])
-        settings = bounds | {
-            "filter_time": 1.0 / (2.0 * np.pi * options["rolloff_hz"]),
-            "resonance_damping": options["resonance_damping"],
-            "steps": int(options["steps"]),
-        }
-        found, view = _searched(problem, settings)
+        bounds["resonance_damping"] = options["resonance_damping"]
+        found, view = _searched(problem, options, bounds)
         claims = {
             "least integral gain": found.objective,
             "plants": float(len(view)),
-            "steps": float(len(found.history) - 1),
+            "steps": float(found.steps),
         }
-        return problem.made(System.of(found.controller, "measured"), options, claims)
+        return problem.made(found.controller, options, claims)
 
     def expect_responses(
         self, text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float
@@ -157,7 +148,9 @@ def _bounds(requirements: Sequence[LoopRequirement]) -> dict[str, float]:
     }
 
 
-def _searched(problem: LoopProblem, settings: dict[str, float]) -> tuple[MeasuredDesign, list[int]]:
+def _searched(
+    problem: LoopProblem, options: dict[str, float], limits: dict[str, float]
+) -> tuple[MeasuredDesign, list[int]]:
     """Return a design on a file's responses or on the nominal plant's, and the numbers of the plants in view.
 
     It is measured with all plants. Those with which it is the worst join, unless there is a file; where a limit is
@@ -168,34 +161,36 @@ def _searched(problem: LoopProblem, settings: dict[str, float]) -> tuple[Measure
     requirements = problem.spec.requests
     counts = [_unstable(A) for A in plants.A]
     plants = plants.on(_frequencies(plants))
-    of_file = None
-    if problem.design.responses:
+    data = [(plants.frequency, P) for P in plants.response]
+    if of_file := problem.design.responses:
         where = f"responses of {problem.spec.name}, {problem.design.name}"
-        data = read_responses(problem.design.responses, where, own.torques, own.angles, own.period)
-        sense = problem.channel.sense
-        P = data.response if sense is None else np.asarray(sense @ data.response, dtype=np.complex128)
-        of_file = _frd(data.frequency, P, plants)
+        read, sense = read_responses(of_file, where, own.torques, own.angles, own.period), problem.channel.sense
+        data = [(read.frequency, read.response if sense is None else np.asarray(sense @ read.response))]
 
-    def pid(view: list[int], settings: dict[str, float]) -> MeasuredDesign:
-        if of_file is not None:
-            return _pid([of_file], settings, counts[:1])
-        data = [_frd(plants.frequency, plants.response[k], plants) for k in view]
-        return _pid(data, settings, [counts[k] for k in view])
+    def pid(view: list[int], limits: dict[str, float]) -> MeasuredDesign:
+        return measured_pid(
+            [data[k] for k in view],
+            plants.period,
+            limits,
+            filter_time=1.0 / (2.0 * np.pi * options["rolloff_hz"]),
+            unstable=max(counts[k] for k in view),
+            steps=int(options["steps"]),
+        )
 
     view: list[int] = [0]
-    found = pid(view, settings)
+    found = pid(view, limits)
     for _ in range(_MOST_ADDED + _MOST_BOUNDED):
-        measures = measure(plants, System.of(found.controller, "measured"), requirements)
-        wider, tighter = _widened(view, measures, requirements, counts), settings
-        if of_file is not None or wider == view:
-            wider, tighter = view, settings | _bounded(found, measures, requirements, settings)
-        if wider == view and tighter == settings:
+        measures = measure(plants, found.controller, requirements)
+        wider, tighter = _widened(view, measures, requirements, counts), limits
+        if of_file or wider == view:
+            wider, tighter = view, limits | _bounded(found, measures, requirements, limits)
+        if wider == view and tighter == limits:
             break
         added = f"{plants.labels[wider[-1]]} joins the nominal plant"
-        bounds = ", ".join(f"{name} {x:.3g}" for name, x in tighter.items() if x != settings.get(name))
+        bounds = ", ".join(f"{name} {x:.3g}" for name, x in tighter.items() if x != limits.get(name))
         problem.progress(f"{problem.spec.name}: {problem.design.name}, {bounds or added}")
         try:
-            found, view, settings = pid(wider, tighter), wider, tighter
+            found, view, limits = pid(wider, tighter), wider, tighter
         except DesignError:
             break  # what has been found is judged with all plants
     return found, view
@@ -231,14 +226,9 @@ def _bounded(
             out[key] = max(out.get(key, 0.0), min(settings[key] * excess, _LARGEST_MARGIN))
         else:
             name, floor = _DEPENDS_ON[key]
-            peak = max(float(largest_singular_values(_peak_of(name, response)).max()) for response in found.responses)
-            bound = floor + (peak - floor) * (1.0 - _RESERVE) / excess
+            bound = floor + (found.peaks[name] - floor) * (1.0 - _RESERVE) / excess
             out[name] = min(out.get(name, np.inf), bound)
     return out
-
-
-def _peak_of(name: str, response: ClosedLoopResponse) -> ComplexArray:
-    return response.torque_per_noise if name == "torque_per_noise" else response.T
 
 
 def _frequencies(plants: PlantSet) -> FloatArray:
@@ -256,20 +246,6 @@ def _unstable(A: FloatArray) -> int:
     return int(np.count_nonzero((np.abs(poles) > 1.0 + _INTEGRATOR) & (np.abs(poles - 1.0) > _INTEGRATOR)))
 
 
-def _frd(frequency: FloatArray, P: ComplexArray, plants: PlantSet) -> control.FRD:
-    """Return responses (F, p, m) with the names of a loop's signals."""
-    names = {"inputs": list(plants.torques), "outputs": list(plants.angles)}
-    FRD = import_module("control").FRD
-    return FRD(np.moveaxis(P, 0, -1), frequency, plants.period, **names)
-
-
-def _pid(data: Sequence[control.FRD], settings: dict[str, float], unstable: Sequence[int]) -> MeasuredDesign:
-    try:
-        return measured_pid(list(data), unstable=max(unstable), time_limit=_TIME_LIMIT, **settings)  # type: ignore[arg-type]
-    except ArgumentError as error:
-        raise DesignError(str(error)) from None
-
-
 def read_responses(text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float) -> LoopData:
     """Return the responses of a file's text, its signals in the order of a loop's; an InputError says what is wrong."""
     source = io.StringIO(text)
@@ -285,8 +261,8 @@ def read_responses(text: str, label: str, torques: Sequence[str], readings: Sequ
     rows, columns = [outputs.index(name) for name in readings], [inputs.index(name) for name in torques]
     scaled = np.asarray(data.frdata) * (per_output[:, None, None] / per_input[:, None])
     P = np.moveaxis(scaled[np.ix_(rows, columns)], -1, 0)
-    if len(P) < FEWEST_POINTS:
-        raise InputError(f"{label}: must have {FEWEST_POINTS} or more frequencies, got {len(P)}")
+    if len(P) < _FEWEST_POINTS:
+        raise InputError(f"{label}: must have {_FEWEST_POINTS} or more frequencies, got {len(P)}")
     if not np.all(np.abs(P).max(axis=(1, 2)) > 0.0):
         raise InputError(f"{label}: must have a response that is not zero at every frequency")
     return LoopData(frequency=np.asarray(data.omega, dtype=np.float64), response=np.asarray(P, dtype=np.complex128))

@@ -1,1 +1,0 @@
-"""Design from measured frequency responses: a MIMO PID under limits at every frequency."""
