@@ -209,7 +209,7 @@ def hinf(
     def by(route: HinfMethod, reason: str = "") -> Synthesis:
         try:
             if route == "lmi":
-                from platform_ctrl.design.lmi.hinf import hinf_lmi
+                from platform_ctrl.design.inequalities import hinf_lmi
 
                 made, least, residual = hinf_lmi(flat, backoff, time_limit, P)
             else:

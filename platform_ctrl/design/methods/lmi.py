@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
@@ -50,7 +49,7 @@ from platform_ctrl.errors import DesignError, InfeasibleError, UnscalableError
 from platform_ctrl.job.methods import DesignSpec
 
 if TYPE_CHECKING:
-    from platform_ctrl.design.lmi.inequalities import LinearLoop
+    from platform_ctrl.design.inequalities import LinearLoop
 
 # Pole decay where it is not given, relative to the slowest bandwidth in rad/s.
 _DECAY = 0.05
@@ -103,10 +102,8 @@ class LMI(Method):
     def design(self, problem: LoopProblem) -> Design:
         """Return the loop.
 
-        Claims: ``gamma`` of the performance, its least value, ν, plants that share a matrix.
+        Claims: ``gamma`` of the performance, its least value, ν.
         """
-        from platform_ctrl.design.lmi.shared import sharing
-
         channel, plants = problem.channel, problem.plants.regular()
         options = self.defaults(problem.design, channel, plants.nutation, plants.period)
 
@@ -118,10 +115,6 @@ class LMI(Method):
             movable = [name for name in self.tunable if name in options]
             options = tuned(problem, options, movable, lambda numbers: synthesis(numbers)[0], evaluations=EVALUATIONS)
             controller, claims = synthesis(options)
-        loops = Loop(plants, controller._replace(dt=plants.period))
-        if loops.decay[0] > 0.0:
-            shared = sharing(loops.own_arrays.A, options["time_limit"])
-            claims |= {"plants with one Lyapunov matrix": float(shared), "plants": float(len(plants.labels))}
         return problem.made(controller, options, claims)
 
 
@@ -282,7 +275,7 @@ def _norms(
 
 def _designed(problem: LoopProblem, part: _Weighted, options: dict[str, float]) -> tuple[System, float, float]:
     """Return the controller of a weighted plant, the least γ, and the bound ν, N m."""
-    from platform_ctrl.design.lmi.inequalities import LinearLoop, cp, half_plane, in_states, sector, solve
+    from platform_ctrl.design.inequalities import LinearLoop, cp, half_plane, in_states, sector, solve
 
     where, scaled = f"{problem.spec.name}, {problem.design.name}", autoscale(part.plant)
     p, gamma = in_states(scaled.plant, _first_states(scaled.plant, part)), _least(part)
@@ -355,7 +348,7 @@ def _first_states(p: Partition, part: _Weighted) -> FloatArray:
     """Return states in which the solutions of the LQ and the filter problem of the performance are balanced."""
     from scipy.linalg import solve_continuous_are
 
-    from platform_ctrl.design.lmi.inequalities import balancing
+    from platform_ctrl.design.inequalities import balancing
 
     w, z, solutions = part.w[0] + part.w[1], part.z[0], []
     for A, B, C, D in ((p.A, p.B2, p.C1[z], p.D12[z]), (p.A.T, p.C2.T, p.B1[:, w].T, p.D21[:, w].T)):
