@@ -1,41 +1,43 @@
-"""The loops of a job: every design of every loop, made by its method and certified."""
+"""The loops of a job: every design of every loop, made by its method and certified.
+
+Designs are made side by side in processes: one that fails, or whose process is killed, says so.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import os
+import sys
 from collections.abc import Mapping, Sequence
-from typing import Any
+from concurrent.futures import BrokenExecutor, as_completed
 
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.common.processes import processes as pool
 from platform_ctrl.common.progress import Local, Progress, shown
-from platform_ctrl.common.values import replaced
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, commanded, with_commands
+from platform_ctrl.design.loop import (
+    Design,
+    FailedDesign,
+    LoopOutcome,
+    commanded,
+    with_commands,
+    with_largest_rates,
+)
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
-from platform_ctrl.design.method import LoopProblem, instability
+from platform_ctrl.design.method import LoopProblem, evaluated, instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
-from platform_ctrl.design.side_by_side import made_of
-from platform_ctrl.errors import DesignError
-from platform_ctrl.job.job import CoupledLimits, Job, LoopSpec
+from platform_ctrl.errors import DesignError, began_with_interrupt
+from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 
-# What no design may depend on.
-_REMOVED: dict[str, Any] = {
-    "name": "",
-    "plant": "",
-    "coupled": CoupledLimits(),
-    "manoeuvres": (),
-    "fault_events": (),
-    "campaign": None,
-    "budget": None,
-}
-# Of a loop whose plants alone count.
-_BARE: dict[str, Any] = {"designs": (), "use": "", "limits": {}, "soft": {}}
-_TURNS: dict[str, Any] = _BARE | {"name": "", "kind": "rate", "sensors": (), "around": None, "rate_hz": None}
+Made = Design | Exception
+
+# A process that is forked has all that is loaded and known here; elsewhere it would have to load it for seconds.
+_FORKS = sys.platform == "linux"
+_given: Sequence[LoopProblem] = ()
 
 
 def loops(
@@ -90,7 +92,7 @@ def attempted_loops(
 def _loops(job: Job, progress: Progress, processes: int) -> tuple[LoopOutcome, ...]:
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
-    plants_of_all = {spec.name: _plants_of_designs(plant_job(job, spec), spec) for spec in job.loops}
+    plants_of_all = {spec.name: _plants_of_designs(job, spec) for spec in job.loops}
     specs, made = {spec.name: spec for spec in job.loops}, dict[str, LoopOutcome]()
     # A tracking loop has the rate loop that it commands in its plants.
     for tracking in (False, True):
@@ -102,7 +104,7 @@ def _loops(job: Job, progress: Progress, processes: int) -> tuple[LoopOutcome, .
             elif (spec.kind == "tracking") is tracking:
                 around = None if inner is None else inner.closed
                 problems[name] = _problems(job, spec, model, plants_of_all[name], around, progress)
-        found = iter(made_of([one for own in problems.values() for one in own], processes, progress))
+        found = iter(_made_of([one for own in problems.values() for one in own], processes, progress))
         for name, own in problems.items():
             made[name] = _outcome(specs[name], [(problem.design, next(found)) for problem in own])
     return in_order(job, list(map(made.__getitem__, specs)))
@@ -112,23 +114,24 @@ def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, Design | Exceptio
     """Return the outcome of a loop of what its designs have come to."""
     designs = tuple(one for _, one in found if isinstance(one, Design))
     errors = [(design, instability(one, design.tune) if isinstance(one, Design) else one) for design, one in found]
-    failed = tuple(_failed(spec, design, error) for design, error in errors if error is not None)
     names = [one.name for one in designs]
     use = spec.use if spec.use in names or not names else names[0]
-    return LoopOutcome(spec=spec, designs=designs, use=use, failed=failed)
+    return LoopOutcome(spec=spec, designs=designs, use=use, failed=_failed(spec, errors))
 
 
 def _without_inner(spec: LoopSpec, inner: FailedDesign) -> LoopOutcome:
     """Return the outcome of a tracking loop of which the loop inside has no design to rely on."""
     words = f"the design {inner.name!r} of the loop {inner.loop!r}, which it commands, has failed"
-    failed = tuple(
-        _failed(spec, design, DesignError(f"{spec.name}, {design.name}: {words}")) for design in spec.designs
+    errors = [(design, DesignError(f"{spec.name}, {design.name}: {words}")) for design in spec.designs]
+    return LoopOutcome(spec=spec, designs=(), use=spec.use, failed=_failed(spec, errors))
+
+
+def _failed(spec: LoopSpec, errors: Sequence[tuple[DesignSpec, Exception | None]]) -> tuple[FailedDesign, ...]:
+    return tuple(
+        FailedDesign(loop=spec.name, name=design.name, method=design.method, error=error)
+        for design, error in errors
+        if error is not None
     )
-    return LoopOutcome(spec=spec, designs=(), use=spec.use, failed=failed)
-
-
-def _failed(spec: LoopSpec, design: DesignSpec, error: Exception) -> FailedDesign:
-    return FailedDesign(loop=spec.name, name=design.name, method=design.method, error=error)
 
 
 def _problems(
@@ -148,7 +151,7 @@ def _problems(
         around = next(one for one in job.loops if one.name == spec.around)
         assert inner.plants is not None, "a rate loop has plants"
         K = with_commands(inner.plants, inner.controller)
-        directed += [tracking_plants(plant_job(job, spec, around), spec, around, inner.plants, K)] * len(plants)
+        directed += [tracking_plants(job, spec, around, inner.plants, K)] * len(plants)
     else:
         # Directions once for all designs that read the same, which ask for them again and again.
         of_sensors: dict[tuple[str, ...], Channels] = {}
@@ -159,10 +162,76 @@ def _problems(
             directed.append((own, None if own is None else of_sensors[read.sensors]))
     out = []
     for design, (plant_set, directions) in zip(spec.designs, directed, strict=True):
-        alone = design_job(job, spec, design)
-        problem = LoopProblem(job=alone, spec=alone.loops[-1], design=design, model=model, plant_set=plant_set)
+        problem = LoopProblem(job=job, spec=spec, design=design, model=model, plant_set=plant_set)
         out.append(dataclasses.replace(problem, directions=directions, progress=Local(progress)))
     return out
+
+
+def _made_of(problems: Sequence[LoopProblem], workers: int, progress: Progress) -> list[Made]:
+    """Return the design of each problem, or why there is none."""
+    if not (_FORKS and workers > 1 and len(problems) > 1):
+        return [_made(problem) for problem in problems]
+    found = _in_processes(problems, workers, progress)
+    for k, problem in enumerate(problems):
+        # All that was under way is lost with a process: each by itself shows which one it was.
+        if found[k] is None:
+            found[k] = _in_processes([problem], 1, progress)[0]
+    return [_killed(problem) if one is None else one for problem, one in zip(problems, found, strict=True)]
+
+
+def _in_processes(problems: Sequence[LoopProblem], workers: int, progress: Progress) -> list[Made | None]:
+    """Return the designs; None of those that were under way when a process was killed."""
+    # What the designs need is loaded once, before the processes are forked.
+    import control  # noqa: F401
+
+    out: list[Made | None] = [None] * len(problems)
+    with pool(min(workers, len(problems)), "fork", _begin, problems) as executor:
+        progress(f"{len(problems)} designs side by side; {problems[0].spec.name}: {problems[0].design.name}")
+        under_way = {executor.submit(_made_in_process, k): k for k in range(len(problems))}
+        for count, future in enumerate(as_completed(under_way)):
+            left = [problems[k] for one, k in under_way.items() if not one.done()]
+            if left:
+                progress(f"{count + 1} of {len(problems)} designs; {left[0].spec.name}: {left[0].design.name}")
+            try:
+                made = future.result()
+            except BrokenExecutor:
+                continue
+            k = under_way[future]
+            out[k] = dataclasses.replace(made, plants=problems[k].plant_set) if isinstance(made, Design) else made
+    return out
+
+
+def _begin(problems: Sequence[LoopProblem]) -> None:
+    global _given
+    _given = problems
+
+
+def _made_in_process(k: int) -> Made:
+    # A thread of the other process may have held what a progress display waits for when this one was forked.
+    made = _made(dataclasses.replace(_given[k], progress=lambda line: None))
+    # The plants are known where it goes.
+    return dataclasses.replace(made, plants=None) if isinstance(made, Design) else made
+
+
+def _made(problem: LoopProblem) -> Made:
+    spec, design = problem.spec, problem.design
+    problem.progress(f"{spec.name}: {design.name}")
+    try:
+        made = evaluated(problem)
+        return with_largest_rates(made) if spec.kind == "caging" and spec.use == design.name else made
+    except Exception as error:
+        if began_with_interrupt(error):
+            raise
+        if not isinstance(error, DesignError) or problem.plant_set is None or str(error).startswith(f"{spec.name}, "):
+            return error
+        return type(error)(f"{spec.name}, {design.name}: {error}", error.problem)
+
+
+def _killed(problem: LoopProblem) -> DesignError:
+    return DesignError(
+        f"{problem.spec.name}, {problem.design.name}: the process that designed it was killed, perhaps because memory "
+        "ran out; try fewer plants (uncertainty, angles) or a design of lower order"
+    )
 
 
 def _plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
@@ -198,30 +267,3 @@ def in_order(job: Job, outcomes: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ..
         k = next(i for i, one in enumerate(out) if one.spec.name == tracking.spec.around)
         out.insert(k, tracking)
     return tuple(out)
-
-
-def plant_job(job: Job, *loops: LoopSpec) -> Job:
-    """Return what the plants of loops may depend on: neither on their designs nor on their limits."""
-    bare = (replaced(spec, _BARE) for spec in loops)
-    return _with_loops(job, tuple(bare))
-
-
-def design_job(job: Job, spec: LoopSpec, design: DesignSpec) -> Job:
-    """Return what a design of a loop may depend on: its loop without the other designs comes last.
-
-    ``use`` is empty unless the design is the one that is closed. The loop that a tracking loop commands comes first,
-    with the design that is closed.
-    """
-    use = design.name if design.name == spec.use else ""
-    around = (one for one in job.loops if one.name == spec.around)
-    inner = (
-        replaced(one, _BARE | {"designs": tuple(own for own in one.designs if own.name == one.use)}) for one in around
-    )
-    return _with_loops(job, (*inner, replaced(spec, {"designs": (design,), "use": use})))
-
-
-def _with_loops(job: Job, loops: tuple[LoopSpec, ...]) -> Job:
-    """Return a job with these loops; of the others with no more than what they turn: that is not passive."""
-    own = {spec.name for spec in loops}
-    others = (replaced(one, _TURNS) for one in job.loops if one.name not in own and (one.gimbals or one.torquers))
-    return replaced(job, _REMOVED | {"loops": (*others, *loops)})

@@ -18,7 +18,6 @@ import numpy as np
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.jobs import design_job, plant_job
 from platform_ctrl.design.loop import (
     Design,
     LoopOutcome,
@@ -348,9 +347,8 @@ class _Trials:
         spec = next((one for one in outcome.spec.designs if one.name == closed.name), None)
         if spec is None or method is None or not method.instant or method.key != spec.method or not closed.options:
             return None
-        alone = design_job(self._job, outcome.spec, spec)
         plants = closed.plants
-        problem = LoopProblem(job=alone, spec=alone.loops[-1], design=spec, model=self._model, plant_set=plants)
+        problem = LoopProblem(job=self._job, spec=outcome.spec, design=spec, model=self._model, plant_set=plants)
         if plants is None:
             return problem
         inner = self._outcomes.get(outcome.spec.around or "")
@@ -361,8 +359,7 @@ class _Trials:
         """Return the plants of a tracking loop around a `design` of the loop inside, and their directions."""
         assert design.plants is not None, "a rate loop has plants"
         K = with_commands(design.plants, design.controller)
-        job = plant_job(self._job, outcome.spec, inner.spec)
-        return tracking_plants(job, outcome.spec, inner.spec, design.plants, K)
+        return tracking_plants(self._job, outcome.spec, inner.spec, design.plants, K)
 
 
 def _own(outcome: LoopOutcome, design: Design, exact: bool) -> Results:

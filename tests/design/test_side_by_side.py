@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from platform_ctrl.design import side_by_side
+from platform_ctrl.design import jobs
 from platform_ctrl.design.jobs import attempted_loops
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.job.job import Job
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-pytestmark = pytest.mark.skipif(not side_by_side._FORKS, reason="processes are forked on Linux alone")
+pytestmark = pytest.mark.skipif(not jobs._FORKS, reason="processes are forked on Linux alone")
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_designs_side_by_side_are_those_made_one_after_the_other(job: Job) -> No
 
 
 def test_a_design_whose_process_is_killed_fails_alone(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = side_by_side.evaluated
+    made = jobs.evaluated
     first, *others = job.loops[0].designs
 
     def killed(problem: LoopProblem, *given: object, **more: object) -> Design:
@@ -52,7 +52,7 @@ def test_a_design_whose_process_is_killed_fails_alone(job: Job, monkeypatch: pyt
             os.kill(os.getpid(), signal.SIGKILL)
         return made(problem, *given, **more)
 
-    monkeypatch.setattr(side_by_side, "evaluated", killed)
+    monkeypatch.setattr(jobs, "evaluated", killed)
     outcome = attempted_loops(job, None, 2)[0]
     assert [one.name for one in outcome.failed] == [first.name]
     assert "killed, perhaps because memory ran out; try fewer plants" in str(outcome.failed[0].error)
