@@ -1,4 +1,4 @@
-"""Structures of sections: PID, lead and notch, in series, sampled for a job, or built from named numbers."""
+"""Structures of sections: PID, structures in series, sampled for a job, or built from named numbers."""
 
 from __future__ import annotations
 
@@ -26,90 +26,13 @@ from platform_ctrl.errors import ArgumentError
 
 
 @input_value
-class Lead(Structure):
-    """(s/zero + 1)/(s/pole + 1) on every signal; parameters zero1, pole1, ... with the block's name before them.
-
-    Attributes
-    ----------
-    name
-        Put before the names of the parameters, where there are several such blocks.
-    start, bounds, fixed, tied
-        As in `Structure`.
-    """
-
-    name: str = "lead"
-
-    def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return corner frequencies, rad/s."""
-        rate = units.rate
-        return tuple(
-            Parameter(
-                name=f"{self.name}_{word}{j + 1}",
-                start=start * rate,
-                size=1.0,
-                positive=True,
-                lower=1e-4 * rate,
-                upper=1e6 * rate,
-            )
-            for word, start in (("zero", 0.5), ("pole", 5.0))
-            for j in range(nmeas)
-        )
-
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
-        """Return the diagonal block."""
-        zeros_at, poles_at = np.split(p, 2, axis=-1)
-        pole, ratio = (number[..., None] * np.eye(nmeas) for number in (poles_at, poles_at / zeros_at))
-        # (s/z + 1)/(s/q + 1) = q/z + q (1 − q/z)/(s + q)
-        return System(-pole, pole, np.eye(nmeas) - ratio, ratio)
-
-
-@input_value
-class Notch(Structure):
-    """(s² + 2 depth width f s + f²)/(s² + 2 width f s + f²) on every signal.
-
-    Parameters notch_frequency1, ... (f, rad/s), notch_depth1, ..., notch_width1, ...
-
-    Attributes
-    ----------
-    name
-        Put before the names of the parameters in place of "notch".
-    start, bounds, fixed, tied
-        As in `Structure`.
-    """
-
-    name: str = "notch"
-
-    def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return frequency, depth and width of every notch."""
-        rate = units.rate
-        ranges = (("frequency", rate, 1e-3 * rate, 1e4 * rate), ("depth", 0.7, 1e-2, 10.0), ("width", 0.3, 1e-2, 10.0))
-        return tuple(
-            Parameter(name=f"{self.name}_{word}{j + 1}", start=start, size=1.0, positive=True, lower=low, upper=high)
-            for word, start, low, high in ranges
-            for j in range(nmeas)
-        )
-
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
-        """Return the diagonal block, two states a signal."""
-        m = nmeas
-        f, depth, width = np.split(p, 3, axis=-1)
-        A, B, C, D = zeros(p, 2 * m, 2 * m), zeros(p, 2 * m, m), zeros(p, m, 2 * m), zeros(p, m, m)
-        k = np.arange(m)
-        first, second = 2 * k, 2 * k + 1
-        # States in units of f: x1' = f x2, x2' = f (y − x1 − 2 width x2);  out = y + 2 width (depth − 1) x2.
-        A[..., first, second], A[..., second, first], A[..., second, second] = f, -f, -2.0 * width * f
-        B[..., second, k], C[..., k, second], D[..., k, k] = f, 2.0 * width * (depth - 1.0), 1.0
-        return System(A, B, C, D)
-
-
-@input_value
 class Series(Structure):
     """Structures one after another; the first ones keep the number of signals, the last one makes u.
 
     Attributes
     ----------
     blocks
-        From y to u, for example (Notch(), PID()).
+        From y to u, for example (PID(), StateSpaceOrder(states=2)).
     start, bounds, fixed, tied
         As in `Structure`; what is given here overrides what a block has.
     """
@@ -235,14 +158,6 @@ class PID(Structure):
         0 (only without D), 1 or 2.
     filtered
         Whether F filters every measurement, or the derivative alone: u = (K_P + K_I/s + K_D s F(s)) y.
-    filter_zero
-        Whether a second-order F before everything has a zero, too: F = (s/z + 1) ω²/(s² + 2 ζ ω s + ω²), with
-        parameters zero1, ... (z, rad/s). In a sampled controller z = 2/period, in `fixed`, is a filter that does
-        not wait a sample; left free it is a lead.
-    seen_through : (gains, rates), optional
-        The measurement is already gain + rate/s (rate in 1/s) times the signal that the PID is meant for, channel by
-        channel, each (ny,), as in a mixed-sensitivity plant whose weight on the error is before the controller: its
-        pole is the PID's integrator, its zero becomes a fixed pole of the controller.
     start, bounds, fixed, tied
         As in `Structure`.
     """
@@ -252,18 +167,14 @@ class PID(Structure):
     D: ArrayLike | str = "full"
     filter_order: Literal[0, 1, 2] = 2
     filtered: Literal["everything", "derivative"] = "everything"
-    filter_zero: bool = False
-    seen_through: tuple[ArrayLike, ArrayLike] | None = None
 
     def _masks(self, nmeas: int, ncon: int) -> tuple[Mask, Mask, Mask]:
         shape = (ncon, nmeas)
         masks = mask_of("PID: P", self.P, shape), mask_of("PID: I", self.I, shape), mask_of("PID: D", self.D, shape)
         if self.filter_order not in (0, 1, 2):
             raise ArgumentError(f"PID: filter_order must be 0, 1 or 2, got {self.filter_order!r}")
-        if self.filter_order == 0 and (np.any(masks[2]) or self.seen_through is not None):
+        if self.filter_order == 0 and np.any(masks[2]):
             raise ArgumentError('PID: a derivative needs a filter; give filter_order = 1 or 2, or D="none"')
-        if self.filter_zero and (self.filter_order != 2 or self.filtered != "everything"):
-            raise ArgumentError("PID: filter_zero needs filter_order = 2 and filtered = 'everything'")
         return masks
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
@@ -271,8 +182,6 @@ class PID(Structure):
         P, integral, D = self._masks(nmeas, ncon)
         gain, rate = units.gain, units.rate
         integral_rate = rate if units.integral is None else units.integral
-        if self.seen_through is not None:
-            gain = gain * np.asarray(self.seen_through[0], dtype=np.float64)
         out = [
             *gains_of("kp", P, gain),
             *gains_of("ki", integral, gain * integral_rate),
@@ -295,13 +204,6 @@ class PID(Structure):
                 Parameter(name=f"damping{j + 1}", start=0.7, size=1.0, positive=True, lower=0.02, upper=50.0)
                 for j in range(nmeas)
             ]
-        if self.filter_zero:
-            out += [
-                Parameter(
-                    name=f"zero{j + 1}", start=2.0 * rate, size=1.0, positive=True, lower=1e-3 * rate, upper=1e5 * rate
-                )
-                for j in range(nmeas)
-            ]
         return tuple(out)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
@@ -309,8 +211,8 @@ class PID(Structure):
         masks, degree = self._masks(nmeas, ncon), self.filter_order
         ends = np.cumsum([mask.sum() for mask in masks])
         gains = [filled(m, p[..., end - m.sum() : end]) for m, end in zip(masks, ends, strict=True)]
-        filters = p[..., ends[2] :].reshape(*p.shape[:-1], degree + self.filter_zero, nmeas)
-        integrals = [self.seen_through is not None or bool(masks[1][:, j].any()) for j in range(nmeas)]
+        filters = p[..., ends[2] :].reshape(*p.shape[:-1], degree, nmeas)
+        integrals = [bool(masks[1][:, j].any()) for j in range(nmeas)]
         states = degree * nmeas + sum(integrals)
         A, B = zeros(p, states, states), zeros(p, states, nmeas)
         rows, direct = zeros(p, 3 * nmeas, states), zeros(p, 3 * nmeas, nmeas)
@@ -318,18 +220,16 @@ class PID(Structure):
             own = np.arange(degree * j, degree * (j + 1))
             if integral:
                 own = np.append(own, degree * nmeas + sum(integrals[:j]))
-            a, b, c, d, _ = self._chain(filters[..., j], j, integral)
+            a, b, c, d, _ = self._chain(filters[..., j], integral)
             A[..., own[:, None], own], B[..., own, j] = a, b[..., 0]
             rows[..., j::nmeas, own], direct[..., j::nmeas, j] = c, d[..., 0]
         gain = np.concatenate(gains, axis=-1)
         return System(A, B, gain @ rows, gain @ direct)
 
-    def _chain(self, numbers: FloatArray, j: int, integral: bool) -> System:
-        """Return the states behind measurement j and the rows [proportional, integral, derivative] that read them.
+    def _chain(self, numbers: FloatArray, integral: bool) -> System:
+        """Return the states behind a measurement y and the rows [proportional, integral, derivative] that read them.
 
-        First the filter's states, then the integral. Without a weight the filter is driven by y: P reads x, D reads x',
-        and the integral is that of x. Behind a weight the integral q = y/s = y_m/(gain s + rate) comes first and drives
-        the filter: I reads x, P reads x', D reads x''. What is not filtered is read before the filter.
+        First the filter's states, of which the first is what is filtered, then the integral.
         """
         degree, whole = self.filter_order, self.filter_order > 0 and self.filtered == "everything"
         n = degree + integral
@@ -339,24 +239,11 @@ class PID(Structure):
         elif degree == 2:
             w, damping = numbers[..., 0], numbers[..., 1]
             A[..., 0, 1], A[..., 1, 0], A[..., 1, 1] = 1.0, -(w**2), -2.0 * damping * w
-        drive = numbers[..., 0] ** degree if degree else None
-        if self.seen_through is None:
-            D[..., 0, 0], derivatives = 1.0, [0, 2]
-            if degree:
-                B[..., degree - 1, 0] = drive
-            if integral:
-                C[..., 1, -1] = 1.0
-                (A if whole else B)[..., -1, 0] = 1.0
-        else:
-            gain, rate = (float(np.asarray(item, dtype=np.float64)[j]) for item in self.seen_through)
-            A[..., -1, -1], B[..., -1, 0], A[..., degree - 1, -1] = -rate / gain, 1.0 / gain, drive
-            C[..., 0, -1], D[..., 0, 0], C[..., 1, -1], derivatives = -rate / gain, 1.0 / gain, 1.0, [1, 0, 2]
-        c, d = np.eye(1, n), np.zeros((1, 1))
-        for action in derivatives if degree else ():
-            if whole or action == 2:
-                C[..., action, :], D[..., action, :] = c[..., 0, :], d[..., 0, :]
-            c, d = c @ A, c @ B
-        if self.filter_zero:
-            zero = numbers[..., 2, None, None]
-            C, D = C + C @ A / zero, C @ B / zero
+        if degree:
+            B[..., degree - 1, 0] = numbers[..., 0] ** degree
+            C[..., 2, :], D[..., 2, :] = A[..., 0, :], B[..., 0, :]
+        (C if whole else D)[..., 0, 0] = 1.0
+        if integral:
+            C[..., 1, -1] = 1.0
+            (A if whole else B)[..., -1, 0] = 1.0
         return System(A, B, C, D)
