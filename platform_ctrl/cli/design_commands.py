@@ -272,8 +272,8 @@ def check(
 
 def _show_changes(compared: Comparison, name: str, as_json: bool) -> int:
     """Print what has changed since an accepted result; return the exit code."""
+    from platform_ctrl.cli.failures import changes_text
     from platform_ctrl.cli.terminal import screen, show_words
-    from platform_ctrl.report.failures import changes_text
 
     for line in changes_text(compared, name).splitlines():
         if as_json:

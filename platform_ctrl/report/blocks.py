@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
@@ -17,30 +17,6 @@ from platform_ctrl.report import style
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-T = TypeVar("T")
-
-
-@value
-class Mark:
-    """One stroke of a `Strip`; places are shares of its length, from 0 to 1."""
-
-    # "ground" and "bar" (from start to end), "range" (a line between them), "tick" (across, at start), "point" (at
-    # start), "word" (text, centred at start)
-    form: str
-    start: float
-    end: float = 0.0
-    colour: str = "grid"  # One of the page's colours by its name
-    text: str = ""  # Of a word
-
-
-@value
-class Strip:
-    """A small picture beside a number: length in pixels, marks, and words where the number does not express it."""
-
-    length: float
-    marks: tuple[Mark, ...]
-    words: str = ""
-
 
 @value
 class Cell:
@@ -49,7 +25,7 @@ class Cell:
     text: str  # The content
     note: str = ""  # Below the text, small
     tone: str = ""  # "good", "bad", "quiet" or nothing
-    strip: Strip | None = None  # A picture after the text
+    bar: float | None = None  # A bar after the text, filled by a share from 0 to 1
 
 
 @value
@@ -60,7 +36,6 @@ class Column:
     tag: str = ""
     number: bool = False
     strong: bool = False
-    strip: Strip | None = None
 
 
 @value
@@ -93,7 +68,7 @@ class Table:
     @property
     def headed(self) -> bool:
         """Whether there is a head."""
-        return any(column.title or column.strip for column in self.columns)
+        return any(column.title for column in self.columns)
 
 
 @value
@@ -133,14 +108,6 @@ class Plate:
 
 
 @value
-class Facts:
-    """Names and what goes with them."""
-
-    kind: ClassVar[str] = "facts"
-    rows: tuple[tuple[str, str], ...]
-
-
-@value
 class Listing:
     """Text to be copied: a command, or a file of that name."""
 
@@ -151,20 +118,12 @@ class Listing:
 
 @value
 class Subsection:
-    """Blocks under a heading of their own."""
+    """Blocks under a heading of their own; folded ones a page shows when their title is clicked, paper shows them."""
 
     kind: ClassVar[str] = "part"
     title: str
     blocks: tuple[Block, ...]
-
-
-@value
-class Fold:
-    """Blocks that a page shows when their title is clicked; paper shows them."""
-
-    kind: ClassVar[str] = "fold"
-    title: str
-    blocks: tuple[Block, ...]
+    folded: bool = False
 
 
 @value
@@ -203,7 +162,7 @@ class Distances:
         return 1 + max((mark.level for mark in self.marks), default=0)
 
 
-Block = Paragraph | Verdict | Table | Plate | Facts | Listing | Subsection | Fold | Columns | Distances
+Block = Paragraph | Verdict | Table | Plate | Listing | Subsection | Columns | Distances
 
 
 @value
@@ -251,29 +210,33 @@ def table(titles: str, rows: Sequence[Sequence[str]], *, numbers: str = "", form
     return Table(columns=columns(titles, numbers), groups=(Group(rows=body),), form=form)
 
 
-def plate(figure: Figure, title: str, caption: str, *, small: bool = False) -> Plate:
-    """Return a figure with its title and caption, which describe it too where it cannot be seen."""
-    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption, small=small)
-
-
-def attempted(title: str, make: Callable[[], T]) -> T | Missing:
-    """Return what `make` returns; where it fails, words in its place: no part of a page costs the others."""
+def made(title: str, make: Callable[[], Block | Sequence[Block] | None]) -> tuple[Block, ...]:
+    """Return the blocks that `make` returns; where it fails, words instead: no part of a page costs the others."""
     try:
-        return make()
+        found = make()
     except Exception as error:
         if began_with_interrupt(error):
             raise
-        return Missing(text=f"{title}: not drawn: {reason(error)}", tone="bad")
+        return (Missing(text=f"{title}: not drawn: {reason(error)}", tone="bad"),)
+    if found is None:
+        return ()
+    return tuple(found) if isinstance(found, Sequence) else (found,)
 
 
-def drawn(title: str, draw: Callable[[], tuple[Figure, str]], *, small: bool = False) -> Plate | Missing:
-    """Return the plate of a figure and its caption, which `draw` returns."""
+def drawn(
+    title: str, draw: Callable[[], Figure | None], caption: str | Callable[[], str], *, small: bool = False
+) -> tuple[Block, ...]:
+    """Return the plate of the figure that `draw` returns; nothing where it returns none."""
 
-    def make() -> Plate:
-        figure, caption = draw()
-        return plate(figure, title, caption, small=small)
+    def make() -> Plate | None:
+        figure = draw()
+        if figure is None:
+            return None
+        words = caption if isinstance(caption, str) else caption()
+        # Title and caption describe it too where it cannot be seen.
+        return Plate(svg=style.svg(figure, f"{title}. {words}"), title=title, caption=words, small=small)
 
-    return attempted(title, make)
+    return made(title, make)
 
 
 def missing(item: Any) -> list[str]:

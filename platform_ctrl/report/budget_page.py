@@ -50,15 +50,11 @@ def budget_blocks(result: JobResult) -> list[Block]:
     found, budget = result.budget, result.job.budget
     if found is None or budget is None:
         return []
+    rms, waterfall = sentences("budget_figure"), sentences("waterfall")
     blocks: list[Block] = [
         Paragraph(text=sentences("budget", found=found, budget=budget)),
-        drawn(
-            "Line of sight: rms up to a frequency", lambda: (budget_figure(budget, found), sentences("budget_figure"))
-        ),
-        drawn(
-            "Line of sight: from sources to the total",
-            lambda: (waterfall_figure(budget, found), sentences("waterfall")),
-        ),
+        *drawn("Line of sight: rms up to a frequency", lambda: budget_figure(budget, found), rms),
+        *drawn("Line of sight: from sources to the total", lambda: waterfall_figure(budget, found), waterfall),
         _sources(found),
     ]
     if found.windows:
@@ -99,10 +95,8 @@ def _simulated(runs: SimulatedBudget) -> Subsection:
     for name, *rms, linear in zip(LOS_ANGLES[:2], runs.rms, runs.low, runs.high, runs.linear, strict=False):
         rows.append((name, *_micro([*rms, linear]), plain(float(rms[0] / linear), 4) if linear > 0.0 else ""))
     numbers = "simulated, µrad|95 % interval, from|to|linear, µrad|simulated over linear"
-    title = "Line of sight: simulated and linear rms"
     blocks: tuple[Block, ...] = (
         Paragraph(text=sentences("simulated_budget", runs=runs)),
-        drawn(title, lambda: (simulated_figure(runs), sentences("simulated_budget_figure"))),
         table(f"axis|{numbers}", rows, numbers=numbers),
         *(Paragraph(text=sentence(f"not simulated: {line}")) for line in runs.left_out),
     )
@@ -138,30 +132,6 @@ def budget_figure(budget: BudgetSpec, found: LineOfSightBudget) -> Figure:
         axes.set_title(found.axes[axis])
     first.set_ylabel("rms up to this frequency, µrad")
     legend(figure, handles, names)
-    return figure
-
-
-def simulated_figure(runs: SimulatedBudget) -> Figure:
-    """Draw the rms that runs of the non-linear plant show, with its interval, beside that of the linear budget."""
-    names = ["linear budget", "simulated, with its 95 % interval"]
-    shown, low, high, linear = (_MICRO * one[:2] for one in (runs.rms, runs.low, runs.high, runs.linear))
-    figure, [[axes]] = panels(1, 1, _ROW * len(shown), names, titles=False)
-    rows = np.arange(len(shown))
-    bars = axes.barh(rows + _BAR, linear, _TALL, color=REFERENCE, linewidth=0.0)
-    ends = np.abs(np.array([low, high]) - shown)
-    points = axes.errorbar(
-        shown, rows + _BAR, xerr=ends, fmt="o", color=line_style(1)["color"], markersize=4.0, capsize=3.0
-    )
-    for row, axis in zip(rows, LOS_ANGLES, strict=False):
-        words = f"{axis}: {plain(float(shown[row]), 3)} µrad simulated, {plain(float(linear[row]), 3)} µrad linear"
-        axes.text(0.0, row + _WORDS, words, fontsize=7.5, va="center", color=INK)
-    axes.set_yticks([])
-    axes.spines["left"].set_visible(False)
-    axes.set_ylim(len(shown), 0.0)
-    axes.set_xlim(0.0, 1.08 * max(float(high.max()), float(linear.max()), 1e-6))
-    linear_axis(axes.xaxis)
-    axes.set_xlabel("rms about the mean, µrad")
-    legend(figure, [bars, points], names)
     return figure
 
 

@@ -4,53 +4,44 @@ from __future__ import annotations
 
 import math
 import os
+from functools import partial
 from pathlib import Path
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.campaign.single_run import ROUNDING, rerun
-from platform_ctrl.campaign.statistics import Probability
 from platform_ctrl.campaign.store import identity, source_hashes
 from platform_ctrl.campaign.summary import Influence, Summary
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.job.quantities import listed, plain, power_of_ten
+from platform_ctrl.job.quantities import listed, plain
 from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report import style
 from platform_ctrl.report.blocks import (
     Block,
     Cell,
-    Column,
-    Facts,
-    Fold,
     Group,
     Listing,
-    Mark,
     PageContent,
     PageSection,
     Paragraph,
-    Plate,
     Row,
-    Strip,
     Subsection,
     Table,
     Verdict,
     cells,
     columns,
+    drawn,
     html,
-    plate,
     sentence,
     table,
 )
 from platform_ctrl.report.captions import sentences
-from platform_ctrl.report.figures.campaign import exceedance_figure, histogram_figure
+from platform_ctrl.report.figures.campaign import exceedance_figure, histogram_figure, with_limit
 from platform_ctrl.report.figures.time_run import time_run
-from platform_ctrl.report.tables import record_part, versions
+from platform_ctrl.report.tables import folded_facts, record_part, versions
 from platform_ctrl.verification.verdict import JobResult
 
 RERUN_COMMAND = "platform-ctrl simulate job.toml --run"
-# Length of the small pictures beside probabilities, pixels.
-_SCALE = 150.0
 
 
 def write_campaign_page(
@@ -69,7 +60,7 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
         Paragraph(text="This page was made by"),
         Listing(text=command or "platform-ctrl campaign job.toml"),
         drawn_part(summary),
-        Fold(title="Versions and digests", blocks=(Facts(rows=(*versions(), *digests(summary))),)),
+        folded_facts("Versions and digests", {**versions(), **identity(summary.plan)}),
         record_part(job),
     )
     return PageContent(
@@ -80,42 +71,6 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
         verdict=tables.verdict(summary),
         sections=(*sections, PageSection(name="again", title="Inputs and versions", blocks=last)),
     )
-
-
-@value
-class Scale:
-    """A logarithmic scale of probability from 10^−`decades` to 1."""
-
-    decades: int
-
-    def at(self, probability: float) -> float:
-        """Return where a probability lies, as a share of the scale's length."""
-        place = 1.0 + math.log10(max(probability, 1e-300)) / self.decades
-        return round(min(max(place, 0.0), 1.0), 4)
-
-    @property
-    def head(self) -> Strip:
-        """Words over every decade, or over every other one."""
-        step = 1 if self.decades <= 4 else 2
-        powers = range(-self.decades, 1, step) if self.decades % step == 0 else range(1 - self.decades, 1, step)
-        marks = (Mark(form="word", start=self.at(10.0**k), text=power_of_ten(10.0**k)) for k in powers)
-        return Strip(length=_SCALE, marks=tuple(marks))
-
-    def strip(self, one: Probability) -> Strip:
-        """Return an estimate and its bounds."""
-        marks = [Mark(form="tick", start=self.at(10.0**k)) for k in range(-self.decades, 1)]
-        colour = "limit" if one.events else "series-1"
-        if one.runs:
-            marks.append(Mark(form="range", start=self.at(one.low), end=self.at(one.high), colour=colour))
-        if one.events:
-            marks.append(Mark(form="point", start=self.at(one.estimate), colour=colour))
-        return Strip(length=_SCALE, marks=tuple(marks))
-
-
-def scale_of(shown: list[Probability]) -> Scale:
-    """Return the scale on which all these probabilities can be seen."""
-    least = min((one.low or 0.3 * one.high for one in shown if one.runs), default=1e-2)
-    return Scale(decades=max(2, min(12, math.ceil(-math.log10(max(least, 1e-12))))))
 
 
 def campaign_sections(summary: Summary, again: str) -> list[PageSection]:
@@ -136,7 +91,7 @@ def campaign_sections(summary: Summary, again: str) -> list[PageSection]:
     sections += _worst_trace(summary)
     shown = (probability_table(summary), bounds)
     sections.append(PageSection(name="probabilities", title="Probability of a violation", blocks=shown))
-    plates = tuple(campaign_plates(summary))
+    plates = campaign_plates(summary)
     if plates:
         sections.append(PageSection(name="figures", title="Figures", blocks=plates))
     endings = table("ended|runs|share", tables.ending_rows(summary), numbers="runs|share", form="narrow")
@@ -155,15 +110,9 @@ def drawn_part(summary: Summary) -> Subsection:
     return Subsection(title="What varies from run to run", blocks=(Paragraph(text=words), inputs))
 
 
-def digests(summary: Summary) -> tuple[tuple[str, str], ...]:
-    """Return the digests of everything that determines the runs."""
-    return tuple((name, str(item)) for name, item in identity(summary.plan).items())
-
-
 def probability_table(summary: Summary) -> Table:
     """Return how probable it is that each requirement is violated."""
     rows = tables.probability_rows(summary)
-    scale = scale_of([row.numbers for row in rows])
     groups: dict[str, list[Row]] = {}
     for row in rows:
         # A manoeuvre's name stays as people have to type it.
@@ -173,65 +122,51 @@ def probability_table(summary: Summary) -> Table:
             *cells(row.requirement, row.limit),
             *(Cell(text=text, tone=tone) for text in (row.violations, row.probability)),
             Cell(text=row.bounds),
-            Cell(text="", strip=scale.strip(row.numbers)),
             *cells(row.median, row.high_quantile, row.largest, "" if row.worst is None else str(row.worst)),
         )
         groups.setdefault(heading, []).append(Row(cells=shown))
-    titles = (
-        *columns("requirement|limit|violations|probability", "limit|violations|probability"),
-        *_bounds_columns(summary, scale),
-        *(Column(title=title, number=True) for title in ("median", "99 %", "largest", "worst run")),
-    )
+    numbers = f"limit|violations|probability|{_bounds(summary)}|median|99 %|largest|worst run"
     found = tuple(Group(title=title, rows=tuple(rows)) for title, rows in groups.items())
-    return Table(columns=titles, groups=found, form="probabilities")
+    return Table(columns=columns(f"requirement|{numbers}", numbers), groups=found, form="probabilities")
 
 
-def _bounds_columns(summary: Summary, scale: Scale) -> tuple[Column, Column]:
-    bounds = f"{plain(100.0 * summary.statistics.confidence, 3)} % bounds"
-    return Column(title=bounds, number=True), Column(title="", strip=scale.head)
+def _bounds(summary: Summary) -> str:
+    return f"{plain(100.0 * summary.statistics.confidence, 3)} % bounds"
 
 
-def campaign_plates(summary: Summary) -> list[Plate]:
+def campaign_plates(summary: Summary) -> tuple[Block, ...]:
     """Return the plots: how far the runs reach, and a histogram of every metric that has a limit."""
     found = summary.statistics
-    names = [
-        name for name in RUN_METRICS if any(one.requirement == name and one.manoeuvre for one in found.requirements)
-    ]
+    names = [name for name in RUN_METRICS if with_limit(found, name)]
     if not names:
-        return []
-    drawn = [(exceedance_figure(found), "How far the runs reach", sentences("campaign_reach"))]
-    drawn += [
-        (histogram_figure(found, name), RUN_METRICS[name].name.capitalize(), sentences("campaign_histogram"))
-        for name in names
+        return ()
+    reach = drawn("How far the runs reach", lambda: exceedance_figure(found), sentences("campaign_reach"))
+    caption = sentences("campaign_histogram")
+    each = [
+        drawn(RUN_METRICS[name].name.capitalize(), partial(histogram_figure, found, name), caption) for name in names
     ]
-    return [plate(*one) for one in drawn]
+    return (*reach, *(block for blocks in each for block in blocks))
 
 
 def _influences(summary: Summary) -> tuple[Block, ...]:
     """Return what violating runs have in common, and what drives each requirement."""
     groups = tables.influence_groups(summary)
-    shown = [side for _, found, _ in groups for one in found for side in (one.present, one.absent)]
-    if not shown:
+    if not any(found for _, found, _ in groups):
         return (Paragraph(text="Neither ranks nor counts show an influence of an input."),) if groups else ()
-    scale = scale_of(shown)
-    titles = (
-        *columns("with, and without|rank corr.|violations|probability", "rank corr.|violations|probability"),
-        *_bounds_columns(summary, scale),
-        Column(title="p-value", number=True),
-    )
+    numbers = f"rank corr.|violations|probability|{_bounds(summary)}|p-value"
     # Names of manoeuvres, at the end of a title, stay as people have to type them.
-    rows = [
-        Group(title=sentence(title), rows=tuple(_influence_rows(found, scale))) for title, found, _ in groups if found
-    ]
+    rows = [Group(title=sentence(title), rows=_influence_rows(found)) for title, found, _ in groups if found]
     shared = [tables.cause_words(one) for one in tables.causes(summary) if one.in_every_violation]
     lines = [Paragraph(text=f"{sentence(_tied(line))}.") for line in shared]
     quiet = [f"{sentence(title)}: {', '.join(names)}." for title, found, names in groups if found and names]
     others = [Paragraph(text=f"Of no influence that these runs show. {' '.join(quiet)}", tone="quiet")] if quiet else []
     words = Paragraph(text=sentences("campaign_influences"), tone="quiet")
-    return (*lines, Table(columns=titles, groups=tuple(rows), form="contrasts"), *others, words)
+    titles = columns(f"with, and without|{numbers}", numbers)
+    contrasts = Table(columns=titles, groups=tuple(rows), form="contrasts")
+    return (*lines, contrasts, *others, words)
 
 
-def _influence_rows(found: list[Influence], scale: Scale) -> tuple[Row, ...]:
+def _influence_rows(found: list[Influence]) -> tuple[Row, ...]:
     rows = []
     for one in found:
         every = "in every violating run" if one.cause and one.in_every_violation else ""
@@ -246,8 +181,8 @@ def _influence_rows(found: list[Influence], scale: Scale) -> tuple[Row, ...]:
             tone = "bad" if side.events else ""
             texts = f"{side.events:,} of {side.runs:,}", tables.chance(side.estimate)
             numbers = (Cell(text=text, tone=tone) for text in texts)
-            bounds = Cell(text=tables.chances(side.low, side.high)), Cell(text="", strip=scale.strip(side))
-            rows.append(Row(cells=(name, second, *numbers, *bounds, last)))
+            bounds = Cell(text=tables.chances(side.low, side.high))
+            rows.append(Row(cells=(name, second, *numbers, bounds, last)))
     return tuple(rows)
 
 
@@ -294,12 +229,12 @@ def _worst_trace(summary: Summary) -> list[PageSection]:
     [(_, (requirement, number, limit, _, inputs))] = tables.worst_rows(summary, [worst], tables.all_drivers(summary))
     shown = {"requirement": requirement, "number": number, "limit": limit, "inputs": inputs}
     caption = sentences("campaign_trace", worst=worst, runs=summary.statistics.simulated, **shown)
-    drawn = plate(time_run(found.run, found.job.platform), name, caption)
-    return [PageSection(name="trace", title="The worst run", blocks=(drawn,))]
+    blocks = drawn(name, lambda: time_run(found.run, found.job.platform), caption)
+    return [PageSection(name="trace", title="The worst run", blocks=blocks)]
 
 
-def as_section(summary: Summary, result: JobResult, again: str | None) -> PageSection:
-    """Return a campaign as a section of a job's report, with a warning if its plant, sampling or controllers differ."""
+def campaign_blocks(summary: Summary, result: JobResult, again: str | None) -> tuple[Block, ...]:
+    """Return a campaign as part of a job's report, with a warning if its plant, sampling or controllers differ."""
     first, *others = campaign_sections(summary, again or RERUN_COMMAND)
     parts = (Subsection(title=section.title, blocks=section.blocks) for section in others)
     runs = f"{tables.count_words(summary.plan.runs)} of the job with everything that may vary."
@@ -308,7 +243,7 @@ def as_section(summary: Summary, result: JobResult, again: str | None) -> PageSe
     if different:
         words = f"It was simulated with other {listed(different)}: its values are not those of the design above."
         blocks.append(Paragraph(text=words, tone="bad"))
-    return PageSection(name="campaign", title="Campaign", blocks=(*blocks, *first.blocks, *parts, drawn_part(summary)))
+    return (*blocks, *first.blocks, *parts, drawn_part(summary))
 
 
 def differences(summary: Summary, result: JobResult) -> list[str]:

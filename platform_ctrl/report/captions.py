@@ -27,7 +27,6 @@ from platform_ctrl.report import campaign_tables
 from platform_ctrl.report.campaign_tables import all_drivers, causes, value_name
 from platform_ctrl.report.comparison import plants_in_words
 from platform_ctrl.report.curves import SENSITIVITIES, ShownLoop, damping_rays, limited
-from platform_ctrl.report.tables import verdict
 from platform_ctrl.verification.proofs import PROVED, Proofs
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
@@ -80,11 +79,6 @@ def bandwidth_hz(design: Design) -> float:
     if design.measures is None or unstable(design) or not np.isfinite(design.measures.bandwidth):
         return 0.0
     return design.measures.bandwidth * HZ
-
-
-def spins(platform: Platform) -> bool:
-    """Return whether any rotor of a plant has momentum."""
-    return any(rotor.angular_momentum != 0.0 for rotor in platform.rotors)
 
 
 def sensitivity(outcome: LoopOutcome, loop: ShownLoop) -> str:
@@ -173,9 +167,12 @@ def coupled(result: JobResult) -> str:
     return sentences("coupled", check=check, decay=decay, proved=0 < proofs.proved == len(proofs.claims), cost=cost)
 
 
-def run(one: Run, spinning: bool, loops: Sequence[LoopOutcome]) -> str:
-    """A simulated run; `spinning`: of a plant whose rotors spin."""
+def run(one: Run, platform: Platform, loops: Sequence[LoopOutcome]) -> str:
+    """A simulated run of a plant."""
     trajectory = one.trajectory
+    limits = {torquer.name: torquer.limit for torquer in platform.torquers if torquer.limit is not None}
+    largest = dict(zip(trajectory.torquer_names, np.abs(trajectory.command).max(axis=0), strict=True))
+    pushed = max(((largest[name] / limit, name) for name, limit in limits.items()), default=None)
     return sentences(
         "run",
         manoeuvre=one.manoeuvre,
@@ -184,7 +181,8 @@ def run(one: Run, spinning: bool, loops: Sequence[LoopOutcome]) -> str:
         worst=1e3 * float(np.abs(trajectory.q).max(initial=0.0)),
         saturated=int(trajectory.saturated.sum()),
         contacts=int(trajectory.stop_contacts.sum()),
-        spinning=spinning,
+        pushed=pushed,
+        spinning=any(rotor.angular_momentum != 0.0 for rotor in platform.rotors),
         held=_largest_rate(one, loops),
     )
 
@@ -199,51 +197,12 @@ def _largest_rate(run: Run, loops: Sequence[LoopOutcome]) -> tuple[float, float 
     return None if run.manoeuvre.mode != "caged" or nominal is None else (nominal, varied)
 
 
-# Of two ratios to a limit; a smaller difference is not mentioned.
-_NOTABLE = 1.05
-# Not mentioned as a loss: bandwidth has its own sentence, and the decay rate means little for a stable loop.
-_UNCOUNTED = (METRICS["bandwidth"].name, STABLE.name)
-# Requirements with margins up to this share limit a loop, beside the one with the smallest.
-_NEAR = 0.05
-# Requirements of a loop that are named.
-_NAMED = 3
-# Of more loops than these only the nearest to their limits are described.
-_MOST_LOOPS = 4
 # No line break between a number and its unit.
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|\u00b0|m?rad|k?Hz|m?N m|1/s|s)\b|%)|(?<=[\u2264\u2265]) ")
 
 
-def compared_with_alternatives(outcome: LoopOutcome) -> list[str]:
-    """Return sentences: order and bandwidth compared with the best alternative, and with claimed bounds."""
-    return [*_against_others(outcome), *_against_bounds(outcome.closed)]
-
-
-def _against_others(outcome: LoopOutcome) -> list[str]:
-    """Compare with the widest of the alternatives that meet their limits; of all, where none does."""
-    closed, own = outcome.closed, bandwidth_hz(outcome.closed)
-    others = [design for design in outcome.alternatives if bandwidth_hz(design) > 0.0]
-    if not others or own == 0.0:
-        return []
-    best = max(others, key=lambda design: (design.passed, bandwidth_hz(design)))
-    text = sentences("against_others", closed=closed, own=own, best=best, theirs=bandwidth_hz(best))
-    return [text, *_largest_cost(closed, best)]
-
-
-def _largest_cost(closed: Design, best: Design) -> list[str]:
-    """Name the limit, bandwidth apart, to which `closed` is nearer than `best` by most; nothing below 5 %."""
-    theirs = {one.name: one for one in best.results}
-    apart = [
-        (one.ratio / theirs[one.name].ratio, one)
-        for one in closed.results
-        if one.name in theirs and theirs[one.name].ratio > 0.0 and not one.name.startswith(_UNCOUNTED)
-    ]
-    worse, cost = max(apart, key=lambda pair: pair[0], default=(1.0, None))
-    if cost is None or not worse > _NOTABLE:
-        return []
-    return [sentences("largest_cost", cost=cost, other=theirs[cost.name].value)]
-
-
-def _against_bounds(design: Design) -> list[str]:
+def against_bounds(design: Design) -> list[str]:
+    """Return sentences: bandwidth and norm of a design compared with claimed bounds."""
     out = []
     own, claims = bandwidth_hz(design), design.claims
     bound = claims.get("bandwidth_bound_hz", np.nan)
@@ -258,10 +217,10 @@ def _against_bounds(design: Design) -> list[str]:
 
 
 def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:
-    """Return three to six sentences."""
-    found = [_designed(result), _verdict(result), _limits(result), _runs(result)]
+    """Return one to three sentences: what was designed, and what holds of all loops together."""
+    found = [_designed(result)]
     if result.coupled is not None:
-        found.insert(3, sentences("together", check=result.coupled, loops=result.loops))
+        found.append(sentences("together", check=result.coupled, loops=result.loops))
     found.append("" if campaign is None else _campaign(campaign))
     return [_UNIT.sub("\u00a0", one) for one in found if one]
 
@@ -279,41 +238,6 @@ def _designed(result: JobResult) -> str:
     given = all(design.method == "given" for outcome in result.loops for design in outcome.designs)
     rate = float(np.linalg.norm(result.job.Omega, np.inf)) if result.job.Omega.size else 0.0
     return sentences("designed", job=result.job, loops=result.loops, given=given, rate=rate)
-
-
-def _verdict(result: JobResult) -> str:
-    if not result.requirements:
-        return "There are no requirements."
-    missed = sum(not one.passed for one in result.requirements)
-    words = verdict(result).replace("requirements met", "requirements are met")
-    words = words.replace("not met", "is not met" if missed == 1 else "are not met")
-    return sentences("verdict", words=words, worst=tightest(result.requirements), missed=missed)
-
-
-def _limits(result: JobResult) -> str:
-    """Return what limits each loop."""
-    found = [(outcome, nearest) for outcome in result.loops if (nearest := tightest(outcome.closed.results))]
-    if len(found) > _MOST_LOOPS:
-        found = sorted(found, key=lambda pair: (pair[1].passed, pair[1].margin))[:_MOST_LOOPS]
-    return f"{'; '.join(_limited(outcome, nearest) for outcome, nearest in found)}." if found else ""
-
-
-def _limited(outcome: LoopOutcome, nearest: CheckResult) -> str:
-    ordered = sorted(outcome.closed.results, key=lambda one: one.margin)
-    missed = [one.name for one in ordered if not one.passed]
-    others = [f"{number_word(len(missed) - _NAMED)} more"] if len(missed) > _NAMED else []
-    near = [one for one in ordered if one.margin <= _NEAR and tightest([one])][:_NAMED]
-    own = bandwidth_hz(outcome.closed)
-    named = missed[:_NAMED] + others
-    return sentences("nearest_limit", outcome=outcome, own=own, missed=named, near=near, nearest=nearest)
-
-
-def _runs(result: JobResult) -> str:
-    if not result.runs:
-        return ""
-    lost = [f"{quoted(run.manoeuvre.name)} ({run.lost})" for run in result.runs if run.lost]
-    worst = tightest([one for run in result.runs for one in run.results])
-    return sentences("nearest_run", runs=result.runs, lost=lost, worst=worst)
 
 
 def _campaign(summary: Summary) -> str:

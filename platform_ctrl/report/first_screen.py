@@ -22,13 +22,12 @@ from platform_ctrl.report.blocks import (
     Distances,
     Group,
     Paragraph,
-    Plate,
     Row,
     Subsection,
     Table,
     Verdict,
-    attempted,
-    plate,
+    drawn,
+    made,
     sentence,
 )
 from platform_ctrl.report.campaign_tables import campaign_words
@@ -50,15 +49,18 @@ def first_screen(result: JobResult, campaign: Summary | None) -> tuple[Block, ..
 
     Where a run of a campaign violates a limit, the verdict is no pass.
     """
-    left: list[Block] = [_verdict(result, campaign)]
-    chain = attempted("What limits each loop", lambda: chain_table(result))
-    if chain is not None:
-        left.append(chain)
-    shown = attempted("Distances to the limits", lambda: distances(result))
-    if shown is not None:
-        left += [Paragraph(text=sentences("distances"), tone="quiet"), shown]
-    picture = attempted("Tightest loop, worst plant", lambda: _nichols(result))
-    return tuple(left) if picture is None else (Columns(left=tuple(left), right=(picture,)),)
+    left = (
+        _verdict(result, campaign),
+        *made("What limits each loop", lambda: chain_table(result)),
+        *made("Distances to the limits", lambda: _distance_blocks(result)),
+    )
+    picture = _nichols(result)
+    return (Columns(left=left, right=picture),) if picture else left
+
+
+def _distance_blocks(result: JobResult) -> tuple[Block, ...]:
+    shown = distances(result)
+    return () if shown is None else (Paragraph(text=sentences("distances"), tone="quiet"), shown)
 
 
 def _verdict(result: JobResult, campaign: Summary | None) -> Verdict:
@@ -180,25 +182,24 @@ def tightest_loop(result: JobResult) -> LoopOutcome | None:
     return result.loops[min(found)[2]] if found else None
 
 
-def _nichols(result: JobResult) -> Plate | None:
+def _nichols(result: JobResult) -> tuple[Block, ...]:
     outcome = tightest_loop(result)
     if outcome is None:
-        return None
+        return ()
     design = outcome.closed
-    k = worst_plant(design)
     assert design.plants is not None
     assert design.measures is not None
-    margin = float(design.measures.disk_margin[k])
+    k = worst_plant(design)
     caption = sentences(
         "worst_plant",
         loop=outcome.spec.name,
         design=design.name,
         label=design.plants.labels[k],
         nominal=k == 0,
-        margin=margin,
+        margin=float(design.measures.disk_margin[k]),
         stable=bool(np.all(design.measures.decay[k] > 0.0)),
     )
-    return plate(nichols_figure(outcome, k), "Tightest loop, worst plant", caption)
+    return drawn("Tightest loop, worst plant", lambda: nichols_figure(outcome, k), caption)
 
 
 def worst_plant(design: Design) -> int:

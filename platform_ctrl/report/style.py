@@ -256,7 +256,7 @@ _PLAIN = {
         "xlink:href": "href",
         # As Matplotlib 3.10 and 3.11 write fonts.
         r"font: (bold |700 |)([0-9.]+px) [^;\"]*": r"font-size:\2;font-weight:\1",
-        r"font-weight:(?=[;\"])|font-family: [^;\"]*": "",
+        r"font-weight:(?=[;\"])|font-family: [^;\"]*;? ?": "",
         r">\s+<": ">\n<",
     }.items()
 }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 
 import numpy as np
@@ -32,18 +33,17 @@ from platform_ctrl.report import comparison
 from platform_ctrl.report.blocks import (
     Cell,
     Column,
-    Fold,
     Group,
     Listing,
-    Mark,
     Paragraph,
     Row,
-    Strip,
+    Subsection,
     Table,
     table,
 )
 from platform_ctrl.report.modes import Mode, modes_at
 from platform_ctrl.verification import result_file
+from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import PROVED
 from platform_ctrl.verification.verdict import JobResult
 
@@ -225,9 +225,6 @@ def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
     return "-".join(mode.gimbals), kind, str(mode.poles), frequency
 
 
-_BAR = 64.0
-
-
 def requirement_table(result: JobResult) -> Table:
     """Return every requirement of a job, loop by loop, and each loop's goals after it."""
     goals, groups, before = goal_rows(result), [], 0
@@ -260,8 +257,6 @@ def _requirement(row: RequirementRow, place: str = "") -> Row:
     reached = ("reached" if row.passed else "not reached") if row.goal else ("met" if row.passed else "not met")
     tone = "quiet" if row.goal else "good" if row.passed else "bad"
     name = row.requirement.removeprefix(comparison.GOAL) if row.goal else row.requirement
-    colour = "reference" if row.goal else "bad" if row.share < 0.0 else "good"
-    marks = (Mark(form="ground", start=0.0, end=1.0), Mark(form="bar", start=0.0, end=abs(row.share), colour=colour))
     return Row(
         cells=(
             Cell(text=name, note=row.evidence),
@@ -269,8 +264,8 @@ def _requirement(row: RequirementRow, place: str = "") -> Row:
             Cell(text=row.limit),
             Cell(
                 text=row.margin,
-                tone="bad" if tone == "bad" else "",
-                strip=Strip(length=_BAR, marks=marks if row.margin else ()),
+                tone="" if tone == "good" else tone,
+                bar=abs(row.share) if row.margin else None,
             ),
             Cell(text=row.stage),
             Cell(text=row.method),
@@ -286,6 +281,20 @@ def group_table(rows: Sequence[tuple[str, ...]]) -> Table:
     lowest = (METRICS[kind].name for kind in ("stability", "damping", "disk margin"))
     numbers = "|".join(["plants", *lowest])
     return table(f"group|{numbers}|with", list(rows), numbers=numbers, form="narrow")
+
+
+def margin_table(check: CoupledCheck) -> Table:
+    """Return the disk margin of each loop; of a free platform beside that in its design model."""
+    rows = []
+    for name, before, after, cost in zip(check.channels, check.decoupled, check.coupled, check.cost, strict=True):
+        alone, margin = plain(float(before), 3, "down"), plain(float(after), 3, "down")
+        change = percent(round(-float(cost), 3) + 0.0)
+        if not math.isfinite(cost):
+            margin = "unstable"
+        # A carried platform is what the design models assume: there is nothing to compare.
+        rows.append((name, alone, margin, change) if check.free else (name, margin))
+    titles = "in its design model|in the coupled system|change" if check.free else "disk margin"
+    return table(f"torquer|{titles}", rows, numbers=titles, form="narrow")
 
 
 def gimbal_table(result: JobResult) -> Table:
@@ -333,18 +342,25 @@ def mode_table(result: JobResult) -> Table:
     return table("group|platform rate|motion|poles|frequency", rows, numbers="poles|frequency")
 
 
-def record_part(job: Job) -> Fold:
+def record_part(job: Job) -> Subsection:
     """Return the job with its plant as a listing to be copied."""
     words = (
         f"All numbers to their last digit, in SI units, with the plant (“{job.plant}” in the job); what is left out "
         "has its default value."
     )
-    return Fold(
+    return Subsection(
         title="Job and plant as read",
+        folded=True,
         blocks=(Paragraph(text=words), Listing(text=toml(job_data(job)), file="job.toml")),
     )
 
 
-def versions() -> tuple[tuple[str, str], ...]:
+def folded_facts(title: str, rows: Mapping[str, object]) -> Subsection:
+    """Return names and what goes with them, folded."""
+    facts = table("|", [(name, str(words)) for name, words in rows.items()], form="narrow")
+    return Subsection(title=title, blocks=(facts,), folded=True)
+
+
+def versions() -> dict[str, str]:
     """Return the versions of Python and of every package that the report depends on."""
-    return (*result_file.versions().items(), ("matplotlib", version("matplotlib")))
+    return {**result_file.versions(), "matplotlib": version("matplotlib")}

@@ -19,7 +19,7 @@ from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Design, sampled_plant
 from platform_ctrl.job.job import LoopSpec
-from platform_ctrl.job.quantities import HZ, plain, quantity
+from platform_ctrl.job.quantities import HZ, quantity
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.drawing import root_series, signal_series
@@ -91,12 +91,10 @@ def pole_circle(radius: float, period: float) -> tuple[FloatArray, FloatArray]:
 def pole_figure(loop: ShownLoop) -> Figure:
     """Closed-loop poles of the nominal plant (strong), of uncertain plants (faint) and with faults (crosses)."""
     names = [one.label for one in loop.designs]
-    figure, [row] = panels(1, 2, 2.7, names)
-    nyquist, extent = np.pi / loop.plants.period, 1.7 * loop.plants.nutation
-    views = ((-1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist), (-1.2 * extent, 0.18 * extent, extent))
-    titles = ("all poles up to the Nyquist frequency", "closer to the origin")
+    figure, views = pole_views(names, np.pi / loop.plants.period, 1.7 * loop.plants.nutation)
     handles: list[Any] = []
-    for k, (axes, (left, right, top), title) in enumerate(zip(row, views, titles, strict=True)):
+    for axes in views:
+        (left, right), top = axes.get_xlim(), axes.get_ylim()[1]
         drawn: list[Any] = []
         for one in loop.designs:
             place = one.series % len(SERIES)
@@ -108,13 +106,44 @@ def pole_figure(loop: ShownLoop) -> Figure:
                 shown = apart(upper_half_plane(s), left, right, top)
                 drawn += axes.plot(shown.real, shown.imag, **style | look)[: look is strong]
         handles = handles or drawn
-        damping_lines(axes, loop.spec, top, named=k == 1)
+        damping_lines(axes, loop.spec, top, named=axes is views[1])
         fastest_pole_line(axes, loop.spec, loop.plants.period)
-        half_plane_axes(axes, left, right, 0.0, top)
-        axes.set_ylabel("imaginary part, rad/s")
-        axes.set_title(title)
     legend(figure, handles, names)
     return figure
+
+
+def coupled_pole_figure(result: JobResult) -> Figure:
+    """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below."""
+    check = _checked(result)
+    s = upper_half_plane(continuous_poles(check.poles, check.period))
+    nyquist = np.pi / check.period
+    nutations = [o.closed.plants.nutation for o in result.loops if o.closed.plants is not None]
+    slow = 1.7 * max(nutations, default=float(np.median(np.abs(s))) if s.size else nyquist)
+    figure, views = pole_views([], nyquist, min(slow, nyquist))
+    for axes in views:
+        axes.set_ylim(-0.02 * axes.get_ylim()[1])
+        good, bad = s[s.real < 0.0], s[s.real >= 0.0]
+        axes.plot(good.real, good.imag, "x", color=SERIES[0], markersize=5)
+        axes.plot(bad.real, bad.imag, "x", color=LIMIT, markersize=7, markeredgewidth=2)
+    return figure
+
+
+def pole_views(names: Sequence[str], nyquist: float, slow: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure with the upper half plane up to the Nyquist frequency, and closer to the origin, rad/s."""
+    figure, [row] = panels(1, 2, 2.7, names)
+    views = ((-1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist), (-1.2 * slow, 0.18 * slow, slow))
+    for axes, (left, right, top) in zip(row, views, strict=True):
+        axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
+        axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
+        axes.set_xlim(left, right)
+        axes.set_ylim(0.0, top)
+        linear_axis(axes.xaxis, 6)
+        linear_axis(axes.yaxis, 6)
+        axes.set_xlabel("real part, 1/s")
+    row[0].set_ylabel("imaginary part, rad/s")
+    row[0].set_title("all poles up to the Nyquist frequency")
+    row[1].set_title("closer to the origin")
+    return figure, list(row)
 
 
 def apart(s: ComplexArray, left: float, right: float, top: float) -> ComplexArray:
@@ -132,17 +161,6 @@ def root_locus_plot(design: Design, spec: LoopSpec) -> Any:
     damping_lines(axes, spec, axes.get_ylim()[1], named=False)
     fastest_pole_line(axes, spec, design.plants.period)
     return plot
-
-
-def half_plane_axes(axes: Axes, left: float, right: float, bottom: float, top: float) -> None:
-    """Set the limits of axes that show the upper half plane, with its unstable half shaded."""
-    axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
-    axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
-    linear_axis(axes.xaxis, 6)
-    linear_axis(axes.yaxis, 6)
-    axes.set_xlabel("real part, 1/s")
 
 
 def nutation_figure(result: JobResult) -> Figure | None:
@@ -171,59 +189,6 @@ def nutation_figure(result: JobResult) -> Figure | None:
                 words, at, (-3, 2), textcoords="offset points", ha="right", va="bottom", fontsize=7, color=MUTED
             )
             last = bandwidth
-    return figure
-
-
-def coupled_pole_figure(result: JobResult) -> Figure:
-    """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below."""
-    check = _checked(result)
-    period = check.period
-    figure, [[wide, close]] = panels(1, 2, 2.7)
-    s = upper_half_plane(continuous_poles(check.poles, period))
-    nyquist = np.pi / period
-    nutations = [o.closed.plants.nutation for o in result.loops if o.closed.plants is not None]
-    slow = 1.7 * max(nutations, default=float(np.median(np.abs(s))) if s.size else nyquist)
-    for axes, left, right, top in (
-        (wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist),
-        (close, -1.2 * slow, 0.2 * slow, min(slow, nyquist)),
-    ):
-        half_plane_axes(axes, left, right, -0.02 * top, top)
-        good, bad = s[s.real < 0.0], s[s.real >= 0.0]
-        axes.plot(good.real, good.imag, "x", color=SERIES[0], markersize=5, clip_on=True)
-        axes.plot(bad.real, bad.imag, "x", color=LIMIT, markersize=7, markeredgewidth=2)
-    wide.set_ylabel("imaginary part, rad/s")
-    wide.set_title("all poles up to the Nyquist frequency")
-    close.set_title("closer to the origin")
-    return figure
-
-
-def margin_bars_figure(check: CoupledCheck) -> Figure:
-    """Loop-by-loop disk margins, a bar for each torquer; of a free platform beside that in its design model."""
-    # A carried platform is what the design models assume: there is nothing to compare.
-    names = ["in its design model", "in the coupled system, with the change"] if check.free else []
-    figure, [[axes]] = panels(1, 1, 1.95, names, titles=False)
-    x = np.arange(len(check.channels), dtype=np.float64)
-    decoupled = np.nan_to_num(check.decoupled, nan=0.0, posinf=0.0)
-    coupled = np.nan_to_num(check.coupled, nan=0.0, posinf=0.0)
-    side = 0.2 if check.free else 0.0
-    handles = [axes.bar(x - side, decoupled, 0.36, color=SERIES[5], linewidth=0)] if check.free else []
-    handles.append(axes.bar(x + side, coupled, 0.36, color=SERIES[0], linewidth=0))
-    for k, cost in enumerate(check.cost):
-        change = f"{-100.0 * cost:+.1f} %".replace("-0.0", "0.0").replace("-", "\u2212")
-        text = "unstable" if not np.isfinite(cost) else change if check.free else plain(float(coupled[k]), 3, "down")
-        colour = MUTED if np.isfinite(cost) else LIMIT
-        top = max(decoupled[k], coupled[k])
-        axes.annotate(text, (x[k], top), (0, 3), textcoords="offset points", ha="center", color=colour, fontsize=7)
-    axes.set_xticks(x, check.channels)
-    axes.tick_params(axis="x", length=0)
-    axes.grid(False, axis="x")
-    axes.set_xlim(-0.7, len(x) - 0.3)
-    axes.set_ylim(0.0, 1.18 * max(0.1, float(decoupled.max(initial=0.0)), float(coupled.max(initial=0.0))))
-    linear_axis(axes.yaxis)
-    axes.set_ylabel("disk margin")
-    axes.set_xlabel("torquer: its loop broken, all others closed")
-    if names:
-        legend(figure, handles, names)
     return figure
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,6 @@ from platform_ctrl.report.style import (
     DASHED,
     INK,
     LIMIT,
-    MUTED,
-    REFERENCE,
-    SERIES,
     envelope,
     linear_axis,
     panels,
@@ -102,30 +100,34 @@ def _drawn(
     duration: float,
 ) -> Figure:
     """Draw a run with the colour of each signal, `series`."""
-    free = t.mode == "stabilised"
-    sight = t.line_of_sight.shape[1] > 0
-    figure, rows = panels(2 + sight + bool(t.commanded_names), 3 if free else 2, 1.7)
+    free, share = t.mode == "stabilised", limits.get("torque_share", 1.0)
     roots = [k for k, torquer in enumerate(torquers) if torquer.root_axis is not None]
     gimbals = [k for k in range(len(torquers)) if k not in roots]
-
     angles = {name: series[name] for name in t.angle_names}
-    _angles(rows[0][0], t.t, t.q, angles, limits.get("angle"), "gimbal angles")
-    _torques(rows[0][1], t, torquers, gimbals, series, "gimbal torques")
+    wanted: list[Callable[[Axes], None]] = [
+        partial(_angles, t=t.t, y=t.q, names=angles, limit=limits.get("angle"), title="gimbal angles"),
+        partial(_torques, t=t, torquers=torquers, columns=gimbals, series=series, share=share, title="gimbal torques"),
+    ]
     if free:
-        _torques(rows[0][2], t, torquers, roots, series, "platform torques")
-        title = "inertial platform angles"
-        _angles(rows[1][0], t.t, t.attitude_angles, _of_axes("θ"), limits.get("attitude"), title)
-    rate = rows[1][1 if free else 0]
-    factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(t.Omega), initial=0.0) < 0.5 else (1.0, "rad/s")
+        about: dict[str, Any] = {"t": t, "torquers": torquers, "columns": roots, "series": series, "share": share}
+        wanted.append(partial(_torques, **about, title="platform torques"))
+        about = {"y": t.attitude_angles, "names": _of_axes("θ"), "limit": limits.get("attitude")}
+        wanted.append(partial(_angles, t=t.t, **about, title="inertial platform angles"))
     title = "platform rate" if free else "platform rate, prescribed"
-    _traces(rate, t.t, factor * t.Omega, _of_axes("Ω"), None, title, unit)
-    _shares(rows[1][-1], t, torquers, gimbals + roots if free else gimbals, limits.get("torque_share"))
-    over_time = [axes for axes in rows[:2].flat if axes is not rows[1][-1]]
-    if sight:
-        over_time += _line_of_sight(rows[2], t)
-    if t.commanded_names:
-        over_time += _commanded(rows[-1], t)
-    for axes in over_time:
+    wanted.append(partial(_rates, t=t.t, y=t.Omega, names=_of_axes("Ω"), title=title))
+    if t.line_of_sight.shape[1] > 0:
+        across = {name: k for k, name in enumerate(LOS_ANGLES[:2])}
+        about = {"y": t.line_of_sight[:, 3:5], "names": across, "limit": None}
+        wanted.append(partial(_angles, t=t.t, **about, title="line of sight, angle since the start"))
+        across = {name: k for k, name in enumerate(LOS_RATES[:2])}
+        wanted.append(partial(_rates, t=t.t, y=t.line_of_sight[:, :2], names=across, title="line of sight, rate"))
+    wanted += [partial(_commanded, t=t, unit=unit) for unit in dict.fromkeys(t.commanded_units)]
+    columns = 2 if len(wanted) == 4 else 3
+    figure, rows = panels(-(-len(wanted) // columns), columns, 1.7)
+    for axes in rows.flat[len(wanted) :]:
+        axes.set_visible(False)
+    for axes, draw in zip(rows.flat, wanted, strict=False):
+        draw(axes)
         if not t.completed:
             axes.axvline(t.t[-1] if t.t.size else 0.0, color=LIMIT, linewidth=1.0)
         axes.set_xlim(0.0, duration)
@@ -134,35 +136,22 @@ def _drawn(
     return figure
 
 
-def _line_of_sight(row: Sequence[Axes], t: Trajectory) -> list[Axes]:
-    """Draw what of the line of sight is across it; return the panels."""
-    names = {name: k for k, name in enumerate(LOS_ANGLES[:2])}
-    _angles(row[0], t.t, t.line_of_sight[:, 3:5], names, None, "line of sight, angle since the start")
-    factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(t.line_of_sight[:, :2]), initial=0.0) < 0.5 else (1.0, "rad/s")
-    names = {name: k for k, name in enumerate(LOS_RATES[:2])}
-    _traces(row[1], t.t, factor * t.line_of_sight[:, :2], names, None, "line of sight, rate", unit)
-    for axes in row[2:]:
-        axes.set_visible(False)
-    return [row[0], row[1]]
+def _rates(axes: Axes, t: FloatArray, y: FloatArray, names: Mapping[str, int], title: str) -> None:
+    factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(y), initial=0.0) < 0.5 else (1.0, "rad/s")
+    _traces(axes, t, factor * y, names, None, title, unit)
 
 
-def _commanded(row: Sequence[Axes], t: Trajectory) -> list[Axes]:
-    """Draw what is commanded, its command dashed over it; return the panels."""
-    used = list(dict.fromkeys(t.commanded_units))
-    for axes, unit in zip(row, used, strict=False):
-        chosen = [k for k, one in enumerate(t.commanded_units) if one == unit]
-        names = {t.commanded_names[k]: k for k in chosen}
-        reading = t.reading[:, [t.pickoff_names.index(name) for name in names]]
-        command = t.reading_command[:, chosen]
-        small = np.nanmax(np.abs([reading, command]), initial=0.0) < 0.5
-        factor = 1e3 if small else 1.0
-        kind = "angle" if unit == "rad" else "rate"
-        title = f"commanded {kind}, command dashed"
-        _traces(axes, t.t, factor * reading, names, None, title, f"m{unit}" if small else unit)
-        axes.plot(t.t, factor * command, color=INK, linewidth=0.9, linestyle=DASHED, zorder=3.0)
-    for axes in row[len(used) :]:
-        axes.set_visible(False)
-    return list(row[: len(used)])
+def _commanded(axes: Axes, t: Trajectory, unit: str) -> None:
+    """Draw what is commanded in a unit, its command dashed over it."""
+    chosen = [k for k, one in enumerate(t.commanded_units) if one == unit]
+    names = {t.commanded_names[k]: k for k in chosen}
+    reading = t.reading[:, [t.pickoff_names.index(name) for name in names]]
+    command = t.reading_command[:, chosen]
+    small = np.nanmax(np.abs([reading, command]), initial=0.0) < 0.5
+    factor = 1e3 if small else 1.0
+    title = f"commanded {'angle' if unit == 'rad' else 'rate'}, command dashed"
+    _traces(axes, t.t, factor * reading, names, None, title, f"m{unit}" if small else unit)
+    axes.plot(t.t, factor * command, color=INK, linewidth=0.9, linestyle=DASHED, zorder=3.0)
 
 
 def _angles(
@@ -224,57 +213,17 @@ def _torques(
     torquers: Sequence[Torquer],
     columns: list[int],
     series: Mapping[str, int],
+    share: float,
     title: str,
 ) -> None:
+    """Draw torques, with the share of the torquers' limit that is allowed where they have the same."""
     names = {t.torquer_names[k]: series[t.torquer_names[k]] for k in columns}
     torque_limits = {torquers[k].limit for k in columns}
     largest = float(np.nanmax(np.abs(t.torque[:, columns]), initial=0.0)) if columns else 0.0
     factor, unit = (1e3, "mN m") if largest < 1.0 else (1.0, "N m")
     common = torque_limits.pop() if len(torque_limits) == 1 else None
-    _traces(axes, t.t, factor * t.torque[:, columns], names, None if common is None else factor * common, title, unit)
-
-
-def _shares(axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: list[int], limit: float | None) -> None:
-    """Bars of the largest commanded torque of every torquer over its own limit."""
-    allowed = limit if limit is not None else 1.0
-    chosen = [k for k in columns if torquers[k].limit is not None]
-    axes.set_title("largest command over its limit")
-    if not chosen or not t.t.size:
-        axes.set_axis_off()
-        look: dict[str, Any] = {"textcoords": "offset points", "color": MUTED, "fontsize": 7}
-        axes.annotate("no torquer has a limit", (0.0, 0.0), (4, 4), xycoords="axes fraction", **look)
-        return
-    peaks = np.nanmax(np.abs(t.command[:, chosen]), axis=0, initial=0.0)
-    share = peaks / np.array([torquers[k].limit for k in chosen], dtype=np.float64)
-    share = np.where(np.isfinite(share), share, 10.0 * allowed)
-    place = np.arange(len(chosen), dtype=np.float64)[::-1]
-    right = 1.12 * max(1.0, allowed, min(float(share.max()), 3.0))
-    axes.barh(
-        place, np.minimum(share, right), 0.6, color=[SERIES[0] if s <= allowed else LIMIT for s in share], linewidth=0
-    )
-    for y, s in zip(place, share, strict=True):
-        inside = s > 0.8 * right
-        axes.annotate(
-            f"{100.0 * s:.0f} %",
-            (min(s, right), y),
-            (-3 if inside else 3, 0),
-            textcoords="offset points",
-            va="center",
-            ha="right" if inside else "left",
-            fontsize=7.5,
-            color="#ffffff" if inside else MUTED,
-        )
-    axes.axvline(allowed, color=LIMIT, linewidth=0.9, linestyle=DASHED)
-    at: dict[str, Any] = {"xycoords": axes.get_xaxis_transform(), "textcoords": "offset points"}
-    axes.annotate(f"limit {allowed:g}", (allowed, 1.0), (-3, -1), color=LIMIT, fontsize=7, ha="right", va="top", **at)
-    axes.set_yticks(place, [t.torquer_names[k] for k in chosen])
-    axes.tick_params(axis="y", length=0)
-    axes.grid(False, axis="y")
-    axes.set_xlim(0.0, right)
-    axes.set_ylim(-0.6, len(chosen) - 0.4)
-    axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
-    linear_axis(axes.xaxis, 6)
-    axes.set_xlabel("share of the limit, 1")
+    limit = None if common is None else factor * share * common
+    _traces(axes, t.t, factor * t.torque[:, columns], names, limit, title, unit)
 
 
 def _of_axes(symbol: str) -> dict[str, int]:

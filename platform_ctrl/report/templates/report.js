@@ -39,24 +39,10 @@
       }
       from = null;
     });
-    const zoom = (factor, p) => {
-      const [x, y, w, h] = svg.getAttribute("viewBox").split(" ").map(Number);
-      const all = whole.split(" ").map(Number);
-      if (w * factor >= all[2]) return reset();
-      svg.style.overflow = "hidden";
-      svg.setAttribute("viewBox", [p.x - (p.x - x) * factor, p.y - (p.y - y) * factor, w * factor, h * factor].join(" "));
-    };
-    const reset = () => {
+    svg.addEventListener("dblclick", () => {
       svg.setAttribute("viewBox", whole);
       svg.style.overflow = "";
-    };
-    // The wheel alone scrolls the page until a plot is enlarged.
-    svg.addEventListener("wheel", (event) => {
-      if (!event.ctrlKey && svg.getAttribute("viewBox") === whole) return;
-      event.preventDefault();
-      zoom(event.deltaY < 0 ? 0.8 : 1.25, point(svg, event));
-    }, { passive: false });
-    svg.addEventListener("dblclick", reset);
+    });
   }
   // A legend's entry and the colour of the handle to its left.
   const entries = figures.flatMap((svg) => [...svg.querySelectorAll(".legend text")].map((text) => {
