@@ -163,9 +163,8 @@ def _profiles(name: str, notes: Mapping[str, str]) -> Table:
     for one in PROFILES.values():
         rms = math.sqrt(ProfileSpectrum(profile=one.name).mean_square(0.0, 1e4))
         size = f"{rms / G:.3g} g" if one.kind == "specific-force" else f"{rms:.3g} rad/s"
-        source = one.source if one.status == "assumed" else f"published: {one.source}"
         band = f"{one.points[0, 0]:g} to {one.points[-1, 0]:g}"
-        rows.append((f"`{one.name}`", one.kind, band, size, one.title, source))
+        rows.append((f"`{one.name}`", one.kind, band, size, one.title, one.source))
     return ("profile", "kind", "Hz", "rms", "what it is", "source"), rows
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import typer
@@ -27,7 +27,7 @@ from platform_ctrl.cli.job_arguments import (
     plant_file,
     writable,
 )
-from platform_ctrl.common.files import UNFINISHED, json_text, unfinished_folder, write_json
+from platform_ctrl.common.files import UNFINISHED, json_text, write_json, write_whole
 from platform_ctrl.common.processes import interrupts_deferred
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.exporters import FORMS, NUMBERS, RESPONSES, ROOTS, Export, Form
@@ -168,16 +168,25 @@ def _write(
 ) -> dict[Form, list[Path]]:
     """Write all forms or none, and return the files of each; what a folder has of an earlier export goes."""
     made: dict[Form, list[Path]] = {}
-    folders = [target if form.folder else target.parent for form, target in chosen.items()]
-    with written_together(*folders) as places:
-        for (form, target), folder, unfinished in zip(chosen.items(), folders, places, strict=True):
+    with TemporaryDirectory() as temporary:
+        inside = {form: Path(temporary) / form.name for form in chosen}
+        for form, target in chosen.items():
             say(f"writing {target}")
-            path = unfinished if form.folder else unfinished / target.name
-            form.write(work, path, target)
+            folder = target if form.folder else target.parent
+            inside[form].mkdir()
+            try:
+                form.write(work, inside[form] if form.folder else inside[form] / target.name, target)
+            except OSError as error:  # a full disk
+                raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
             if form.folder:
-                write_folder_record(path, about)
-            expect_own(unfinished, folder, owned.get(form))
-            made[form] = [folder / one.name for one in sorted(unfinished.iterdir())]
+                write_folder_record(inside[form], about)
+            expect_own(inside[form], folder, owned.get(form))
+            made[form] = [folder / one.name for one in sorted(inside[form].iterdir())]
+        with interrupts_deferred():
+            for form, paths in made.items():
+                paths[0].parent.mkdir(exist_ok=True)
+                for path in paths:
+                    write_whole(path, (inside[form] / path.name).read_bytes())
     for form, before in owned.items():
         for name in before.keys() - {path.name for path in made[form]}:
             (chosen[form] / name).unlink(missing_ok=True)
@@ -202,43 +211,6 @@ def _check_targets(inputs: list[Path], targets: Mapping[Form, Path]) -> None:
 
 # What a folder holds that an export made: the files that are its own.
 RECORD = "export.json"
-
-
-@contextmanager
-def written_together(*folders: Path) -> Iterator[list[Path]]:
-    """Yield a folder to write into for each; at the end their files move to `folders`, made if needed.
-
-    If the work ends by an error or by Ctrl-C, none does.
-    """
-    with ExitStack() as stack:
-        unfinished = [stack.enter_context(_beside(folder)) for folder in folders]
-        yield unfinished
-        with interrupts_deferred():
-            for source, folder in zip(unfinished, folders, strict=True):
-                for path in sorted(source.iterdir()):
-                    os.replace(path, folder / path.name)
-
-
-@contextmanager
-def _beside(folder: Path) -> Iterator[Path]:
-    """Yield a folder to write into inside `folder`, which is made; without an error that stays."""
-    made, inside = not folder.exists(), ""
-    try:
-        folder.mkdir(exist_ok=True)
-        with unfinished_folder(folder) as unfinished:
-            inside = str(unfinished)
-            yield unfinished
-        made = False
-    except InputError as error:
-        raise InputError(str(error).replace(inside, str(folder)) if inside else str(error)) from None
-    except OSError as error:  # a full disk
-        where = str(error.filename2 or error.filename or folder)
-        where = where.replace(inside, str(folder)) if inside else where
-        raise InputError(f"{where}: cannot be written: {error.strerror or error}") from None
-    finally:
-        if made:
-            with suppress(OSError):
-                folder.rmdir()
 
 
 def expect_own(unfinished: Path, folder: Path, own: Mapping[str, str] | None = None) -> None:

@@ -6,10 +6,9 @@ The job's reader, campaigns, reports, the simulation and the documentation are m
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal, NamedTuple
 
-from platform_ctrl.common.values import value
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, given, missing, takes, useless, wrong
 from platform_ctrl.plant.platform import Platform
@@ -69,37 +68,40 @@ class Fault:
             yield missing("part", f"{of} needs the name of {PART_WORDS[kind.part]}")
 
     @property
+    def numbers(self) -> tuple[float, float]:
+        """What the kernel takes: how large the fault is, and its time constant, s, or frequency, rad/s."""
+        keys = FAULT_KINDS[self.kind].keys
+        sizes = (getattr(self, key) for key in ("share", "amplitude", "rate", "probability", "impulse") if key in keys)
+        return next(sizes, 0.0), self.time_constant or 2.0 * math.pi * self.frequency_hz
+
+    @property
     def _needed(self) -> tuple[str, ...]:
         return FAULT_KINDS[self.kind].needed if self.kind in FAULT_KINDS else ()
 
 
-@value
-class FaultKind:
+class FaultKind(NamedTuple):
     """A kind of fault.
 
     Attributes
     ----------
     name
-        `Fault.kind`, in job files too.
-    effect
-        What happens, as the documentation says it.
+        What ``kind`` is in the job file.
     part
-        The kind of part that fails; None for the controllers.
-    needed, optional
-        Names of the numbers that it needs beside `at`, and of those it may have.
+        What fails; None: the controllers.
     action
-        Which action of the compiled kernel it is: a name in `platform_ctrl.simulation.kernel.arrays.ACTIONS`.
-    numbers
-        The two numbers of the action, from a fault.
+        What the kernel does.
+    effect
+        What that is, in words.
+    needed, optional
+        Names of the numbers that it must and may have beside `Fault.at`.
     """
 
     name: str
-    effect: str
     part: PartKind | None
+    action: str
+    effect: str
     needed: tuple[str, ...] = ()
     optional: tuple[str, ...] = ("until",)
-    action: str
-    numbers: Callable[[Fault], tuple[float, float]] = lambda fault: (0.0, 0.0)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -107,86 +109,32 @@ class FaultKind:
         return (*self.needed, *self.optional)
 
 
+_RUNS = (("time_constant",), ("share",))
+_LATE = "at a missed sample commands and controller states do not change"
 FAULT_KINDS: dict[str, FaultKind] = {
     kind.name: kind
     for kind in (
+        FaultKind("rotor run-down", "rotor", "run-down", "L falls from nominal to share from at on", *_RUNS),
+        FaultKind("rotor run-up", "rotor", "run-up", "L is at share before at, then rises to nominal", *_RUNS),
         FaultKind(
-            name="rotor run-down",
-            effect="L falls from nominal to share from at on",
-            part="rotor",
-            needed=("time_constant",),
-            optional=("share",),
-            action="run-down",
-            numbers=lambda fault: (fault.share, fault.time_constant),
-        ),
-        FaultKind(
-            name="rotor run-up",
-            effect="L is at share before at, then rises to nominal",
-            part="rotor",
-            needed=("time_constant",),
-            optional=("share",),
-            action="run-up",
-            numbers=lambda fault: (fault.share, fault.time_constant),
-        ),
-        FaultKind(
-            name="speed ripple",
-            effect="L (1 + amplitude sin(2π frequency_hz (t − at)))",
-            part="rotor",
+            *("speed ripple", "rotor", "ripple", "L (1 + amplitude sin(2π frequency_hz (t − at)))"),
             needed=("amplitude", "frequency_hz"),
-            action="ripple",
-            numbers=lambda fault: (fault.amplitude, 2.0 * math.pi * fault.frequency_hz),
         ),
-        FaultKind(name="torquer dead", effect="no torque", part="torquer", action="no torque"),
+        FaultKind("torquer dead", "torquer", "no torque", "no torque"),
+        FaultKind("torquer stuck", "torquer", "constant torque", "the torque stays as it was at the time at"),
+        FaultKind("torquer weak", "torquer", "share of torque", "share of the commanded torque", ("share",)),
+        FaultKind("pick-off dead", "pick-off", "no reading", "reads 0"),
+        FaultKind("pick-off stuck", "pick-off", "last reading", "the last reading before at stays"),
+        FaultKind("pick-off drift", "pick-off", "drift", "reads rate (t − at) too much", ("rate",)),
         FaultKind(
-            name="torquer stuck",
-            effect="the torque stays as it was at the time at",
-            part="torquer",
-            action="constant torque",
-        ),
-        FaultKind(
-            name="torquer weak",
-            effect="share of the commanded torque",
-            part="torquer",
-            needed=("share",),
-            action="share of torque",
-            numbers=lambda fault: (fault.share, 0.0),
-        ),
-        FaultKind(name="pick-off dead", effect="reads 0", part="pick-off", action="no reading"),
-        FaultKind(
-            name="pick-off stuck", effect="the last reading before at stays", part="pick-off", action="last reading"
-        ),
-        FaultKind(
-            name="pick-off drift",
-            effect="reads rate (t − at) too much",
-            part="pick-off",
-            needed=("rate",),
-            action="drift",
-            numbers=lambda fault: (fault.rate, 0.0),
-        ),
-        FaultKind(
-            name="pick-off dropout",
-            effect="a lost sample is replaced by the one before",
-            part="pick-off",
+            *("pick-off dropout", "pick-off", "lost readings", "a lost sample is replaced by the one before"),
             needed=("probability",),
-            action="lost readings",
-            numbers=lambda fault: (fault.probability, 0.0),
         ),
+        FaultKind("controller overrun", None, "missed samples", _LATE, (), ("until", "probability")),
         FaultKind(
-            name="controller overrun",
-            effect="at a missed sample commands and controller states do not change",
-            part=None,
-            optional=("until", "probability"),
-            action="missed samples",
-            numbers=lambda fault: (fault.probability, 0.0),
-        ),
-        FaultKind(
-            name="stop contact",
-            effect="an impulse at the joint drives it towards its stop",
-            part="gimbal",
+            *("stop contact", "gimbal", "impulse", "an impulse at the joint drives it towards its stop"),
             needed=("impulse",),
             optional=(),
-            action="impulse",
-            numbers=lambda fault: (fault.impulse, 0.0),
         ),
     )
 }

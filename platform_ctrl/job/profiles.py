@@ -1,7 +1,7 @@
 """Profiles of base motion that a source of a budget may name, each with where its numbers come from.
 
-A profile is an entry of `PROFILES`. Breakpoints of standards are in g²/Hz there and in SI here; the overall rms that
-goes with such a table is kept as a checksum: tests integrate the table and compare.
+A profile is an entry of `PROFILES`. Breakpoints of standards are in g²/Hz there and in SI here; tests integrate the
+tables and compare with the overall rms that the standards state.
 """
 
 from __future__ import annotations
@@ -29,22 +29,16 @@ class Profile:
     title
         What moves, in words.
     source
-        Where the numbers are from.
-    status
-        Whether these are published or assumed.
+        Where the numbers are from, and whether they are published or assumed.
     points : (k, 2)
         Frequencies, increasing, Hz, and densities, (rad/s)²/Hz or (m/s²)²/Hz.
-    stated_rms
-        The rms of the whole table as the standard states it, rad/s or m/s²; None where there is no standard.
     """
 
     name: str
     kind: Literal["base-rate", "specific-force"]
     title: str
     source: str
-    status: Literal["published", "assumed"]
     points: FloatArray
-    stated_rms: float | None = None
 
 
 def _olympus() -> FloatArray:
@@ -67,8 +61,7 @@ PROFILES: dict[str, Profile] = {
             name="olympus-satellite",
             kind="base-rate",
             title="angular micro-vibration of a large satellite: angle 160/(1 + f²) µrad²/Hz, 16 µrad rms",
-            source="ESA, fitted to accelerations of Olympus: M. Wittig et al., Proc. SPIE 1218, 1990",
-            status="published",
+            source="published: ESA, fitted to accelerations of Olympus: M. Wittig et al., Proc. SPIE 1218, 1990",
             points=_olympus(),
         ),
         Profile(
@@ -76,8 +69,6 @@ PROFILES: dict[str, Profile] = {
             kind="specific-force",
             title="cargo bed of a truck on a highway, vertical",
             source=_TRUCK,
-            status="assumed",
-            stated_rms=1.04 * G,
             points=_in_g((10, 0.015), (40, 0.015), (500, 0.00015)),
         ),
         Profile(
@@ -85,8 +76,6 @@ PROFILES: dict[str, Profile] = {
             kind="specific-force",
             title="the same, transverse",
             source=_TRUCK,
-            status="assumed",
-            stated_rms=0.204 * G,
             points=_in_g((10, 13e-5), (20, 65e-5), (30, 65e-5), (78, 2e-5), (79, 19e-5), (120, 19e-5), (500, 1e-5)),
         ),
         Profile(
@@ -94,8 +83,6 @@ PROFILES: dict[str, Profile] = {
             kind="specific-force",
             title="the same, longitudinal",
             source=_TRUCK,
-            status="assumed",
-            stated_rms=0.740 * G,
             points=_in_g(
                 *((10, 0.0065), (20, 0.0065), (120, 0.0002), (121, 0.003)),
                 *((200, 0.003), (240, 0.0015), (340, 0.00003), (500, 0.00015)),
@@ -106,8 +93,6 @@ PROFILES: dict[str, Profile] = {
             kind="specific-force",
             title="equipment in the fuselage of a fixed-wing jet",
             source="assumed: points as in RTCA DO-160, section 8, random vibration, curve C; compare with its text",
-            status="assumed",
-            stated_rms=1.48 * G,
             points=_in_g((10, 0.012), (40, 0.012), (100, 0.002), (500, 0.002), (2000, 0.00013)),
         ),
         Profile(
@@ -115,7 +100,6 @@ PROFILES: dict[str, Profile] = {
             kind="base-rate",
             title="small multirotor in light gusts: attitude control below 10 Hz, rotors at 90 to 150 Hz",
             source="assumed, typical of gyro logs of small multirotors",
-            status="assumed",
             points=np.array(
                 [
                     *((0.1, 2e-3), (2.0, 2e-3), (30.0, 1e-5), (70.0, 1e-5)),
@@ -128,7 +112,6 @@ PROFILES: dict[str, Profile] = {
             kind="base-rate",
             title="pitch or roll of a wheeled vehicle on a rough road: body at 1 to 2 Hz, wheels at 10 to 14 Hz",
             source="assumed, typical of off-road vehicles with suspension",
-            status="assumed",
             points=np.array(
                 [
                     *((0.1, 1e-4), (1.0, 3e-3), (2.0, 3e-3), (5.0, 2e-4)),
@@ -141,7 +124,6 @@ PROFILES: dict[str, Profile] = {
             kind="base-rate",
             title="roll of a ship of frigate size in a beam sea: natural period 10 s, 2.8° rms",
             source="assumed, typical of sea state 5",
-            status="assumed",
             points=np.array([(0.02, 1e-5), (0.07, 5e-3), (0.1, 2e-2), (0.13, 5e-3), (0.3, 1e-4), (1.0, 1e-6)]),
         ),
     )

@@ -397,7 +397,7 @@ def put_faults(happening: Sequence[dict[FaultKey, Fault]], order: Sequence[Fault
     column = {key: k for k, key in enumerate(order)}
     for row, faults in zip(rows, happening, strict=True):
         for key, fault in faults.items():
-            row[column[key], : arrays.STUCK] = fault.at, fault.until, *FAULT_KINDS[fault.kind].numbers(fault)
+            row[column[key], : arrays.STUCK] = fault.at, fault.until, *fault.numbers
 
 
 def put_rotors(shape: Skeleton, plants: Plants, rotors: Sequence[int], rows: FloatArray) -> None:
