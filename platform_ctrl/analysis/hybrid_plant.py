@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -51,9 +50,6 @@ MOST_OF_SOURCES = 1_000  # images on each side that sources may need
 _BOUNDARY, _UNSEEN = 1e-10, 1e-11
 # Remainders of sums over all images below this share of the whole are rounding.
 _ROUNDING = 1e-13
-# Samples of a cycle from which on the responses at images are polynomials where no pole is nearer than so many half
-# lengths of their way; their degree plus one: relative errors are 16^-14.
-_LONG_CYCLE, _FAR, _DEGREE = 8, 8.0, 14
 
 
 @value
@@ -153,80 +149,31 @@ class OpenLoop:
         every = np.vstack([np.zeros((0, len(self.sampled.A) + m)), *rows])
         own = len(self.sampled.A)
         self._images = self.sampled._replace(C=every[:, :own], D=every[:, own:])
-        # Of responses in a long cycle, by their names: polynomials in the frequency, one for each of many images.
-        self._polynomials: dict[str, tuple[int, ComplexArray]] = {}
-        self._poles = poles(A)
 
     def family(self, omega: FloatArray, images: NDArray[np.intp]) -> Family:
         """Return the responses at frequencies (N,), rad/s, of any sign but not zero, and at images n (F,)."""
         plant = self.plant
         m, p, T = plant.controls, plant.measured, plant.period
         w = omega[:, None] + images * plant.turn
-        P = self._along("plant", lambda w: _signed_response(self._continuous, w), omega, images)
+        P = _signed_response(self._continuous, w)
         z = P[:, :, p:]
         with np.errstate(divide="ignore", invalid="ignore"):
             once = np.where(np.array(plant.integrated), -1j * (1.0 / w)[..., None], 1.0)[..., None]
         hold = np.exp(-1j * w * (0.5 * T + plant.delay)) * np.sinc(w * (0.5 * T / np.pi))
-        return Family(
-            w, z[..., :m] * hold[..., None, None], z[..., m:], once, P[:, :, :p, m:], self._sampled_response(omega)
-        )
-
-    def _along(
-        self, name: str, response: Callable[[FloatArray], ComplexArray], omega: FloatArray, images: NDArray[np.intp]
-    ) -> ComplexArray:
-        """Return a response (N, F, ...) at frequencies (N,) and their images n (F,).
-
-        In a long cycle an image has so short a way to go that away from all poles its response is a polynomial.
-        """
-        plant, quarter = self.plant, 0.25 * self.plant.turn
-        if plant.cycle < _LONG_CYCLE or omega.min() < 0.0 or omega.max() > 2.0 * quarter:
-            return response(omega[:, None] + images * plant.turn)
-        gap = (images * plant.turn + quarter)[:, None] - self._poles.imag
-        # The sampled plant has its poles again at all multiples of the sample frequency.
-        folded = gap - plant.sample_frequency * np.round(gap / plant.sample_frequency)
-        far = np.hypot(folded, self._poles.real).min(axis=1, initial=np.inf) > _FAR * quarter
-        size, found = self._polynomials.get(name, (0, np.zeros(0, dtype=np.complex128)))
-        if size != len(images):
-            x, _ = np.polynomial.chebyshev.chebgauss(_DEGREE)
-            values = np.concatenate([response(quarter * (1.0 + at) + images[None, far] * plant.turn) for at in x])
-            inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(x, _DEGREE - 1))
-            found = np.tensordot(inverse, values, axes=1)
-            self._polynomials[name] = len(images), found
-        out = np.zeros((len(omega), len(images), *found.shape[2:]), dtype=np.complex128)
-        out[:, far] = np.tensordot(
-            np.polynomial.chebyshev.chebvander(omega / quarter - 1.0, _DEGREE - 1), found, axes=1
-        )
-        out[:, ~far] = response(omega[:, None] + images[~far] * plant.turn)
-        return out
-
-    def forget(self) -> None:
-        """Drop what is kept of responses in a long cycle; it is computed again where it is needed."""
-        self._polynomials = {}
-
-    @property
-    def _of_components(self) -> NDArray[np.intp]:
-        """The images (R,) that are the components between −ω_s/2 and ω_s/2 for ω below ω_s/(2R)."""
-        R = self.plant.cycle
-        return (np.arange(R) + R // 2) % R - R // 2
+        sampled_response = _signed_response(self.sampled, self._components(omega))
+        return Family(w, z[..., :m] * hold[..., None, None], z[..., m:], once, P[:, :, :p, m:], sampled_response)
 
     def _components(self, omega: FloatArray) -> FloatArray:
-        return omega[:, None] + self._of_components * self.plant.turn
+        """Return the components (N, R) between −ω_s/2 and ω_s/2, for ω below ω_s/(2R)."""
+        R = self.plant.cycle
+        return omega[:, None] + ((np.arange(R) + R // 2) % R - R // 2) * self.plant.turn
 
-    def _sampled_response(self, omega: FloatArray) -> ComplexArray:
-        def response(w: FloatArray) -> ComplexArray:
-            return _signed_response(self.sampled, w)
-
-        return self._along("sampled", response, omega, self._of_components)
-
-    def all_images(self, omega: FloatArray) -> ComplexArray:
+    def _all_images(self, omega: FloatArray) -> ComplexArray:
         """Return Σ L' L over all images n of each component, L the row `held` of an output before integration.
 
         (N, R, q, m, m). By Parseval's theorem over one period: exact, from the Gramian of the lifted plant.
         """
-        return self._along("images", self._all_images, omega, self._of_components)
-
-    def _all_images(self, w: FloatArray) -> ComplexArray:
-        m = self.plant.controls
+        m, w = self.plant.controls, self._components(omega)
         out = np.zeros((*w.shape, self.plant.outputs, m, m), dtype=np.complex128)
         every = _signed_response(self._images, w)
         for i, (first, last) in enumerate(pairwise(self._ends)):
@@ -239,7 +186,7 @@ class OpenLoop:
 
         (N, R, q, m, m); the images are those from −(F − 1)/2 to (F − 1)/2.
         """
-        every, R, F = self.all_images(omega), self.plant.cycle, held.shape[1]
+        every, R, F = self._all_images(omega), self.plant.cycle, held.shape[1]
         component = (np.arange(F) - F // 2) % R
         order = np.argsort(component, kind="stable")
         own = held[:, order]

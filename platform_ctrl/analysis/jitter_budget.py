@@ -8,8 +8,9 @@ what the sampler brings there from all others:
 
     S_z(ω_n) = |G₀(ω_n)|² S_w(ω_n) + Σ_{k ≠ n} |P_zu H(ω_n) M P_yw(ω_k)|² S_w(ω_k),        ω_n = θ + n ω_s.
 
-Sums over the images beyond those that are kept are exact for outputs that are not integrated (`OpenLoop.all_images`)
-and bounded for integrated ones; more images are taken until the bound is below the tolerance.
+Sums over the images beyond those that are kept are exact for outputs that are not integrated
+(`OpenLoop.remaining_images`) and bounded for integrated ones; more images are taken until the bound is below the
+tolerance.
 """
 
 from __future__ import annotations
@@ -154,8 +155,6 @@ class JitterBudget:
             random = self._random or self._noise
             found = self._integrated(controller, z, tolerance, over_frequency) if random else []
             out = assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts, self._images)
-            if self.plant.cycle > _MANY_SAMPLES:
-                self.open_loop.forget()
             if out.remaining <= tolerance or self._images >= max(_MOST_IMAGES, 2 * self.plant.cycle):
                 return out
             self._images *= 2
