@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -68,12 +67,8 @@ class FrozenRows:
     forcing: FloatArray
 
 
-class _WithDictionary:
-    """A value with slots has none, and cached properties need one."""
-
-
 @value
-class ParameterVaryingModel(_WithDictionary):
+class ParameterVaryingModel:
     """Rows of the chosen gimbals, linear in their angles, polynomial in Omega(t) and Omega'(t).
 
     Attributes
@@ -91,6 +86,10 @@ class ParameterVaryingModel(_WithDictionary):
     G, K, Q0
         Matrix polynomials, (k, k), (k, k), (k,): before q̇ (G − ∂Q/∂q̇ of `linearise`), N m s, before q − q0 (K − ∂Q/∂q
         and the Omega' terms), N m/rad, and what torquers must supply at q0 while Omega' = 0, N m.
+    affine
+        The state-space form, affine in the monomials that occur. States: the angles (from q0), then ``p_`` + angle.
+        Inputs: the gimbals' torquers in the file's order, then ``d_`` + the states that Omega drives: `forcing` says
+        how. Outputs: the angles.
     """
 
     platform: Platform
@@ -104,6 +103,7 @@ class ParameterVaryingModel(_WithDictionary):
     G: MatrixPolynomial
     K: MatrixPolynomial
     Q0: MatrixPolynomial
+    affine: AffineModel
 
     def at(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FrozenRows:
         """Return the matrices of the chosen gimbals at a rate, rad/s, and its derivative, rad/s² (default zero)."""
@@ -111,33 +111,9 @@ class ParameterVaryingModel(_WithDictionary):
         forcing = self.M_Omega @ change + self.Q0.at(rate)
         return FrozenRows(M=self.M, G=self.G.at(rate), K=self.K.at(rate, change), forcing=forcing)
 
-    def affine(self) -> AffineModel:
-        """Return the state-space form, affine in the monomials that occur.
-
-        States: the angles (from q0), then ``p_`` + angle. Inputs: the gimbals' torquers in the file's order, then
-        ``d_`` + the states that Omega drives: `forcing` says how. Outputs: the angles.
-
-        Returns
-        -------
-        AffineModel
-            With a proper name for each signal.
-
-        Raises
-        ------
-        MechanicsError
-            M is singular.
-        """
-        return self._affine
-
-    @cached_property
-    def _affine(self) -> AffineModel:
-        torquers = {t.name: self.gimbals.index(t.gimbal) for t in self.platform.torquers if t.gimbal in self.gimbals}
-        return affine_model((self.M, self.G, self.K), self.angles, torquers, momenta=self.form == "momenta")
-
     def state_space(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> control.StateSpace:
         """Return the system frozen at a rate, rad/s, and its derivative, rad/s²; signals as in `affine`."""
-        affine = self._affine
-        return affine.system(monomial_values(affine.parameters, Omega, Omega_dot))
+        return self.affine.system(monomial_values(self.affine.parameters, Omega, Omega_dot))
 
     def forcing(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FloatArray:
         """Return what Omega adds to ẋ, the values of the inputs ``d_``.
@@ -155,7 +131,7 @@ class ParameterVaryingModel(_WithDictionary):
         rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
         if self.form == "rates":
             return np.asarray(-self.M_Omega @ change - self.Q0.at(rate))
-        to_rates = self._affine.A_0[: len(self.M), len(self.M) :]
+        to_rates = self.affine.A_0[: len(self.M), len(self.M) :]
         carried = to_rates @ self.M_Omega @ rate
         rest = (self.G.at(rate) - momentum_slope(self.K).at(rate)) @ carried - self.Q0.at(rate)
         return np.concatenate([-carried, rest])
@@ -212,7 +188,7 @@ class ParameterVaryingModel(_WithDictionary):
             raise ArgumentError(
                 "Omega_dot: is needed where Omega is a function of time; give it, or take form='momenta'"
             )
-        k, affine = len(self.M), self._affine
+        k, affine = len(self.M), self.affine
         rate = Omega(t) if callable(Omega) else Omega
         change = Omega_dot(t) if callable(Omega_dot) else Omega_dot
         A = affine.state_matrix(monomial_values(affine.parameters, rate, change))
@@ -240,7 +216,7 @@ class ParameterVaryingModel(_WithDictionary):
         list of FrozenSystem
             One for each vertex.
         """
-        affine = self._affine
+        affine = self.affine
         rates, changes = _limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)
         high = monomial_values(affine.parameters, rates, changes)
         low = np.array([0.0 if name.endswith("^2") else -1.0 for name in affine.parameters]) * high
@@ -274,7 +250,7 @@ class ParameterVaryingModel(_WithDictionary):
         ArgumentError
             `points` that are no whole numbers >= 1, or more than 2^14 in all.
         """
-        affine = self._affine
+        affine = self.affine
         limits = np.concatenate([_limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)])
         counts = [number if limit > 0.0 else 1 for number, limit in zip(_points(points), limits, strict=True)]
         if (count := math.prod(counts)) > _MOST_POINTS:
@@ -348,6 +324,8 @@ def parameter_varying(
     ------
     ArgumentError
         Wrong shape, not finite, no gimbal, an unknown one, or unknown `terms` or `form`.
+    MechanicsError
+        M is singular.
 
     References
     ----------
@@ -360,7 +338,7 @@ def parameter_varying(
     >>> import platform_ctrl as pc
     >>> platform = pc.read_platform("three_gyro_platform")
     >>> varying = pc.parameter_varying(platform, gimbals=("9", "10"), form="momenta")
-    >>> varying.affine().parameters
+    >>> varying.affine.parameters
     ('Omega2', 'Omega1^2', 'Omega1*Omega3', 'Omega2^2', 'Omega3^2')
     """
     one_of("form", form, get_args(Form))
@@ -372,18 +350,24 @@ def parameter_varying(
         parts.append(inertia_part(platform, rest.q0))
     turning = acceleration_part(platform, rest.q0, terms)
     friction, springs = polynomial({"1": -rest.Q_rate}, (n, n)), polynomial({"1": -rest.Q_angle}, (n, n))
+    M = rest.M[np.ix_(rows, rows)]
+    G = total(friction, *(part.G for part in parts)).part(rows, rows)
+    K = total(springs, turning, *(part.K for part in parts)).part(rows, rows)
+    names, angles = (tuple(some[k] for k in rows) for some in (platform.gimbal_names, platform.angle_names))
+    torquers = {t.name: names.index(t.gimbal) for t in platform.torquers if t.gimbal in names}
     return ParameterVaryingModel(
         platform=platform,
         terms=terms,
         form=form,
-        gimbals=tuple(platform.gimbal_names[k] for k in rows),
-        angles=tuple(platform.angle_names[k] for k in rows),
+        gimbals=names,
+        angles=angles,
         q0=rest.q0,
-        M=rest.M[np.ix_(rows, rows)],
+        M=M,
         M_Omega=rest.M_Omega[rows],
-        G=total(friction, *(part.G for part in parts)).part(rows, rows),
-        K=total(springs, turning, *(part.K for part in parts)).part(rows, rows),
+        G=G,
+        K=K,
         Q0=total(polynomial({"1": rest.Q0}, (n,)), *(part.Q0 for part in parts)).part(rows),
+        affine=affine_model((M, G, K), angles, torquers, momenta=form == "momenta"),
     )
 
 

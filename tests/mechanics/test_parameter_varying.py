@@ -155,8 +155,8 @@ def test_held_gimbals_leave_the_rows_of_the_others(platform):
     q = np.array([0.2, 0.0, 0.0, 0.0, 0.0])
     model = parameter_varying(platform, gimbals=("7", "5"), q=q)
     assert model.gimbals == ("5", "7")
-    assert model.affine().states == ("beta5", "beta7", "p_beta5", "p_beta7")
-    assert model.affine().inputs == ("Q5", "Q7", "d_p_beta5", "d_p_beta7")
+    assert model.affine.states == ("beta5", "beta7", "p_beta5", "p_beta7")
+    assert model.affine.inputs == ("Q5", "Q7", "d_p_beta5", "d_p_beta7")
     Omega, Omega_dot, pair = np.array([1.0, 2.0, -1.0]), np.array([0.5, 3.0, 1.0]), np.array([1e-5, -2e-5])
     rows = model.at(Omega, Omega_dot)
     for size in (0.0, 1.0):
@@ -169,7 +169,7 @@ def test_held_gimbals_leave_the_rows_of_the_others(platform):
 @FORMS
 def test_every_manoeuvre_stays_within_the_vertices(form):
     model = parameter_varying(three_gyro_paper.unequal_platform(), gimbals=("9", "10"), form=form)
-    affine = model.affine()
+    affine = model.affine
     most, fastest = np.array([1.0, 2.0, 0.5]), np.array([3.0, 10.0, 0.0])
     vertices = model.vertices(most, fastest)
     corners = np.array([vertex.parameters for vertex in vertices])
