@@ -46,7 +46,7 @@ from platform_ctrl.simulation.kernel.arithmetic import (
     whole_inertia_to_parent,
 )
 from platform_ctrl.simulation.kernel.arrays import At, Links
-from platform_ctrl.simulation.kernel.elements import (
+from platform_ctrl.simulation.kernel.forces import (
     erection_torques,
     joint_torque,
     servo_drives,

@@ -24,10 +24,9 @@ from platform_ctrl.simulation.kernel.devices import (
     work_on,
 )
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
-from platform_ctrl.simulation.kernel.metrics import judge, update_metrics
-from platform_ctrl.simulation.kernel.sensors import look, read, turn_bodies
+from platform_ctrl.simulation.kernel.forces import begin_surroundings, follow_rotors, hand_on, surround
+from platform_ctrl.simulation.kernel.samples import judge, look, read, turn_bodies, update_metrics
 from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike
-from platform_ctrl.simulation.kernel.surroundings import begin_surroundings, follow_rotors, hand_on, surround
 
 
 @inlined

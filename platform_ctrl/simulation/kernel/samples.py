@@ -1,9 +1,9 @@
-"""The sensors at a sample, and the line of sight: what they see, their lags, errors and faults."""
+"""What happens at a sample: the sensors and the line of sight, their lags, errors and faults; the metrics of a run."""
 
 from __future__ import annotations
 
 from platform_ctrl.common.compiling import inlined, internal
-from platform_ctrl.common.simd import Number, anywhere, choose, load, store, whole
+from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, load, root, store, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import from_parent, put, vector
@@ -165,3 +165,123 @@ def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout:
         unit = choose(fine, step, 0.0 * step + 1.0)
         value = choose(fine, unit * whole(value / unit + 0.5), value)
         store(mem, slot + arrays.LAST, lane, _faulty(shared, keys, mem, lane, layout, i, k, t, value))
+
+
+@inlined
+def _half_turn(sine: Number, cosine: Number) -> tuple[Number, Number]:
+    """Angle a in [0, pi/2] of sin a and cos a, and a / sin a."""
+    t = sine / (1.0 + cosine)
+    u = t / (1.0 + root(1.0 + t * t))
+    v = u / (1.0 + root(1.0 + u * u))
+    z = v * v
+    series = 1.0 / 21.0 + 0.0 * z
+    for i in range(19, 0, -2):
+        series = 1.0 / i - z * series
+    angle = 8.0 * v * series
+    return angle, choose(sine > 1e-9, angle / sine, 0.0 * sine + 1.0)
+
+
+@inlined
+def _keep_largest(mem: FloatArray, lane: int, slot: int, counts: Mask, value: Number) -> None:
+    """Keep the largest magnitude of a value, of the scenarios that count."""
+    size, old = choose(value < 0.0, -value, value), load(mem, slot, lane)
+    store(mem, slot, lane, choose(counts, greater(old, size), old))
+
+
+@internal
+def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, k: int) -> None:
+    """The metrics up to sample k, of the scenarios that are still going."""
+    n, nu = at.n, shared.targets.shape[0]
+    alive = load(mem, layout.alive, lane)
+    going = alive > 0.5
+    for i in range(n):
+        _keep_largest(mem, lane, layout.metrics + i, going, load(mem, at.state + i, lane))
+    e = at.state + 2 * n + 3
+    e0, e1 = load(mem, e, lane), load(mem, e + 1, lane)
+    e2, e3 = load(mem, e + 2, lane), load(mem, e + 3, lane)
+    _, per_sine = _half_turn(root(e1 * e1 + e2 * e2 + e3 * e3), choose(e0 < 0.0, -e0, e0))
+    for i in range(3):
+        _keep_largest(mem, lane, layout.metrics + n + i, going, 2.0 * per_sine * load(mem, e + 1 + i, lane))
+    for i in range(nu):
+        limit = load(mem, layout.torquer + i * arrays.TORQUER + arrays.LIMIT, lane)
+        command, slot = load(mem, layout.command + i, lane), layout.metrics + n + 3 + i
+        command = choose(command < 0.0, -command, command)
+        _keep_largest(mem, lane, slot, going, command / limit)
+        slot += nu
+        store(mem, slot, lane, load(mem, slot, lane) + choose(command >= limit, alive, 0.0 * alive))
+    rates = layout.metrics + 2 * n + 4 + 2 * nu
+    for i in range(n):
+        _keep_largest(mem, lane, rates + i, going, load(mem, layout.velocity + 3 + i, lane))
+    settled = going & (load(mem, layout.settle, lane) <= k)
+    sight = shared.sensors.shape[0] - layout.sensors
+    if sight > 0 and anywhere(settled):
+        count = load(mem, rates + n, lane) + choose(settled, alive, 0.0 * alive)
+        store(mem, rates + n, lane, count)
+        share = 1.0 / greater(count, 0.0 * alive + 1.0)
+        _spread(mem, lane, settled, share, layout.velocity, 3, rates + n + 1, 3 + sight)
+        _spread(mem, lane, settled, share, layout.sight, sight, rates + n + 4, 3 + sight)
+    end = layout.states + nu + layout.drives + 1
+    for j in range(layout.commands):
+        slot, sensor = layout.following + j, layout.sensor + shared.first[end + j] * arrays.SENSOR
+        # What the sensor shows wrongly is no part of what the loop does.
+        scale = load(mem, sensor + arrays.SENSOR_SCALE, lane)
+        scale = choose((scale < 0.0) | (scale > 0.0), scale, 0.0 * scale + 1.0)
+        error = (load(mem, sensor + arrays.LAST, lane) - load(mem, sensor + arrays.BIAS, lane)) / scale
+        error = error - load(mem, layout.sensor + (layout.sensors + j) * arrays.SENSOR + arrays.PATH, lane)
+        _keep_largest(mem, lane, slot, settled, error)
+
+
+@internal
+def _spread(
+    mem: FloatArray, lane: int, counts: Mask, share: Number, source: int, size: int, mean: int, behind: int
+) -> None:
+    """Add values to their means and, `behind` these, to the sums of squares about them (Welford 1962)."""
+    for i in range(size):
+        value, slot = load(mem, source + i, lane), mean + i
+        old = load(mem, slot, lane)
+        new = old + share * (value - old)
+        square = load(mem, slot + behind, lane)
+        store(mem, slot, lane, choose(counts, new, old))
+        store(mem, slot + behind, lane, choose(counts, square + (value - old) * (value - new), square))
+
+
+@inlined
+def _clear(mem: FloatArray, lane: int, sound: Mask, zero: Number, first: int, count: int, apart: int) -> None:
+    """Put zeros into slots of the scenarios that are not sound."""
+    for i in range(count):
+        slot = first + i * apart
+        store(mem, slot, lane, choose(sound, load(mem, slot, lane), zero))
+
+
+@internal
+def judge(mem: FloatArray, lane: int, at: At, layout: Layout, shared: Shared) -> bool:
+    """Let go of scenarios that diverge: a number that is not finite, or a rate above one radian per substep.
+
+    They start again from t = 0 so as not to compute with such numbers, and count no more. Returns whether any is left.
+    """
+    n = at.n
+    step = greater(load(mem, layout.segments, lane), load(mem, layout.segments + 1, lane))
+    sound = step > 0.0
+    for i in range(at.size):
+        y = load(mem, at.state + i, lane)
+        sound = sound & (y - y == 0.0)
+    for i in range(n + 3):
+        turn = load(mem, layout.velocity + i, lane) * step
+        sound = sound & (turn < 1.0) & (turn > -1.0)
+    for i in range(shared.targets.shape[0]):
+        command = load(mem, layout.command + i, lane)
+        sound = sound & (command - command == 0.0)
+    alive = load(mem, layout.alive, lane)
+    if anywhere(~sound):
+        for i in range(at.size):
+            y = at.state + i
+            store(mem, y, lane, choose(sound, load(mem, y, lane), load(mem, layout.start + i, lane)))
+        _clear(mem, lane, sound, 0.0 * step, layout.velocity, n + 3, 1)
+        _clear(mem, lane, sound, 0.0 * step, layout.controller, layout.states, 1)
+        _clear(mem, lane, sound, 0.0 * step, layout.command, shared.targets.shape[0], 1)
+        _clear(mem, lane, sound, 0.0 * step, layout.torquer + arrays.TORQUE, shared.targets.shape[0], arrays.TORQUER)
+    alive = choose(sound, alive, 0.0 * alive)
+    store(mem, layout.alive, lane, alive)
+    done = layout.metrics + 2 * n + 3 + 2 * shared.targets.shape[0]
+    store(mem, done, lane, load(mem, done, lane) + alive)
+    return bool(anywhere(alive > 0.5))
