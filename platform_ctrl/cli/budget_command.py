@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,16 +21,12 @@ from platform_ctrl.cli.job_arguments import (
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     import control
 
     from platform_ctrl.job.job import Job
     from platform_ctrl.verification.budget_result import LineOfSightBudget, SimulatedBudget
-
-_MICRO = 1e6
-# Shares of the mean square that are none.
-_ROUNDING = 1e-12
 
 
 SIMULATE = option(
@@ -161,76 +156,25 @@ def show_budget(
     runs: SimulatedBudget | None = None,
     others: Mapping[str, LineOfSightBudget | None] | None = None,
 ) -> None:
-    """Print the tables; `others` are the budgets of other designs, None where they are not stable."""
-    from platform_ctrl.cli.terminal import screen, show_table, show_words
-    from platform_ctrl.verification.budget_result import TOGETHER
+    """Print the tables of the report; `others` are the budgets of other designs, None where they are not stable."""
+    from platform_ctrl.cli.terminal import screen, show_block, show_words
+    from platform_ctrl.report.budget_page import runs_table, sources_table, window_table
 
     assert job.budget is not None
-    console, axes, largest = screen(), found.axes, max(found.total, default=0.0)
-    show_words(
-        console, f"{job.name}: line of sight, {job.budget.from_hz:g} to {job.budget.to_hz:g} Hz, µrad rms and share"
-    )
-    rows = []
-    for name, kind, rms, shares in zip(found.names, found.kinds, found.rms, found.shares, strict=True):
-        # Rounding shows in axes on which a source does not act.
-        acting = [float(x) if share > _ROUNDING else 0.0 for x, share in zip(rms, shares, strict=True)]
-        rows.append(
-            (
-                name,
-                kind,
-                *(x for pair in zip(_micro(acting, largest), map(_percent, shares), strict=True) for x in pair),
-            )
-        )
-    totals = {TOGETHER: _micro(found.total, largest), "both axes across, angles zero": _micro([found.jitter], largest)}
-    totals |= {
-        f"with {name}": ["not stable"] if one is None else _micro(one.total, largest)
-        for name, one in (others or {}).items()
-    }
-    rows += [(name, "", *(x for one in numbers for x in (one, ""))) for name, numbers in totals.items()]
-    show_table(console, ("source", "kind", *(x for name in axes for x in (name, ""))), rows, words=2)
+    console = screen()
+    show_words(console, f"{job.name}: line of sight, {job.budget.from_hz:g} to {job.budget.to_hz:g} Hz")
+    show_block(console, sources_table(found, others))
     for window in found.windows:
-        most = max(window.displacement, default=0.0)
-        named = {
-            "displacement: the mean": _micro(window.displacement, most),
-            "smear: the line's extent, end to end": _micro(window.smear, most),
-            "jitter about the line": _micro(window.jitter, most),
-            "about the mean, smear included": _micro(window.about_mean, most),
-        }
-        for k, nu in enumerate(job.budget.spatial_frequencies):
-            named[f"contrast at {nu:g} cycles/rad"] = [f"{x:.4f}" for x in window.contrast[:, k]]
-        rows = [(name, *numbers) for name, numbers in named.items()]
         console.print()
-        show_table(console, (f"within {1e3 * window.exposure:g} ms, µrad rms", *axes), rows)
+        show_block(console, window_table(window, job.budget.spatial_frequencies))
     for line in () if found.friction is None else found.friction.statement:
         console.print()
         show_words(console, line)
     console.print()
-    if runs is None:
-        return
-    show_words(console, f"simulated, {runs.runs} runs of seed {runs.seed}: µrad rms about the mean of {runs.time:g} s")
-    most = max(runs.linear, default=0.0)
-    of_runs = {
-        "non-linear plant": runs.rms,
-        "its 95 % interval, from": runs.low,
-        "to": runs.high,
-        "linear budget of the same": runs.linear,
-    }
-    show_table(console, ("", *axes), [(name, *_micro(rms, most)) for name, rms in of_runs.items()])
-    show_words(console, f"both axes across: simulated over linear {runs.ratio:.3f}")
-    for line in runs.left_out:
-        show_words(console, f"not simulated: {line}")
-    console.print()
-
-
-def _micro(rms: Iterable[float], largest: float) -> list[str]:
-    """Return angles, rad, in µrad, all with as many decimals as show the largest to four digits."""
-    decimals = max(3 - math.floor(math.log10(_MICRO * largest)), 0) if 0.0 < largest < math.inf else 0
-    least = 10.0**-decimals
-    return [
-        f"< {least:.{decimals}f}" if 0.0 < _MICRO * x < 0.5 * least else f"{_MICRO * x:.{decimals}f}" if x else "0"
-        for x in rms
-    ]
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %" if share > _ROUNDING else ""
+    if runs is not None:
+        show_words(console, f"simulated, {runs.runs} runs of seed {runs.seed}: about the mean of {runs.time:g} s")
+        show_block(console, runs_table(runs))
+        show_words(console, f"both axes across: simulated over linear {runs.ratio:.3f}")
+        for line in runs.left_out:
+            show_words(console, f"not simulated: {line}")
+        console.print()

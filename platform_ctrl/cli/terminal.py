@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from platform_ctrl.campaign.summary import Summary
+    from platform_ctrl.report.blocks import Table
     from platform_ctrl.verification.simulated import Run
     from platform_ctrl.verification.verdict import JobResult
 
@@ -136,6 +137,12 @@ def show_table(
     for row, style in zip(rows, styles or [""] * len(rows), strict=True):
         table.add_row(*row, style=style)
     console.print(table)
+
+
+def show_block(console: Console, block: Table) -> None:
+    """Print a table of a report."""
+    rows = [[cell.text for cell in row.cells] for group in block.groups for row in group.rows]
+    show_table(console, [one.title for one in block.columns], rows, sum(not one.number for one in block.columns))
 
 
 def show_words(console: Console, words: str, style: str = "", indent: str = "") -> None:

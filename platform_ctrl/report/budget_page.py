@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from platform_ctrl.job.budget import BudgetSpec
-from platform_ctrl.job.quantities import plain, quantity
+from platform_ctrl.job.quantities import plain
 from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.report.blocks import Block, Paragraph, Subsection, Table, drawn, sentence, table
 from platform_ctrl.report.captions import sentences
@@ -30,6 +31,7 @@ from platform_ctrl.verification.budget_result import (
     LineOfSightBudget,
     SimulatedBudget,
     Waterfall,
+    WindowBudget,
     rms_ticks,
     waterfalls,
 )
@@ -55,10 +57,11 @@ def budget_blocks(result: JobResult) -> list[Block]:
         Paragraph(text=sentences("budget", found=found, budget=budget)),
         *drawn("Line of sight: rms up to a frequency", lambda: budget_figure(budget, found), rms),
         *drawn("Line of sight: from sources to the total", lambda: waterfall_figure(budget, found), waterfall),
-        _sources(found),
+        sources_table(found),
     ]
     if found.windows:
-        blocks.append(Subsection(title="Within an exposure", blocks=(_windows(found, budget.spatial_frequencies),)))
+        windows = tuple(window_table(one, budget.spatial_frequencies) for one in found.windows)
+        blocks.append(Subsection(title="Within an exposure", blocks=windows))
     if result.simulated_budget is not None:
         blocks.append(_simulated(result.simulated_budget))
     if found.friction is not None:
@@ -67,48 +70,72 @@ def budget_blocks(result: JobResult) -> list[Block]:
     return blocks
 
 
-def _sources(found: LineOfSightBudget) -> Table:
-    rows = []
+def sources_table(found: LineOfSightBudget, others: Mapping[str, LineOfSightBudget | None] | None = None) -> Table:
+    """Return what each source does; `others` are the budgets of other designs, None where they are not stable."""
+    rows, largest = [], max(found.total, default=0.0)
     for name, kind, rms, shares in zip(found.names, found.kinds, found.rms, found.shares, strict=True):
         # Rounding shows in axes on which a source does not act.
-        pairs = zip(_micro(np.where(shares > _ROUNDING, rms, 0.0)), map(_percent, shares), strict=True)
-        rows.append((name, kind, *(text for pair in pairs for text in pair)))
-    total = [text for one in _micro(found.total) for text in (one, "")]
-    numbers = "|".join(f"{axis}, µrad|share" for axis in found.axes)
-    return table(f"source|kind|{numbers}", [*rows, (TOGETHER, "", *total)], numbers=numbers)
+        acting = _micro(np.where(shares > _ROUNDING, rms, 0.0), largest)
+        percent = [f"{100.0 * share:.0f} %" if share > _ROUNDING else "" for share in shares]
+        rows.append((name, kind, *(text for pair in zip(acting, percent, strict=True) for text in pair)))
+    totals = {TOGETHER: _micro(found.total, largest), "both axes across, angles zero": _micro([found.jitter], largest)}
+    for name, one in (others or {}).items():
+        totals[f"with {name}"] = ["not stable"] if one is None else _micro(one.total, largest)
+    for name, numbers in totals.items():
+        rows.append((name, "", *(text for one in numbers for text in (one, ""))))
+    return _table("source, µrad rms|kind", [head for axis in found.axes for head in (axis, "")], rows)
 
 
-def _windows(found: LineOfSightBudget, spatial_frequencies: Iterable[float]) -> Table:
-    rows = []
-    for one in found.windows:
-        for k, axis in enumerate(found.axes[:2]):
-            rms = _micro([one.displacement[k], one.smear[k], one.jitter[k], one.about_mean[k]])
-            contrast = [plain(float(x), 4) for x in one.contrast[k]]
-            rows.append((quantity(one.exposure, "s"), axis, *rms, *contrast))
-    waves = [f"contrast at {nu:g}/rad" for nu in spatial_frequencies]
-    numbers = "|".join(["displacement, µrad", "smear, end to end", "jitter", "about the mean", *waves])
-    return table(f"exposure|axis|{numbers}", rows, numbers=numbers)
+def window_table(one: WindowBudget, spatial_frequencies: Sequence[float]) -> Table:
+    """Return what an exposure shows of the motion of the line of sight."""
+    largest = max(one.displacement, default=0.0)
+    rows = [
+        ("displacement: the mean", *_micro(one.displacement, largest)),
+        ("smear: the line's extent, end to end", *_micro(one.smear, largest)),
+        ("jitter about the line", *_micro(one.jitter, largest)),
+        ("about the mean, smear included", *_micro(one.about_mean, largest)),
+    ]
+    for nu, contrast in zip(spatial_frequencies, one.contrast.T, strict=True):
+        rows.append((f"contrast at {nu:g} cycles/rad", *(f"{x:.4f}" for x in contrast)))
+    return _table(f"within {1e3 * one.exposure:g} ms, µrad rms", LOS_ANGLES, rows)
+
+
+def runs_table(runs: SimulatedBudget) -> Table:
+    """Return what runs show, and the linear budget for the same."""
+    largest = max(runs.linear, default=0.0)
+    rows = [
+        ("non-linear plant", *_micro(runs.rms, largest)),
+        ("its 95 % interval, from", *_micro(runs.low, largest)),
+        ("to", *_micro(runs.high, largest)),
+        ("linear budget of the same", *_micro(runs.linear, largest)),
+    ]
+    return _table("µrad rms", LOS_ANGLES, rows)
+
+
+def _table(words: str, axes: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table with columns of words and of numbers; of axes that are not named nothing is shown."""
+    width = len(words.split("|")) + len(axes)
+    filled = [[*row, *[""] * (width - len(row))] for row in rows]
+    return table("|".join([words, *axes]), filled, numbers="|".join(axes))
 
 
 def _simulated(runs: SimulatedBudget) -> Subsection:
-    rows = []
-    for name, *rms, linear in zip(LOS_ANGLES[:2], runs.rms, runs.low, runs.high, runs.linear, strict=False):
-        rows.append((name, *_micro([*rms, linear]), plain(float(rms[0] / linear), 4) if linear > 0.0 else ""))
-    numbers = "simulated, µrad|95 % interval, from|to|linear, µrad|simulated over linear"
     blocks: tuple[Block, ...] = (
         Paragraph(text=sentences("simulated_budget", runs=runs)),
-        table(f"axis|{numbers}", rows, numbers=numbers),
+        runs_table(runs),
         *(Paragraph(text=sentence(f"not simulated: {line}")) for line in runs.left_out),
     )
     return Subsection(title="Simulated runs beside the linear budget", blocks=blocks)
 
 
-def _micro(rms: Iterable[float]) -> list[str]:
-    return [plain(_MICRO * float(x), 4) for x in rms]
-
-
-def _percent(share: float) -> str:
-    return f"{plain(100.0 * share, 3)} %" if share > _ROUNDING else ""
+def _micro(rms: Iterable[float], largest: float) -> list[str]:
+    """Return angles, rad, in µrad, all with as many decimals as show the largest to four digits."""
+    decimals = max(3 - math.floor(math.log10(_MICRO * largest)), 0) if 0.0 < largest < math.inf else 0
+    least = 10.0**-decimals
+    return [
+        f"< {least:.{decimals}f}" if 0.0 < _MICRO * x < 0.5 * least else f"{_MICRO * x:.{decimals}f}" if x else "0"
+        for x in rms
+    ]
 
 
 def budget_figure(budget: BudgetSpec, found: LineOfSightBudget) -> Figure:

@@ -347,7 +347,7 @@ def test_the_verdict_of_a_job_counts_the_limits_and_its_report_has_a_section(tmp
     page = page_html(result)
     for words in (
         "4 runs of the non-linear plant, of seed 0",
-        "simulated, with its 95 % interval",
+        "its 95 % interval",
         "Within an exposure",
         "all together, angles zero",
         "vibration",
