@@ -214,12 +214,13 @@ def _show_rows(console: Console, rows: tuple[ProbabilityRow, ...], confidence: f
     from platform_ctrl.report.campaign_tables import ALL_MANOEUVRES
 
     heads = ("requirement", "limit", "violations", "probability", f"{100.0 * confidence:g} % bounds")
-    cells, styles = [], []
+    cells: list[tuple[str, ...]] = []
+    styles = []
     for group in dict.fromkeys(row.group for row in rows):
         cells.append(("all, over their limits" if group == ALL_MANOEUVRES else group, "", "", "", ""))
         styles.append("bold")
         for row in sorted((row for row in rows if row.group == group), key=lambda row: -row.numbers.estimate):
-            cells.append((f"  {row.requirement}", row.limit, row.violations, row.probability, row.bounds))
+            cells.append((f"  {row.words[0]}", *row.words[1:5]))
             styles.append("red" if row.numbers.events else "")
     show_table(console, heads, cells, styles=styles)
 

@@ -174,7 +174,7 @@ def show_requirements(
     widths = [max(len(head), *(len(getattr(row, head)) for _, row in shown)) for head in heads] if shown else []
     mark = max((len(_mark(one)) for one, _ in shown), default=0)
     room = max(console.width - mark - sum(widths) - 2 * (len(heads) + 1), 12)
-    name = min(max((len(row.requirement) for _, row in shown), default=0), room)
+    name = min(max((len(one.name) for one, _ in shown), default=0), room)
 
     def table(*titles: str) -> Table:
         out = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=bool(titles), header_style="dim")
@@ -194,7 +194,7 @@ def show_requirements(
         for one, row in own:
             style = "dim" if not one.hard else "" if one.passed else "bold red"
             marked = Text(_mark(one), "green" if one.hard and one.passed else "")
-            rows.add_row(marked, Text(row.requirement), row.value, row.limit, row.margin, style=style)
+            rows.add_row(marked, Text(one.name), row.value, row.limit, row.margin, style=style)
             if one.reason and not one.passed:
                 console.print(rows)
                 indent = " " * (mark + 4)
@@ -280,15 +280,13 @@ def tells_nothing(one: CheckResult) -> bool:
 
 def summary_words(results: Sequence[CheckResult], more: str = "") -> str:
     """Return how many requirements are met, `more`, and which one is the worst or the tightest."""
-    from platform_ctrl.job.quantities import percent
+    from platform_ctrl.job.quantities import met_words, percent
 
-    missed = sum(not one.passed for one in results)
-    words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"
-    words += more
+    words = met_words(results) + more
     telling = [one for one in results if not tells_nothing(one)]
     if telling:
         worst = min(telling, key=severity)
-        words += f"; {'worst' if missed else 'tightest'}: {subject_of(worst)}, {worst.name}"
+        words += f"; {'tightest' if worst.passed else 'worst'}: {subject_of(worst)}, {worst.name}"
         words += f" ({percent(worst.margin)})" if abs(worst.margin) < 10.0 else ""
     return words
 

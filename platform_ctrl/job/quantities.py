@@ -204,6 +204,14 @@ def axis_text(axis: Sequence[float] | FloatArray) -> str:
     return f"({', '.join(plain(round(float(x), 9) + 0.0, 3) for x in axis)})"
 
 
+def met_words(results: Sequence[CheckResult]) -> str:
+    """Return how many requirements are met."""
+    missed = sum(not one.passed for one in results)
+    if missed:
+        return f"{missed} of {count(len(results), 'requirement')} not met"
+    return f"all {count(len(results), 'requirement')} met" if len(results) != 1 else "the one requirement is met"
+
+
 def added_words(platform: Platform) -> str:
     """Return which torquers and pick-offs the device itself does not have, to go with a verdict; or nothing."""
     from platform_ctrl.plant.platform import Torquer

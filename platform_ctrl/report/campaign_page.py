@@ -118,12 +118,8 @@ def probability_table(summary: Summary) -> Table:
         # A manoeuvre's name stays as people have to type it.
         heading = sentence(row.group) if row.group == tables.ALL_MANOEUVRES else row.group
         tone = "bad" if row.numbers.events else ""
-        shown = (
-            *cells(row.requirement, row.limit),
-            *(Cell(text=text, tone=tone) for text in (row.violations, row.probability)),
-            Cell(text=row.bounds),
-            *cells(row.median, row.high_quantile, row.largest, "" if row.worst is None else str(row.worst)),
-        )
+        # How often it is violated stands in the third and the fourth column.
+        shown = tuple(Cell(text=text, tone=tone if k in (2, 3) else "") for k, text in enumerate(row.words))
         groups.setdefault(heading, []).append(Row(cells=shown))
     numbers = f"limit|violations|probability|{_bounds(summary)}|median|99 %|largest|worst run"
     found = tuple(Group(title=title, rows=tuple(rows)) for title, rows in groups.items())

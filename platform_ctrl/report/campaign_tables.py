@@ -32,19 +32,10 @@ _STRONGEST = 3
 class ProbabilityRow:
     """One requirement of a campaign as the tables show it."""
 
-    # The manoeuvre, the requirement and its limit
-    group: str
-    requirement: str
-    limit: str
-    # How often it is violated
-    violations: str
-    probability: str
-    bounds: str
-    # The value that is not exceeded in half of the runs, in 99 % of them, in all
-    median: str
-    high_quantile: str
-    largest: str
-    worst: int | None  # Number of the worst run; None if none was simulated
+    group: str  # The manoeuvre
+    # Requirement, limit, number of violations, probability and its bounds; the value that is not exceeded in half of
+    # the runs, in 99 % of them, in all; number of the worst run
+    words: tuple[str, ...]
     numbers: Probability  # Estimate and bounds as numbers
 
 
@@ -58,19 +49,18 @@ def probability_rows(summary: Summary) -> tuple[ProbabilityRow, ...]:
 def _row(one: RequirementStatistics) -> ProbabilityRow:
     unit = "" if one.manoeuvre is None or one.requirement == PASSED else RUN_METRICS[one.requirement].unit
     shown = {share: figure_words(figure, unit, one.limit) for share, figure in one.quantiles.items()}
-    return ProbabilityRow(
-        group=one.manoeuvre or ALL_MANOEUVRES,
-        requirement=requirement_name(one.requirement).removeprefix("largest "),
-        limit=DASH if one.limit is None else limit_words(one.requirement, one.limit, relative=one.manoeuvre is None),
-        violations=f"{one.violation.events:,} of {one.violation.runs:,}",
-        probability=chance(one.violation.estimate),
-        bounds=chances(one.violation.low, one.violation.high),
-        median=shown.get(0.5, ""),
-        high_quantile=shown.get(0.99, ""),
-        largest="" if not one.values.size else figure_words(one.largest, unit, one.limit),
-        worst=one.worst[0].run if one.worst else None,
-        numbers=one.violation,
+    words = (
+        requirement_name(one.requirement).removeprefix("largest "),
+        DASH if one.limit is None else limit_words(one.requirement, one.limit, relative=one.manoeuvre is None),
+        f"{one.violation.events:,} of {one.violation.runs:,}",
+        chance(one.violation.estimate),
+        chances(one.violation.low, one.violation.high),
+        shown.get(0.5, ""),
+        shown.get(0.99, ""),
+        "" if not one.values.size else figure_words(one.largest, unit, one.limit),
+        str(one.worst[0].run) if one.worst else "",
     )
+    return ProbabilityRow(group=one.manoeuvre or ALL_MANOEUVRES, words=words, numbers=one.violation)
 
 
 def limit_words(figure: str, limit: float, *, relative: bool = False) -> str:
@@ -284,25 +274,12 @@ def input_rows(summary: Summary) -> list[tuple[str, str]]:
     return rows
 
 
-_DISTRIBUTIONS = {
-    "uniform": "uniform, {low} to {high}",
-    "log-uniform": "log-uniform, {low} to {high}",
-    "normal": "normal, {mean} with deviation {deviation}",
-    "truncated-normal": "normal, {mean} with deviation {deviation}, within {low} to {high}",
-    "log-normal": "log-normal, median {median}, deviation of the logarithm {deviation}",
-    "triangular": "triangular, {low} to {high}, peak at {peak}",
-}
-
-
 def distribution_words(one: Vary) -> str:
     """Return a distribution in words."""
-    words = _DISTRIBUTIONS.get(one.distribution, "one of {values}").format(
-        **{name: plain(number, 6) for name, number in one.numbers.items()},
-        values=", ".join(plain(number, 6) for number in one.values),
-    )
-    if one.weights:
-        words += ", weights " + ", ".join(plain(number, 6) for number in one.weights)
-    return f"{words}, times the nominal value" if one.relative else words
+    parts = [f"{name} {plain(number, 6)}" for name, number in one.numbers.items()]
+    parts += [" or ".join(plain(number, 6) for number in one.values)] if one.values else []
+    parts += ["weights " + ", ".join(plain(number, 6) for number in one.weights)] if one.weights else []
+    return f"{one.distribution}: {', '.join(parts)}{', times the nominal value' if one.relative else ''}"
 
 
 def ending_rows(summary: Summary) -> list[tuple[str, str, str]]:

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.analysis.measuring import Peak
-from platform_ctrl.analysis.metrics import METRICS, Metric
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.campaign.summary import Summary
@@ -119,31 +118,13 @@ def disturbance(outcome: LoopOutcome, loop: ShownLoop) -> str:
     return sentences("disturbance", outcome=outcome, rejection=rejected, share=share)
 
 
-def further_gains(outcome: LoopOutcome, loop: ShownLoop, kinds: Sequence[str]) -> str:
+def further_gains(outcome: LoopOutcome, kinds: Sequence[str]) -> str:
     """Gains whose peaks have a limit, beside those of the other plots."""
     limits, goals = (
         any(limited(one, kind, outcome.spec) for kind in kinds) for one in (outcome.spec.limits, outcome.spec.soft)
     )
-    values = [(METRICS[kind], *_shown_peak(METRICS[kind], kind, outcome, loop)) for kind in kinds]
-    bad = unstable(loop.closed.design)
-    return sentences("further_gains", outcome=outcome, values=values, limits=limits, goals=goals, unstable=bad)
-
-
-def _shown_peak(metric: Metric, kind: str, outcome: LoopOutcome, loop: ShownLoop) -> tuple[float, float | None]:
-    """Return the worst value on the closed design's curve, and up to which frequency, Hz; None: at all frequencies."""
-    design, spec = loop.closed, outcome.spec
-    given = {**spec.soft, **spec.limits}
-    end = given.get(metric.frequency_key) if metric.band == "up to" else None
-    if end is None:
-        return float(metric.in_unit(design.peaks[kind])), None
-    f, lowest = loop.frequency * HZ, given.get(metric.lowest_key, 0.0)
-    inside = (f > lowest) & (f < end)
-    ends = np.interp([max(lowest, f[0]), end], f, design.gains[kind])
-    found = float(np.append(design.gains[kind][inside], ends).max())
-    if isinstance(metric.measure, Peak) and metric.measure.reciprocal:
-        # A base whose motion reaches nothing.
-        found = 1.0 / found if found > 0.0 else np.inf
-    return float(metric.in_unit(found)), end
+    shown = [METRICS[kind] for kind in kinds]
+    return sentences("further_gains", outcome=outcome, metrics=shown, limits=limits, goals=goals)
 
 
 def poles(outcome: LoopOutcome, plants: PlantSet) -> str:
@@ -199,21 +180,6 @@ def _largest_rate(run: Run, loops: Sequence[LoopOutcome]) -> tuple[float, float 
 
 # No line break between a number and its unit.
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|\u00b0|m?rad|k?Hz|m?N m|1/s|s)\b|%)|(?<=[\u2264\u2265]) ")
-
-
-def against_bounds(design: Design) -> list[str]:
-    """Return sentences: bandwidth and norm of a design compared with claimed bounds."""
-    out = []
-    own, claims = bandwidth_hz(design), design.claims
-    bound = claims.get("bandwidth_bound_hz", np.nan)
-    if np.isfinite(bound) and own > 0.0:
-        out.append(sentences("bandwidth_bound", bound=bound, own=own))
-    gamma, least = claims.get("gamma", np.nan), claims.get("gamma_optimal", np.nan)
-    price = claims.get("price", gamma / least - 1.0 if least > 0.0 else np.nan)
-    if np.isfinite(price):
-        known = np.isfinite(gamma) and np.isfinite(least)
-        out.append(sentences("price", gamma=gamma if known else None, least=least, price=price))
-    return out
 
 
 def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:

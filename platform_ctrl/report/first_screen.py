@@ -65,15 +65,15 @@ def _distance_blocks(result: JobResult) -> tuple[Block, ...]:
 
 def _verdict(result: JobResult, campaign: Summary | None) -> Verdict:
     goals = tables.goal_rows(result)
-    missed = [row for row in tables.requirement_rows(result) if not row.passed]
-    reached = sum(goal.passed for goal in goals)
+    missed = [row for row in tables.requirement_rows(result) if not row.checked.passed]
+    reached = sum(goal.checked.passed for goal in goals)
     assumed = result.assumptions.removeprefix(", ")
     asides = [sentence(f"{assumed}.")] if assumed else []
     asides += [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
     return Verdict(
         passed=result.passed and (campaign is None or campaign.passed),
         words="; ".join(filter(None, (sentence(tables.verdict(result)), campaign_words(campaign)))),
-        lines=tuple(f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}" for row in missed),
+        lines=tuple(row.words for row in missed),
         aside=" ".join(asides),
     )
 
@@ -130,7 +130,7 @@ def distances(result: JobResult) -> Distances | None:
     shown = tables.requirement_rows(result)
     if not shown:
         return None
-    places = [_place(1.0 if row.passed and not row.margin else row.share) for row in shown]
+    places = [_place(1.0 if row.checked.passed and not row.margin else row.share) for row in shown]
     low = min(-_BEYOND, *places)
     order = sorted(range(len(shown)), key=lambda k: places[k])
     scaled = [(place - low) / (1.0 - low) for place in places]
@@ -139,17 +139,16 @@ def distances(result: JobResult) -> Distances | None:
         Distance(
             at=round(scaled[k], 4),
             level=levels[k],
-            words=f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}"
-            + (f", margin {row.margin}" if row.margin else ""),
+            words=row.words + (f", margin {row.margin}" if row.margin else ""),
             row=tables.row_name(k),
-            passed=row.passed,
+            passed=row.checked.passed,
         )
         for k in order
         for row in (shown[k],)
     )
     ticks = [(0.0, "0"), *((x, f"{100.0 * x:+g}".replace("-", "\u2212") + "\u00a0%") for x in _TICKS)]
     inside = sorted(((_place(x) - low) / (1.0 - low), words) for x, words in ticks if _place(x) >= low - 1e-9)
-    missed = sum(not row.passed for row in shown)
+    missed = sum(not row.checked.passed for row in shown)
     words = (
         f"{count(len(shown), 'requirement')} by their distance to the limit, relative to the limit; {missed} not met"
     )

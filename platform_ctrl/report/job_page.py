@@ -240,8 +240,7 @@ def _servo(result: JobResult) -> Figure | None:
 
 def _loop_tables(result: JobResult, outcome: LoopOutcome) -> list[Block]:
     unstable = captions.unstable(outcome.closed)
-    bounds = [] if unstable else captions.against_bounds(outcome.closed)
-    words = sentences("loop_summary", outcome=outcome, unstable=unstable, bounds=bounds)
+    words = sentences("loop_summary", outcome=outcome, unstable=unstable)
     blocks: list[Block] = [Paragraph(text=words)]
     designs = comparison.design_table(result, outcome)
     if designs.groups:
@@ -288,7 +287,7 @@ def _loop_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[str,
         *drawn(
             "Other gains with limits",
             lambda: paint(curves.further(loop, kinds), 2.0) if kinds else None,
-            lambda: captions.further_gains(outcome, loop, kinds),
+            lambda: captions.further_gains(outcome, kinds),
         ),
         *drawn("Closed-loop poles", lambda: pole_figure(loop), lambda: captions.poles(outcome, loop.plants) + left_out),
     )

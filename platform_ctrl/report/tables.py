@@ -21,7 +21,7 @@ from platform_ctrl.job.quantities import (
     added_words,
     axis_text,
     compared,
-    count,
+    met_words,
     percent,
     plain,
     quantity,
@@ -32,13 +32,14 @@ from platform_ctrl.plant.sensors import PickOff
 from platform_ctrl.report import comparison
 from platform_ctrl.report.blocks import (
     Cell,
-    Column,
     Group,
     Listing,
     Paragraph,
     Row,
     Subsection,
     Table,
+    cells,
+    columns,
     table,
 )
 from platform_ctrl.report.modes import Mode, modes_at
@@ -50,27 +51,23 @@ from platform_ctrl.verification.verdict import JobResult
 
 @value
 class RequirementRow:
-    """One requirement as the tables show it."""
+    """One requirement as the tables show it, in words: the limit with its sense, the margin in per cent."""
 
-    # Words; limit carries its sense, margin is in per cent
-    subject: str
-    design: str
-    requirement: str
+    checked: CheckResult
     value: str
     limit: str
     margin: str
     share: float  # The margin as a number between −1 and 1, for a bar; 0 where there is none
-    stage: str
-    passed: bool  # Whether it is met
-    # What recomputes the value, and how it was found
-    evidence: str
-    method: str
-    goal: bool = False  # Whether it is a goal, which is not part of the verdict
 
     @property
-    def symbol(self) -> str:
-        """A tick or a cross; for a goal that is not reached a dash."""
-        return MET if self.passed else DASH if self.goal else NOT_MET
+    def subject(self) -> tuple[str, str]:
+        """A loop with its design, or a manoeuvre or what else is judged, without a design."""
+        return self.checked.subject, self.checked.design
+
+    @property
+    def words(self) -> str:
+        """The requirement in a line."""
+        return f"{self.checked.subject}: {self.checked.name} {self.value}, limit {self.limit}"
 
 
 def requirement_rows(result: JobResult) -> tuple[RequirementRow, ...]:
@@ -104,80 +101,21 @@ def requirement_row(one: CheckResult, result: JobResult | None = None) -> Requir
         proofs = result.proofs[one.subject if one.design else "", one.design]
         number, limit, margin = f"{proofs.proved} of {len(proofs.claims)}", "all", ""
     share = one.margin if margin and np.isfinite(one.margin) else 0.0
-    return RequirementRow(
-        subject=one.subject,
-        design=one.design,
-        requirement=one.name,
-        value=number,
-        limit=limit,
-        margin=margin,
-        share=float(np.clip(share, -1.0, 1.0)),
-        stage=one.stage,
-        passed=one.passed,
-        evidence=one.evidence,
-        method=one.method,
-        goal=not one.hard,
-    )
+    share = float(np.clip(share, -1.0, 1.0))
+    return RequirementRow(checked=one, value=number, limit=limit, margin=margin, share=share)
 
 
 def verdict(result: JobResult) -> str:
     """Return the verdict in a few words; a torquer that a template added belongs beside "met"."""
-    number = len(result.requirements)
-    missed = sum(not one.passed for one in result.requirements)
-    if missed:
-        words = f"{missed} of {count(number, 'requirement')} not met"
-    else:
-        words = f"all {count(number, 'requirement')} met" if number != 1 else "the one requirement is met"
-    return f"{words}{added_words(result.job.platform)}"
-
-
-def by_subject(result: JobResult) -> dict[tuple[str, str], list[RequirementRow]]:
-    """Return `requirement_rows` by loop with its design, or by manoeuvre and what else is judged."""
-    out: dict[tuple[str, str], list[RequirementRow]] = {}
-    for row in requirement_rows(result):
-        out.setdefault((row.subject, row.design), []).append(row)
-    return out
-
-
-def gimbal_rows(result: JobResult) -> list[tuple[str, ...]]:
-    """Return name, parent, axis, angle, J about the axis, stops, torquer and pick-off of each gimbal."""
-    platform = result.job.platform
-    torquers = {t.gimbal: t for t in platform.torquers if t.gimbal is not None}
-    pickoffs = {s.gimbal: s for s in platform.pickoffs}
-    depth: dict[str, int] = {platform.root_name: -1}
-    rows: list[tuple[str, ...]] = []
-    for k, gimbal in enumerate(platform.gimbals):
-        depth[gimbal.name] = depth.get(gimbal.parent, -1) + 1
-        stops = "none" if gimbal.stops is None else " to ".join(plain(1e3 * x, 3) for x in gimbal.stops) + " mrad"
-        torquer, pickoff = torquers.get(gimbal.name), pickoffs.get(gimbal.name)
-        limit = (
-            ""
-            if torquer is None
-            else "no limit"
-            if torquer.limit is None
-            else f"\u00b1{quantity(torquer.limit, 'N m')}"
-        )
-        rows.append(
-            (
-                "\u2003" * depth[gimbal.name] + gimbal.name,
-                gimbal.parent,
-                axis_text(gimbal.axis),
-                gimbal.angle,
-                f"{plain(float(result.model.M[k, k]))} kg m²",
-                stops,
-                "none" if torquer is None else f"{torquer.name}, {limit}{_mark(torquer)}",
-                "none" if pickoff is None else f"{plain(1e6 * pickoff.noise_rms)} µrad rms{_mark(pickoff)}",
-            )
-        )
-    return rows
+    return f"{met_words(result.requirements)}{added_words(result.job.platform)}"
 
 
 def _mark(part: Torquer | PickOff) -> str:
     return ", added" if part.added else ""
 
 
-def element_rows(result: JobResult) -> list[tuple[str, str, str]]:
-    """Return kind, place and values of specific force, springs, friction and other elements."""
+def element_table(result: JobResult) -> Table | None:
+    """Return specific force, springs, friction and other elements; None without any."""
     platform = result.job.platform
     rows: list[tuple[str, str, str]] = []
     if np.any(platform.specific_force):
@@ -204,7 +142,7 @@ def element_rows(result: JobResult) -> list[tuple[str, str, str]]:
         sensed = f"{quantity(erection.gain, 'N m')} × tilt of {axis_text(erection.axis)} of {erection.senses}"
         limit = "" if erection.limit is None else f", at most {quantity(erection.limit, 'N m')}"
         rows.append(("erection", erection.gimbal, sensed + limit))
-    return rows
+    return table("element|acts on|numbers", rows) if rows else None
 
 
 _KIND = {
@@ -227,25 +165,16 @@ def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
 
 def requirement_table(result: JobResult) -> Table:
     """Return every requirement of a job, loop by loop, and each loop's goals after it."""
-    goals, groups, before = goal_rows(result), [], 0
-    for (subject, design), rows in by_subject(result).items():
-        title = f"{subject}, {design}" if design else subject
-        shown = tuple(_requirement(row, row_name(before + k)) for k, row in enumerate(rows))
-        groups.append(Group(title=title, rows=shown))
-        before += len(rows)
-        wished = tuple(_requirement(row) for row in goals if (row.subject, row.design) == (subject, design))
+    rows, goals, groups = requirement_rows(result), goal_rows(result), []
+    named = [(row, row_name(k)) for k, row in enumerate(rows)]
+    for subject in dict.fromkeys(row.subject for row in rows):
+        own = tuple(_requirement(row, name) for row, name in named if row.subject == subject)
+        groups.append(Group(title=", ".join(filter(None, subject)), rows=own))
+        wished = tuple(_requirement(row) for row in goals if row.subject == subject)
         if wished:
-            groups.append(Group(title=f"goals of {subject}, not part of the verdict", rows=wished, quiet=True))
-    columns = (
-        Column(title="requirement"),
-        Column(title="value", number=True),
-        Column(title="limit", number=True),
-        Column(title="margin", number=True),
-        Column(title="stage"),
-        Column(title="method"),
-        Column(title="met"),
-    )
-    return Table(columns=columns, groups=tuple(groups), form="requirements")
+            groups.append(Group(title=f"goals of {subject[0]}, not part of the verdict", rows=wished, quiet=True))
+    titles = columns("requirement|value|limit|margin|stage|method|met", numbers="value|limit|margin")
+    return Table(columns=titles, groups=tuple(groups), form="requirements")
 
 
 def row_name(k: int) -> str:
@@ -254,24 +183,22 @@ def row_name(k: int) -> str:
 
 
 def _requirement(row: RequirementRow, place: str = "") -> Row:
-    reached = ("reached" if row.passed else "not reached") if row.goal else ("met" if row.passed else "not met")
-    tone = "quiet" if row.goal else "good" if row.passed else "bad"
-    name = row.requirement.removeprefix(comparison.GOAL) if row.goal else row.requirement
+    one = row.checked
+    if one.hard:
+        mark, tone = (f"{MET} met", "good") if one.passed else (f"{NOT_MET} not met", "bad")
+    else:
+        mark, tone = f"{MET} reached" if one.passed else f"{DASH} not reached", "quiet"
+    bad = "bad" if tone == "bad" else ""
     return Row(
         cells=(
-            Cell(text=name, note=row.evidence),
-            Cell(text=row.value, tone="bad" if tone == "bad" else ""),
+            Cell(text=one.name if one.hard else one.name.removeprefix(comparison.GOAL), note=one.evidence),
+            Cell(text=row.value, tone=bad),
             Cell(text=row.limit),
-            Cell(
-                text=row.margin,
-                tone="" if tone == "good" else tone,
-                bar=abs(row.share) if row.margin else None,
-            ),
-            Cell(text=row.stage),
-            Cell(text=row.method),
-            Cell(text=f"{row.symbol} {reached}", tone=tone),
+            Cell(text=row.margin, tone="" if tone == "good" else tone, bar=abs(row.share) if row.margin else None),
+            *cells(one.stage, one.method),
+            Cell(text=mark, tone=tone),
         ),
-        missed=not row.passed and not row.goal,
+        missed=bool(bad),
         name=place,
     )
 
@@ -299,11 +226,34 @@ def margin_table(check: CoupledCheck) -> Table:
 
 def gimbal_table(result: JobResult) -> Table:
     """Return the gimbals, indented by their level."""
-    return table(
-        "gimbal|carried by|axis|angle|J about the axis|stops|torquer|pick-off noise",
-        gimbal_rows(result),
-        numbers="J about the axis|stops",
-    )
+    platform = result.job.platform
+    torquers = {t.gimbal: t for t in platform.torquers if t.gimbal is not None}
+    pickoffs = {s.gimbal: s for s in platform.pickoffs}
+    depth: dict[str, int] = {platform.root_name: -1}
+    rows: list[tuple[str, ...]] = []
+    for k, gimbal in enumerate(platform.gimbals):
+        depth[gimbal.name] = depth.get(gimbal.parent, -1) + 1
+        stops = "none" if gimbal.stops is None else " to ".join(plain(1e3 * x, 3) for x in gimbal.stops) + " mrad"
+        torquer, pickoff = torquers.get(gimbal.name), pickoffs.get(gimbal.name)
+        limit = "" if torquer is None else _limit(torquer.limit)
+        rows.append(
+            (
+                "\u2003" * depth[gimbal.name] + gimbal.name,
+                gimbal.parent,
+                axis_text(gimbal.axis),
+                gimbal.angle,
+                f"{plain(float(result.model.M[k, k]))} kg m²",
+                stops,
+                "none" if torquer is None else f"{torquer.name}, {limit}{_mark(torquer)}",
+                "none" if pickoff is None else f"{plain(1e6 * pickoff.noise_rms)} µrad rms{_mark(pickoff)}",
+            )
+        )
+    titles = "gimbal|carried by|axis|angle|J about the axis|stops|torquer|pick-off noise"
+    return table(titles, rows, numbers="J about the axis|stops")
+
+
+def _limit(limit: float | None) -> str:
+    return "no limit" if limit is None else f"\u00b1{quantity(limit, 'N m')}"
 
 
 def rotor_table(result: JobResult) -> Table:
@@ -323,12 +273,6 @@ def rotor_table(result: JobResult) -> Table:
     return table("rotor|carried by|spin axis|L|C|spin|speed", rows, numbers="L|C|spin")
 
 
-def element_table(result: JobResult) -> Table | None:
-    """Return specific force, springs, friction and other elements; None without any."""
-    rows = element_rows(result)
-    return table("element|acts on|numbers", rows) if rows else None
-
-
 def mode_table(result: JobResult) -> Table:
     """Return the modes of the uncontrolled gimbals at rest and at the job's largest rate; a group is named once."""
     found = [("at rest", *_mode_cells(mode)) for mode in modes_at(result, (0.0, 0.0, 0.0))]
@@ -336,8 +280,8 @@ def mode_table(result: JobResult) -> Table:
         rate = f"Ω = ({', '.join(plain(float(x), 3) for x in result.job.Omega)}) rad/s"
         found += [(rate, *_mode_cells(mode)) for mode in modes_at(result, result.job.Omega)]
     groups: dict[str, list[tuple[str, ...]]] = {}
-    for rate, group, *cells in found:
-        groups.setdefault(group, []).append((rate, *cells))
+    for rate, group, *mode in found:
+        groups.setdefault(group, []).append((rate, *mode))
     rows = [(group if k == 0 else "", *row) for group, own in groups.items() for k, row in enumerate(own)]
     return table("group|platform rate|motion|poles|frequency", rows, numbers="poles|frequency")
 

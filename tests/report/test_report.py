@@ -186,7 +186,7 @@ def test_every_requirement_is_on_the_page_with_value_and_limit(result: JobResult
     assert len(rows) == len(result.requirements) > 10
     for row in rows:
         assert (row.value, row.limit) in shown
-        assert row.requirement in page
+        assert row.checked.name in page
 
 
 def test_names_are_text_and_never_markup(page: str) -> None:
@@ -269,9 +269,9 @@ def test_the_terminal_shows_the_same_rows(
     [folded] = [line for line in lines if line.startswith("also met, by 100 % or more: ")]
     for row in tables.requirement_rows(result):
         shown = any(
-            all(words in line for words in (row.requirement, row.value, row.limit, row.margin)) for line in lines
+            all(words in line for words in (row.checked.name, row.value, row.limit, row.margin)) for line in lines
         )
-        assert shown or row.requirement in folded
+        assert shown or row.checked.name in folded
 
 
 # Goals
@@ -279,8 +279,11 @@ def test_the_terminal_shows_the_same_rows(
 
 def test_goals_are_separate_from_requirements(compared_designs: JobResult, compared_page: str) -> None:
     goals = tables.goal_rows(compared_designs)
-    assert {(row.requirement, row.passed) for row in goals} == {("goal: bandwidth", True), ("goal: disk margin", False)}
-    assert not any(row.goal for row in tables.requirement_rows(compared_designs))
+    assert {(row.checked.name, row.checked.passed) for row in goals} == {
+        ("goal: bandwidth", True),
+        ("goal: disk margin", False),
+    }
+    assert not any(not row.checked.hard for row in tables.requirement_rows(compared_designs))
     assert tables.verdict(compared_designs) == f"all {len(compared_designs.requirements)} requirements met"
     part = re.findall(r'<tbody class="quiet">.*?</tbody>', compared_page, flags=re.DOTALL)[0]
     assert "not part of the verdict" in part
@@ -323,7 +326,7 @@ def test_what_is_proved_and_what_is_not_is_mentioned(compared_designs: JobResult
     assert (rows["disk margin"][0].text, rows["disk margin"][0].tone) == ("✗ ≥ 0.5 with 1 of 2 plants", "bad")
     assert "Not proved: simple: the loop with <this> has a disk margin above 0.4" in visible_text(page_html(result))
     shown = [(row.value, row.limit) for row in tables.requirement_rows(result)
-             if row.requirement == "certified properties"]  # fmt: skip
+             if row.checked.name == "certified properties"]  # fmt: skip
     assert shown == [("3 of 4", "all")]
 
 
@@ -399,7 +402,7 @@ def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkey
     loop = {**CAGING, "limits": {"noise_gain": 2000.0}, "soft": {"noise_gain": 500.0}, "design": CAGING["design"][1:]}
     result = checked(job(loop=[loop]))
     page = page_html(result)
-    [row] = [row for row in tables.requirement_rows(result) if row.requirement == noise.name]
+    [row] = [row for row in tables.requirement_rows(result) if row.checked.name == noise.name]
     assert row.limit == "≤ 2000 N m/rad"
     assert sum(noise.name in " ".join(cells) for cells in Cells(page).rows) >= 2  # requirements, designs side by side
     [caption] = [

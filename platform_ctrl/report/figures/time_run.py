@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.common.arguments import instance, known_name, positive, short
+from platform_ctrl.common.arguments import instance, known_name
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -74,11 +74,8 @@ def time_run(run: Run | Trajectory, platform: Platform, *, limits: Mapping[str, 
     recorded = run.trajectory if isinstance(run, Run) else instance("time_run: run", run, Trajectory)
     if limits is None:
         limits = run.manoeuvre.limits if isinstance(run, Run) else {}
-    elif not isinstance(limits, Mapping):
-        raise ArgumentError(f"time_run: limits must be a mapping such as {{'angle': 0.01}}, got {short(limits)}")
     for name in limits:
         known_name("time_run: limits", name, tuple(RUN_METRICS))
-    allowed = {name: positive(f"time_run: limits: {name}", limit) for name, limit in limits.items()}
     torquers = list(instance("time_run: platform", platform, Platform).torquers)
     names, own = recorded.torquer_names, tuple(torquer.name for torquer in torquers)
     if own != names or platform.angle_names != recorded.angle_names:
@@ -89,7 +86,7 @@ def time_run(run: Run | Trajectory, platform: Platform, *, limits: Mapping[str, 
     duration = run.manoeuvre.duration if isinstance(run, Run) else math.nan
     if not duration > 0.0:
         duration = float(recorded.t[-1]) if recorded.t.size > 1 else recorded.period
-    return _drawn(recorded, torquers, signal_series(platform), allowed, duration)
+    return _drawn(recorded, torquers, signal_series(platform), limits, duration)
 
 
 def _drawn(
