@@ -58,6 +58,12 @@ if TYPE_CHECKING:
 
 cp: Any = import_module("cvxpy")  # its annotations are incomplete
 
+# Plants in the problem beside the nominal one. With more states than the second number the matrix of the nominal loop
+# alone is tried: the effort grows with the sixth power.
+_WORST, _MOST_STATES = 6, 24
+# How far the inequalities hold in the problem, for X ≥ I, and the solver's tolerance.
+_STRICT, _TOLERANCE = 0.01, 1e-3
+
 WHERE = "hinf, lmi"
 CURE = 'give a larger backoff, other weights, or method="riccati"'
 # Units of gamma tried until the first solution succeeds; solved again in others until gamma is within 1/8 .. 8.
@@ -255,3 +261,36 @@ def _near_one(plant: Partition, minimised: Any, P: StateSpace) -> tuple[ScaledPl
     sigma, word, pole = weakest_mode(autoscale(plant))
     hint = f"; the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s is hardly {word}" if word and sigma < 1e-4 else ""
     raise type(failure)(f"{failure}{hint}", P) from None
+
+
+def sharing(loops: FloatArray, time_limit: float) -> int:
+    """Return for how many of the closed loops (N, n, n), the first one stable, one Lyapunov matrix P was found.
+
+    P > 0 and A' P A < P for each of them: these loops stay stable however fast the plant changes from one to another.
+    Only the plants whose inequalities hold least for the matrix of the first loop are taken into the problem.
+    """
+    from scipy.linalg import solve_discrete_lyapunov
+
+    n = loops.shape[-1]
+    one = np.eye(n)
+    # States in which white noise on each state of the first loop makes variances of one, then its P is one.
+    scale = np.sqrt(np.diag(solve_discrete_lyapunov(loops[0], one)))
+    values, vectors = np.linalg.eigh(solve_discrete_lyapunov((loops[0] / scale[:, None] * scale).T, one))
+    T = scale[:, None] * vectors / np.sqrt(values)
+    A = np.linalg.solve(T, loops @ T)
+    held = _decrease(one, A) > 0.0
+    if np.all(held) or n > _MOST_STATES:
+        return int(np.sum(held))
+    taken = {0, *np.argsort(_decrease(one, A))[:_WORST]}
+    P = cp.Variable((n, n), symmetric=True)
+    required = [P >> one, *(P - A[k].T @ P @ A[k] >> _STRICT * one for k in taken)]
+    try:
+        solve(cp.Problem(cp.Minimize(cp.trace(P)), required), "", "", time_limit, _TOLERANCE)
+    except DesignError:
+        return int(np.sum(held))
+    return max(int(np.sum(held)), int(np.sum(_decrease(P.value, A) > 0.0)))
+
+
+def _decrease(P: FloatArray, A: FloatArray) -> FloatArray:
+    """Return the least eigenvalue of every P − A' P A."""
+    return np.asarray(np.linalg.eigvalsh(P - np.swapaxes(A, 1, 2) @ P @ A)[:, 0])

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag, expm, solve_discrete_lyapunov
 import three_gyro_paper as paper
 from platform_ctrl import design
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.inequalities import LinearLoop, cp, half_plane, sector, solve
+from platform_ctrl.design.inequalities import LinearLoop, cp, half_plane, sector, sharing, solve
 from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.design.partition import closed_loop, partition
 from platform_ctrl.design.scaling import autoscale, unscale
@@ -102,6 +102,16 @@ def test_the_claims_are_the_performance_and_the_plants_that_share_one_lyapunov_m
     claims = made.closed.claims
     backoff, slack = made.closed.options["backoff"], 0.03
     assert claims["gamma_optimal"] <= claims["gamma"] <= (1 + backoff) * (1 + slack) * claims["gamma_optimal"] * 1.001
+    assert claims["plants"] == len(made.closed.plants.labels)
+    expected = {"caging 9-10": 17, "caging 4-5-7": 9}
+    assert claims["plants with one Lyapunov matrix"] == expected[made.spec.name]
+
+
+def test_loops_without_a_common_matrix_share_none():
+    # Each is stable; their product is not.
+    first, second = np.array([[0.5, 2.0], [0.0, 0.5]]), np.array([[0.5, 0.0], [2.0, 0.5]])
+    assert np.abs(np.linalg.eigvals(first @ second)).max() > 1.0
+    assert sharing(np.array([first, second, 0.9 * first]), 10.0) == 2
 
 
 def weighted() -> control.StateSpace:

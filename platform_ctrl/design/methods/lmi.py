@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
@@ -102,8 +103,10 @@ class LMI(Method):
     def design(self, problem: LoopProblem) -> Design:
         """Return the loop.
 
-        Claims: ``gamma`` of the performance, its least value, ν.
+        Claims: ``gamma`` of the performance, its least value, ν, plants that share a Lyapunov matrix.
         """
+        from platform_ctrl.design.inequalities import sharing
+
         channel, plants = problem.channel, problem.plants.regular()
         options = self.defaults(problem.design, channel, plants.nutation, plants.period)
 
@@ -115,6 +118,10 @@ class LMI(Method):
             movable = [name for name in self.tunable if name in options]
             options = tuned(problem, options, movable, lambda numbers: synthesis(numbers)[0], evaluations=EVALUATIONS)
             controller, claims = synthesis(options)
+        loops = Loop(plants, controller._replace(dt=plants.period))
+        if loops.decay[0] > 0.0:
+            shared = sharing(loops.own_arrays.A, options["time_limit"])
+            claims |= {"plants with one Lyapunov matrix": float(shared), "plants": float(len(plants.labels))}
         return problem.made(controller, options, claims)
 
 
