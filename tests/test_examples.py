@@ -1,22 +1,15 @@
-"""The examples run as they stand, and the regression test among them fails when the loop gets worse."""
+"""The examples run as they stand: what they print is what theory says, and what they draw is there."""
 
 from __future__ import annotations
 
-import os
 import re
 import runpy
-import shutil
 import struct
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
-
-import platform_ctrl as pc
-import plugged
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -86,32 +79,3 @@ def test_two_sided_nyquist_draws_and_prints_margins_of_both_signs(tmp_path: Path
     assert min(crossings) < 0.0 < max(crossings)
     [margin] = re.findall(r"^disk margin ([\d.]+), reached at \+", said, re.MULTILINE)
     assert 0.5 < float(margin) < 0.7
-
-
-def test_the_regression_test_fails_when_the_loop_gets_worse(tmp_path: Path) -> None:
-    text = (EXAMPLES / "test_closed_loop.py").read_text(encoding="utf-8")
-    shutil.copy(EXAMPLES / "gyro_9_10.json", tmp_path)
-    variants = {
-        "as_it_stands": ("", "", []),
-        "slower_loop": ('"crossover_hz": 70', '"crossover_hz": 60', ["bandwidth"]),
-        "slower_sampling": ('"rate_hz": 2000', '"rate_hz": 1900', ["disk margin"]),
-        "stronger_lead": ('"damping_hz": 78', '"damping_hz": 90', ["torque noise, rms"]),
-    }
-    for name, (old, new, _) in variants.items():
-        assert old in text
-        (tmp_path / f"test_{name}.py").write_text(text.replace(old, new), encoding="utf-8")
-    plugin = [] if plugged.installed() else ["-p", plugged.PLUGIN]
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--junitxml=verdicts.xml", *plugin]
-    environment = os.environ | {"PYTHONPATH": str(Path(pc.__file__).parents[1])}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, encoding="utf-8", check=False)
-    verdicts = {
-        (case.get("classname"), case.get("name")): case.findtext("failure", "")
-        for case in ElementTree.parse(tmp_path / "verdicts.xml").iter("testcase")
-    }
-    assert len(verdicts) == 2 * len(variants), done.stdout
-    for name, (_, _, figures) in variants.items():
-        said = verdicts[f"test_{name}", "test_the_loop_is_not_worse_than_what_was_accepted"]
-        worse = re.findall(r"^E? *caging 9-10: (.+?)  +[\d.]+.* -?[\d.+-]+ %", said, re.MULTILINE)
-        assert set(worse) >= set(figures), said
-        assert bool(said) == bool(figures), said
-    assert not verdicts["test_as_it_stands", "test_the_loop_does_what_is_asked"]

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from noise_over_a_period import continuous_rms
 from platform_ctrl.analysis.budget_records import BudgetResult, Density, RandomDisturbance, SampleNoise, SineDisturbance
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates, interconnected_by_sample
 from platform_ctrl.analysis.jitter_budget import JitterBudget
-from platform_ctrl.analysis.sampling import held_input, with_lag
+from platform_ctrl.analysis.sampling import held_input
 from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
 
@@ -44,30 +43,6 @@ def oscillator(direct: float = 0.0, **changes: object) -> HybridPlant:
 
 def noise(name: str = "torque", at: int = 0, gain: float = 1.0) -> RandomDisturbance:
     return RandomDisturbance(name=name, inputs=(at,), spectra=(shaped(gain),))
-
-
-@pytest.mark.parametrize(
-    ("periods", "direct", "lag", "late"), [(0.0, 0.0, 0.0, 0), (0.25, 0.6, 0.2, 1), (1.6, 0, 0, 0)]
-)
-def test_shaped_noise_has_the_variance_of_the_covariance_over_a_period(
-    periods: float, direct: float, lag: float, late: int
-) -> None:
-    plant = oscillator(direct, delay=periods * PERIOD, lag=np.array([lag]), reading_delay=(late,))
-    found = JitterBudget(plant, [noise()]).of(K, 1e-9)
-    A, B, C, D, _ = with_lag(plant.plant, np.array([lag, 0.0, 0.0]))
-    shape = control.ss(SHAPE)
-    n, f = len(A), shape.nstates
-    whole = np.block([[A, B[:, 1:2] @ shape.C], [np.zeros((f, n)), shape.A]])
-    inputs = np.block([[np.zeros((n, 1)), B[:, :1]], [shape.B, np.zeros((f, 1))]])
-    seen = np.hstack([C, D[:, 1:2] @ shape.C])
-    delayed = control.ss(*K) * control.ss([], [], [], [[1.0]], PERIOD)
-    for _ in range(late):
-        delayed = delayed * control.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]], PERIOD)
-    for output in (0, 1):
-        P = control.ss(whole, inputs, seen[[1 + output, 0]], 0)
-        expected = continuous_rms(P, delayed, periods * PERIOD)
-        assert found.rms[0, output] == pytest.approx(expected, rel=1e-9)
-    assert found.error < 1e-9
 
 
 def test_the_integral_of_a_rate_is_the_angle() -> None:

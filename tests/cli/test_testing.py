@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import tomllib
+from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +14,6 @@ import pytest
 import platform_ctrl as pc
 from one_gyro_job import JOB, SLOWER, TOO_MUCH
 from platform_ctrl.verification.result_file import result_record, write_record
-from plugged import plugged_in
 
 pytest_plugins = ["pytester"]
 
@@ -39,6 +42,25 @@ def test_no_baseline(closed_loop):
 """
 
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PLUGIN = "platform_ctrl.cli.testing.plugin"
+
+
+def plugged_in(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make pytest find the plugin by its entry point; the package may not be installed, but on the path alone."""
+    paths = [Path(pc.__file__).parents[1]]
+    if not any(one.value == PLUGIN for one in entry_points(group="pytest11")):
+        info = pytester.mkdir("site") / "stand_in-0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stand-in\nVersion: 0\n", encoding="utf-8")
+        (info / "entry_points.txt").write_text(f"[pytest11]\nplatform_ctrl = {PLUGIN}\n", encoding="utf-8")
+        paths.append(info.parent)
+    for path in paths:
+        monkeypatch.syspath_prepend(path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, paths)))
+    monkeypatch.setenv("PYTEST_ADDOPTS", "-p no:cacheprovider")
+
+
 @pytest.fixture(scope="module")
 def record() -> dict[str, Any]:
     """The result of the job, made before pytester forgets the modules that a test was the first to load."""
@@ -54,8 +76,11 @@ def test_a_job_in_a_test_is_compared_with_its_requirements_and_with_an_accepted_
         (pytester.path / f"{name}.toml").write_text(text, encoding="utf-8")
     write_record(record, pytester.path / "accepted.json")
     pytester.makepyfile(TESTS)
+    # The regression test among the examples, which is there to be copied.
+    for name in ("test_closed_loop.py", "gyro_9_10.json"):
+        shutil.copy(EXAMPLES / name, pytester.path)
     done = pytester.runpytest_subprocess("-W", "error")
-    done.assert_outcomes(passed=3, failed=2)
+    done.assert_outcomes(passed=5, failed=2)
     done.stdout.fnmatch_lines_random(
         [
             "E*accepted.json: of * values 4 worse by more than their tolerance",

@@ -2,89 +2,45 @@
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from cli.test_cli import process_environment
-from one_gyro_job import JOB
-from platform_ctrl.cli.design_commands import whenever_saved
+from platform_ctrl.cli import main
+from platform_ctrl.errors import InputError
 
 NAMES = 'plant = "plant.toml"\nloop = [{ name = "out", responses = "measured.csv" }]\n'
 
 
-def runs(job: Path, *saves: Callable[[], object], error: Exception | None = None) -> int:
-    """Return how many runs there were; during each run one save is made, and Ctrl-C is pressed in the last."""
-    made: list[None] = []
+def test_the_job_its_plant_and_its_data_are_watched_until_ctrl_c(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each design saves a file while it runs, the third finds a mistake, and Ctrl-C is pressed in the last."""
+    monkeypatch.chdir(tmp_path)
+    job, plant, measured = (Path(name) for name in ("job.toml", "plant.toml", "measured.csv"))
+    job.write_text(NAMES)
+    measured.write_text("1")
+    saves = [
+        lambda: job.write_text(f"{NAMES}# one\n"),
+        lambda: plant.write_text("made"),
+        lambda: measured.write_text("1, 2"),
+        lambda: plant.unlink(),
+    ]
+    made: list[Path] = []
 
-    def run() -> int:
-        made.append(None)
+    def designed(given: Path, folder: Path, **options: bool) -> int:
+        made.append(given)
         if len(made) > len(saves):
             raise KeyboardInterrupt
         saves[len(made) - 1]()
-        if error is not None:
-            raise error
+        if len(made) == 3:
+            raise InputError("job.toml: is not TOML")
         return 1
 
-    with pytest.raises(KeyboardInterrupt):
-        whenever_saved(job, run, quiet=True)
-    return len(made)
-
-
-@pytest.fixture
-def job(tmp_path: Path) -> Path:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "job.toml").write_text(NAMES)
-    (tmp_path / "measured.csv").write_text("1")
-    return tmp_path / "job.toml"
-
-
-def test_the_job_its_plant_and_its_data_are_watched(job: Path) -> None:
-    saves = (
-        lambda: job.write_text(f"{NAMES}# one\n"),
-        lambda: job.with_name("plant.toml").write_text("made"),
-        lambda: job.with_name("measured.csv").write_text("1, 2"),
-        lambda: job.with_name("plant.toml").unlink(),
-    )
-    assert runs(job, *saves) == 5
-
-
-@pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")
-def test_the_command_designs_again_after_each_save_until_ctrl_c(tmp_path: Path) -> None:
-    job = tmp_path / "gyro.toml"
-    job.write_text(JOB, encoding="utf-8")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "platform_ctrl", "design", "gyro.toml", "--watch"],
-        cwd=tmp_path,
-        env=process_environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    assert process.stdout is not None
-
-    def until_it_waits() -> str:
-        assert process.stdout is not None
-        lines: list[str] = []
-        while not (lines and lines[-1].startswith("waiting until gyro.toml")):
-            lines.append(process.stdout.readline())
-            assert lines[-1], "".join(lines)
-        return "".join(lines)
-
-    try:
-        assert "PASSED" in until_it_waits()
-        assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["passed"] is True
-        job.write_text(JOB + "[[loop", encoding="utf-8")
-        assert "platform-ctrl: error: gyro.toml: is not TOML" in until_it_waits()
-        process.send_signal(signal.SIGINT)
-        assert process.stdout.read() == "platform-ctrl: interrupted\n"
-        assert process.wait() == 130
-    finally:
-        process.kill()
-        process.stdout.close()
+    monkeypatch.setattr("platform_ctrl.cli.design_commands._designed", designed)
+    assert main(["design", "job.toml", "--watch"]) == 130
+    assert made == [job] * 5
+    lines = capsys.readouterr().err.splitlines()
+    assert sum(line.startswith("waiting until job.toml or a file that it names is saved") for line in lines) == 4
+    assert "platform-ctrl: error: job.toml: is not TOML" in lines
+    assert lines[-1] == "platform-ctrl: interrupted"

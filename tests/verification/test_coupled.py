@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis, design, linearise, read_job, verification
-from platform_ctrl.analysis.interconnection import interconnected
 from platform_ctrl.verification.coupled import coupled_check
 from platform_ctrl.verification.coupled_plant import coupled_plant
 from platform_ctrl.verification.simulated import largest, simulate_manoeuvre
-from single_runs import simulated
 
 
 @pytest.fixture(scope="module")
@@ -55,18 +53,6 @@ def test_coupled_poles_are_python_controls(job, controllers, result):
     assert result.coupled.stable
 
 
-def test_loop_by_loop_margins_by_breaking_one_channel(job, result):
-    """The plain way: close all other channels with python-control, sweep the one that is left."""
-    plant, K = result.coupled.plant, result.coupled.controller
-    closed = analysis.closed_loop(plant, K)
-    w = np.geomspace(2.0, 0.999 * np.pi / job.sampling.period, 3000)
-    response = closed(np.exp(1j * w * job.sampling.period))
-    for k in range(len(result.coupled.channels)):
-        T = -response[k, k]
-        swept = 1.0 / np.abs(0.5 - T).max()
-        assert result.coupled.coupled[k] == pytest.approx(swept, rel=2e-3)
-
-
 def test_simultaneous_margin_is_a_margin(result):
     """Complex gains 1 + δ inside the disk in all channels at once keep the loop stable; upper bound ≥ lower bound."""
     margin = result.coupled.simultaneous
@@ -81,34 +67,6 @@ def test_simultaneous_margin_is_a_margin(result):
         scaled = control.StateSpace(K.A, K.B, factor @ K.C, factor @ K.D, K.dt)
         scaled.input_labels, scaled.output_labels = K.input_labels, K.output_labels
         assert np.abs(np.linalg.eigvals(analysis.closed_loop(plant, scaled).A)).max() < 1.0
-
-
-def test_small_non_linear_motion_is_the_linear_coupled_motion(job, controllers):
-    """From a small tilt of gimbal 9 all loops bring the angles back as the sampled linear model says."""
-    plant = coupled_plant(job, linearise(job.platform), controllers).system
-    seen = [s.name for s in job.platform.pickoffs]
-    whole = interconnected(controllers, seen, list(plant.input_labels), job.sampling.period)
-    K = whole.to_control(seen, plant.input_labels)
-    closed = analysis.closed_loop(plant, K)
-    tilt = np.array([0, 0, 0, 1e-6, 0])
-    run = simulated(
-        job.platform,
-        controllers,
-        period=job.sampling.period,
-        delay=job.sampling.delay,
-        duration=0.2,
-        mode="stabilised",
-        noise=False,
-        q=tilt,
-        step=5e-5,
-    )
-    x = np.zeros(len(closed.A))
-    x[3] = 1e-6
-    q = []
-    for _ in run.t:
-        q.append((closed.C @ x)[-5:])
-        x = closed.A @ x
-    np.testing.assert_allclose(run.q, np.array(q), atol=2e-6 * 1e-6 * 1e3)
 
 
 def test_a_weak_torquer_loses_the_gyro_and_the_verdict_says_so(job, controllers):
