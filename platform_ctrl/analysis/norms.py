@@ -303,8 +303,9 @@ def exceeds(system: System, level: float, known: ComplexArray, band: Band = WHOL
     return low <= top and axis.largest(own)[0] > level
 
 
-# Times that a grid is refined, and into how many parts the steps beside a top are cut for an exact peak.
-_REFINEMENTS, _PARTS = 40, 12
+# Times that a grid is refined, around how many tops at once, and into how many parts the steps beside a top are cut for
+# an exact peak.
+_REFINEMENTS, _TOPS, _PARTS = 40, 40, 12
 
 
 def refined_peak(
@@ -325,6 +326,8 @@ def refined_peak(
         tops = np.flatnonzero(high & (2.0 * y - beside >= y.max()) & (beside < (1.0 - alike) * y))
         if not tops.size:
             break
+        # Of a gain that is the same everywhere rounding makes every other point a top.
+        tops = tops[np.argsort(beside[tops] - 2.0 * y[tops])[:_TOPS]]
         ends = np.unique(np.concatenate([tops[tops > 0] - 1, tops[tops < len(w) - 1]]))
         shares = np.arange(1, parts) / parts
         new = np.setdiff1d(w[ends, None] + (w[ends + 1] - w[ends])[:, None] * shares, w)
