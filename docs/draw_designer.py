@@ -31,7 +31,7 @@ JOB = ROOT / "examples" / "three_gyro_platform.toml"
 # What decides how a picture looks, below the root of the checkout.
 SOURCES = {
     "designer": (
-        *("page/page.html", "page/assets/page.css", "messages.py", "plots/panel.py"),
+        *("page/page.html", "page/fragments.html", "page/assets/page.css", "fragments.py", "plots/panel.py"),
         *("plots/frequency.py", "plots/locus.py", "plots/responses.py"),
     ),
     "report": ("templates/page.html", "templates/blocks.html", "templates/report.css", "first_screen.py"),

@@ -89,6 +89,10 @@ class Backend:
 
     # Settings and what they may be.
 
+    def spec(self, settings: Settings) -> LoopSpec:
+        """Return the loop that is shown."""
+        return self._loops.spec(settings.loop)
+
     def channels(self, settings: Settings) -> tuple[str, ...]:
         """Return the torquers at which the loop may be shown broken."""
         return self._loops.plants.read.channels_of(self._loops.spec(settings.loop))

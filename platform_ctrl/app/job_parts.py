@@ -120,6 +120,11 @@ class ChipState:
     on_request: bool
     error: str = ""
 
+    @property
+    def measuring(self) -> bool:
+        """Whether nothing is known yet of what is measured without a request."""
+        return self.worst is None and not self.on_request and not self.error and self.count > 0
+
 
 class JobParts:
     """The results of a job's parts, which all its pages share; safe in several threads."""

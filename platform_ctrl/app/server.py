@@ -16,20 +16,16 @@ import secrets
 import socket
 import sys
 import threading
-from collections.abc import Awaitable, Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
-from bokeh.core.serialization import Serializer
 from bokeh.document import Document
-from bokeh.models.widgets.markups import Markup
-from bokeh.protocol.messages.patch_doc import patch_doc
 from bokeh.resources import Resources
 from bokeh.server.auth_provider import AuthProvider
-from bokeh.server.connection import ServerConnection
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.views.static_handler import StaticHandler
@@ -166,8 +162,6 @@ class PageServer:
                 await asyncio.sleep(_LOOK)
         finally:
             server.stop()
-            for websocket in self.application.pages.values():
-                websocket.close(1001)  # going away
             await listening.close_all_connections()
 
     def _filled(self, document: Document) -> None:
@@ -228,13 +222,13 @@ class Guard(AuthProvider):
                 403,
                 "refused: not the link of this server; open the one that platform-ctrl serve prints",
             )
-        if len(handler.application.pages) >= PAGES:
+        if len(handler.application.get_sessions("/")) >= PAGES:
             return 503, f"{PAGES} pages are open already; close one and try again"
         return None
 
 
 class PageApplication(BokehTornado):
-    """Bokeh's server with one page, behind the check of requests; `pages` are the websockets of those that are open."""
+    """Bokeh's server with one page, behind the check of requests."""
 
     def __init__(self, make: Callable[[Document], None], guard: Guard) -> None:
         files = (r"/page/(.*)", StaticFileHandler, {"path": str(Path(__file__).parent / "page" / "assets")})
@@ -253,7 +247,6 @@ class PageApplication(BokehTornado):
             extra_patterns=[files],
             log_function=lambda handler: None,
         )
-        self.pages: dict[ServerConnection, Any] = {}
         # Columns go to a browser on this machine, as a rule: packing them takes longer than sending them.
         settings.compression_level = 0
 
@@ -266,45 +259,6 @@ class PageApplication(BokehTornado):
             path_versioner=StaticHandler.append_version,
             log_level="warn",
         )
-
-    def new_connection(self, protocol: Any, socket: Any, application_context: Any, session: Any) -> ServerConnection:
-        """Open a page's websocket, which sends simultaneous changes together."""
-        out = Together(protocol, socket, application_context, session)
-        self._clients.add(out)
-        self.pages[out] = socket
-        return out
-
-    def client_lost(self, connection: ServerConnection) -> None:
-        """Forget the websocket of a page that was closed or lost."""
-        del self.pages[connection]
-        super().client_lost(connection)
-
-
-class Together(ServerConnection):
-    """Sends all changes of a document during one lock as one message instead of some fifty, in half of the time."""
-
-    _changes: tuple[Any, ...] = ()
-
-    def send_patch_document(self, event: Any) -> Awaitable[None]:
-        """Queue a change; the returned awaitable sends all queued ones."""
-        self._changes = (*self._changes, event)
-        return self
-
-    def __await__(self) -> Generator[Any, None, None]:
-        """Send the queued changes; no coroutine is left over when the page goes before they are sent."""
-        return self._sent().__await__()
-
-    async def _sent(self) -> None:
-        changes, self._changes = self._changes, ()
-        if changes:
-            models = changes[0].document.models
-            # The columns among the text: as messages of their own they take longer.
-            serializer = Serializer(references=models.synced_references, deferred=False)
-            # At new words the browser lays out and paints at once: not with half of the data.
-            words_first = sorted(changes, key=lambda one: not isinstance(getattr(one, "model", None), Markup))
-            events = serializer.encode(words_first)
-            models.flush_synced(lambda model: not serializer.has_ref(model))
-            await self._socket.send_message(patch_doc(patch_doc.create_header(), {}, {"events": events}))
 
 
 def _bound(host: str, port: int | None) -> socket.socket:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import secrets
 import threading
 from collections.abc import Callable
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.app import messages
+from platform_ctrl.app import fragments
 from platform_ctrl.app.background import DesignPending, LatestTasks
 from platform_ctrl.app.gimbal_tree import tree_data
 from platform_ctrl.app.link import decode_state, encode_state
@@ -25,19 +23,20 @@ from platform_ctrl.errors import PlatformCtrlError
 
 if TYPE_CHECKING:
     from bokeh.document import Document
-    from jinja2 import Template
 
     from platform_ctrl.app.backend import Backend
     from platform_ctrl.app.budget import BudgetState
+    from platform_ctrl.app.job_parts import ChipState
     from platform_ctrl.app.pictures import Drawing, Picture
     from platform_ctrl.app.settings import Settings
+    from platform_ctrl.design.tuning import OptionEffects
+    from platform_ctrl.job.judging import CheckResult
 
 
 # Milliseconds without a change after which the influence of the sliders is computed.
 IDLE = 350
 # Longest time that measuring waits for the drawing to be sent, s.
 _SENDING = 0.05
-_SHOWN_SETTINGS = ("mode", "loop", "design", "channel", "axis", "plant", "band")
 # What the page shows: the plots of the loop, or the budget of the line of sight.
 VIEWS = ("loop", "budget")
 # Requests that change the settings: the method of `Backend` that does it, with what belongs to the request.
@@ -84,6 +83,12 @@ class Session:
         # What is drawn next.
         self._drawing: Drawing | None = None
         self._sent = threading.Event()
+        # What sliders do to requirements, and the settings that this is of; limits of the budget; rows of the table.
+        self._effects: OptionEffects | None = None
+        self._effects_of: Settings | None = None
+        self._budget_results: tuple[CheckResult, ...] = ()
+        self._order: dict[tuple[str, str], int] = {}
+        self._said: dict[str, ChipState] = {}
         # Settings that wait for a design, and the gesture that led to them; only `_work` uses it.
         self._awaited: tuple[Settings, object] | None = None
         self._idle: Any = None
@@ -129,11 +134,13 @@ class Session:
                 (getattr(self, f"_on_{request.what}", None) or self._tasks.handle)(request)
         except Exception as error:
             # The sliders show their values again, not what was typed.
-            rows = {} if self.picture is None else self._slider_rows(self.picture.settings)
-            self.connection.answer(count, line={"text": error_text(error), "kind": "error"}, **rows)
+            html = {} if self.picture is None else self._chosen(self.picture.settings)
+            self.connection.answer(count, line={"text": error_text(error), "kind": "error"}, html=html)
 
     def _change(self, request: Request) -> None:
         change, more = getattr(self.backend, CHANGES[request.what]), request.more
+        if request.what == "set" and more["name"] == "loop":
+            self._show_view("loop")
         # The first part says what is changed.
         key = f"{request.what} {next(iter(more.values()))}"
         self.change(key, lambda settings: change(settings, **more), count=request.count)
@@ -147,7 +154,7 @@ class Session:
 
     def _on_move(self, request: Request) -> None:
         for one in request.more["moves"]:
-            slider, number = one.get("slider"), one.get("value")
+            slider, number = one["slider"], one["value"]
             change = partial(self.backend.moved, slider=slider, number=number)
             gesture = ("move", slider, request.more["gesture"])
             self.change(f"move {slider}", change, count=request.count, gesture=gesture)
@@ -155,10 +162,14 @@ class Session:
     def _on_view(self, request: Request) -> None:
         views = VIEWS if self.backend.read.budget is not None else VIEWS[:1]
         known_name("view", request.more["view"], views)
-        self._view = request.more["view"]
-        if self._view == "loop" and self.picture is not None:
-            self.plots.show(self.picture)
+        self._show_view(request.more["view"])
         self.change("view", lambda settings: settings, count=request.count, gesture="ready")
+
+    def _show_view(self, view: str) -> None:
+        before, self._view = self._view, view
+        self.connection.answer(view=view)
+        if view == "loop" and before != view and self.picture is not None:
+            self.plots.show(self.picture)
 
     def _on_undo(self, request: Request) -> None:
         there = self.settings
@@ -222,12 +233,12 @@ class Session:
     def _show_budget(self, state: BudgetState, shown: Callable[[], None] = lambda: None) -> None:
         if state.found is not None:
             self.plots.show_budget(state.found)
-        self.connection.answer(budget=messages.budget_data(state))
+        self.connection.answer(html={"budget": fragments.budget(state)})
         self.connection.later(shown)
 
     def parts_measured(self) -> None:
         """Show what has become known of the parts of the job."""
-        self.connection.answer(strip=self.strip())
+        self.connection.answer(html={"strip": self.strip()})
         state = self.backend.budget(self.settings) if self._view == "budget" else None
         if state is not None and state.exact:
             self._show_budget(state)
@@ -259,13 +270,13 @@ class Session:
         if picture is not None:
             self._remember(settings, gesture)
             self.picture = picture
-            data |= self._picture_data(picture)
+            data["html"] = self._shown(picture)
             self.rest()
         elif self.picture is not None and awaits:
-            data |= self._slider_rows(settings)
+            data["html"] = self._chosen(settings)
         elif self.picture is not None:
             # Everything returns to the last picture; the curves may be drawn already.
-            data |= self._picture_data(self.picture)
+            data["html"] = self._shown(self.picture)
             self.rest()
             if self._view == "loop":
                 self.plots.show(self.picture)
@@ -280,42 +291,54 @@ class Session:
             self.history.put(settings)
         self._gesture = gesture
 
-    def _picture_data(self, picture: Picture) -> dict[str, Any]:
-        settings = picture.settings
-        sliders = self._sliders(settings)
+    def _chosen(self, settings: Settings) -> dict[str, str]:
+        """Return what follows from the settings alone, by the ids of the elements."""
+        every, plants = self.backend.sliders(settings), self.backend.plants(settings)
+        known = self._effects if self._effects_of is settings else None
+        tunable = settings.mode == "caged" and any(one.tunable and not one.fixed for one in every)
+        undo, redo = self.history.can_undo, self.history.can_redo
         return {
-            "state": {
-                **{name: getattr(settings, name) for name in _SHOWN_SETTINGS},
-                "overlays": list(settings.overlays),
-                "choices": messages.choice_data(self.backend, settings, picture.plants),
-                "undo": self.history.can_undo,
-                "redo": self.history.can_redo,
-                "tunable": settings.mode == "caged" and any(one["tunable"] and not one["fixed"] for one in sliders),
-                "link": encode_state(self.backend, settings),
-                **self._tasks.data(),
-            },
-            "parts": self._parts(settings),
-            "sliders": sliders,
-            "bar": messages.verdict_data(picture),
-            "requirements": messages.requirement_data(
-                (*picture.requirements, *picture.goals), self.backend.limit_names
+            "selectors": fragments.selectors(
+                self.backend, settings, plants, self._view if self.backend.read.budget is not None else ""
             ),
-            "strip": self.strip(),
+            "overlays": fragments.overlays(self.backend, settings),
+            "edits": fragments.fragment("edits", undo=undo, redo=redo, tunable=tunable),
+            "sliders": fragments.sliders(self.backend, settings, known),
+            "next": fragments.step(known, every),
         }
 
-    def strip(self) -> dict[str, Any]:
+    def _shown(self, picture: Picture) -> dict[str, str]:
+        """Return what follows from settings and picture, by the ids of the elements."""
+        settings = picture.settings
+        every = [*picture.requirements, *picture.goals, *self._budget_results]
+        # The tightest first, as they were when the sliders last rested: nothing jumps while one moves.
+        if self._effects_of is settings or not {(one.subject, one.name) for one in every} <= self._order.keys():
+            self._order = {(one.subject, one.name): k for k, one in enumerate(fragments.tightest_first(every))}
+        every.sort(key=lambda one: self._order[one.subject, one.name])
+        sliders, stale = self.backend.sliders(settings), self._effects_of is not settings
+        names = self.backend.limit_names
+        return {
+            **self._chosen(settings),
+            "figures": fragments.figures(picture),
+            "requirements": fragments.table(every, sliders, self._effects, names, stale),
+            "strip": self.strip(),
+            "elapsed": f"{1e3 * picture.elapsed:.0f} ms",
+        }
+
+    def show_effects(self, settings: Settings, effects: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
+        """Show what each slider does to each requirement of these settings, and the limits of the budget."""
+        if self.picture is not None and self.shows(settings):
+            self._effects, self._effects_of, self._budget_results = effects, self.picture.settings, budget
+            self.connection.answer(html=self._shown(self.picture))
+
+    def strip(self) -> str:
         """Return what is known of all parts of the job, for the settings as they are."""
         parts, settings = self.backend.job_parts, self.settings
-        return messages.strip_data(parts.states(parts.parts(settings)), settings.loop)
-
-    def _slider_rows(self, settings: Settings) -> dict[str, Any]:
-        return {"sliders": self._sliders(settings), "parts": self._parts(settings)}
-
-    def _sliders(self, settings: Settings) -> list[dict[str, Any]]:
-        return messages.slider_data(self.backend.sliders(settings), self.backend.starts(settings))
-
-    def _parts(self, settings: Settings) -> list[dict[str, Any]]:
-        return [dataclasses.asdict(one) for one in self.backend.parts(settings)]
+        states = parts.states(parts.parts(settings))
+        # What is being measured keeps what it said, dimmed: nothing flickers while a slider moves.
+        said = {one.chip.key: one for one in states if not one.measuring}
+        self._said |= said
+        return fragments.strip(states, self._said, settings.loop)
 
     def rest(self) -> None:
         """Compute what each slider does, and the other parts of the job, once nothing has changed for a while."""
@@ -327,7 +350,12 @@ class Session:
         def rested() -> None:
             self._idle = None
             if self.picture is not None:
-                self._tasks.measure(self.picture.settings)
+                settings = self.picture.settings
+                _, words, more = fragments.loop_verdict(self.picture)
+                # The address, and what a screen reader says, not of every step of a move.
+                link = encode_state(self.backend, settings)
+                self.connection.answer(link=link, spoken=f"{words}. {more}", said=self.plots.captions())
+                self._tasks.measure(settings)
 
         self._idle = document.add_timeout_callback(rested, IDLE)
 
@@ -364,13 +392,15 @@ def page(backend: Backend, document: Document) -> None:
     document.title = backend.read.name
     # A lost page says so itself, and is loaded again with its state: what the server knew of it may be gone.
     document.config.update(reconnect_session=False, notify_connection_status=False)
-    document.template = _template()
+    document.template = fragments.templates().get_template("page.html")
     has_budget = backend.read.budget is not None
     document.template_variables.update(
         panels=PANELS,
         budget_panels=BUDGET_PANELS if has_budget else (),
-        nonce=secrets.token_urlsafe(16),
         palette=":root{{{}}}\n:root[data-theme=dark]{{{}}}".format(*map(declarations, PALETTE.values())),
+        manoeuvres=[one.name for one in backend.read.manoeuvres],
+        folder=str(backend.folder.resolve()),
+        stem="job" if backend.path is None else backend.path.stem,
         tree=json.dumps(tree_data(backend.read.platform), separators=(",", ":")),
     )
 
@@ -382,11 +412,3 @@ def _state(document: Document) -> str:
     given: Any = {} if request is None else request.arguments
     texts = given.get("state") or [b""]
     return bytes(texts[0]).decode("utf-8", "replace")
-
-
-@cache
-def _template() -> Template:
-    from jinja2 import Environment, PackageLoader
-
-    loader = PackageLoader("platform_ctrl.app", "page")
-    return Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("page.html")

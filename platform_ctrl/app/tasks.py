@@ -13,8 +13,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from platform_ctrl.app.fragments import fragment
 from platform_ctrl.app.gimbal_tree import run_data
-from platform_ctrl.app.messages import Connection, Request, influence_data
+from platform_ctrl.app.messages import Connection, Request
 from platform_ctrl.app.saving import controllers_beside
 from platform_ctrl.common.arguments import known_name, short
 from platform_ctrl.common.values import value
@@ -97,6 +98,9 @@ class Page(Protocol):
     def rest(self) -> None:
         """Measure what is not known once nothing has changed for a while."""
 
+    def show_effects(self, settings: Settings, effects: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
+        """Show what each slider does to each requirement of these settings, and the limits of the budget."""
+
     def parts_measured(self) -> None:
         """Show what has become known of the parts of the job."""
 
@@ -113,15 +117,6 @@ class PageTasks:
     def close(self) -> None:
         """Cancel the task that is running; nothing is sent any more."""
         self._cancel()
-
-    def data(self) -> dict[str, Any]:
-        """Return what the page shows for saving and simulating."""
-        path = self._backend.path
-        return {
-            "folder": str(self._backend.folder.resolve()),
-            "stem": f"{'job' if path is None else path.stem}-tuned",
-            "manoeuvre": next(iter(self._manoeuvres), ""),
-        }
 
     def handle(self, request: Request) -> None:
         """Do what a message requests."""
@@ -143,15 +138,10 @@ class PageTasks:
             if not page.shows(settings):
                 raise _Superseded
 
-        def show_influence(influence: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
-            if page.shows(settings):
-                sliders = self._backend.sliders(settings)
-                self._connection.answer(influence=influence_data(influence, budget, sliders, self._backend.limit_names))
-
         def effects() -> OptionEffects:
             influence = self._backend.influence(settings, expect_shown)
             budget = self._backend.budget_results(settings)
-            self._connection.later(lambda: show_influence(influence, budget))
+            self._connection.later(lambda: page.show_effects(settings, influence, budget))
             return influence
 
         def measured() -> Callable[[], None]:
@@ -212,23 +202,32 @@ class PageTasks:
         try:
             path = target(self._backend.folder.resolve(), request.more["name"])
         except PlatformCtrlError as error:
-            self._connection.answer(request.count, saved={"kind": "error", "text": str(error)})
+            self._saved(str(error), request.count)
             return
         settings, overwrite = self._page.settings, request.more["overwrite"]
         existing = [one.name for one in (path, controllers_beside(path)) if os.path.lexists(one)]
         if existing and not overwrite:
-            reply = {"kind": "error", "text": f"{existing[0]} exists already: overwrite it?", "exists": True}
-            self._connection.answer(request.count, saved=reply)
+            self._saved(f"{existing[0]} exists already: overwrite it?", request.count, exists=True)
             return
         self._connection.answer(request.count)
 
         def saved() -> Callable[[], None]:
             written = self._backend.save(settings, path, overwrite=overwrite)
             text = ". ".join((f"Saved: {path}", *written.notes))
-            reply = {"kind": "good", "text": text, "command": f"platform-ctrl check {shlex.quote(str(path))}"}
-            return lambda: self._connection.answer(saved=reply, line={"text": text, "kind": "good"})
+            command = f"platform-ctrl check {shlex.quote(str(path))}"
 
-        self._do(saved, lambda line: self._connection.answer(saved={"kind": "error", "text": line}))
+            def show() -> None:
+                self._saved(text, kind="good", command=command)
+                self._connection.say(text, "good")
+
+            return show
+
+        self._do(saved, self._saved)
+
+    def _saved(self, words: str, count: int | None = None, kind: str = "error", **more: Any) -> None:
+        """Show in the dialog what came of saving."""
+        html = fragment("saved", words=words, kind=kind, **more)
+        self._connection.answer(count, html={"save-result": html})
 
     def _on_simulate(self, request: Request) -> None:
         page, settings, manoeuvre = self._page, self._page.settings, request.more["manoeuvre"]

@@ -10,8 +10,8 @@ pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
 
 from app.test_page import JOB
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.fragments import job_verdict, loop_verdict
 from platform_ctrl.app.job_parts import ChipState
-from platform_ctrl.app.messages import strip_data, verdict_data
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.mechanics.linearisation import linearise
@@ -56,14 +56,14 @@ def test_each_chip_has_the_least_margin_of_its_part(backend: Backend) -> None:
 def test_a_job_is_met_only_when_all_of_its_parts_are(backend: Backend) -> None:
     settings = backend.start()
     states = chips(backend, settings)
-    data = strip_data(list(states.values()), settings.loop)
+    verdict, line = job_verdict(list(states.values()))
     every = sum(one.count for one in states.values())
     assert every == 3 + 2 + 1 + 2  # limits and stability of the loop, coupled, runs
     assert states["runs"].checked == 0
-    assert data["verdict"] == "open"
-    assert data["words"] == f"{every - 2} of {every} met, 2 not checked"
+    assert verdict == "open"
+    assert line == f"{every - 2} of {every} met, 2 not checked"
     # One loop alone never claims all of a job's requirements.
-    words = verdict_data(backend.picture(settings))["words"]
+    words = loop_verdict(backend.picture(settings))[1]
     assert "all" not in words.lower().split()
     assert "loop" in words
 

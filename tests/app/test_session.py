@@ -55,7 +55,6 @@ class Driven:
         monkeypatch.setattr(backend, "picture", self.picture)
         monkeypatch.setattr(backend, "on_designed", lambda listener: self._listeners.append(listener) or (lambda: None))
         self.session = Session(backend, Document(), "")
-        self.state: dict[str, Any] = {}
         self.answered = 0
         self.session.connection.model.on_change("response", self._responded)
         self.request("ready")
@@ -80,7 +79,14 @@ class Driven:
     def _responded(self, name: str, old: object, new: str) -> None:
         response = json.loads(new)
         self.answered = response["n"]
-        self.state |= response.get("state", {})
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """What the page shows."""
+        picture = self.session.picture
+        assert picture is not None
+        shown = picture.settings
+        return {"design": shown.design, "axis": shown.axis, "undo": self.session.history.can_undo}
 
     def run_loop(self) -> None:
         while self._waiting:

@@ -38,12 +38,12 @@ class Plots:
         self._bode = BodePanel(self._theme, sources, frequency)
         nichols = NicholsPanel(self._theme, sources, self._bode.overlays)
         self._locus = LocusPanel(self._theme, sources)
-        self._rate = RatePanel(self._theme, sources, frequency)
+        self._rate = RatePanel(self._theme, sources, frequency, self._bode.mouse)
         self._panels = (self._bode, nichols, self._locus, StepPanel(self._theme, sources), self._rate)
         self._budget = None if budget is None else BudgetPlots(budget, self._theme, sources)
         self.sources = sources.by_name
-        panels = self._panels if self._budget is None else (*self._panels, *self._budget.panels)
-        self.layout: dict[str, LayoutDOM] = {one.name: one.layout for one in panels}
+        self._every = self._panels if self._budget is None else (*self._panels, *self._budget.panels)
+        self.layout: dict[str, LayoutDOM] = {one.name: one.layout for one in self._every}
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture: all changes go to the browser together, no model is made or removed.
@@ -73,6 +73,10 @@ class Plots:
         if self._budget is not None:
             with self._combined():
                 self._budget.show(found)
+
+    def captions(self) -> dict[str, str]:
+        """Return what a screen reader says of each panel, by its name."""
+        return {one.name: one.caption for one in self._every}
 
     @contextmanager
     def _combined(self) -> Iterator[None]:

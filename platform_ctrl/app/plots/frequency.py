@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from bokeh.models.annotations.geometry import Span
 
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.app.pictures import Bode, Drawing, Nichols
@@ -63,7 +64,6 @@ class BodePanel(Panel):
         rows = [("frequency", "@frequency{0.[000]} Hz"), ("gain", "@gain{0.0} dB"), ("phase", "@phase{0}°")]
         for plot, name, level in ((above, "gain", 0.0), (below, "phase", -180.0)):
             ends = f"{name}_low", f"{name}_high"
-            self.span(plot, "height", "reference", line_dash=[3, 3], name="cursor")
             self.draw(plot.varea, "frequency", *ends, source=band, fill="series-1", fill_alpha=0.16)
             self.span(plot, "width", "reference", location=level)
             self._nyquist.append(self.span(plot, "height", "reference", line_dash=[2, 3]))
@@ -78,10 +78,11 @@ class BodePanel(Panel):
             look = {"text": f"{name}_words", "x_offset": 7, "y_offset": offset, "text_baseline": side}
             self.words(plot, "frequency", end, marks, "ink", **look)
             self.hover(plot, [line], rows, mode="vline", line_policy="interp")
-        self.crosshair(above, below)
+        # The same frequency is marked wherever it is an axis.
+        self.mouse = self.crosshair(above, below)
         self._crossover = self.span(above, "height", "series-1", line_width=1.2)
         self._message = self.message(above)
-        self._open, self._closed = (above, below), ClosedLoopFigures(self, frequency)
+        self._open, self._closed = (above, below), ClosedLoopFigures(self, frequency, self.mouse)
         self._toggle = self.toggle(_TOGGLE[False], lambda: self.choose(not self._is_closed))
 
     def choose(self, closed: bool) -> None:
@@ -222,8 +223,6 @@ class NicholsPanel(Panel):
         line = self.draw(plot.line, "phase", "gain", source=loop, line="series-1", line_width=2.2)
         look: dict[str, Any] = {"marker": "cross", "size": 11, "line_width": 2}
         self.draw(plot.scatter, "phase", "gain", source=critical, line="limit", **look)
-        cursor = sources.new("cursor_nichols", "phase", "gain")
-        self.draw(plot.scatter, "phase", "gain", source=cursor, line="ink", fill="page", size=8, line_width=2)
         rows = [("phase", "@phase{0.0}°"), ("gain", "@gain{0.0} dB"), ("frequency", "@frequency{0.[000]} Hz")]
         self.hover(plot, [line], rows, line_policy="interp")
         self.crosshair(plot)
@@ -318,7 +317,7 @@ _HALF, _FAR = -10.0 * math.log10(2.0), (1e-6, 200.0)
 class ClosedLoopFigures:
     """Three figures of a panel, hidden at first: |S| and |T| in dB, and the gains from noise and from a torque."""
 
-    def __init__(self, panel: Panel, frequency: View) -> None:
+    def __init__(self, panel: Panel, frequency: View, mouse: Span) -> None:
         self._panel = panel
         new = panel.sources.new
         self._level = View(-40.0, 20.0, stepped(10.0, -40.0, 30.0))
@@ -353,11 +352,10 @@ class ClosedLoopFigures:
             panel.hover(plot, [line], rows, mode="vline", line_policy="interp")
             self._figures.append(plot)
         for plot in self._figures:
-            panel.span(plot, "height", "reference", line_dash=[3, 3], name="cursor")
             plot.visible = False
         for plot in self._figures[:-1]:
             panel.label_ticks(plot, False)
-        panel.crosshair(*self._figures)
+        panel.crosshair(*self._figures, vertical=mouse)
 
     def choose(self, visible: bool) -> None:
         """Show the figures, or hide them."""

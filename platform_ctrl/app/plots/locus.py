@@ -77,8 +77,6 @@ class LocusPanel(Panel):
 
     def _draw_poles(self, plot: Any) -> None:
         new, draw = self.sources.new, self.draw
-        cursor = new("cursor_locus", "re", "im")
-        draw(plot.line, "re", "im", source=cursor, line="reference", line_width=1.2, line_dash=[3, 3])
         others = new("other_poles", "re", "im")
         cloud: dict[str, Any] = {"marker": "dot", "size": 8, "line_alpha": 0.0, "fill_alpha": 0.35}
         draw(plot.scatter, "re", "im", source=others, fill="series-1", **cloud)

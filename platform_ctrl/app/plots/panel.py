@@ -77,7 +77,8 @@ _HEADING = f"""
 .bk-clearfix {{ display: block; max-width: 100%; }} .title {{ font-weight: 650; flex: none; }}
 .detail {{ min-width: 0; overflow: hidden; text-overflow: ellipsis; }}
 .keys {{ position: relative; font-size: {SMALL}; gap: 14px; height: 16px; line-height: 16px; }}
-.keys span {{ flex: none; }} .keys .more {{ position: absolute; top: 0; }}
+.keys span {{ flex: none; }}
+.keys {{ mask: linear-gradient(to right, #000 calc(100% - 16px), transparent); }}
 .keys.many {{ gap: 8px; }} .keys.many svg {{ width: 10px; margin-right: 3px; }}
 .keys svg {{ width: 22px; height: 8px; margin-right: 5px; overflow: visible; vertical-align: 0; }}
 """
@@ -149,7 +150,9 @@ class Panel:
     def __init__(self, name: str, title: str, theme: Theme, sources: Sources) -> None:
         self.name, self._title, self.theme, self.sources = name, title, theme, sources
         self.views: list[View] = []
-        self._figures = 0
+        self._plots: list[Any] = []
+        self._messages: list[Any] = []
+        self._detail = self._curves = ""
         colour = theme.sheet(":host {{ color: {ink}; }} .detail, .keys {{ color: {muted}; }}")
         common: dict[str, Any] = {
             "sizing_mode": "stretch_width",
@@ -180,6 +183,14 @@ class Panel:
         """Follow a picture."""
         raise NotImplementedError
 
+    @property
+    def caption(self) -> str:
+        """What the panel shows, for a screen reader: what of, the axes, the curves, what is wrong."""
+        shown = [one for one in self._plots if one.visible]
+        axes = [one for one in (shown[0].yaxis[0].axis_label, shown[-1].xaxis[0].axis_label) if one] if shown else []
+        said = [one.text for one in self._messages if one.visible]
+        return "; ".join(filter(None, [self._detail, " over ".join(axes), self._curves, *said]))
+
     def reset(self) -> None:
         """Show everything again."""
         for view in self.views:
@@ -204,7 +215,7 @@ class Panel:
     def add(self, x: View, y: View, x_label: str, y_label: str) -> Any:
         """Return a new figure below the others, styled, with zoom, pan and reset but without a tool bar."""
         out = figure(
-            name=f"{self.name}-figure-{self._figures}",
+            name=f"{self.name}-figure-{len(self._plots)}",
             x_range=x.range,
             y_range=y.range,
             x_axis_type="log" if x.logarithmic else "linear",
@@ -226,7 +237,7 @@ class Panel:
             # The frames of two figures are equally high, with or without a label below.
             styles={"flex-grow": "1", "flex-basis": f"{_BELOW}px" if x_label else "0"},
         )
-        self._figures += 1
+        self._plots.append(out)
         pan, wheel = PanTool(), WheelZoomTool(zoom_on_axis=True)
         out.add_tools(pan, wheel, ResetTool())
         out.toolbar.active_drag, out.toolbar.active_scroll = pan, wheel
@@ -372,14 +383,15 @@ class Panel:
         self.theme.paint(out.glyph, text_color=role)
         return out
 
-    def crosshair(self, *plots: Any) -> None:
-        """Give figures a cross at the mouse; its vertical line goes through all of them."""
-        vertical = Span(dimension="height", line_width=1, line_dash=[3, 3])
+    def crosshair(self, *plots: Any, vertical: Span | None = None) -> Span:
+        """Give figures a cross at the mouse and return its vertical line, which goes through all that have it."""
+        vertical = Span(dimension="height", line_width=1, line_dash=[3, 3]) if vertical is None else vertical
         across = [Span(dimension="width", line_width=1, line_dash=[3, 3]) for _ in plots]
         for one in (vertical, *across):
             self.theme.paint(one, line_color="reference")
         for plot, one in zip(plots, across, strict=True):
             plot.add_tools(CrosshairTool(overlay=(one, vertical), visible=False))
+        return vertical
 
     def hover(self, plot: Any, renderers: Sequence[Any], rows: Sequence[tuple[str, str]], **settings: Any) -> None:
         """Show numbers of curves at the mouse: rows of a label and Bokeh's fields with the unit."""
@@ -397,10 +409,12 @@ class Panel:
         out.padding = 3
         self.theme.paint(out, text_color="limit", background_fill_color="page")
         plot.add_layout(out)
+        self._messages.append(out)
         return out
 
     def heading(self, detail: str) -> None:
         """Write a detail beside the title."""
+        self._detail = detail
         text = (
             f'<div class="line" title="{escape(detail)}"><span class="title" role="heading" aria-level="2">'
             f'{escape(self._title)}</span><span class="detail">{escape(detail)}</span></div>'
@@ -408,10 +422,8 @@ class Panel:
         assign(self._head, text=text)
 
     def keys(self, entries: Sequence[Key]) -> None:
-        """Write what each curve is.
-
-        The page's script counts those that do not fit; the title has all of them.
-        """
+        """Write what each curve is; the title has those too that do not fit."""
+        self._curves = ", ".join(words for words, _, _, _ in entries)
         parts = []
         many = len(entries) > _FEW
         for words, role, dash, width in entries:
@@ -421,8 +433,7 @@ class Panel:
                 f'<span><svg aria-hidden="true"><line x1="0" x2="100%" y1="4" y2="4" '
                 f'stroke="{self.theme.colours[role]}" stroke-width="{width:g}"{dashing}/></svg>{written}</span>'
             )
-        every = escape(", ".join(words for words, _, _, _ in entries))
-        text = f'<curve-keys class="line keys{" many" if many else ""}" title="{every}">{"".join(parts)}</curve-keys>'
+        text = f'<div class="line keys{" many" if many else ""}" title="{escape(self._curves)}">{"".join(parts)}</div>'
         assign(self._keys, text=text)
 
 

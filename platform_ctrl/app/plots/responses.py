@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.models import Range1d
+from bokeh.models.annotations.geometry import Span
 
 from platform_ctrl.app.pictures import Drawing, TimeResponse
 from platform_ctrl.app.plots.data import (
@@ -222,20 +223,19 @@ class StepPanel(TimePanel):
 class RatePanel(TimePanel):
     """Response to Omega, or of the free platform to a torque on it, over time or over frequency."""
 
-    def __init__(self, theme: Theme, sources: Sources, frequency: View) -> None:
+    def __init__(self, theme: Theme, sources: Sources, frequency: View, mouse: Span) -> None:
         super().__init__("Omega", "Disturbance", theme, sources, "Omega_time")
         self._gain = View(1e-3, 1.0, decades, logarithmic=True)
         self._plot = plot = self.add(frequency, self._gain, "frequency, Hz", "")
         lines = sources.new("Omega_gain", "frequency", "gain")
         band = sources.new("Omega_gain_band", "frequency", "low", "high")
-        self.span(plot, "height", "reference", line_dash=[3, 3], name="cursor")
         self._bound = self.bound(plot, "bottom")
         self.draw(plot.varea, "frequency", "low", "high", source=band, fill="series-1", fill_alpha=0.16)
         self.curves(plot, "Omega_gain_overlays", 1.5)
         line = self.draw(plot.line, "frequency", "gain", source=lines, line="series-1", line_width=2.2)
         rows = [("frequency", "@frequency{0.[000]} Hz"), ("gain", "@gain{0.[0000]}")]
         self.hover(plot, [line], rows, mode="vline", line_policy="interp")
-        self.crosshair(plot)
+        self.crosshair(plot, vertical=mouse)
         self._message = self.message(plot)
         self._unit = Unit()
         self._over_frequency = False

@@ -1,119 +1,102 @@
-// Requests of the page to the server, and the functions that follow its responses.
+// Requests of the page to the server, and what it answers: HTML that takes the place of what is there.
 // Moves of sliders are never queued: while one is being worked out, only the newest of each slider waits.
-let send = null;
-let sent = 0, answered = 0, gesture = 0;
-const waiting = new Map();
+export const byId = (id) => document.getElementById(id);
+const moves = new Map(), later = [], listeners = {};
 // What is meant for where the sliders have come to: it waits until they are there.
 const AFTER_MOVES = new Set(["undo", "redo", "tune", "save", "simulate"]);
-const later = [];
-const listeners = new Map();
-
-export const byId = (id) => document.getElementById(id);
-
-export const made = (tag, properties = {}, ...children) => {
-  const element = document.createElement(tag);
-  for (const [name, value] of Object.entries(properties)) {
-    if (name.includes("-") || name === "role" || name === "for" || name === "scope") element.setAttribute(name, value);
-    else element[name] = value;
-  }
-  element.append(...children);
-  return element;
+let messages = null, sent = 0, answered = 0, gesture = 0;
+// Sliders that are under the hand: their newest moves are still on their way.
+export const held = new Set();
+// What was chosen, by the request that it made: an answer to an earlier one does not take it back.
+const chosen = new WeakMap();
+let answering = 0;
+export const choose = (element, what, more) => {
+  request(what, more);
+  chosen.set(element.closest("select, fieldset") ?? element, sent);
 };
 
-export const icon = (name) => {
-  const SVG = "http://www.w3.org/2000/svg";
-  const svg = document.createElementNS(SVG, "svg"), use = document.createElementNS(SVG, "use");
-  svg.setAttribute("class", "icon");
-  svg.setAttribute("aria-hidden", "true");
-  svg.setAttribute("viewBox", "0 0 16 16");
-  use.setAttribute("href", `#icon-${name}`);
-  svg.append(use);
-  return svg;
-};
-
-// While an answer is on its way the browser's frames go on: when it comes, the next one is near.
-let ticking = false;
-const tick = () => {
-  ticking = answered < sent;
-  if (ticking) requestAnimationFrame(tick);
-};
+// For who watches the page from outside: whether everything that it requested is done.
+window.page = { settled: () => sent > 0 && sent === answered && moves.size + later.length === 0 };
 
 export const request = (what, more = {}) => {
-  if (send === null) return;
-  if (AFTER_MOVES.has(what) && (answered < sent || waiting.size > 0)) {
+  if (messages === null) return;
+  if (AFTER_MOVES.has(what) && !window.page.settled()) {
     later.push([what, more]);
     return;
   }
+  // What is meant for a slider itself takes the place of a move that waits.
+  for (const { slider } of more.moves ?? [more]) moves.delete(slider);
   sent += 1;
-  if (!ticking) tick();
-  send({ n: sent, what, ...more });
-};
-// The number of the last request; an answer with a smaller one does not include it.
-export const lastRequest = () => sent;
-
-const sendWaiting = () => {
-  if (answered < sent || waiting.size === 0) return;
-  const moves = [...waiting.values()];
-  waiting.clear();
-  request("move", { moves, gesture });
+  messages.request = JSON.stringify({ n: sent, what, ...more });
 };
 
 // One gesture is one step of undo: a drag, a series of arrow keys, a number typed.
+export const newGesture = () => { gesture += 1; return gesture; };
 export const move = (slider, value) => {
-  waiting.set(slider, { slider, value });
-  sendWaiting();
+  moves.set(slider, { slider, value });
+  sendMoves();
 };
-// A number that was typed goes at once, whatever it is: the server judges it.
-export const put = (slider, value) => {
-  newGesture();
-  request("move", { moves: [{ slider, value }], gesture });
-};
-export const newGesture = () => { gesture += 1; };
-export const pending = (slider) => waiting.has(slider);
-export const settled = (n) => n >= sent;
-export const traffic = () => ({ sent, answered, waiting: waiting.size + later.length });
-export const connect = (given) => { send = given; };
-
-export const on = (part, listen) => {
-  if (!listeners.has(part)) listeners.set(part, []);
-  listeners.get(part).push(listen);
+const sendMoves = () => {
+  if (answered < sent || moves.size === 0) return;
+  const every = [...moves.values()];
+  moves.clear();
+  request("move", { moves: every, gesture });
 };
 
+// What the page does with a part of an answer besides taking its HTML.
+export const on = (part, act) => { listeners[part] = act; };
 export const receive = (message) => {
-  for (const [part, content] of Object.entries(message)) {
-    for (const listen of listeners.get(part) ?? []) listen(content, message);
+  if (message.n >= sent) for (const name of held) if (!moves.has(name)) held.delete(name);
+  answering = message.n;
+  for (const [id, text] of Object.entries(message.html ?? {})) show(byId(id), text);
+  for (const [part, content] of Object.entries(message)) listeners[part]?.(content);
+  if (!(message.n >= answered)) return;
+  answered = message.n;
+  sendMoves();
+  if (answered >= sent && later.length > 0) request(...later.shift());
+};
+
+const show = (element, text) => {
+  const template = document.createElement("template"), focused = document.activeElement?.id;
+  template.innerHTML = text;
+  follow(element, template.content);
+  // Where a row was put in before it, the element that had the focus is a new one.
+  if (focused && document.activeElement === document.body) byId(focused)?.focus();
+};
+
+// The children of `there` become those of `given`; what is equal stays, with the focus and the place of the mouse.
+const follow = (there, given) => {
+  const old = [...there.childNodes], now = [...given.childNodes];
+  for (const [k, one] of now.entries()) {
+    const kept = old[k];
+    if (!kept) there.append(one);
+    else if (kept.nodeName !== one.nodeName || kept.id !== one.id || kept.dataset?.slider !== one.dataset?.slider) kept.replaceWith(one);
+    else if (kept.nodeType !== Node.ELEMENT_NODE) { if (kept.data !== one.data) kept.data = one.data; }
+    else if (!held.has(kept.dataset.slider)) {
+      dress(kept, one);
+      follow(kept, one);
+    }
   }
-  if (typeof message.n === "number" && message.n >= answered) {
-    answered = message.n;
-    sendWaiting();
-    if (answered >= sent && later.length > 0) request(...later.shift());
+  for (const one of old.slice(now.length)) one.remove();
+};
+
+const dress = (there, given) => {
+  for (const { name, value } of given.attributes) if (there.getAttribute(name) !== value) there.setAttribute(name, value);
+  // Whether details are open is up to the user.
+  for (const { name } of [...there.attributes]) if (!given.hasAttribute(name) && name !== "open") there.removeAttribute(name);
+  if (chosen.get(there.closest("select, fieldset") ?? there) > answering) return;
+  if (there instanceof HTMLOptionElement) there.selected = given.selected;
+  else if (there instanceof HTMLInputElement && !(there.dataset.typing && there === document.activeElement)) {
+    there.checked = given.checked;
+    if (there.type !== "radio" && there.type !== "checkbox" && there.value !== given.value) there.value = given.value;
   }
 };
 
-// Writes only what is different: whatever is written makes the browser lay the page out again.
-export const write = (element, text) => { if (element.textContent !== text) element.textContent = text; };
-export const dress = (element, name) => { if (element.className !== name) element.className = name; };
-
-// Numbers as an instrument shows them: four figures, no exponent where none is needed.
-export const shown = (value, figures = 4) => {
-  if (value === null || value === undefined || Number.isNaN(value)) return "–";
-  if (value === "inf" || value === Infinity) return "∞";
-  if (value === "-inf" || value === -Infinity) return "−∞";
-  if (value === 0) return "0";
-  const size = Math.abs(value);
-  const text = size >= 1e6 || size < 1e-4
-    ? value.toExponential(figures - 2).replace(/\.?0+e/, "e").replace("e+", "e")
-    : String(Number(value.toPrecision(size >= 1000 ? Math.max(figures, 5) : figures)));
-  return text.replace("-", "−");
-};
-// A margin as a share of its limit. What has no room is said to be more, never to be another number.
-export const percent = (share) => {
-  if (share === null || share === undefined) return "–";
-  if (share === "inf" || share === "-inf") return share === "inf" ? "+∞" : "−∞";
-  const sign = share < 0 ? "−" : "+", size = Math.abs(share);
-  return size > 9.99 ? `${share < 0 ? "< −" : "> +"}999 %` : `${sign}${shown(100 * size, size < 0.1 ? 2 : 3)} %`;
-};
-export const typed = (text) => {
-  const plain = text.trim().replace("−", "-").replace(/^(-?\d*),(\d+)$/, "$1.$2");
-  return plain === "" ? NaN : Number(plain);
+// The model that carries the messages, once BokehJS has it.
+export const connect = (bokeh) => {
+  messages = bokeh.get_model_by_name("messages");
+  messages.properties.response.change.connect(() => {
+    receive(JSON.parse(messages.response));
+    window.dispatchEvent(new CustomEvent("response"));
+  });
 };
