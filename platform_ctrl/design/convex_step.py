@@ -44,6 +44,8 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.sections import PID
 from platform_ctrl.errors import TimeLimitError, UnscalableError
 
+# A, b and the cones, Clarabel's names with their sizes, in which b − A x has to be.
+Cones = tuple[FloatArray, FloatArray, list[tuple[str, int]]]
 CENTRES = {"sensitivity_peak": 0.0, "complementary_sensitivity_peak": 1.0, "disk_margin": 0.5}
 # The limit of P S.
 OF_ANGLE = "resonance_damping"
@@ -135,12 +137,7 @@ def convex_step(
     directions = (unit[:, None] * np.eye(v)).reshape(v, *gains.shape)
     # The least singular value of Ki is that of Uᵀ Ki, at least its symmetric part's eigenvalue.
     turned = _polar(gains[1]).T @ directions[:, 1] / float(np.linalg.norm(gains[1], 2))
-    integral = _Inequalities(
-        slopes=_hermitian(turned)[None],
-        offsets=np.zeros((1, n, n), dtype=np.complex128),
-        slack=-np.eye(n),
-        of=v,
-    )
+    integral = _positive(_hermitian(turned)[None], np.zeros((1, n, n), dtype=np.complex128), -np.eye(n), v)
     limits, distance = _restricted(samples, gains, directions)
     # While the violation is minimised the integral action may become weaker, but not vanish.
     least = 0.5 / float(np.linalg.cond(gains[1])) if miss else 0.0
@@ -149,7 +146,7 @@ def convex_step(
     # are a reserve, without which the problem would have no interior.
     t, missed, near = np.eye(v + 3)[v:]
     rows = np.array([t, -t, missed, near - missed, near, -near])
-    blocks = [integral.cones(v), *(one.cones(v) for one in limits)]
+    blocks = [integral, *limits]
     A = np.concatenate([rows, *(A for A, _, _ in blocks)])
     cones = [("NonnegativeConeT", len(rows)), *(cone for _, _, own in blocks for cone in own)]
     reward, price = (_GAIN_WEIGHT, 1.0) if miss else (1.0, 0.0)
@@ -164,9 +161,7 @@ def convex_step(
     return np.einsum("v,vbij->bij", x[:v], directions), float(x[v + 1])
 
 
-def _restricted(
-    samples: Sequence[Sample], gains: FloatArray, directions: FloatArray
-) -> tuple[list[_Inequalities], float]:
+def _restricted(samples: Sequence[Sample], gains: FloatArray, directions: FloatArray) -> tuple[list[Cones], float]:
     """Return the restricted limits, and the distance of the sensitivity over its limit."""
     out, distance, n, v = [], np.inf, gains.shape[-1], len(directions)
     for sample in samples:
@@ -185,7 +180,7 @@ def _restricted(
                     slopes = _blocks(slopes, _star(noise), noise, np.zeros_like(noise))
                     slack = _blocks(none, none, none, slack)
                     offsets = _blocks(offsets, none, none, np.eye(n))
-                out.append(_Inequalities(slopes=slopes, offsets=offsets, slack=slack, of=of))
+                out.append(_positive(slopes, offsets, slack, of))
     return out, distance
 
 
@@ -218,27 +213,18 @@ def _minimised(
     return x
 
 
-@value
-class _Inequalities:
-    """Hermitian matrices that are linear in the gains and have to be positive semidefinite.
+def _positive(slopes: ComplexArray, offsets: ComplexArray, slack: FloatArray, of: int) -> Cones:
+    """Return A (r, v + 3), b (r,) and the cones of b − A x for Hermitian matrices that are to be positive semidefinite.
 
-    `slopes` (N, v, h, h) and `offsets` (N, h, h), and `slack` (h, h) times the unknown of number `of`.
+    They are linear in the gains, with `slopes` (N, v, h, h) and `offsets` (N, h, h), and in the unknown of number `of`,
+    with `slack` (h, h).
     """
-
-    slopes: ComplexArray
-    offsets: ComplexArray
-    slack: FloatArray
-    of: int
-
-    def cones(self, v: int) -> tuple[FloatArray, FloatArray, list[tuple[str, int]]]:
-        """Return A (r, v + 3), b (r,) and the cones of b − A x."""
-        rows = _triangle(self.slopes)
-        A = np.zeros((len(rows), rows.shape[-1], v + 3))
-        A[:, :, :v] = -rows.swapaxes(-1, -2)
-        A[:, :, self.of] = -_triangle(self.slack)
-        h = len(self.slack)
-        cone = ("NonnegativeConeT", 1) if h == 1 else ("PSDTriangleConeT", 2 * h)
-        return A.reshape(-1, v + 3), _triangle(self.offsets).ravel(), [cone] * len(rows)
+    rows, v, h = _triangle(slopes), slopes.shape[1], len(slack)
+    A = np.zeros((len(rows), rows.shape[-1], v + 3))
+    A[:, :, :v] = -rows.swapaxes(-1, -2)
+    A[:, :, of] = -_triangle(slack)
+    cone = ("NonnegativeConeT", 1) if h == 1 else ("PSDTriangleConeT", 2 * h)
+    return A.reshape(-1, v + 3), _triangle(offsets).ravel(), [cone] * len(rows)
 
 
 def _linearised(

@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, as_completed
+from typing import Any
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.processes import processes as pool
@@ -23,7 +24,6 @@ from platform_ctrl.design.loop import (
     with_commands,
     with_largest_rates,
 )
-from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.method import LoopProblem, evaluated, instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.partition import Channels
@@ -146,25 +146,18 @@ def _problems(
 
     `inner` is the design of the loop that a tracking loop commands.
     """
-    directed: list[tuple[PlantSet | None, Channels | None]] = []
+    directions: Channels | None = None
     if inner is not None:
         around = next(one for one in job.loops if one.name == spec.around)
         assert inner.plants is not None, "a rate loop has plants"
         K = with_commands(inner.plants, inner.controller)
-        directed += [tracking_plants(job, spec, around, inner.plants, K)] * len(plants)
-    else:
-        # Directions once for all designs that read the same, which ask for them again and again.
-        of_sensors: dict[tuple[str, ...], Channels] = {}
-        for design, own in zip(spec.designs, plants, strict=True):
-            read = spec.read_by(design)
-            if own is not None and read.sensors not in of_sensors:
-                of_sensors[read.sensors] = loop_channels(model, loop_signals(job.platform, read), own.period)
-            directed.append((own, None if own is None else of_sensors[read.sensors]))
-    out = []
-    for design, (plant_set, directions) in zip(spec.designs, directed, strict=True):
-        problem = LoopProblem(job=job, spec=spec, design=design, model=model, plant_set=plant_set)
-        out.append(dataclasses.replace(problem, directions=directions, progress=Local(progress)))
-    return out
+        outside, directions = tracking_plants(job, spec, around, inner.plants, K)
+        plants = [outside] * len(plants)
+    more: dict[str, Any] = {"model": model, "directions": directions, "progress": Local(progress)}
+    return [
+        LoopProblem(job=job, spec=spec, design=design, plant_set=own, **more)
+        for design, own in zip(spec.designs, plants, strict=True)
+    ]
 
 
 def _made_of(problems: Sequence[LoopProblem], workers: int, progress: Progress) -> list[Made]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
@@ -63,7 +64,7 @@ class Option:
     below_nyquist: bool = False
 
 
-@value
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LoopProblem:
     """What a design method is given."""
 
@@ -73,18 +74,18 @@ class LoopProblem:
     design: DesignSpec
     model: LinearModel  # the platform linearised at rest
     plant_set: PlantSet | None = None  # the plants of the loop, the nominal one first; None for a stabilisation loop
-    # Those that `channel` has, where they are known already, as those of a loop around another one have to be.
+    # Those that `channel` has, where they do not follow from the loop alone, as of a loop around another one.
     directions: Channels | None = None
     progress: Progress = lambda line: None  # called with a line during long work
 
-    @property
+    @cached_property
     def plants(self) -> PlantSet:
         """The plants, the nominal one first; their outputs are the directions of `channel` where it has `sense`."""
         assert self.plant_set is not None, "the loop has plants"
         sense = self.channel.sense
         return self.plant_set if sense is None else self.plant_set.in_directions(sense)
 
-    @property
+    @cached_property
     def channel(self) -> Channels:
         """Gyroscopic pairs and inertial directions of the loop's gimbals."""
         if self.directions is not None:

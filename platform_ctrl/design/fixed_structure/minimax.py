@@ -9,7 +9,6 @@ Deterministic.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,26 +243,18 @@ def least_maximum(
 def _solved(P: FloatArray, q: FloatArray, A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Minimise x'Px/2 + q'x over A x <= b; return x and the multipliers, None where the solver found no solution."""
     import clarabel
+    from scipy.sparse import csc_matrix
 
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = 60
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
     cones = [clarabel.NonnegativeConeT(len(b))]
-    solution = clarabel.DefaultSolver(_sparse(np.triu(P)), q, _sparse(A), b, cones, settings).solve()
+    solution = clarabel.DefaultSolver(csc_matrix(np.triu(P)), q, csc_matrix(A), b, cones, settings).solve()
     if str(solution.status) not in ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations"):
         return None
     x, dual = np.asarray(solution.x), np.maximum(np.asarray(solution.z), 0.0)
     return (x, dual) if np.all(np.isfinite(x)) and np.all(np.isfinite(dual)) else None
-
-
-def _sparse(matrix: FloatArray) -> Any:
-    """Return a matrix by its columns; scipy's conversion of a dense one takes as long as a small program."""
-    from scipy.sparse import csc_matrix
-
-    column, row = np.nonzero(matrix.T)
-    starts = np.searchsorted(column, np.arange(matrix.shape[1] + 1))
-    return csc_matrix((matrix[row, column], row.astype(np.int32), starts.astype(np.int32)), shape=matrix.shape)
 
 
 def damped_update(H: FloatArray, move: FloatArray, change: FloatArray) -> FloatArray:

@@ -33,7 +33,7 @@ class Series(Structure):
     ----------
     blocks
         From y to u, for example (PID(), StateSpaceOrder(states=2)).
-    start, bounds, fixed, tied
+    start, bounds, fixed
         As in `Structure`; what is given here overrides what a block has.
     """
 
@@ -42,12 +42,11 @@ class Series(Structure):
     @property
     def given(self) -> Given:
         """Everything that was given by name here or in a block; here overrides the block."""
-        start, bounds, fixed, tied = dict(self.start), dict(self.bounds), dict(self.fixed), tuple(self.tied)
+        start, bounds, fixed = dict(self.start), dict(self.bounds), dict(self.fixed)
         for one in self.blocks:
             inner = one.given
             start, bounds, fixed = inner.start | start, inner.bounds | bounds, inner.fixed | fixed
-            tied += inner.tied
-        return Given(start, bounds, fixed, tied)
+        return Given(start, bounds, fixed)
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return those of all blocks."""
@@ -158,7 +157,7 @@ class PID(Structure):
         0 (only without D), 1 or 2.
     filtered
         Whether F filters every measurement, or the derivative alone: u = (K_P + K_I/s + K_D s F(s)) y.
-    start, bounds, fixed, tied
+    start, bounds, fixed
         As in `Structure`.
     """
 
@@ -187,23 +186,12 @@ class PID(Structure):
             *gains_of("ki", integral, gain * integral_rate),
             *gains_of("kd", D, gain / rate),
         ]
-        if self.filter_order:
-            out += [
-                Parameter(
-                    name=f"filter{j + 1}",
-                    start=5.0 * rate,
-                    size=1.0,
-                    positive=True,
-                    lower=1e-3 * rate,
-                    upper=1e5 * rate,
-                )
-                for j in range(nmeas)
-            ]
-        if self.filter_order == 2:
-            out += [
-                Parameter(name=f"damping{j + 1}", start=0.7, size=1.0, positive=True, lower=0.02, upper=50.0)
-                for j in range(nmeas)
-            ]
+        filters = [("filter", 5.0 * rate, 1e-3 * rate, 1e5 * rate), ("damping", 0.7, 0.02, 50.0)][: self.filter_order]
+        out += [
+            Parameter(name=f"{name}{j + 1}", start=start, size=1.0, positive=True, lower=low, upper=high)
+            for name, start, low, high in filters
+            for j in range(nmeas)
+        ]
         return tuple(out)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:

@@ -6,7 +6,7 @@ is u = K y (positive feedback).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import field
 from typing import Any, NamedTuple
 
@@ -68,7 +68,6 @@ class Given(NamedTuple):
     start: dict[str, float]
     bounds: dict[str, tuple[float, float]]
     fixed: dict[str, float]
-    tied: tuple[Sequence[str], ...]
 
 
 @value
@@ -83,8 +82,6 @@ class Structure:
         (lower, upper) by name, in the same unit.
     fixed
         Values by name that are not tuned, in the same unit.
-    tied
-        Groups of names that keep one value; a name with a leading minus keeps the opposite of it.
 
     References
     ----------
@@ -96,7 +93,6 @@ class Structure:
     start: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
-    tied: Sequence[Sequence[str]] = ()
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return the parameters of a controller with `nmeas` inputs and `ncon` outputs.
@@ -168,7 +164,7 @@ class Structure:
     @property
     def given(self) -> Given:
         """Everything that was given by name, for its parts too."""
-        return Given(dict(self.start), dict(self.bounds), dict(self.fixed), tuple(self.tied))
+        return Given(dict(self.start), dict(self.bounds), dict(self.fixed))
 
 
 def joined(system: System) -> FloatArray:
@@ -221,7 +217,7 @@ class Static(Structure):
     ----------
     pattern
         Which gains there are: "full", "diagonal", "cross" or booleans (nu, ny).
-    start, bounds, fixed, tied
+    start, bounds, fixed
         As in `Structure`.
     """
 
@@ -249,7 +245,7 @@ class StateSpaceOrder(Structure):
         Its order.
     strictly_proper
         Whether D_K is zero.
-    start, bounds, fixed, tied
+    start, bounds, fixed
         As in `Structure`.
 
     References
@@ -314,11 +310,11 @@ class Parametrised:
         for what in ("start", "bounds", "fixed"):
             for name in getattr(given, what):
                 known_name(f"{kind}: {what}", name, self.names)
-        fixed = {self.names.index(name): float(number) for name, number in given.fixed.items()}
-        spread, leaders = _ties(given.tied, everything, fixed, kind)
-        self._base = np.array([fixed.get(k, 0.0) for k in range(len(everything))])
-        self._spread = spread
-        free = [everything[k] for k in leaders]
+        self._fixed = np.array([float(given.fixed.get(name, 0.0)) for name in self.names])
+        self._free = np.array([k for k, name in enumerate(self.names) if name not in given.fixed], dtype=np.intp)
+        if not len(self._free):
+            raise ArgumentError(f"{kind}: every parameter is fixed; leave at least one free")
+        free = [everything[k] for k in self._free]
         self._size = np.array([one.size for one in free])
         self.positive = np.array([one.positive for one in free], dtype=bool)
         self.start = self._coordinates(np.array([one.start for one in free]))
@@ -333,14 +329,9 @@ class Parametrised:
 
     def parameters(self, x: FloatArray) -> FloatArray:
         """Return all parameters at x."""
-        free = np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), self._size * x)
-        return np.asarray(self._base + self._spread @ free)
-
-    def nearest(self, M: FloatArray) -> FloatArray:
-        """Return the coordinates of M, in which the structure is affine, by least squares."""
-        zero = np.zeros(len(self.start))
-        found = np.linalg.lstsq(self.jacobian(zero).reshape(M.size, -1), (M - self.matrix(zero)).ravel(), rcond=None)[0]
-        return np.clip(found, self.lower, self.upper)
+        out = self._fixed.copy()
+        out[self._free] = np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), self._size * x)
+        return out
 
     def named(self, x: FloatArray) -> dict[str, float]:
         """Return all parameters by name."""
@@ -358,7 +349,7 @@ class Parametrised:
         """Return dM/dx, (rows, columns, n)."""
         slopes = self.structure.slopes(self.parameters(x), self.nmeas, self.ncon)
         size = np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), self._size)
-        return (slopes @ self._spread) * size
+        return np.asarray(slopes[..., self._free] * size)
 
 
 def _given(one: Parameter, by_name: Given, kind: str) -> Parameter:
@@ -388,35 +379,3 @@ def _pair(bounds: Any, where: str) -> tuple[float, float]:
     if not low < high:
         raise ArgumentError(f"{where}: the lower bound must be below the upper one, got ({low:g}, {high:g})")
     return low, high
-
-
-def _ties(
-    tied: Sequence[Sequence[str]], everything: Sequence[Parameter], fixed: Mapping[int, float], where: str
-) -> tuple[FloatArray, list[int]]:
-    """Return the matrix from free numbers to parameters, and the first parameter of each free number."""
-    names = [one.name for one in everything]
-    leader: dict[int, tuple[int, float]] = {}
-    for group in tied:
-        if isinstance(group, str) or len(group) < 2:
-            raise ArgumentError(f"{where}: tied must consist of groups of at least two names, got {group!r}")
-        first: tuple[int, float] | None = None
-        for word in group:
-            sign = -1.0 if word.startswith("-") else 1.0
-            k = known_name(f"{where}: tied", word.removeprefix("-"), names)
-            if k in leader or k in fixed:
-                raise ArgumentError(f"{where}: tied: {names[k]!r} is tied or fixed already; give each name once")
-            if sign < 0.0 and everything[k].positive:
-                raise ArgumentError(f"{where}: tied: {word!r}: a positive number has no opposite")
-            first = first or (k, sign)
-            if everything[first[0]].positive != everything[k].positive:
-                raise ArgumentError(f"{where}: tied: {names[first[0]]!r} and {names[k]!r} are of different kinds")
-            leader[k] = (first[0], sign * first[1])
-    leaders = [k for k in range(len(names)) if k not in fixed and leader.get(k, (k, 1.0))[0] == k]
-    if not leaders:
-        raise ArgumentError(f"{where}: every parameter is fixed; leave at least one free")
-    spread = np.zeros((len(names), len(leaders)))
-    for k in range(len(names)):
-        if k not in fixed:
-            at, sign = leader.get(k, (k, 1.0))
-            spread[k, leaders.index(at)] = sign
-    return spread, leaders

@@ -7,44 +7,46 @@ measured on the closed loops of the plants as given, and compared with a control
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.common.arguments import whole as whole_number
-from platform_ctrl.design.fixed_structure.starts import rank, searched, starting_points
-from platform_ctrl.design.fixed_structure.structures import Parametrised, Structure, Units
-from platform_ctrl.design.partition import Partition, augmented, in_w_plane, partition
-from platform_ctrl.design.scaling import autoscale, require_stabilisable
-from platform_ctrl.errors import ArgumentError, NotFoundError
-
-if TYPE_CHECKING:
-    from control import StateSpace
-
-
-import contextlib
-from typing import TYPE_CHECKING
-
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.common.arguments import whole as whole_number
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.fixed_structure.starts import rank, searched, starting_points
+from platform_ctrl.design.fixed_structure.structures import Parametrised, Structure, Units
 from platform_ctrl.design.partition import (
+    Partition,
+    augmented,
     closed_loop,
     closed_loop_system,
     controller_system,
+    in_w_plane,
     out_of_w_plane,
+    partition,
     whole,
 )
+from platform_ctrl.design.scaling import autoscale, require_stabilisable
 from platform_ctrl.design.synthesis import hinf
-from platform_ctrl.errors import DesignError, NotCertifiedError
+from platform_ctrl.errors import ArgumentError, DesignError, NotCertifiedError, NotFoundError
 
 if TYPE_CHECKING:
     from control import StateSpace
 
 # Plants whose full-order controllers starts are fitted to.
 _FITTED = 2
+# Matrix inequalities of more states than this take minutes.
+_LMI_STATES = 20
+# Back-offs of the controllers that starts are fitted to: near the least norm they have needlessly fast poles, and far
+# from it they are simple. What is added to the plant where the Riccati equations' assumptions do not hold.
+_BACKOFFS, _REGULARISED = (0.1, 0.5, 2.0), 1e-2
+# What the recomputed norm may exceed that of the search by, relative.
+_AGREEMENT = 1e-3
 
 
 def structured(
@@ -71,7 +73,7 @@ def structured(
     nmeas, ncon
         Number of measurements y and of controls u: the last outputs and the last inputs.
     structure
-        What the controller looks like (see `structures`); its numbers may be bounded, tied and fixed.
+        What the controller looks like (see `structures`); its numbers may be bounded and fixed.
     starts
         From how many points the search begins. The first ones are the structure's own values and fits to full-order
         controllers, the others scattered.
@@ -166,15 +168,6 @@ def _partitions(given: tuple[StateSpace, ...], nmeas: int, ncon: int) -> list[Pa
                 f"structured: plant {k} has dt = {one.dt:g} s, but the first {parts[0].dt:g} s; all must have the same"
             )
     return parts
-
-
-# Matrix inequalities of more states than this take minutes.
-_LMI_STATES = 20
-# Back-offs of the controllers that starts are fitted to: near the least norm they have needlessly fast poles, and far
-# from it they are simple. What is added to the plant where the Riccati equations' assumptions do not hold.
-_BACKOFFS, _REGULARISED = (0.1, 0.5, 2.0), 1e-2
-# What the recomputed norm may exceed that of the search by, relative.
-_AGREEMENT = 1e-3
 
 
 @value
