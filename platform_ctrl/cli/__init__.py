@@ -12,8 +12,15 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from platform_ctrl.cli.error_lines import failed, reported
-from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
+from platform_ctrl.cli.exits import (
+    INTERRUPTED,
+    INTERRUPTED_LINE,
+    ProcessEnd,
+    exit_interrupted,
+    failed,
+    interruptible,
+    reported,
+)
 from platform_ctrl.errors import PlatformCtrlError, began_with_interrupt
 
 __all__ = ["main"]

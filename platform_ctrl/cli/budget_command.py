@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from platform_ctrl.cli.error_lines import noted
+from platform_ctrl.cli.exits import noted
 from platform_ctrl.cli.job_arguments import (
     Controllers,
     JobFile,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from platform_ctrl.cli.error_lines import not_drawn, noted
+from platform_ctrl.cli.exits import not_drawn, noted
 from platform_ctrl.cli.job_arguments import (
     CAMPAIGN,
     Controllers,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from platform_ctrl.cli.error_lines import failed, not_drawn, noted, reported
+from platform_ctrl.cli.exits import failed, not_drawn, noted, reported
 from platform_ctrl.cli.job_arguments import (
     DESIGNED,
     REPORT,

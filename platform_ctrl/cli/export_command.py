@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from platform_ctrl.cli.error_lines import noted
+from platform_ctrl.cli.exits import noted
 from platform_ctrl.cli.job_arguments import (
     Controllers,
     JobFile,

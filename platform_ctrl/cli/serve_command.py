@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from platform_ctrl.cli.error_lines import noted
+from platform_ctrl.cli.exits import noted
 from platform_ctrl.cli.job_arguments import Controllers, Json, Quiet, job_of, option
 from platform_ctrl.errors import InputError
 
@@ -91,7 +91,7 @@ def serve(
     platform-ctrl serve job.toml --json
         the address as JSON, for another program
     """  # noqa: D301
-    from platform_ctrl.cli.interrupts import interruptible
+    from platform_ctrl.cli.exits import interruptible
     from platform_ctrl.cli.terminal import progress
 
     with progress(quiet or as_json, f"reading {job}"):
