@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import copyreg
 import dataclasses
 import functools
@@ -69,12 +68,6 @@ def _get_state(self: Any) -> list[Any]:
     for item in state:
         portable(item)
     return state
-
-
-def _deep_copy(self: Any, memo: dict[int, Any]) -> Any:
-    new = object.__new__(type(self))
-    _set_state(new, copy.deepcopy(_get_state(self), memo))
-    return new
 
 
 def portable(item: T) -> T:
@@ -167,7 +160,6 @@ def value(cls: type[T]) -> type[T]:
     made._settled = settled  # type: ignore[attr-defined]
     made.__setstate__ = _set_state  # type: ignore[attr-defined]
     made.__getstate__ = _get_state  # type: ignore[method-assign]
-    made.__deepcopy__ = _deep_copy  # type: ignore[attr-defined]
     return made
 
 

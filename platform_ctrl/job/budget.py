@@ -26,7 +26,7 @@ from platform_ctrl.plant.mistakes import (
     given,
     missing,
     of_length,
-    unknown,
+    strange,
     useless,
     within,
     wrong,
@@ -372,9 +372,8 @@ def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
         limited = [k for k, source in enumerate(budget.sources) if source.limit is not None]
         yield from ((("source", k, "limit"), f"limit: {words}") for k in limited)
     for k, source in enumerate(budget.sources):
-        if source.gimbal is not None and source.gimbal not in platform.gimbal_names:
-            misfit = unknown("gimbal", source.gimbal, "gimbal of the plant", platform.gimbal_names)
-            yield from within(("source", k), [misfit])
+        gimbals = platform.gimbal_names
+        yield from within(("source", k), strange("gimbal", [source.gimbal], "gimbal of the plant", gimbals))
         if source.kind == "specific-force" and not platform.unbalances:
             words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]]"
             yield ("source", k, "kind"), f"kind: {words} to it"
@@ -382,12 +381,11 @@ def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
     taken: dict[frozenset[str], int] = {}
     for k, one in enumerate(budget.correlations):
         pair = frozenset(one.between)
-        strange = [name for name in one.between if name not in names]
         if len(one.between) != 2 or len(pair) != 2:
             yield from within(("correlation", k), [wrong(one, "between", "the names of two sources")])
-        elif strange:
-            misfit = unknown("between", strange[0], "[[budget.source]] of the job", names)
-            yield from within(("correlation", k), [misfit])
+        elif not pair <= set(names):
+            misfits = strange("between", one.between, "[[budget.source]] of the job", names)
+            yield from within(("correlation", k), misfits)
         elif taken.setdefault(pair, k) != k:
             words = f"these two are in [[budget.correlation]] {taken[pair] + 1} already; leave one of them out"
             yield ("correlation", k, "between"), f"between: {words}"

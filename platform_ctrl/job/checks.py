@@ -30,6 +30,7 @@ from platform_ctrl.plant.mistakes import (
     given,
     listed,
     missing,
+    strange,
     suggestion,
     unknown,
     within,
@@ -70,13 +71,14 @@ def job_mistakes(job: Job) -> list[Mistake]:
 def locked_mistakes(locked: tuple[str, ...], loops: tuple[LoopSpec, ...], platform: Platform) -> list[Mistake]:
     """Return what is wrong with gimbals to be locked, and with loops on locked ones; `platform` still has them."""
     twice = [name for name, count in Counter(locked).items() if count > 1]
-    strange = [unknown("locked", name, "gimbal of the plant", platform.gimbal_names) for name in locked]
-    strange = [one for one, name in zip(strange, locked, strict=True) if name not in platform.gimbal_names]
-    strange += [("locked", f"locked: {given(name)} is in the list twice; leave one of them out") for name in twice]
+    wrong_names = [
+        *strange("locked", locked, "gimbal of the plant", platform.gimbal_names),
+        *(("locked", f"locked: {given(name)} is in the list twice; leave one of them out") for name in twice),
+    ]
     words = "is locked in [operation]; leave it out here, or do not lock it"
     held = [(k, name) for k, loop in enumerate(loops) for name in loop.gimbals if name in locked]
     return [
-        *at(("operation",), strange),
+        *at(("operation",), wrong_names),
         *(Mistake(("loop", k, "gimbals"), f"gimbals: {given(name)} {words}") for k, name in held),
     ]
 
@@ -231,10 +233,9 @@ def _signals(platform: Platform, loop: LoopSpec) -> Iterator[Misfit]:
     if not loop.sensors:
         yield _no_names("sensors", "what the loop reads", _fitting_sensors(platform, loop.kind))
     torquers = {t.name: t.gimbal for t in platform.torquers if t.gimbal is not None}
+    yield from strange("gimbals", loop.gimbals, "gimbal of the plant", platform.gimbal_names)
     for name in loop.gimbals:
-        if name not in platform.gimbal_names:
-            yield unknown("gimbals", name, "gimbal of the plant", platform.gimbal_names)
-        elif not loop.torquers and name not in torquers.values():
+        if name in platform.gimbal_names and not loop.torquers and name not in torquers.values():
             yield "gimbals", f"gimbals: {given(name)} has no torquer in the plant; add a [[torquer]]"
     yield from _sensors(platform, loop.kind, loop.sensors)
     for name in loop.torquers:
@@ -258,9 +259,7 @@ def _tracking(job: Job, k: int) -> Iterator[Misfit]:
     loop, fitting = job.loops[k], _fitting_sensors(job.platform, "tracking")
     if not loop.sensors:
         yield _no_names("sensors", "what the loop reads", fitting)
-    for name in loop.sensors:
-        if name not in fitting:
-            yield unknown("sensors", name, "sensor of an angle", fitting)
+    yield from strange("sensors", loop.sensors, "sensor of an angle", fitting)
     inner = [one.name for one in job.loops[:k] if one.kind == "rate"]
     if loop.around not in inner:
         more = f"; {suggestion(loop.around or '', inner)}"
@@ -307,11 +306,9 @@ def _drive(job: Job, drive: Drive) -> Iterator[Misfit]:
             what = f"sensor of the angle of a gimbal that {platform.gimbal_names[gimbal]!r} carries"
             yield unknown("secant_of", drive.secant_of, what, carried)
     rates = [sensor.name for sensor in platform.rate_sensors]
-    strange = [name for name in drive.sensors if name not in rates]
-    if strange:
-        yield unknown("sensors", strange[0], "rate sensor of the plant", rates)
-    elif drive.friction:
+    if set(drive.sensors) <= set(rates) and drive.friction:
         yield from _friction(job, gimbal, drive)
+    yield from strange("sensors", drive.sensors, "rate sensor of the plant", rates)
 
 
 def _carries(platform: Platform, gimbal: int, other: int) -> bool:
@@ -349,19 +346,16 @@ def _run(job: Job, k: int) -> Iterator[Misfit]:
         yield wrong(run, "duration", f"at most {MOST_SAMPLES:.0e} sample periods", more)
     yield from within(("initial",), _initial(run, job.platform))
     yield from within(("limits",), _run_limits(run, job.platform))
-    places = [(("vibration", i), one.gimbal) for i, one in enumerate(run.vibrations)]
-    places += [(("sine", i), one.gimbal) for i, one in enumerate(run.sines)]
-    for place, gimbal in places:
-        if gimbal is not None and gimbal not in gimbals:
-            yield from within(place, [unknown("gimbal", gimbal, "gimbal of the plant", gimbals)])
+    shaken = {"vibration": [one.gimbal for one in run.vibrations], "sine": [one.gimbal for one in run.sines]}
+    for key, names in shaken.items():
+        for i, name in enumerate(names):
+            yield from within((key, i), strange("gimbal", [name], "gimbal of the plant", gimbals))
     for i, command in enumerate(run.commands):
         yield from within(("command", i), _command(job, command))
-    known = [fault.name for fault in job.fault_events]
-    for name, count in Counter(run.faults).items():
-        if name not in known:
-            yield unknown("faults", name, "[[fault]] of the job", known)
-        elif count > 1:
-            yield "faults", f"faults: {given(name)} is listed twice; leave one of them out"
+    faults = Counter(run.faults)
+    yield from strange("faults", faults, "[[fault]] of the job", [fault.name for fault in job.fault_events])
+    for name in (name for name, count in faults.items() if count > 1):
+        yield "faults", f"faults: {given(name)} is listed twice; leave one of them out"
 
 
 def _run_limits(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:

@@ -15,7 +15,7 @@ from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Unfit
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, takes, wrong
-from platform_ctrl.plant.tables import Array, Collected, shape, stated
+from platform_ctrl.plant.tables import Array, Collected, shape, written
 
 Points = Literal["sobol", "latin-hypercube", "random"]
 Distribution = Literal["uniform", "normal", "truncated-normal", "log-uniform", "log-normal", "triangular", "choice"]
@@ -296,7 +296,7 @@ def _misfits_together(
             continue
         named = (fault for fault in faults if fault.name == name)
         part: Any = next(named) if group == "fault" else getattr(scenario.platform, group)[k]
-        judge, table = shape(type(part)).misfits, stated(part)
+        judge, table = shape(type(part)).misfits, written(part)
         usual = {key for key, _ in judge(table)}
         for ends in product(*(varied[path].support for path in paths.values())):
             drawn = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,6 +72,11 @@ def useless(table: object, key: str, words: str) -> Misfit:
 def unknown(key: str, name: str, what: str, known: Iterable[str]) -> Misfit:
     """Return that a name under a key is no `what`."""
     return key, f"{key}: {given(name)} is no {what}; {suggestion(name, known)}"
+
+
+def strange(key: str, names: Iterable[str | None], what: str, known: Collection[str]) -> Iterator[Misfit]:
+    """Walk names under a key, those that are given, that are no `what`."""
+    return (unknown(key, name, what, known) for name in names if name is not None and name not in known)
 
 
 def takes(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import types
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Annotated, Any, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
@@ -120,37 +120,13 @@ def record_value(cls: type[T]) -> type[T]:
     def judged(self: Any) -> None:
         settled(self)
         # What a record needs counts as given even where it is what the field has by default.
-        said = {name: getattr(self, name) for name in getattr(self, "_needed", ())} | stated(self)
-        for name, mark in _expectations(type(self)):  # type: ignore[arg-type]
-            if name in said:
-                try:
-                    mark.judge(said[name])
-                except Unfit as error:
-                    words = f"{name} must be {mark.words}, got {given(said[name])}"
-                    raise ArgumentError(f"{cls.__name__}: {words}{f' ({error})' if str(error) else ''}") from None
-        for _, words in shape(type(self)).misfits(said):
-            raise ArgumentError(f"{cls.__name__}: {words}")
+        table = written(self) | {name: getattr(self, name) for name in getattr(self, "_needed", ())}
+        _, mistakes = read_table(shape(type(self)), table)
+        for mistake in mistakes or at((), shape(type(self)).misfits(table)):
+            raise ArgumentError(f"{cls.__name__}: {mistake.words}")
 
     made.__post_init__ = judged  # type: ignore[attr-defined]
     return made
-
-
-def stated(item: Any) -> dict[str, Any]:
-    """Return the table that would say what a record holds beside its defaults."""
-    table: dict[str, Any] = {}
-    for one in dataclasses.fields(item):
-        part = getattr(item, one.name)
-        if dataclasses.is_dataclass(part):
-            table |= stated(part)
-        elif not (isinstance(part, Hashable) and part == one.default):
-            table[one.name] = _plain(part)
-    return table
-
-
-@cache
-def _expectations(record: type) -> list[tuple[str, Expected]]:
-    hints = get_type_hints(record, include_extras=True)
-    return [(name, mark) for name, hint in hints.items() for mark in _marks(hint)[1] if isinstance(mark, Expected)]
 
 
 # Mark of a field that is a record, in a table of the field's name.

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -155,16 +155,22 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     # A decoupled loop without a margin has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
     torque_noise = together.torque_noise
-    worst = _worst_trims(job, controllers, together)
-    margin, costliest = worst.simultaneous, int(np.argmax(cost))
+    trims = [together]
+    for q in job.trims[1:]:
+        trims.append(_Together(job, controllers, coupled_plant(job, linearise(job.platform, q=q), controllers)))
+    at = ["", *(f", {at_angles(job.platform, q)}" for q in job.trims[1:])]
+    margins = [one.simultaneous for one in trims]
+    slowest = min(range(len(trims)), key=lambda k: trims[k].decay)
+    least = min(range(len(trims)), key=lambda k: margins[k].guaranteed)
+    margin, costliest = margins[least], int(np.argmax(cost))
     over = "" if together.controller is not None else f", over {job.cycle} samples"
-    where = f"{worst.decay_at}{over}{_conditions(job, together, worst.growing)}"
+    where = f"{at[slowest]}{over}{_conditions(job, together, trims[slowest].growing)}"
     bound = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(margin.upper, 4)}"
     measured: dict[str, tuple[float, str, Method]] = {
-        STABLE.name: (worst.decay, f"poles of the coupled sampled closed loop{where}", "exact"),
+        STABLE.name: (trims[slowest].decay, f"poles of the coupled sampled closed loop{where}", "exact"),
         COUPLED_METRICS["simultaneous disk margin"].name: (
             margin.guaranteed,
-            f"{bound}{worst.margin_at}{_dry(job)}",
+            f"{bound}{at[least]}{_dry(job)}",
             "bound",
         ),
         COUPLED_METRICS["coupling cost"].name: (
@@ -197,7 +203,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         decoupled=decoupled,
         coupled=coupled,
         cost=cost,
-        simultaneous=together.simultaneous,
+        simultaneous=margins[0],
         torque_noise=torque_noise,
         results=tuple(results),
     )
@@ -292,32 +298,6 @@ class _Together:
             return drifting_rms(self._own.part(slice(m), slice(m, None)), rms, DRIFT_TIME)
         parts = self._periodic.noise_to_torque(rms)
         return np.array([np.linalg.norm(drifting_rms(one, np.ones(one.B.shape[1]), DRIFT_TIME)) for one in parts])
-
-
-class _Worst(NamedTuple):
-    """The slowest decay and the least simultaneous margin over the job's gimbal angles, and where they are.
-
-    `growing`: gimbals that no loop acts on and that move away by themselves, where that is slowest.
-    """
-
-    decay: float
-    decay_at: str
-    simultaneous: DiskMargin
-    margin_at: str
-    growing: str = ""
-
-
-def _worst_trims(job: Job, controllers: Sequence[control.StateSpace], first: _Together) -> _Worst:
-    out = _Worst(first.decay, "", first.simultaneous, "", first.growing)
-    for q in job.trims[1:]:
-        plant = coupled_plant(job, linearise(job.platform, q=q), controllers)
-        together, where = _Together(job, controllers, plant), f", {at_angles(job.platform, q)}"
-        own, margin = together.decay, together.simultaneous
-        if own < out.decay:
-            out = out._replace(decay=own, decay_at=where, growing=together.growing)
-        if margin.guaranteed < out.simultaneous.guaranteed:
-            out = out._replace(simultaneous=margin, margin_at=where)
-    return out
 
 
 def one_controller(
