@@ -19,13 +19,13 @@ parser.add_argument("-o", default="root_locus.png", metavar="FILE", help="where 
 given = parser.parse_args()
 
 job = pc.read_job(Path(__file__).with_name("caged_gyro.toml"))
-design, sampling = pc.design.loops(job)[0].closed, job.sampling
+design = pc.design.loops(job)[0].closed
 controller = design.controller
 plant = design.plant[list(controller.input_labels), list(controller.output_labels)]
 
 over_gain = figures.root_locus(plant, controller, gains=given.gain)
-times = {"period": sampling.period, "delay": sampling.delay}
-over_spin = figures.root_locus_over_spin(job.platform, job.loops[0].gimbals, controller, spins=given.spin, **times)
+gimbals, delay = job.loops[0].gimbals, job.sampling.delay
+over_spin = figures.root_locus_over_spin(job.platform, gimbals, controller, spins=given.spin, delay=delay)
 for name, plot, word in (("loop gain", over_gain, ""), ("rotor speed", over_spin, "_over_spin")):
     locus, edges = plot.locus, ", ".join(f"{edge:.2f}" for edge in plot.locus.edges)
     begins = "stable" if locus.stable[0] else "unstable"

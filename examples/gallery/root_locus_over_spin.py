@@ -29,5 +29,5 @@ job = pc.read_job(
 )
 controller = pc.design.loops(job)[0].closed.controller
 
-figure = figures.root_locus_over_spin(job.platform, ("9", "10"), controller, period=PERIOD, delay=DELAY).figure
+figure = figures.root_locus_over_spin(job.platform, ("9", "10"), controller, delay=DELAY).figure
 figure.savefig("root_locus_over_spin.png", dpi=150)

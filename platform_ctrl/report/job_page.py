@@ -214,7 +214,7 @@ def _plant_tables(result: JobResult) -> list[Block]:
         blocks.append(Subsection(title="Rotors", blocks=(tables.rotor_table(result),)))
     elements = tables.element_table(result)
     if elements is not None:
-        blocks.append(Subsection(title="Springs, friction and other elements", blocks=(elements,)))
+        blocks.append(Subsection(title="Sensors, springs, friction and other elements", blocks=(elements,)))
     title = "Modes of the uncontrolled gimbals"
     blocks.append(Subsection(title=title, blocks=made(title, lambda: tables.mode_table(result))))
     return blocks

@@ -21,7 +21,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.legend_handler import HandlerTuple
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
@@ -57,7 +56,7 @@ _SCALES = ("linear", "log")
 # Inches: margins of a figure, gaps between panels, rows of the legend, distance of an axis label from its axis.
 FULL_WIDTH = 9.6
 _LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
-_TITLE, _NO_TITLE, _BETWEEN, _LEGEND_ROW = 0.26, 0.08, 0.16, 0.22
+_TITLE, _NO_TITLE, _LEGEND_ROW = 0.26, 0.08, 0.22
 _LABEL_AWAY = 0.5
 
 _COLOURS: Any = {
@@ -111,41 +110,28 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def panels(
-    rows: int,
-    columns: int,
-    heights: float | Sequence[float],
-    names: Sequence[str] = (),
-    *,
-    titles: bool = True,
-    width: float = FULL_WIDTH,
+    rows: int, columns: int, tall: float, names: Sequence[str] = (), *, titles: bool = True, width: float = FULL_WIDTH
 ) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure with a grid of panels, and its axes (rows × parts, columns).
+    """Return a figure with a grid of panels, `tall` inches each, and its axes (rows, columns).
 
-    `heights`, inches: of a panel, or of the parts of a panel that share their x axis. `names`: of the legend above.
+    `names`: of the legend above.
     """
-    parts = np.atleast_1d(heights).tolist()
     over = _TITLE if titles else _NO_TITLE
-    row_height = over + sum(parts) + (len(parts) - 1) * _BETWEEN + _BOTTOM
-    top = 0.1 + _LEGEND_ROW * legend_rows(names, width)
-    height = top + rows * row_height
+    top = 0.1 + _LEGEND_ROW * legend_rows(names, width) + over
+    height = top + rows * tall + (rows - 1) * (_BOTTOM + over) + _BOTTOM
+    across = (width - _LEFT - _RIGHT - (columns - 1) * _GAP_X) / columns
+    place = {
+        "left": _LEFT / width,
+        "right": 1.0 - _RIGHT / width,
+        "bottom": _BOTTOM / height,
+        "top": 1.0 - top / height,
+    }
+    place |= {"wspace": _GAP_X / across, "hspace": (over + _BOTTOM) / tall}
     figure = _figure(width, height)
-    across = panel_width(columns, width)
-    axes = np.empty((rows * len(parts), columns), dtype=object)
-    for row, column in np.ndindex(rows, columns):
-        y = height - top - row * row_height - over
-        for part, tall in enumerate(parts):
-            y -= tall
-            box = ((_LEFT + column * (across + _GAP_X)) / width, y / height, across / width, tall / height)
-            above = axes[row * len(parts), column] if part else None
-            one = axes[row * len(parts) + part, column] = figure.add_axes(box, sharex=above)
-            one.yaxis.set_label_coords(-_LABEL_AWAY / across, 0.5)
-            y -= _BETWEEN
+    axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw=place)
+    for one in axes.flat:
+        one.yaxis.set_label_coords(-_LABEL_AWAY / across, 0.5)
     return figure, axes
-
-
-def panel_width(columns: int, width: float = FULL_WIDTH) -> float:
-    """Return the width of one of `columns` panels in a figure of `width`, inches."""
-    return (width - _LEFT - _RIGHT - (columns - 1) * _GAP_X) / columns
 
 
 def line_style(k: int) -> dict[str, Any]:
@@ -167,7 +153,7 @@ def legend_rows(names: Sequence[str], width: float = FULL_WIDTH) -> int:
 
 
 def legend(figure: Figure, handles: Sequence[Any], names: Sequence[str]) -> Any:
-    """Put a legend into the strip that `panels` has left above; a tuple of handles is drawn side by side."""
+    """Put a legend into the strip that `panels` has left above."""
     if not names:
         return None
     width, height = map(float, figure.get_size_inches())
@@ -181,19 +167,14 @@ def legend(figure: Figure, handles: Sequence[Any], names: Sequence[str]) -> Any:
         borderpad=0.1,
         handlelength=2.6,
         columnspacing=1.8,
-        handler_map={tuple: HandlerTuple(ndivide=None)},
     )
-
-
-def _decade(number: float, place: int | None) -> str:
-    return power_of_ten(number)
 
 
 def log_axis(axis: Any) -> None:
     """Label the decades plainly; grid lines at the decades alone."""
     axis.set_major_locator(LogLocator(base=10.0, numticks=9))
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(_decade))
+    axis.set_major_formatter(FuncFormatter(lambda number, _: power_of_ten(number)))
     axis.set_minor_formatter(NullFormatter())
 
 

@@ -114,35 +114,28 @@ def _mark(part: Torquer | PickOff) -> str:
     return ", added" if part.added else ""
 
 
+# Of the plant file: what has a table of its own, and the keys that say where a part is.
+_SHOWN, _PLACES = ("gimbal", "rotor", "torquer", "pickoff"), ("name", "gimbal", "body")
+
+
 def element_table(result: JobResult) -> Table | None:
-    """Return specific force, springs, friction and other elements; None without any."""
+    """Return sensors, springs, friction and whatever else the plant file has, with its keys; None without any."""
     platform = result.job.platform
-    rows: list[tuple[str, str, str]] = []
+    rows = []
     if np.any(platform.specific_force):
-        f = ", ".join(plain(float(x)) for x in platform.specific_force)
-        rows.append(("specific force", platform.root_name, f"({f}) m/s²"))
-    for spring in platform.springs:
-        rest = f", relaxed at {quantity(spring.rest, 'rad')}" if spring.rest else ""
-        rows.append(("spring", spring.gimbal, f"{quantity(spring.stiffness, 'N m/rad')}{rest}"))
-    for friction in platform.frictions:
-        dry = " and ".join(dict.fromkeys(quantity(level, "N m") for level in friction.coulomb))
-        parts = [f"viscous {quantity(friction.viscous, 'N m s')}"] if friction.viscous else []
-        parts += [f"dry {dry}"] if any(friction.coulomb) else []
-        if friction.breakaway != friction.coulomb:
-            begin = " and ".join(dict.fromkeys(quantity(level, "N m") for level in friction.breakaway))
-            parts.append(f"breakaway {begin} up to about {quantity(friction.stribeck_rate, 'rad/s')}")
-        rows.append(("friction", friction.gimbal, ", ".join(parts) or "none"))
-    for cage in platform.cages:
-        numbers = f"{quantity(cage.stiffness, 'N m/rad')}, {quantity(cage.damping, 'N m s')}"
-        rows.append(("cage", cage.gimbal, f"{numbers}, play ±{quantity(cage.clearance, 'rad')}"))
-    for unbalance in platform.unbalances:
-        moment = ", ".join(plain(float(x)) for x in unbalance.moment)
-        rows.append(("unbalance", unbalance.body, f"({moment}) kg m"))
-    for erection in platform.erections:
-        sensed = f"{quantity(erection.gain, 'N m')} × tilt of {axis_text(erection.axis)} of {erection.senses}"
-        limit = "" if erection.limit is None else f", at most {quantity(erection.limit, 'N m')}"
-        rows.append(("erection", erection.gimbal, sensed + limit))
-    return table("element|acts on|numbers", rows) if rows else None
+        rows.append(("specific force", platform.root_name, _value(platform.specific_force.tolist())))
+    for kind, parts in job_data(result.job)["plant"].items():
+        for part in parts if kind not in _SHOWN and isinstance(parts, list) else ():
+            place = next((key for key in _PLACES if key in part), "")
+            numbers = ", ".join(f"{key} {_value(one)}" for key, one in part.items() if key != place)
+            rows.append((kind.replace("_", " "), str(part.get(place, "")), numbers))
+    return table("element|name or place|keys of the plant file, SI units", rows) if rows else None
+
+
+def _value(one: object) -> str:
+    if isinstance(one, list | tuple):
+        return f"({', '.join(map(_value, one))})"
+    return plain(float(one)) if isinstance(one, float) else str(one)
 
 
 _KIND = {

@@ -56,7 +56,7 @@ def over_gain(plant, controller):
 
 @pytest.fixture(scope="module")
 def over_spin(job, controller):
-    return figures.root_locus_over_spin(job.platform, ("9", "10"), controller, period=PERIOD, delay=DELAY)
+    return figures.root_locus_over_spin(job.platform, ("9", "10"), controller, delay=DELAY)
 
 
 def nearest(found, expected):
@@ -145,7 +145,7 @@ def test_over_spin_stability_ends_where_the_poles_say(over_spin, job, controller
 
 
 def test_a_range_without_an_edge_is_drawn_without_one(job, controller):
-    options = {"spins": [0.9, 1.1], "period": PERIOD, "delay": DELAY}
+    options = {"spins": [0.9, 1.1], "delay": DELAY}
     locus = figures.root_locus_over_spin(job.platform, ("9", "10"), controller, **options).locus
     assert locus.edges.size == 0
     assert locus.stable.all()

@@ -36,7 +36,6 @@ from platform_ctrl.report.style import (
 # Inches of a disc's radius at most, and below a panel for its scale; in radii: room around each body, length of the
 # root's axes.
 _RADIUS, _NO_SCALE, _ROOM, _ROOT_AXIS = 0.62, 0.46, (1.3, 0.55), 0.8
-_MOST_IN_A_ROW = 4
 # Of gimbals by how many joints lie between them and the root.
 _LEVELS = (INK, SERIES[7], SERIES[6], SERIES[3], REFERENCE)
 _ANGLE, _SPIN, _SIGN = SERIES[1], SERIES[0], SERIES[2]
@@ -102,20 +101,16 @@ def _root_axes(platform: Platform) -> list[Outline]:
 def _placed(
     groups: Sequence[list[Outline]], rows: FloatArray
 ) -> tuple[list[tuple[Outline, FloatArray]], FloatArray, FloatArray]:
-    """Return every shape with where the origin of its body lies, side by side in rows, and the corners of the whole."""
-    found, top, right = [], 0.0, 0.0
-    for row in np.array_split(np.arange(len(groups)), math.ceil(len(groups) / (_MOST_IN_A_ROW + 1))):
-        flat = [np.concatenate([_ink(shape, rows) for shape in groups[k]]) for k in row]
-        tall = max(float(np.ptp(points[:, 1])) for points in flat) + 2.0 * _ROOM[1]
-        x = 0.0
-        for k, points in zip(row, flat, strict=True):
-            low, high = points.min(axis=0), points.max(axis=0)
-            middle = top - 0.5 * tall - 0.5 * (low[1] + high[1])
-            at = np.array([x + 0.5 * _ROOM[0] - low[0], middle])
-            found += [(shape, at) for shape in groups[k]]
-            x += float(high[0] - low[0]) + _ROOM[0]
-        top, right = top - tall, max(right, x)
-    return found, np.array([0.0, top]), np.array([right, 0.0])
+    """Return every shape with where the origin of its body lies, side by side, and the corners of the whole."""
+    found, x, top = [], 0.0, 0.0
+    for group in groups:
+        ink = np.concatenate([_ink(shape, rows) for shape in group])
+        low, high = ink.min(axis=0), ink.max(axis=0)
+        at = np.array([x + 0.5 * _ROOM[0] - low[0], -0.5 * (low[1] + high[1])])
+        found += [(shape, at) for shape in group]
+        x += float(high[0] - low[0]) + _ROOM[0]
+        top = max(top, 0.5 * float(high[1] - low[1]) + _ROOM[1])
+    return found, np.array([0.0, -top]), np.array([x, top])
 
 
 def _rim(shape: Outline, face: int) -> FloatArray:

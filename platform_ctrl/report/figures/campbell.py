@@ -57,7 +57,6 @@ def campbell(
     platform: Platform,
     *,
     gimbals: Sequence[str] | None = None,
-    rotors: Sequence[str] | None = None,
     spins: ArrayLike | None = None,
     orders: ArrayLike = (1.0, 2.0),
     Omega: ArrayLike = (0.0, 0.0, 0.0),
@@ -74,11 +73,9 @@ def campbell(
         The plant, linearised about zero angles.
     gimbals
         Names of the gimbals of one or several subsystems; default all.
-    rotors
-        Names of the rotors whose speed changes, all by one factor; default all that spin. Rotors of different speeds
-        have an axis in shares of the nominal speed.
     spins : (k,), optional
-        Increasing factors on the speeds, >= 0, at least two: the range. Default 0 to 1.5.
+        Increasing factors on the speeds of all rotors, >= 0, at least two: the range. Default 0 to 1.5. Rotors of
+        different speeds have an axis in shares of the nominal speed.
     orders : (j,)
         Factors on the speed at which rotors excite.
     Omega : (3,)
@@ -106,8 +103,8 @@ def campbell(
     multiples = np.atleast_1d(real_numbers("orders", orders))
     if multiples.ndim != 1 or not np.all(np.isfinite(multiples) & (multiples > 0.0)):
         raise ArgumentError(f"campbell: orders must be finite numbers > 0, such as (1, 2), got {multiples}")
-    stopped, turning = with_rotors_at_rest(platform, rotors)
-    spin = sorted({round(abs(r.spin), 9) for r in platform.rotors if r.name in turning})
+    stopped = with_rotors_at_rest(platform)
+    spin = sorted({round(abs(r.spin), 9) for r in platform.rotors if r.angular_momentum != 0.0})
     unit = RPM * spin[0] if len(spin) == 1 else 1.0
     model, still = linearise(platform, Omega=Omega), linearise(stopped, Omega=Omega)
     chosen = {model.gimbal_names[k] for k in whole_subsystems(model, gimbals)}

@@ -83,9 +83,7 @@ def root_locus_over_spin(
     gimbals: Sequence[str] | None,
     controller: control.StateSpace | control.TransferFunction,
     *,
-    rotors: Sequence[str] | None = None,
     spins: ArrayLike | None = None,
-    period: float | None = None,
     delay: float = 0.0,
     Omega: ArrayLike = (0.0, 0.0, 0.0),
 ) -> control.ControlPlot:
@@ -100,13 +98,11 @@ def root_locus_over_spin(
     gimbals
         Names of the gimbals of one or several subsystems; None: all.
     controller
-        u = K y, torque = K(pick-off); joined by signal names, by position where they are others.
-    rotors
-        Names of the rotors whose momentum changes, all by one factor; default all.
+        u = K y, torque = K(pick-off), joined by signal names; its sample period is that of the loop.
     spins : (k,), optional
-        Increasing factors on the rotors' angular momenta, at least two: the range. Default 0.2 to 1.8.
-    period, delay
-        Of the sampled loop, s: sample period, and delay from sample to torque. None: a continuous loop.
+        Increasing factors on all rotors' angular momenta, at least two: the range. Default 0.2 to 1.8.
+    delay
+        Of a sampled loop from sample to torque, s.
     Omega : (3,)
         Constant platform rate, rad/s.
 
@@ -128,22 +124,30 @@ def root_locus_over_spin(
     """
     factors = increasing("spins", spins, np.linspace(0.2, 1.8, 101))
     K = linear_arrays(controller, "root_locus_over_spin: controller")
-    dt = 0.0 if period is None else positive("period", period)
     late = positive("delay", delay, zero=True)
-    if period is None and late:
-        raise ArgumentError(f"root_locus_over_spin: a delay of {delay!r} s needs a sample period; give period in s")
-    if controller.dt is not None and abs(K.dt - dt) > 1e-9 * max(K.dt, dt):
-        raise ArgumentError(f"root_locus_over_spin: period must be the controller's dt, {K.dt} s, got {period!r}")
-    still, change, lags = _affine_plant(platform, gimbals, rotors, Omega, controller)
+    if late and not K.dt:
+        raise ArgumentError(f"root_locus_over_spin: a delay of {delay!r} s needs a controller with a sample period")
+    # The linear model is affine in the rotors' momenta.
+    models = [linearise(one, Omega=Omega) for one in (with_rotors_at_rest(platform), platform)]
+    # At rest there may be more subsystems, never fewer.
+    still, full = (state_space(model, gimbals=gimbals) for model in models)
+    angles = [
+        still.output_labels[k] for k in known_names("controller inputs", controller.input_labels, still.output_labels)
+    ]
+    torques = [
+        full.input_labels[k] for k in known_names("controller outputs", controller.output_labels, full.input_labels)
+    ]
+    P0, P1 = (System.of(system[angles, torques], "gimbals") for system in (still, full))
+    lag = {torquer.name: torquer.lag for torquer in platform.torquers}
+    lags = np.array([lag[name] for name in torques])
 
     def poles(k: FloatArray) -> ComplexArray:
         share = k[:, None, None]
-        A, B, C, D = (now + share * more for now, more in zip(still[:4], change[:4], strict=True))
-        plant = System(A, B, C, D, 0.0)
-        P = with_lag(plant, lags) if period is None else sampled(plant, dt, late, lags)
+        plant = System(*(now + share * (then - now) for now, then in zip(P0[:4], P1[:4], strict=True)), 0.0)
+        P = sampled(plant, K.dt, late, lags) if K.dt else with_lag(plant, lags)
         return np.asarray(np.linalg.eigvals(P.feedback(K).A), dtype=np.complex128)
 
-    return _drawn(traced_locus(factors, poles, dt), "speed", "rotor speed / nominal")
+    return _drawn(traced_locus(factors, poles, K.dt), "speed", "rotor speed / nominal")
 
 
 def round_steps(top: float) -> FloatArray:
@@ -316,46 +320,12 @@ def gain_locus(plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | N
     return traced_locus(factors, poles, L.dt)
 
 
-def with_rotors_at_rest(platform: Platform, rotors: Sequence[str] | None) -> tuple[Platform, list[str]]:
-    """Return the platform with those rotors at rest, and their names; rotors already at rest are left out.
-
-    The linear model is affine in the rotors' momenta: this one and the nominal one give it at every speed.
-    """
-    names = [rotor.name for rotor in instance("platform", platform, Platform).rotors]
-    chosen = names if rotors is None else [names[k] for k in known_names("rotors", rotors, names)]
-    turning = [r.name for r in platform.rotors if r.name in chosen and r.angular_momentum != 0.0]
+def with_rotors_at_rest(platform: Platform) -> Platform:
+    """Return the platform with its rotors at rest."""
+    turning = [r.name for r in instance("platform", platform, Platform).rotors if r.angular_momentum != 0.0]
     if not turning:
-        given = ", ".join(map(repr, chosen)) or "none at all"
-        raise ArgumentError(f"rotors must include one of platform {platform.name!r} that spins, got {given}")
-    return changed(platform, {}, dict.fromkeys(turning, -1.0)), turning
-
-
-def _affine_plant(
-    platform: Platform,
-    gimbals: Sequence[str] | None,
-    rotors: Sequence[str] | None,
-    Omega: ArrayLike,
-    controller: control.StateSpace | control.TransferFunction,
-) -> tuple[System, System, FloatArray]:
-    """Return the plant with the rotors at rest, what full speed adds to it, and the lags of its torquers."""
-    stopped, _ = with_rotors_at_rest(platform, rotors)
-    turning, resting = linearise(platform, Omega=Omega), linearise(stopped, Omega=Omega)
-    full = state_space(turning, gimbals=gimbals)
-    # At rest there may be more subsystems, never fewer.
-    none = state_space(resting, gimbals=gimbals)
-    torques = [name for name in full.input_labels if not name.startswith("Omega")]
-    angles = list(full.output_labels)
-    if set(controller.output_labels) <= set(torques) and set(controller.input_labels) <= set(angles):
-        torques, angles = list(controller.output_labels), list(controller.input_labels)
-    elif (len(torques), len(angles)) != (controller.noutputs, controller.ninputs):
-        raise ArgumentError(
-            f"root_locus_over_spin: the controller must use angles {angles} and torquers {torques}, or as many, "
-            f"got inputs {list(controller.input_labels)} and outputs {list(controller.output_labels)}"
-        )
-    P, P0 = (System.of(system[angles, torques], "gimbals") for system in (full, none))
-    change = System(P.A - P0.A, P.B - P0.B, P.C - P0.C, P.D - P0.D, 0.0)
-    lag = {torquer.name: torquer.lag for torquer in platform.torquers}
-    return P0, change, np.array([lag[name] for name in torques])
+        raise ArgumentError(f"platform {platform.name!r} must have a rotor that spins")
+    return changed(platform, {}, dict.fromkeys(turning, -1.0))
 
 
 def increasing(name: str, given: ArrayLike | None, default: FloatArray) -> FloatArray:

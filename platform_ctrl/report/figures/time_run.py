@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,9 @@ from matplotlib.figure import Figure
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.common.arguments import instance, known_name
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import handy_unit
 from platform_ctrl.plant.drawing import root_series, signal_series
 from platform_ctrl.plant.platform import Platform, Torquer
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
@@ -40,8 +40,6 @@ from platform_ctrl.verification.simulated import Run
 _FAR = 3.7
 # A trace beyond so many times its limit is cut off.
 _WILD = 5.0
-# Angles below this are drawn in µrad, rad.
-_TINY = 1e-5
 
 
 @standalone
@@ -89,6 +87,18 @@ def time_run(run: Run | Trajectory, platform: Platform, *, limits: Mapping[str, 
     return _drawn(recorded, torquers, signal_series(platform), limits, duration)
 
 
+@value
+class _Signals:
+    """What one panel shows: columns of `y` (N, k) under their names, each with its place in the palette."""
+
+    title: str
+    unit: str
+    y: FloatArray
+    names: Mapping[str, int]
+    limit: float | None = None
+    command: FloatArray | None = None  # (N, k), dashed over it
+
+
 def _drawn(
     t: Trajectory,
     torquers: Sequence[Torquer],
@@ -97,34 +107,48 @@ def _drawn(
     duration: float,
 ) -> Figure:
     """Draw a run with the colour of each signal, `series`."""
-    free, share = t.mode == "stabilised", limits.get("torque_share", 1.0)
-    roots = [k for k, torquer in enumerate(torquers) if torquer.root_axis is not None]
-    gimbals = [k for k in range(len(torquers)) if k not in roots]
+    free = t.mode == "stabilised"
+
+    def torques(title: str, of_root: bool) -> _Signals:
+        chosen = [k for k, torquer in enumerate(torquers) if (torquer.root_axis is not None) == of_root]
+        names = {t.torquer_names[k]: series[t.torquer_names[k]] for k in chosen}
+        # Only a common limit has a line.
+        common = {torquers[k].limit for k in chosen}
+        limit = common.pop() if len(common) == 1 else None
+        allowed = None if limit is None else limits.get("torque_share", 1.0) * limit
+        return _Signals(title=title, unit="N m", y=t.torque[:, chosen], names=names, limit=allowed)
+
     angles = {name: series[name] for name in t.angle_names}
-    wanted: list[Callable[[Axes], None]] = [
-        partial(_angles, t=t.t, y=t.q, names=angles, limit=limits.get("angle"), title="gimbal angles"),
-        partial(_torques, t=t, torquers=torquers, columns=gimbals, series=series, share=share, title="gimbal torques"),
+    wanted = [
+        _Signals(title="gimbal angles", unit="rad", y=t.q, names=angles, limit=limits.get("angle")),
+        torques("gimbal torques", of_root=False),
     ]
     if free:
-        about: dict[str, Any] = {"t": t, "torquers": torquers, "columns": roots, "series": series, "share": share}
-        wanted.append(partial(_torques, **about, title="platform torques"))
-        about = {"y": t.attitude_angles, "names": _of_axes("θ"), "limit": limits.get("attitude")}
-        wanted.append(partial(_angles, t=t.t, **about, title="inertial platform angles"))
+        attitude: dict[str, Any] = {"names": _of_axes("θ"), "limit": limits.get("attitude")}
+        wanted += [
+            torques("platform torques", of_root=True),
+            _Signals(title="inertial platform angles", unit="rad", y=t.attitude_angles, **attitude),
+        ]
     title = "platform rate" if free else "platform rate, prescribed"
-    wanted.append(partial(_rates, t=t.t, y=t.Omega, names=_of_axes("Ω"), title=title))
+    wanted.append(_Signals(title=title, unit="rad/s", y=t.Omega, names=_of_axes("Ω")))
     if t.line_of_sight.shape[1] > 0:
-        across = {name: k for k, name in enumerate(LOS_ANGLES[:2])}
-        about = {"y": t.line_of_sight[:, 3:5], "names": across, "limit": None}
-        wanted.append(partial(_angles, t=t.t, **about, title="line of sight, angle since the start"))
-        across = {name: k for k, name in enumerate(LOS_RATES[:2])}
-        wanted.append(partial(_rates, t=t.t, y=t.line_of_sight[:, :2], names=across, title="line of sight, rate"))
-    wanted += [partial(_commanded, t=t, unit=unit) for unit in dict.fromkeys(t.commanded_units)]
+        sight = {"angle since the start": ("rad", LOS_ANGLES, 3), "rate": ("rad/s", LOS_RATES, 0)}
+        for what, (unit, signals, first) in sight.items():
+            across = {name: k for k, name in enumerate(signals[:2])}
+            y = t.line_of_sight[:, first : first + 2]
+            wanted.append(_Signals(title=f"line of sight, {what}", unit=unit, y=y, names=across))
+    for unit in dict.fromkeys(t.commanded_units):
+        chosen = [k for k, one in enumerate(t.commanded_units) if one == unit]
+        names = {t.commanded_names[k]: k for k in chosen}
+        reading = t.reading[:, [t.pickoff_names.index(name) for name in names]]
+        title = f"commanded {'angle' if unit == 'rad' else 'rate'}, command dashed"
+        wanted.append(_Signals(title=title, unit=unit, y=reading, names=names, command=t.reading_command[:, chosen]))
     columns = 2 if len(wanted) == 4 else 3
     figure, rows = panels(-(-len(wanted) // columns), columns, 1.7)
     for axes in rows.flat[len(wanted) :]:
         axes.set_visible(False)
-    for axes, draw in zip(rows.flat, wanted, strict=False):
-        draw(axes)
+    for axes, shown in zip(rows.flat, wanted, strict=False):
+        _traces(axes, t.t, shown)
         if not t.completed:
             axes.axvline(t.t[-1] if t.t.size else 0.0, color=LIMIT, linewidth=1.0)
         axes.set_xlim(0.0, duration)
@@ -133,37 +157,13 @@ def _drawn(
     return figure
 
 
-def _rates(axes: Axes, t: FloatArray, y: FloatArray, names: Mapping[str, int], title: str) -> None:
-    factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(y), initial=0.0) < 0.5 else (1.0, "rad/s")
-    _traces(axes, t, factor * y, names, None, title, unit)
-
-
-def _commanded(axes: Axes, t: Trajectory, unit: str) -> None:
-    """Draw what is commanded in a unit, its command dashed over it."""
-    chosen = [k for k, one in enumerate(t.commanded_units) if one == unit]
-    names = {t.commanded_names[k]: k for k in chosen}
-    reading = t.reading[:, [t.pickoff_names.index(name) for name in names]]
-    command = t.reading_command[:, chosen]
-    small = np.nanmax(np.abs([reading, command]), initial=0.0) < 0.5
-    factor = 1e3 if small else 1.0
-    title = f"commanded {'angle' if unit == 'rad' else 'rate'}, command dashed"
-    _traces(axes, t.t, factor * reading, names, None, title, f"m{unit}" if small else unit)
-    axes.plot(t.t, factor * command, color=INK, linewidth=0.9, linestyle=DASHED, zorder=3.0)
-
-
-def _angles(
-    axes: Axes, t: FloatArray, y: FloatArray, names: Mapping[str, int], limit: float | None, title: str
-) -> None:
-    """Draw angles in mrad, or in µrad if they are tiny and have no limit."""
-    small = limit is None and 0.0 < float(np.nanmax(np.abs(y), initial=0.0)) < _TINY
-    factor, unit = (1e6, "µrad") if small else (1e3, "mrad")
-    _traces(axes, t, factor * y, names, None if limit is None else factor * limit, title, unit)
-
-
-def _traces(
-    axes: Axes, t: FloatArray, y: FloatArray, names: Mapping[str, int], limit: float | None, title: str, unit: str
-) -> None:
-    """Draw the columns of `y` (N, k) under their names, each in the colour of the palette that its name has."""
+def _traces(axes: Axes, t: FloatArray, shown: _Signals) -> None:
+    largest = float(np.nanmax(np.abs(shown.y), initial=0.0))
+    factor, unit = handy_unit(shown.unit, shown.limit or (largest if np.isfinite(largest) else 1.0) or 1e-3)
+    y, names, title = factor * shown.y, shown.names, shown.title
+    limit = None if shown.limit is None else factor * shown.limit
+    if shown.command is not None:
+        axes.plot(t, factor * shown.command, color=INK, linewidth=0.9, linestyle=DASHED, zorder=3.0)
     # The noisiest signal is drawn first, so that it hides no other.
     noise = np.argsort(np.argsort(-np.nan_to_num(np.abs(np.diff(y, axis=0))).sum(axis=0)))
     handles: list[Any] = []
@@ -202,25 +202,6 @@ def _traces(
         borderaxespad=0.1,
         fontsize=7,
     )
-
-
-def _torques(
-    axes: Axes,
-    t: Trajectory,
-    torquers: Sequence[Torquer],
-    columns: list[int],
-    series: Mapping[str, int],
-    share: float,
-    title: str,
-) -> None:
-    """Draw torques, with the share of the torquers' limit that is allowed where they have the same."""
-    names = {t.torquer_names[k]: series[t.torquer_names[k]] for k in columns}
-    torque_limits = {torquers[k].limit for k in columns}
-    largest = float(np.nanmax(np.abs(t.torque[:, columns]), initial=0.0)) if columns else 0.0
-    factor, unit = (1e3, "mN m") if largest < 1.0 else (1.0, "N m")
-    common = torque_limits.pop() if len(torque_limits) == 1 else None
-    limit = None if common is None else factor * share * common
-    _traces(axes, t.t, factor * t.torque[:, columns], names, limit, title, unit)
 
 
 def _of_axes(symbol: str) -> dict[str, int]:
