@@ -19,8 +19,7 @@ from typing import Any
 import typer
 
 from platform_ctrl.analysis.logs import G
-from platform_ctrl.analysis.metrics import BUDGET_METRICS, COUPLED_METRICS, METRICS, Metric
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import BUDGET_METRICS, COUPLED_METRICS, METRICS, RUN_METRICS, Metric
 from platform_ctrl.cli.commands import app
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.job.budget import Source

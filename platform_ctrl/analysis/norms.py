@@ -125,7 +125,7 @@ def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band
         best, frequency = (found, at) if found > best * (1.0 + 1e-14) else (best, frequency)
         if not 0.0 < best < math.inf:
             break
-        w = points(_between(axis.crossings(best * (1.0 + tolerance))))
+        w = points(level_frequencies(axis, best * (1.0 + tolerance)))
         found, at = axis.largest(w)
         if found <= best * (1.0 + tolerance):
             break
@@ -134,16 +134,14 @@ def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band
 
 
 def level_frequencies(axis: FrequencyAxis, level: float) -> FloatArray:
-    """Return frequencies among which, if the gain exceeds `level` anywhere, one lies where it does."""
-    return _between(axis.crossings(level))
+    """Return frequencies among which, if the gain exceeds `level` anywhere, one lies where it does.
 
-
-def _between(w: FloatArray) -> FloatArray:
-    """Return sorted frequencies with others between, below and above them."""
+    Crossings, and frequencies between them, below and above.
+    """
+    w = axis.crossings(level)
     if w.size == 0:
         return w
-    between = np.sqrt(w[1:] * w[:-1])
-    return np.concatenate([w, between, 0.5 * (w[1:] + w[:-1]), [0.5 * w[0], 2.0 * w[-1]]])
+    return np.concatenate([w, np.sqrt(w[1:] * w[:-1]), 0.5 * (w[1:] + w[:-1]), [0.5 * w[0], 2.0 * w[-1]]])
 
 
 def gains(system: System, frequency: FloatArray) -> FloatArray:

@@ -138,26 +138,18 @@ def every_nth(system: System, n: int, once: int | None = None) -> tuple[System, 
 
 def late_outputs(system: System, periods: Sequence[int]) -> System:
     """Return a sampled system, which may have leading batch axes, whose outputs are late by whole sample periods."""
-    A, B, C, D, dt = system
-    n, m = A.shape[-1], B.shape[-1]
-    late = [(row, count) for row, count in enumerate(periods) if count > 0]
-    if not late:
+    if not any(periods):
         return system
-    batch = np.broadcast_shapes(A.shape[:-2], B.shape[:-2], C.shape[:-2], D.shape[:-2])
-    size = n + sum(count for _, count in late)
-    new_A, new_B = np.zeros((*batch, size, size)), np.zeros((*batch, size, m))
-    new_C, new_D = np.zeros((*batch, C.shape[-2], size)), np.array(np.broadcast_to(D, (*batch, *D.shape[-2:])))
-    new_A[..., :n, :n], new_B[..., :n, :], new_C[..., :n] = A, B, C
-    first = n
-    for row, count in late:
-        # A chain of states: the reading of one sample ago, of two, ...
-        new_A[..., first, :n], new_B[..., first, :] = C[..., row, :], D[..., row, :]
-        for j in range(first + 1, first + count):
-            new_A[..., j, j - 1] = 1.0
-        first += count
-        new_C[..., row, :], new_D[..., row, :] = 0.0, 0.0
-        new_C[..., row, first - 1] = 1.0
-    return System(new_A, new_B, new_C, new_D, dt)
+    p, size = len(periods), sum(periods)
+    A, B, C = np.zeros((size, size)), np.zeros((size, p)), np.zeros((p, size))
+    first = 0
+    for row, count in enumerate(periods):
+        if count:
+            # A chain of states: the reading of one sample ago, of two, ...
+            own = slice(first, first + count)
+            A[own, own], B[first, row], C[row, own.stop - 1] = np.eye(count, k=-1), 1.0, 1.0
+            first += count
+    return system.series(System(A, B, C, np.diag([float(count == 0) for count in periods]), system.dt))
 
 
 def late_states(outputs: Sequence[str], periods: Sequence[int]) -> list[str]:
@@ -184,23 +176,12 @@ def with_lag(system: System, lags: FloatArray) -> System:
     slow = np.flatnonzero(lags > 0.0)
     if slow.size == 0:
         return system
-    A, B, C, D, _ = system
-    n, m, p, k = A.shape[-1], B.shape[-1], C.shape[-2], slow.size
-    batch = np.broadcast_shapes(A.shape[:-2], B.shape[:-2], C.shape[:-2], D.shape[:-2])
-    new_A = np.zeros((*batch, n + k, n + k))
-    new_A[..., :n, :n] = A
-    new_A[..., :n, n:] = B[..., :, slow]
-    new_A[..., np.arange(n, n + k), np.arange(n, n + k)] = -1.0 / lags[slow]
-    new_B = np.zeros((*batch, n + k, m))
-    new_B[..., :n, :] = B
-    new_B[..., :n, slow] = 0.0
-    new_B[..., np.arange(n, n + k), slow] = 1.0 / lags[slow]
-    new_C = np.zeros((*batch, p, n + k))
-    new_C[..., :, :n] = C
-    new_C[..., :, n:] = D[..., :, slow]
-    new_D = np.array(np.broadcast_to(D, (*batch, p, m)))
-    new_D[..., :, slow] = 0.0
-    return System(new_A, new_B, new_C, new_D)
+    chosen, rates = np.eye(len(lags))[:, slow], 1.0 / lags[slow]
+    lag = System(np.diag(-rates), rates[:, None] * chosen.T, chosen, np.diag(np.where(lags > 0.0, 0.0, 1.0)))
+    A, B, C, D, _ = lag.series(system)
+    # The system's own states first.
+    order = np.roll(np.arange(A.shape[-1]), -slow.size)
+    return System(A[..., order, :][..., order], B[..., order, :], C[..., order], D)
 
 
 def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.run_metrics import attenuation_db, over_limit, run_metrics, worst_value
+from platform_ctrl.analysis.metrics import attenuation_db, over_limit, run_metrics, worst_value
 from platform_ctrl.campaign.store import (
     ENDED,
     MANOEUVRE,

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.run_metrics import RUN_METRICS, over_limit, worst_value
+from platform_ctrl.analysis.metrics import RUN_METRICS, over_limit, worst_value
 from platform_ctrl.campaign.store import (
     DIVERGED,
     ENDED,

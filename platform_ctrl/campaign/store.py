@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl import __version__
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.files import remove_unfinished, replaced_file, write_json
 from platform_ctrl.errors import ArgumentError, InputError

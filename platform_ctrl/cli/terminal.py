@@ -12,8 +12,7 @@ from contextlib import contextmanager, nullcontext
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
 from platform_ctrl.cli.exits import interruptible, noted
 from platform_ctrl.common.progress import run_words, shown_runs, spinner
 from platform_ctrl.job.judging import CheckResult

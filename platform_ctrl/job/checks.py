@@ -11,8 +11,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import budget_misfits, too_large
 from platform_ctrl.job.drive import Drive, Feedforward, angle_sensors, drive_law

@@ -8,7 +8,7 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.values import input_value
 from platform_ctrl.job.budget import too_large
 from platform_ctrl.job.scenario import (
@@ -115,7 +115,7 @@ class Manoeuvre:
     fade
         Time over which vibrations and sines rise from zero, s; 0: they begin with a step of the base's rate.
     limits
-        By the keys and in the units of `platform_ctrl.analysis.run_metrics.RUN_METRICS`.
+        By the keys and in the units of `platform_ctrl.analysis.metrics.RUN_METRICS`.
     """
 
     name: fields.Text

@@ -7,7 +7,7 @@ import os
 from functools import partial
 from pathlib import Path
 
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.single_run import ROUNDING, rerun
 from platform_ctrl.campaign.store import identity, source_hashes
 from platform_ctrl.campaign.summary import Influence, Summary

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.statistics import Probability, RequirementStatistics, WorstRun
 from platform_ctrl.campaign.store import DIVERGED, MANOEUVRE, PASSED
 from platform_ctrl.campaign.summary import Influence, Summary

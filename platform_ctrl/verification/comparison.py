@@ -9,8 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS, Quantity, Sense
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS, RUN_METRICS, Quantity, Sense
 from platform_ctrl.common.values import value
 from platform_ctrl.verification.coupled import ALL_LOOPS
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.run_metrics import RUN_METRICS, attenuation_db, run_metrics, worst_value
+from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db, run_metrics, worst_value
 from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import SimulationError
@@ -124,7 +124,7 @@ def _for_good(there: NDArray[np.bool_]) -> int | None:
 def largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     """Return the run's metrics by the names of the limits, each with the signal that it belongs to.
 
-    See `platform_ctrl.analysis.run_metrics.RUN_METRICS`; those on demand only where the manoeuvre limits them. Infinite
+    See `platform_ctrl.analysis.metrics.RUN_METRICS`; those on demand only where the manoeuvre limits them. Infinite
     when the run diverged.
 
     Parameters

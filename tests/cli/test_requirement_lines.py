@@ -7,8 +7,7 @@ import re
 import pytest
 from rich.console import Console
 
-from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
 from platform_ctrl.cli.terminal import show_requirements
 from platform_ctrl.job.judging import CheckResult, Requirement
 

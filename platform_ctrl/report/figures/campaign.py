@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.arguments import short

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.arguments import instance, known_name
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray, value
@@ -56,7 +56,7 @@ def time_run(run: Run | Trajectory, platform: Platform, *, limits: Mapping[str, 
     platform
         The plant that was run, with the torquers' limits.
     limits
-        By the names of `platform_ctrl.analysis.run_metrics.RUN_METRICS`, SI units; default those of the manoeuvre,
+        By the names of `platform_ctrl.analysis.metrics.RUN_METRICS`, SI units; default those of the manoeuvre,
         none of a trajectory. ``angle``, ``attitude`` and ``torque_share`` are drawn.
 
     Returns
