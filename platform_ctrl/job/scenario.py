@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.logs import column_unit, pieces, read_log
-from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, short, whole
+from platform_ctrl.common.arguments import number, real_array, real_numbers, short
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.budget import too_large
@@ -32,7 +32,7 @@ Start = Literal["rest", "equilibrium"]
 _STEPS_TO_A_PERIOD = 6.0
 
 
-@input_value
+@record_value
 class HalfCosine:
     """A platform rate that rises to `rate` about a root axis along half a cosine, is held, and falls back.
 
@@ -46,17 +46,10 @@ class HalfCosine:
         Length of the rise (and of the fall), and of the time between, s.
     """
 
-    axis: int
-    rate: float
-    rise: float
-    hold: float
-
-    def __post_init__(self) -> None:
-        """Judge the axis and the times."""
-        whole("HalfCosine: axis", self.axis, 1, 3)
-        number("HalfCosine: rate", self.rate)
-        positive("HalfCosine: rise", self.rise, zero=True)
-        positive("HalfCosine: hold", self.hold, zero=True)
+    axis: fields.RootAxis
+    rate: fields.Number
+    rise: fields.NotNegative
+    hold: fields.NotNegative
 
 
 def _scales(label: str, columns: Sequence[str | None], factor: float | None) -> dict[str, float]:

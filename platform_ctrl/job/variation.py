@@ -15,7 +15,7 @@ from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Unfit
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, takes, wrong
-from platform_ctrl.plant.tables import Array, Collected, shape, written
+from platform_ctrl.plant.tables import Array, Collected, record_value, shape, written
 
 Points = Literal["sobol", "latin-hypercube", "random"]
 Distribution = Literal["uniform", "normal", "truncated-normal", "log-uniform", "log-normal", "triangular", "choice"]
@@ -65,7 +65,7 @@ def _spread(table: Mapping[str, Any], name: Distribution) -> Iterator[Misfit]:
             yield wrong(table, "mean", words, f", {farthest:.4g} deviations outside")
 
 
-@input_value
+@record_value
 class Vary:
     """A parameter that differs from run to run.
 
@@ -226,10 +226,6 @@ def campaign_misfits(
             yield k, "parameter", f'parameter = "{path}": does not exist; {unknown_parameter(path, known)}'
         elif path in place:
             yield k, "parameter", f'parameter = "{path}": is varied already, in [[campaign.vary]] {place[path] + 1}'
-        elif lacking := [key for key in vary.needed if key not in vary.numbers]:
-            yield k, lacking[0], f'distribution = "{vary.distribution}" needs the number "{lacking[0]}"'
-        elif vary.distribution == "choice" and not vary.values:
-            yield k, "values", 'distribution = "choice" needs at least one value'
         else:
             place[path] = k
             line = _misfit(vary, known[path], scenarios, faults, drawn)

@@ -37,7 +37,7 @@ def table(t, values, **other) -> TimeTable:
 
 MALFORMED = {
     "a mode": (lambda: scenario(mode="free"), "Scenario: mode must be 'caged' or 'stabilised', got 'free'"),
-    "a profile's rise": (lambda: profile(rise=-1.0), "HalfCosine: rise must be a finite number >= 0, got -1.0"),
+    "a profile's rise": (lambda: profile(rise=-1.0), "HalfCosine: rise must be a number >= 0, got -1.0"),
     "a table's times": (
         lambda: table([1.0, 0.0], np.zeros((2, 3))),
         r"TimeTable: t must be times that increase, s, got \[1.0, 0.0\]",
