@@ -117,11 +117,10 @@ def _variation(job: Job) -> Iterator[Mistake]:
 def _plant(document: InputData, folder: Path) -> tuple[Platform | None, list[Mistake]]:
     """Return the platform of a job, or None and what is wrong with it, by its place in the job."""
     plant = document.data.get("plant")
-    kind: type[Platform] = type(plant) if isinstance(plant, Platform) else Platform
     if isinstance(plant, Platform):
         plant = document.data["plant"] = open_plant(plant, folder).data
     if isinstance(plant, dict):
-        platform, mistakes = judge_plant(InputData(document.label, plant, [], folder), kind)
+        platform, mistakes = judge_plant(InputData(document.label, plant, [], folder))
         return platform, [Mistake(("plant", *mistake.path), mistake.text) for mistake in mistakes]
     if not isinstance(plant, str) or not plant.strip():
         return None, []

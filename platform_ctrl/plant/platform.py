@@ -203,17 +203,12 @@ class Platform(GimbalTree):
         """Name sensors after the signals that they measure."""
         if all(sensor.name for sensor in self.sensors):
             return
-        for kind in self._sensor_fields:
+        for kind in _sensor_fields():
             named = (
                 sensor if sensor.name else replaced(sensor, {"name": next(iter(sensor.signals(self)))})
                 for sensor in getattr(self, kind)
             )
             object.__setattr__(self, kind, tuple(named))
-
-    @property
-    def _sensor_fields(self) -> tuple[str, ...]:
-        kind: type = type(self)
-        return _sensor_fields(kind)
 
     @property
     def added(self) -> tuple[Torquer | PickOff, ...]:
@@ -224,7 +219,7 @@ class Platform(GimbalTree):
     @property
     def sensors(self) -> tuple[Sensor, ...]:
         """All that measures, kind by kind in the order of the fields: the pick-offs first."""
-        return tuple(chain.from_iterable(getattr(self, kind) for kind in self._sensor_fields))
+        return tuple(chain.from_iterable(getattr(self, kind) for kind in _sensor_fields()))
 
     @property
     def outputs(self) -> dict[str, Mapping[str, float]]:
@@ -297,9 +292,9 @@ class Platform(GimbalTree):
 
 
 @cache
-def _sensor_fields(platform: type) -> tuple[str, ...]:
-    """Return the fields of a class of platforms that hold sensors."""
-    made = ((key.field, key.holds.make) for key in shape(platform).keys.values() if isinstance(key.holds, Shape))
+def _sensor_fields() -> tuple[str, ...]:
+    """Return the fields of a platform that hold sensors."""
+    made = ((key.field, key.holds.make) for key in shape(Platform).keys.values() if isinstance(key.holds, Shape))
     return tuple(name for name, part in made if isinstance(part, type) and issubclass(part, Sensor))
 
 

@@ -33,13 +33,10 @@ _SIGNALS = {
 _NORMAL = 1e-6
 
 
-def _file(kind: type[Platform]) -> Shape:
-    """Return the shape of the whole file that a platform of this class is read from."""
-    own = shape(kind)
-    return dataclasses.replace(own, keys={"schema": Key(SCHEMA, "schema", needed=True)} | {**own.keys})
-
-
-PLANT_FILE = _file(Platform)
+# The whole file.
+PLANT_FILE = dataclasses.replace(
+    shape(Platform), keys={"schema": Key(SCHEMA, "schema", needed=True)} | {**shape(Platform).keys}
+)
 
 
 def read_platform(source: str | os.PathLike[str] | Mapping[str, Any] | Platform) -> Platform:
@@ -70,7 +67,7 @@ def read_platform(source: str | os.PathLike[str] | Mapping[str, Any] | Platform)
     ('alpha4', 'beta5', 'beta7', 'alpha9', 'beta10')
     """
     document = open_plant(source, FilePath())
-    platform, mistakes = judge_plant(document, type(source) if isinstance(source, Platform) else Platform)
+    platform, mistakes = judge_plant(document)
     if platform is None:
         raise report(document.label, document.data, mistakes)
     return platform
@@ -88,20 +85,20 @@ def open_plant(source: object, folder: FilePath) -> InputData:
     return open_file(folder / path)
 
 
-def judge_plant(document: InputData, kind: type[Platform] = Platform) -> tuple[Platform | None, list[Mistake]]:
-    """Return the platform, of class `kind`, that a document describes, or None and its mistakes."""
+def judge_plant(document: InputData) -> tuple[Platform | None, list[Mistake]]:
+    """Return the platform that a document describes, or None and its mistakes."""
     if "root" not in document.data and {"plant", "loop"} <= set(document.data):
         its_plant = given(document.data["plant"])
         return None, [Mistake(("plant",), f"this is a job file; give its plant instead, {its_plant}")]
     data = _axis_by_axis(document.data)
-    read, mistakes = read_table(_file(kind), data)
+    read, mistakes = read_table(PLANT_FILE, data)
     if mistakes := [*document.mistakes, *mistakes]:
         return None, mistakes
     del read["schema"]
     parts = made(read)
-    if mistakes := _tree_mistakes(kind, parts):
+    if mistakes := _tree_mistakes(parts):
         return None, mistakes
-    platform = kind(**parts)
+    platform = Platform(**parts)
     mistakes = [*_relative_rates(platform), *_line_of_sight(platform), *_signals(platform)]
     return (None, mistakes) if mistakes else (platform, [])
 
@@ -130,17 +127,17 @@ def _axis_by_axis(data: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def _tree_mistakes(kind: type[Platform], parts: Mapping[str, Any]) -> list[Mistake]:
-    """Return what is wrong with the bodies of a platform of this class, of which `parts` are the arguments."""
+def _tree_mistakes(parts: Mapping[str, Any]) -> list[Mistake]:
+    """Return what is wrong with the bodies of a platform, of which `parts` are the arguments."""
     root, gimbals = parts["root_name"], parts.get("gimbals", ())
     words = f"name = {given(root)} is the name of the root already; choose another"
     roots = [Mistake(("gimbal", k, "name"), words) for k, one in enumerate(gimbals) if one.name == root]
-    return [*roots, *_references(kind, parts, root, [one.name for one in gimbals]), *_circles(root, gimbals)]
+    return [*roots, *_references(parts, root, [one.name for one in gimbals]), *_circles(root, gimbals)]
 
 
-def _references(kind: type[Platform], parts: Mapping[str, Any], root: str, gimbals: list[str]) -> Iterator[Mistake]:
+def _references(parts: Mapping[str, Any], root: str, gimbals: list[str]) -> Iterator[Mistake]:
     """Walk the names of bodies that are not there."""
-    for table, of in shape(kind).keys.items():
+    for table, of in shape(Platform).keys.items():
         if not isinstance(of.holds, Shape) or not isinstance(of.holds.make, type):
             continue
         part = parts.get(of.field)
