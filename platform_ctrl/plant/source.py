@@ -69,10 +69,7 @@ def platform_source(name: str) -> str:
 
 def example_source(name: str) -> str:
     """Return the text of a file of the folder examples, which an installed package has inside."""
-    folder = resources.files("platform_ctrl") / "examples"
-    if not folder.is_dir():
-        folder = Path(__file__).parents[2] / "examples"  # a checkout
-    return (folder / f"{name}.toml").read_text(encoding="utf-8")
+    return (_folder("examples") / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def is_shipped_name(source: str) -> bool:
@@ -156,10 +153,12 @@ def _document(label: str, text: str, folder: Path) -> InputData:
 
 
 def _shipped_files() -> dict[str, Traversable]:
-    try:
-        folder = resources.files("platform_ctrl.models")
-    except ModuleNotFoundError:
-        # A plain checkout on the path, not installed: the models are the sibling folder of the package, which
-        # only an installation places inside it.
-        folder = Path(__file__).parents[2] / "models"
-    return {file.name.removesuffix(".toml"): file for file in folder.iterdir() if file.name.endswith(".toml")}
+    return {
+        file.name.removesuffix(".toml"): file for file in _folder("models").iterdir() if file.name.endswith(".toml")
+    }
+
+
+def _folder(name: str) -> Traversable:
+    """Return a folder with files of the package: within it once it is installed, beside it in a checkout."""
+    folder = resources.files("platform_ctrl") / name
+    return folder if folder.is_dir() else Path(__file__).parents[2] / name
