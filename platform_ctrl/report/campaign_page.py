@@ -36,7 +36,7 @@ from platform_ctrl.report.blocks import (
     table,
 )
 from platform_ctrl.report.captions import sentences
-from platform_ctrl.report.figures.campaign import exceedance_figure, histogram_figure, with_limit
+from platform_ctrl.report.figures.campaign import histogram_figure, with_limit
 from platform_ctrl.report.figures.time_run import time_run
 from platform_ctrl.report.tables import folded_facts, record_part, versions
 from platform_ctrl.verification.verdict import JobResult
@@ -131,17 +131,14 @@ def _bounds(summary: Summary) -> str:
 
 
 def campaign_plates(summary: Summary) -> tuple[Block, ...]:
-    """Return the plots: how far the runs reach, and a histogram of every metric that has a limit."""
-    found = summary.statistics
-    names = [name for name in RUN_METRICS if with_limit(found, name)]
-    if not names:
-        return ()
-    reach = drawn("How far the runs reach", lambda: exceedance_figure(found), sentences("campaign_reach"))
-    caption = sentences("campaign_histogram")
+    """Return a histogram of every metric that has a limit."""
+    found, caption = summary.statistics, sentences("campaign_histogram")
     each = [
-        drawn(RUN_METRICS[name].name.capitalize(), partial(histogram_figure, found, name), caption) for name in names
+        drawn(metric.name.capitalize(), partial(histogram_figure, found, name), caption)
+        for name, metric in RUN_METRICS.items()
+        if with_limit(found, name)
     ]
-    return (*reach, *(block for blocks in each for block in blocks))
+    return tuple(block for blocks in each for block in blocks)
 
 
 def _influences(summary: Summary) -> tuple[Block, ...]:

@@ -17,10 +17,10 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.text import Rounding
-from platform_ctrl.design.loop import Design, LoopOutcome, largest_Omega_name
+from platform_ctrl.design.loop import Design, LoopOutcome
 from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.job.quantities import BOUND, HZ, compared, count, disk_words, listed, percent, plain, quantity
-from platform_ctrl.job.requirements import FAULTS, WORST_CASE, of_readings
+from platform_ctrl.job.requirements import of_readings
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import campaign_tables
 from platform_ctrl.report.campaign_tables import all_drivers, causes, value_name
@@ -91,21 +91,7 @@ def sensitivity(outcome: LoopOutcome, loop: ShownLoop) -> str:
         closest=None if closed.measures is None or unstable(closed) else float(loop.frequency[peak]) * HZ,
         lines=[METRICS[kind] for curve in SENSITIVITIES for kind in limited(spec.limits, curve, spec)],
         goals=METRICS["bandwidth"].key in spec.soft or any(limited(spec.soft, curve, spec) for curve in SENSITIVITIES),
-        margins=_margins(closed),
     )
-
-
-def _margins(design: Design) -> list[str]:
-    """Return the nominal disk margin and those that it falls to with other plants; nothing without others."""
-    measures = design.measures
-    if measures is None:
-        return []
-    parts = [plain(float(measures.disk_margin[0]), 3, "down")]
-    for groups, where in ((WORST_CASE, "in the worst case"), (FAULTS, "with a fault")):
-        chosen = measures.of(groups)
-        if chosen.sum() > 1:
-            parts.append(f"{plain(float(measures.disk_margin[chosen].min()), 3, 'down')} {where}")
-    return parts if len(parts) > 1 else []
 
 
 def disturbance(outcome: LoopOutcome, loop: ShownLoop) -> str:
@@ -141,14 +127,10 @@ def coupled(result: JobResult) -> str:
     check, proofs = result.coupled, result.proofs.get(("", ""), Proofs())
     assert check is not None, "all loops have controllers"
     decay = -float(spectral_abscissa(continuous_poles(check.poles, check.period)))
-    cost = None
-    if check.stable and np.isfinite(check.cost).any():
-        k = int(np.nanargmax(check.cost))
-        cost = max(float(check.cost[k]), 0.0), check.channels[k]
-    return sentences("coupled", check=check, decay=decay, proved=0 < proofs.proved == len(proofs.claims), cost=cost)
+    return sentences("coupled", check=check, decay=decay, proved=0 < proofs.proved == len(proofs.claims))
 
 
-def run(one: Run, platform: Platform, loops: Sequence[LoopOutcome]) -> str:
+def run(one: Run, platform: Platform) -> str:
     """A simulated run of a plant."""
     trajectory = one.trajectory
     limits = {torquer.name: torquer.limit for torquer in platform.torquers if torquer.limit is not None}
@@ -164,18 +146,7 @@ def run(one: Run, platform: Platform, loops: Sequence[LoopOutcome]) -> str:
         contacts=int(trajectory.stop_contacts.sum()),
         pushed=pushed,
         spinning=any(rotor.angular_momentum != 0.0 for rotor in platform.rotors),
-        held=_largest_rate(one, loops),
     )
-
-
-def _largest_rate(run: Run, loops: Sequence[LoopOutcome]) -> tuple[float, float | None] | None:
-    """Return the rates about the run's axis up to which the torques of the closed loops keep below their limits."""
-    claims = [outcome.closed.claims for outcome in loops]
-    nominal, varied = (
-        min((own[name] for own in claims if name in own), default=None)
-        for name in (largest_Omega_name(run.manoeuvre.axis, worst_case=worst) for worst in (False, True))
-    )
-    return None if run.manoeuvre.mode != "caged" or nominal is None else (nominal, varied)
 
 
 # No line break between a number and its unit.

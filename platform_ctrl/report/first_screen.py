@@ -11,12 +11,11 @@ import numpy as np
 from platform_ctrl.design.loop import Design, LoopOutcome
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.quantities import BOUND, DASH, compared, count, listed, percent, plain
+from platform_ctrl.job.quantities import BOUND, compared, count, listed, percent, plain
 from platform_ctrl.report import tables
 from platform_ctrl.report.blocks import (
     Block,
     Cell,
-    Column,
     Columns,
     Distance,
     Distances,
@@ -26,6 +25,7 @@ from platform_ctrl.report.blocks import (
     Subsection,
     Table,
     Verdict,
+    columns,
     drawn,
     made,
     sentence,
@@ -79,50 +79,30 @@ def _verdict(result: JobResult, campaign: Summary | None) -> Verdict:
 
 
 def chain_table(result: JobResult) -> Table | None:
-    """Return for each loop its tightest requirement, the plant in which it is, and the channel that coupling costs."""
-    rows, coupling = [], result.coupled is not None and result.coupled.free
+    """Return for each loop its tightest requirement, and the plant in which it is."""
+    rows = []
     for outcome in result.loops:
         nearest = tightest(own_results(result, outcome))
         if nearest is None:
             continue
         number, limit = compared(nearest)
         where, tone = nearest.evidence.rpartition(";")[0], "" if nearest.passed else "bad"
-        cells = [
+        shown = (
             Cell(text=outcome.spec.name, note=outcome.use),
             Cell(text=nearest.name, note=f"with {where}" if where else ""),
             Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=tone),
-        ]
-        if coupling:
-            cells.append(Cell(text=_coupling(result, outcome)))
-        rows.append(Row(cells=tuple(cells), missed=not nearest.passed))
+        )
+        rows.append(Row(cells=shown, missed=not nearest.passed))
     if not rows:
         return None
-    columns = [Column(title="loop"), Column(title="limited by"), Column(title="margin", number=True)]
-    if coupling:
-        # A carried platform is what the design models assume: coupling costs nothing there.
-        columns.append(Column(title="coupling costs most in"))
-    return Table(columns=tuple(columns), groups=(Group(rows=tuple(rows)),), form="chain")
+    titles = columns("loop|limited by|margin", numbers="margin")
+    return Table(columns=titles, groups=(Group(rows=tuple(rows)),), form="chain")
 
 
 def own_results(result: JobResult, outcome: LoopOutcome) -> list[CheckResult]:
     """Return the requirements of a loop, and of nothing else that has its name."""
     of_design = outcome.closed.plants is not None
     return [one for one in result.requirements if one.subject == outcome.spec.name and (one.design or not of_design)]
-
-
-def _coupling(result: JobResult, outcome: LoopOutcome) -> str:
-    """Return the channel of a loop whose disk margin the other loops reduce by most, and by how much."""
-    check = result.coupled
-    assert check is not None, "all loops have controllers"
-    outputs = set(outcome.closed.controller.output_labels)
-    of_loop = [(float(cost), name) for cost, name in zip(check.cost, check.channels, strict=True) if name in outputs]
-    found = [pair for pair in of_loop if math.isfinite(pair[0])]
-    if not check.stable:
-        return "coupled system unstable"
-    if not found:
-        return DASH
-    cost, name = max(found)
-    return f"{name}, {plain(100.0 * max(cost, 0.0), 2, 'up')}\u00a0%" if cost > 1e-6 else "nothing"
 
 
 def distances(result: JobResult) -> Distances | None:
@@ -242,7 +222,6 @@ def change_part(result: JobResult, rows: tuple[Change, ...]) -> tuple[Block, ...
 
 
 def _change_table(rows: tuple[Change, ...]) -> Table:
-    columns = tuple(Column(title=title) for title in ("requirement", "change", "gain", "cost"))
     body = tuple(
         Row(
             cells=(
@@ -259,7 +238,7 @@ def _change_table(rows: tuple[Change, ...]) -> Table:
         )
         for one in rows
     )
-    return Table(columns=columns, groups=(Group(rows=body),), form="changes")
+    return Table(columns=columns("requirement|change|gain|cost"), groups=(Group(rows=body),), form="changes")
 
 
 def _change(one: Change) -> Cell:

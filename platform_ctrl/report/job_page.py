@@ -339,7 +339,7 @@ def _runs(result: JobResult, judged: Sequence[CheckResult]) -> list[PageSection]
 def _run_blocks(run: Run, result: JobResult) -> tuple[Block, ...]:
     name, platform = run.manoeuvre.name, result.job.platform
     if run.trajectory.t.size:
-        return drawn(name, lambda: time_run(run, platform), lambda: captions.run(run, platform, result.loops))
+        return drawn(name, lambda: time_run(run, platform), lambda: captions.run(run, platform))
     nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
     return (Subsection(title=name, blocks=(nothing,)),)
 

@@ -209,7 +209,7 @@ def test_the_campaigns_section_shows_what_the_campaigns_own_page_does(
     assert names.index("runs") + 1 == names.index("campaign") == len(names) - 2
     own = campaign_document(summary, again=AGAIN)
     shown = plates(tuple(block for one in own.sections for block in one.blocks))
-    assert len(shown) == 3
+    assert len(shown) == 2
     assert plates(with_campaign.sections[-2].blocks) == shown
     assert f"<pre>{AGAIN} {summary.statistics.worst[0].run}</pre>" in as_html(with_campaign)
     words = text_of(as_html(with_campaign))

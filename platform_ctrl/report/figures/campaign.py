@@ -14,7 +14,6 @@ from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.arguments import short
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import handy_unit, plain
 from platform_ctrl.report.style import (
@@ -23,10 +22,7 @@ from platform_ctrl.report.style import (
     LIMIT,
     MUTED,
     SERIES,
-    legend,
-    line_style,
     linear_axis,
-    log_axis,
     panels,
     standalone,
 )
@@ -133,56 +129,6 @@ def shade_beyond(axes: Axes, limit: float, reach: float = 0.0) -> None:
 def with_limit(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
     """Return the requirements on one metric, manoeuvre by manoeuvre."""
     return [one for one in found.requirements if one.requirement == name and one.manoeuvre is not None and one.limit]
-
-
-# Levels beyond so many times the limit are not drawn, unless half of the runs lie there.
-_REACH = 4.0
-
-
-def exceedance_figure(found: CampaignStatistics) -> Figure:
-    """Share of the runs above a level, each manoeuvre a line; the level counts relative to the limit."""
-    figures = [name for name in RUN_METRICS if with_limit(found, name)]
-    manoeuvres = list(dict.fromkeys(one.manoeuvre for name in figures for one in with_limit(found, name)))
-    labels = [str(name) for name in manoeuvres]
-    drawn, rows = panels(1, len(figures), 2.2, labels)
-    handles = {}
-    for axes, name in zip(rows[0], figures, strict=True):
-        for one in with_limit(found, name):
-            levels, shares = _exceedance(one)
-            if len(levels) == 1:  # one run, or all alike: a line needs a beginning
-                levels, shares = np.append(0.0, levels), np.append(1.0, shares)
-            style = line_style(manoeuvres.index(one.manoeuvre))
-            handles[str(one.manoeuvre)] = axes.plot(levels, shares, drawstyle="steps-post", **style)[0]
-        _exceedance_axes(axes, name, found)
-    rows[0][0].set_ylabel("share of the runs above")
-    legend(drawn, [handles[label] for label in labels], labels)
-    return drawn
-
-
-def _exceedance(one: RequirementStatistics) -> tuple[FloatArray, FloatArray]:
-    levels, last = np.unique(one.values, return_index=True)
-    shares = 1.0 - np.append(last[1:], len(one.values)) / len(one.values)
-    assert one.limit is not None
-    ratios, share = levels / one.limit, shares
-    finite = np.isfinite(ratios)
-    # Runs that diverged lie beyond every level: the line ends above zero.
-    return ratios[finite], np.where(share[finite] > 0.0, share[finite], np.nan)
-
-
-def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
-    axes.set_yscale("log")
-    least = 0.5 / max(one.violation.runs for one in with_limit(found, name))
-    axes.set_ylim(10.0 ** np.floor(np.log10(least)), 1.3)
-    log_axis(axes.yaxis)
-    reach = [_exceedance(one)[0].max(initial=0.0) for one in with_limit(found, name)]
-    usual = [one.quantiles[0.5] / one.limit for one in with_limit(found, name) if one.limit]
-    most = max([_REACH, *(1.3 * ratio for ratio in usual if np.isfinite(ratio))])
-    right = float(np.clip(1.08 * max(reach), 1.25, most))
-    axes.set_xlim(0.0, right)
-    linear_axis(axes.xaxis)
-    shade_beyond(axes, 1.0, right)
-    axes.set_title(RUN_METRICS[name].name)
-    axes.set_xlabel("over its limit")
 
 
 def histogram_figure(found: CampaignStatistics, name: str) -> Figure:

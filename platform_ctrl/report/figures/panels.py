@@ -173,18 +173,12 @@ class LabelPlacer:
         self._unit = 72.0 / axes.figure.dpi
         box = axes.get_window_extent()
         self._low, self._high = (np.array(corner) * self._unit for corner in (box.min, box.max))
-        self._ink = np.zeros((0, 2))
-        self.avoid(curves)
-        self._taken: list[tuple[FloatArray, FloatArray]] = []
-        self._dots: list[FloatArray] = []
-        self._later: list[tuple[str, float, float, tuple[int, ...]]] = []
-
-    def avoid(self, curves: Sequence[FloatArray | Line2D]) -> None:
-        """Keep labels off more curves."""
         own = [np.asarray(curve.get_xydata()) if isinstance(curve, Line2D) else curve for curve in curves]
-        ink = np.concatenate([self._ink, *(_dense(self.points(curve)) for curve in own)])
+        ink = np.concatenate([np.zeros((0, 2)), *(_dense(self.points(curve)) for curve in own)])
         # What counts is how much of a curve is hidden, not how many points it has.
         self._ink = np.unique(np.round(ink), axis=0)
+        self._taken: list[tuple[FloatArray, FloatArray]] = []
+        self._dots: list[FloatArray] = []
 
     def points(self, at: FloatArray) -> FloatArray:
         """Return data coordinates (k, 2) as points of the page, those that are not finite left out."""
@@ -227,16 +221,6 @@ class LabelPlacer:
             self._dots.append(at)
             self.axes.plot([x], [y], "o", color=dot, markersize=3.0, zorder=4)
             self.write(f"{plain(f, 3)} Hz", x, y, colour=MUTED, size=6.5)
-
-    def write_later(self, text: str, x: float, y: float, directions: tuple[int, ...]) -> None:
-        """Remember a label of the panel's own scales: `write_remaining` writes it where the others leave room."""
-        self._later.append((text, x, y, directions))
-
-    def write_remaining(self) -> None:
-        """Write the labels of `write_later`."""
-        for text, x, y, directions in self._later:
-            self.write(text, x, y, colour=MUTED, size=6.5, directions=directions)
-        self._later = []
 
     def write(
         self,

@@ -27,7 +27,18 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.figures.panels import LabelPlacer, control_plot
-from platform_ctrl.report.style import BAND, FRAME, INK, LIMIT, REFERENCE, SERIES, linear_axis, panels, standalone
+from platform_ctrl.report.style import (
+    BAND,
+    FRAME,
+    INK,
+    LIMIT,
+    MUTED,
+    REFERENCE,
+    SERIES,
+    linear_axis,
+    panels,
+    standalone,
+)
 
 if TYPE_CHECKING:
     import control
@@ -131,19 +142,17 @@ def root_locus_over_spin(
     models = [linearise(one, Omega=Omega) for one in (with_rotors_at_rest(platform), platform)]
     # At rest there may be more subsystems, never fewer.
     still, full = (state_space(model, gimbals=gimbals) for model in models)
-    angles = [
-        still.output_labels[k] for k in known_names("controller inputs", controller.input_labels, still.output_labels)
-    ]
-    torques = [
-        full.input_labels[k] for k in known_names("controller outputs", controller.output_labels, full.input_labels)
-    ]
+    angles, torques = list(controller.input_labels), list(controller.output_labels)
+    known_names("root_locus_over_spin: inputs of the controller", angles, list(still.output_labels))
+    known_names("root_locus_over_spin: outputs of the controller", torques, list(still.input_labels))
     P0, P1 = (System.of(system[angles, torques], "gimbals") for system in (still, full))
     lag = {torquer.name: torquer.lag for torquer in platform.torquers}
     lags = np.array([lag[name] for name in torques])
 
     def poles(k: FloatArray) -> ComplexArray:
         share = k[:, None, None]
-        plant = System(*(now + share * (then - now) for now, then in zip(P0[:4], P1[:4], strict=True)), 0.0)
+        A, B, C, D = (now + share * (then - now) for now, then in zip(P0[:4], P1[:4], strict=True))
+        plant = System(A, B, C, D, 0.0)
         P = sampled(plant, K.dt, late, lags) if K.dt else with_lag(plant, lags)
         return np.asarray(np.linalg.eigvals(P.feedback(K).A), dtype=np.complex128)
 
@@ -156,8 +165,8 @@ def round_steps(top: float) -> FloatArray:
     return steps[(steps > 0.0) & (steps <= top * (1.0 + 1e-9))]
 
 
-def s_plane(axes: Axes, view: PlaneView) -> LabelPlacer:
-    """Make `axes` the upper half of the s-plane, with damping rays and frequency arcs.
+def s_plane(axes: Axes, view: PlaneView) -> list[tuple[str, float, float, tuple[int, ...]]]:
+    """Make `axes` the upper half of the s-plane, with damping rays and frequency arcs; return what to write at them.
 
     Both axes have the same scale, so that a ray's direction is the damping ratio; unless all poles lie close to the
     imaginary axis, where rays and arcs are stretched with them.
@@ -173,24 +182,24 @@ def s_plane(axes: Axes, view: PlaneView) -> LabelPlacer:
     axes.axvline(0.0, color=REFERENCE, linewidth=0.9, zorder=1)
     axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=1)
     turn = np.linspace(0.5 * np.pi, np.pi, 181)
-    places = LabelPlacer(axes)
+    labels: list[tuple[str, float, float, tuple[int, ...]]] = []
     for hz in round_steps(reach * HZ):
         radius = hz / HZ
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1)
         if radius < 0.97 * reach:
-            places.write_later(f"{hz:g} Hz", 0.0, radius, (0,))
+            labels.append((f"{hz:g} Hz", 0.0, radius, (0,)))
     for ratio in DAMPINGS:
         slope = ratio / np.sqrt(1.0 - ratio**2)
         end = min(reach, -left / slope)
         axes.plot([0.0, -slope * end], [0.0, end], color=FRAME, linewidth=0.7, zorder=1)
         at = 0.955 * end
         text = f"{ratio:g}" if ratio != DAMPINGS[1] else f"damping {ratio:g}"
-        places.write_later(text, -slope * at, at, (180, 0))
+        labels.append((text, -slope * at, at, (180, 0)))
     linear_axis(axes.xaxis, 8)
     linear_axis(axes.yaxis, 6)
     axes.set_xlabel("real part, 1/s")
     axes.set_ylabel("imaginary part, rad/s")
-    return places
+    return labels
 
 
 def _drawn(locus: RootLocus, word: str, quantity: str) -> control.ControlPlot:
@@ -203,9 +212,9 @@ def _drawn(locus: RootLocus, word: str, quantity: str) -> control.ControlPlot:
     names = [quantity, *(name for *_, name in marked), *["stability begins or ends"] * bool(locus.edges.size)]
     _, grid = panels(1, 1, _HEIGHT, names)
     axes: Axes = grid[0, 0]
-    places = s_plane(axes, locus.view)
+    labels = s_plane(axes, locus.view)
     lines = _branches(axes, points)
-    places.avoid(lines)
+    places = LabelPlacer(axes, lines)
     handles: list[Any] = [Line2D([], [], marker="o", linestyle="-", markersize=3.2, color=SERIES[0], linewidth=1.3)]
     for where, marker, colour, size, _ in marked:
         upper = upper_half_plane(where)
@@ -217,7 +226,9 @@ def _drawn(locus: RootLocus, word: str, quantity: str) -> control.ControlPlot:
     handles += _edges(axes, places, locus, word)
     for text, at in marks:
         places.write(text, at.real, at.imag)
-    places.write_remaining()
+    # Those of the plane where the others leave room.
+    for text, x, y, directions in labels:
+        places.write(text, x, y, colour=MUTED, size=6.5, directions=directions)
     axes.set_title(_stable_words(locus, word))
     plot = control_plot(grid, lines, handles, names)
     plot.locus = locus

@@ -48,15 +48,16 @@ class DrawnSystem:
     outputs: tuple[str, ...]
     arrays: System | None  # None for data
     frequency: FloatArray  # (N,), rad/s, ascending
-    response: ComplexArray  # (p, m, N), NaN where it is not finite
+    response: ComplexArray  # (p, m, N)
 
     def frd(self) -> control.FrequencyResponseData:
         """Return the response with the names of the system and of its signals."""
         import control
 
         names = {"inputs": list(self.inputs), "outputs": list(self.outputs), "name": self.label or "system"}
-        dt = 0.0 if self.arrays is None else self.arrays.dt
-        return control.frd(self.response, self.frequency, dt=dt, **names)
+        # Without a sample period: python-control takes no singular values of a sampled response, and would close the
+        # Nyquist curve of a sampled loop over the whole circle.
+        return control.frd(self.response, self.frequency, dt=0, **names)
 
 
 def drawn_systems(
@@ -107,14 +108,13 @@ def _drawn(name: str, label: str, system: Any, frequency: ArrayLike | None, loop
     else:
         arrays = linear_arrays(system, name)
         w, response = _along(arrays, given)
-    return DrawnSystem(
-        label=label,
-        inputs=tuple(system.input_labels),
-        outputs=tuple(system.output_labels),
-        arrays=arrays,
-        frequency=w,
-        response=np.where(np.isfinite(response), response, complex(math.nan, math.nan)),
-    )
+    finite = np.isfinite(response).all(axis=(0, 1))
+    about: dict[str, Any] = {
+        "label": label,
+        "inputs": tuple(system.input_labels),
+        "outputs": tuple(system.output_labels),
+    }
+    return DrawnSystem(arrays=arrays, frequency=w[finite], response=response[..., finite], **about)
 
 
 def _along(system: System, given: FloatArray | None) -> tuple[FloatArray, ComplexArray]:
@@ -164,12 +164,9 @@ def channels(L: ComplexArray) -> ComplexArray:
     """Return the loop of every channel with all others closed, 1/S_ii − 1, (m, N), of a response (m, m, N)."""
     if len(L) == 1:
         return np.asarray(L[0])
-    out = np.full(L.shape[1:], complex(math.nan, math.nan))
-    fine = np.isfinite(L).all(axis=(0, 1))
-    S = np.linalg.inv(np.eye(len(L)) + np.moveaxis(L[..., fine], -1, 0))
+    S = np.linalg.inv(np.eye(len(L)) + np.moveaxis(L, -1, 0))
     with np.errstate(all="ignore"):
-        out[:, fine] = 1.0 / np.diagonal(S, axis1=1, axis2=2).T - 1.0
-    return out
+        return np.asarray(1.0 / np.diagonal(S, axis1=1, axis2=2).T - 1.0)
 
 
 def bode(systems: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
@@ -223,15 +220,8 @@ def singular_values(systems: Systems, frequency: ArrayLike | None = None, **opti
     """
     import control
 
-    found = []
-    for one in drawn_systems("singular_values", systems, frequency):
-        response = np.moveaxis(one.response, -1, 0)
-        sizes = np.full((len(response), min(response.shape[1:])), np.nan)
-        fine = np.isfinite(response).all(axis=(1, 2))
-        sizes[fine] = np.linalg.svd(response[fine], compute_uv=False)
-        # Not by `control.singular_values_response`, which takes no response of a sampled system.
-        found.append(control.frd(sizes.T[:, None, :], one.frequency, name=one.label or "system"))
-    return control.singular_values_plot(found, **_UNTITLED | options)
+    drawn = [one.frd() for one in drawn_systems("singular_values", systems, frequency)]
+    return control.singular_values_plot(drawn, **_UNTITLED | options)
 
 
 def nyquist(loops: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
@@ -263,5 +253,4 @@ def nyquist(loops: Systems, frequency: ArrayLike | None = None, **options: Any) 
         for one in drawn_systems("nyquist", loops, frequency, loops=True)
         for name, channel in zip(one.inputs, channels(one.response), strict=True)
     ]
-    # Without a sample period: python-control would close the curve of a sampled loop over the whole circle.
     return control.nyquist_plot(parts, **_UNTITLED | options)
