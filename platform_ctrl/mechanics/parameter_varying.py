@@ -20,11 +20,10 @@ from platform_ctrl.mechanics.polynomials import (
     MatrixPolynomial,
     acceleration_part,
     affine_model,
-    inertia_part,
     momentum_slope,
     monomial_values,
     polynomial,
-    rotor_part,
+    row_polynomials,
     total,
 )
 from platform_ctrl.plant.platform import Platform
@@ -342,17 +341,14 @@ def parameter_varying(
     ('Omega2', 'Omega1^2', 'Omega1*Omega3', 'Omega2^2', 'Omega3^2')
     """
     one_of("form", form, get_args(Form))
-    # Its L and J parts vanish at Omega = 0, except the gyroscopic action: what is left is that of the force elements.
+    # All but the gyroscopic action vanishes at Omega = 0: what is left there is that of the force elements.
     rest = linearise(platform, terms=terms, q=q, specific_force=specific_force, rate_amplitude=rate_amplitude)
     rows, n = _rows(platform, gimbals), len(platform.gimbals)
-    parts = [rotor_part(platform, rest.q0)]
-    if terms == "exact":
-        parts.append(inertia_part(platform, rest.q0))
+    G, K, Q0 = row_polynomials(platform, rest.q0, terms)
+    G = total(G, polynomial({"1": -rest.Q_rate}, (n, n))).part(rows, rows)
     turning = acceleration_part(platform, rest.q0, terms)
-    friction, springs = polynomial({"1": -rest.Q_rate}, (n, n)), polynomial({"1": -rest.Q_angle}, (n, n))
+    K = total(K, turning, polynomial({"1": -rest.Q_angle}, (n, n))).part(rows, rows)
     M = rest.M[np.ix_(rows, rows)]
-    G = total(friction, *(part.G for part in parts)).part(rows, rows)
-    K = total(springs, turning, *(part.K for part in parts)).part(rows, rows)
     names, angles = (tuple(some[k] for k in rows) for some in (platform.gimbal_names, platform.angle_names))
     torquers = {t.name: names.index(t.gimbal) for t in platform.torquers if t.gimbal in names}
     return ParameterVaryingModel(
@@ -366,7 +362,7 @@ def parameter_varying(
         M_Omega=rest.M_Omega[rows],
         G=G,
         K=K,
-        Q0=total(polynomial({"1": rest.Q0}, (n,)), *(part.Q0 for part in parts)).part(rows),
+        Q0=total(Q0, polynomial({"1": rest.Q0}, (n,))).part(rows),
         affine=affine_model((M, G, K), angles, torquers, momenta=form == "momenta"),
     )
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import distinct, known_name, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.kinematics import topology
-from platform_ctrl.mechanics.linearisation import LinearModel, Terms, inertia_rounding, linearise, momentum_rounding
+from platform_ctrl.mechanics.linearisation import Terms, inertia_rounding, linearise, momentum_rounding
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
@@ -108,53 +108,35 @@ def product(first: MatrixPolynomial, second: MatrixPolynomial) -> MatrixPolynomi
     return polynomial(out, (first.coefficients.shape[1], second.coefficients.shape[2]))
 
 
-@value
-class RowPolynomials:
-    """G (n, n), K (n, n) and Q0 (n,) of all gimbals' rows, or one part of them."""
-
-    G: MatrixPolynomial
-    K: MatrixPolynomial
-    Q0: MatrixPolynomial
-
-
 def without_elements(platform: Platform) -> Platform:
     """Return the platform without force elements."""
     return dataclasses.replace(platform, springs=(), frictions=(), cages=(), unbalances=(), erections=())
 
 
-def rotor_part(platform: Platform, q: FloatArray) -> RowPolynomials:
-    """Return what L does about the angles q (n,): gyroscopic action, restraint and disturbance."""
-    n = len(q)
-    at = [linearise(without_elements(platform), rate, "paper", q) for rate in np.eye(3)]
-    shared = momentum_rounding(topology(platform))
-    G = {"1": clean(at[0].G, shared)}
-    K = {name: clean(model.K, shared) for name, model in zip(OMEGA_NAMES, at, strict=True)}
-    Q0 = {name: clean(model.Q0, np.diag(shared)) for name, model in zip(OMEGA_NAMES, at, strict=True)}
-    return RowPolynomials(G=polynomial(G, (n, n)), K=polynomial(K, (n, n)), Q0=polynomial(Q0, (n,)))
+def row_polynomials(platform: Platform, q: FloatArray, terms: Terms) -> list[MatrixPolynomial]:
+    """Return G (n, n), K (n, n) and Q0 (n,) about the angles q (n,) at constant Omega, without force elements.
 
+    They are of second degree in Omega: found from their values at rest, at unit rates and at sums of two.
+    """
+    tree, bare, one = topology(platform), without_elements(platform), np.eye(3)
+    shared = momentum_rounding(tree) + inertia_rounding(tree)
 
-def inertia_part(platform: Platform, q: FloatArray) -> RowPolynomials:
-    """Return what the inertias do about the angles q (n,) at constant Omega: Coriolis and centrifugal terms."""
-    n = len(q)
-    rotors = tuple(dataclasses.replace(rotor, angular_momentum=0.0) for rotor in platform.rotors)
-    still = dataclasses.replace(without_elements(platform), rotors=rotors)
-    shared = inertia_rounding(topology(platform))
-    G, K, Q0 = {}, {}, {}
-    at: dict[tuple[int, int], LinearModel] = {}
-    for a, b in itertools.combinations_with_replacement(range(3), 2):
-        rate = np.zeros(3)
-        rate[[a, b]] = 1.0
-        at[a, b] = linearise(still, rate, "exact", q)
-    for (a, b), model in at.items():
-        if a == b:
-            G[OMEGA_NAMES[a]] = clean(model.G, shared)
-            K[f"{OMEGA_NAMES[a]}^2"] = clean(model.K, shared)
-            Q0[f"{OMEGA_NAMES[a]}^2"] = clean(model.Q0, np.diag(shared))
-        else:
-            name = f"{OMEGA_NAMES[a]}*{OMEGA_NAMES[b]}"
-            K[name] = clean(model.K - at[a, a].K - at[b, b].K, shared)
-            Q0[name] = clean(model.Q0 - at[a, a].Q0 - at[b, b].Q0, np.diag(shared))
-    return RowPolynomials(G=polynomial(G, (n, n)), K=polynomial(K, (n, n)), Q0=polynomial(Q0, (n,)))
+    def at(Omega: FloatArray) -> list[FloatArray]:
+        model = linearise(bare, Omega, terms, q)
+        return [model.G, model.K, model.Q0]
+
+    still, ahead, back = at(np.zeros(3)), [at(rate) for rate in one], [at(-rate) for rate in one]
+    both = {(a, b): at(one[a] + one[b]) for a, b in itertools.combinations(range(3), 2)}
+    out = []
+    for k, rounding in enumerate((shared, shared, np.diag(shared))):
+        found = {"1": still[k]}
+        for a, name in enumerate(OMEGA_NAMES):
+            found[name] = 0.5 * (ahead[a][k] - back[a][k])
+            found[f"{name}^2"] = 0.5 * (ahead[a][k] + back[a][k]) - still[k]
+        for (a, b), sums in both.items():
+            found[_name((a, b))] = sums[k] - ahead[a][k] - ahead[b][k] + still[k]
+        out.append(polynomial({name: clean(part, rounding) for name, part in found.items()}, still[k].shape))
+    return out
 
 
 def acceleration_part(platform: Platform, q: FloatArray, terms: Terms) -> MatrixPolynomial:
