@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -213,6 +213,10 @@ class Plants(NamedTuple):
     made: list[Platform]
     which: NDArray[np.intp]
 
+    def rows(self, numbers: Callable[[Platform], object]) -> FloatArray:
+        """Return numbers of the plant of each scenario, (N, ...)."""
+        return np.array([numbers(platform) for platform in self.made], dtype=np.float64)[self.which]
+
 
 def plants_of(scenarios: Sequence[Scenario]) -> Plants:
     """Return the plants that scenarios simulate on; of many that simulate on the same one it is packed once."""
@@ -252,21 +256,13 @@ def rate(scenario: Scenario) -> list[float]:
 
 def put_sensors(plants: Plants, rows: FloatArray, period: float, noise: bool) -> None:
     """Noise of a reading, quantisation, and errors of scale and zero."""
-    if rows.size == 0:
-        return
-    # Sensors that do not differ from plant to plant are the same objects: the noise of a sample is found once.
-    sampled: dict[int, float] = {}
-    kinds = [p.sensors for p in plants.made]
-    for sensor in (sensor for sensors in kinds for sensor in sensors):
-        if id(sensor) not in sampled:
-            own = period * samples_apart(sensor, period)
-            sampled[id(sensor)] = sensor.sampled_noise(own) if noise else 0.0
-    rows[:, :, : arrays.LAST] = np.array(
-        [
-            [(sampled[id(one)], one.quantisation, 1.0 + one.scale_error, one.bias) for one in sensors]
-            for sensors in kinds
-        ]
-    )[plants.which]
+
+    def numbers(sensor: Sensor) -> tuple[float, ...]:
+        rms = sensor.sampled_noise(period * samples_apart(sensor, period)) if noise else 0.0
+        return rms, sensor.quantisation, 1.0 + sensor.scale_error, sensor.bias
+
+    if rows.size:
+        rows[:, :, : arrays.LAST] = plants.rows(lambda p: [numbers(sensor) for sensor in p.sensors])
 
 
 def put_lowpasses(plants: Plants, rows: FloatArray, period: float) -> None:
@@ -332,15 +328,9 @@ def put_torquers(plants: Plants, rows: FloatArray, half: FloatArray) -> None:
     """Limits, and how torques follow in half a substep of each segment, `half` (N, 2)."""
     if rows.size == 0:
         return
-    limit, slew, lag = np.array(
-        [
-            [
-                (math.inf if t.limit is None else t.limit, math.inf if t.rate_limit is None else t.rate_limit, t.lag)
-                for t in p.torquers
-            ]
-            for p in plants.made
-        ]
-    )[plants.which].transpose(2, 0, 1)
+    # Where there is no limit it is None, as a number NaN.
+    limits = plants.rows(lambda p: [(t.limit, t.rate_limit, t.lag) for t in p.torquers])
+    limit, slew, lag = np.where(np.isnan(limits), math.inf, limits).transpose(2, 0, 1)
     rows[:, :, arrays.LIMIT] = limit
     rows[:, :, arrays.AT_ONCE] = np.where(np.isinf(slew), math.inf, 0.0)
     for segment in range(2):
@@ -384,11 +374,9 @@ def equilibrium_torques(scenario: Scenario) -> FloatArray:
 
 def put_stops(plants: Plants, rows: FloatArray) -> None:
     """Where the stops are, and what they give back."""
-    if rows.size == 0:
-        return
-    rows[:, :, arrays.LOW], rows[:, :, arrays.HIGH], rows[:, :, arrays.RESTITUTION] = np.array(
-        [[(*(g.stops or (-math.inf, math.inf)), g.restitution) for g in p.gimbals] for p in plants.made]
-    )[plants.which].transpose(2, 0, 1)
+    if rows.size:
+        ends = plants.rows(lambda p: [(*(g.stops or (-math.inf, math.inf)), g.restitution) for g in p.gimbals])
+        rows[:, :, arrays.LOW], rows[:, :, arrays.HIGH], rows[:, :, arrays.RESTITUTION] = ends.transpose(2, 0, 1)
 
 
 def put_faults(happening: Sequence[dict[FaultKey, Fault]], order: Sequence[FaultKey], rows: FloatArray) -> None:
@@ -402,12 +390,12 @@ def put_faults(happening: Sequence[dict[FaultKey, Fault]], order: Sequence[Fault
 
 def put_rotors(shape: Skeleton, plants: Plants, rotors: Sequence[int], rows: FloatArray) -> None:
     """L s of rotors that fail, in the kernel's axes; the nominal spin of servo rotors."""
+    found = plants.rows(lambda p: [(p.rotors[k].spin, p.rotors[k].angular_momentum) for k in rotors])
     for j, k in enumerate(rotors):
         if k in shape.servos:
-            rows[:, j, 0] = np.array([p.rotors[k].spin for p in plants.made])[plants.which]
+            rows[:, j, 0] = found[:, j, 0]
         else:
-            L = np.array([p.rotors[k].angular_momentum for p in plants.made])[plants.which]
-            rows[:, j, :3] = L[:, None] * (shape.frames[shape.carriers[k]] @ shape.spin_axes[k])
+            rows[:, j, :3] = found[:, j, 1, None] * (shape.frames[shape.carriers[k]] @ shape.spin_axes[k])
 
 
 def put_lines(scenarios: Sequence[Scenario], rows: FloatArray, half: FloatArray) -> None:
