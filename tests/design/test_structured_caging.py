@@ -21,10 +21,10 @@ from platform_ctrl.design.fixed_structure.maps import (
     map_of,
     torque_per_Omega,
 )
-from platform_ctrl.design.fixed_structure.starts import balanced_truncation
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
 from platform_ctrl.design.methods.structured import (
+    balanced_truncation,
     classical_structure,
     free_structure,
     of_order,

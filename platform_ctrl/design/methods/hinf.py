@@ -91,7 +91,8 @@ def mixed_sensitivity(
 ) -> System:
     """Return the weighted plant from [n, d, u] to [z1, z2, z3, measurement], states those of the plant and of W_e.
 
-    `plant` leads from u to the angles, `disturbed`, with the same states, from d; `constant` are W_t and W_u.
+    `plant` leads from u to the angles, `disturbed`, with the same states, from any number of d; `constant` are W_t and
+    W_u.
     """
     A, B, C, D, _ = plant
     B_d, D_d = disturbed.B, disturbed.D
@@ -102,7 +103,9 @@ def mixed_sensitivity(
     B_w = np.block([[wide, B_d, B], [eye, D_d, D]])
     error, error_direct = np.hstack([gain[:, None] * C, np.diag(rate)]), gain[:, None] * np.hstack([eye, D_d, D])
     C_w = np.vstack([error, angle @ np.hstack([C, none]), np.zeros((size, n + size)), error])
-    D_w = np.vstack([error_direct, angle @ np.hstack([none, D_d, D]), np.hstack([none, none, torque]), error_direct])
+    D_w = np.vstack(
+        [error_direct, angle @ np.hstack([none, D_d, D]), np.hstack([none, np.zeros_like(D_d), torque]), error_direct]
+    )
     return System(A_w, B_w, C_w, D_w, 0.0)
 
 

@@ -40,6 +40,7 @@ from platform_ctrl.design.methods.hinf import (
     WEIGHTS,
     default_weights,
     error_weight,
+    mixed_sensitivity,
     signal_names,
     torque_units,
 )
@@ -220,30 +221,26 @@ def _weighted(flat: System, rows: list[int], pairs: int, noise: FloatArray, opti
         np.array([options[name if k < pairs or name == "sensitivity_peak" else f"inertial_{name}"] for k in rows])
         for name in ("sensitivity_peak", "bandwidth_hz", "disturbance", "torque")
     )
-    gains, rates, size = 1.0 / gains, 2.0 * np.pi * rates, len(flat.C)
-    A, B, C, D, _ = _seen(flat, rows)
-    n, k = len(A), len(rows)
-    eye, none, tall = np.eye(k), np.zeros((k, k)), np.zeros((n, k))
-    # Columns of d, Omega and u behind the k of n.
-    B_x, D_x = (np.hstack([X[:, rows] * disturbance, X[:, size:], X[:, rows]]) for X in (B, D))
-    angle = np.hstack([C, none]), np.hstack([none, D_x])
-    error = np.hstack([C, none]), np.hstack([eye, D_x])
-    control = np.hstack([np.zeros((k, D_x.shape[1])), eye])
-    unit = float(np.linalg.norm(noise[:, rows], 2) / torque.min())
-    y = gains[:, None] * error[0] + np.hstack([tall.T, np.diag(rates)]), gains[:, None] * error[1]
-    still = np.zeros((k, n + k))
-    C_w = np.vstack(
-        [y[0], options["complementary"] * angle[0], still, angle[0], angle[0], noise[:, rows] @ still, y[0]]
+    gains, rates, size, k = 1.0 / gains, 2.0 * np.pi * rates, len(flat.C), len(rows)
+    own = _seen(flat, rows)
+    d = (
+        np.hstack([own.B[:, rows] * disturbance, own.B[:, size:]]),
+        np.hstack([own.D[:, rows] * disturbance, own.D[:, size:]]),
     )
-    D_w = np.vstack([
-        y[1], options["complementary"] * angle[1], torque[:, None] * control, 0.5 * (error[1] + angle[1]), angle[1],
-        noise[:, rows] / unit @ control, y[1],
-    ])  # fmt: skip
-    A_w = np.block([[A, tall], [C, none]])
-    B_w = np.vstack([np.hstack([tall, B_x]), error[1]])
+    constant = np.eye(k), np.diag(torque)
+    plant = mixed_sensitivity(own.part(slice(None), rows), own._replace(B=d[0], D=d[1]), gains, rates, constant)
+    A, B, C, D, _ = plant
+    error, angle, control, y = ((C[j : j + k], D[j : j + k]) for j in range(0, 4 * k, k))
+    # e = n + angle, and so (S − T)/2 n = n/2 + angle.
+    middle, share = angle[1] + 0.5 * np.eye(k, D.shape[1]), options["complementary"]
+    unit = float(np.linalg.norm(noise[:, rows], 2) / torque.min())
+    torques = noise[:, rows] / unit @ np.eye(k, D.shape[1], D.shape[1] - k)
+    still = np.zeros((len(noise), C.shape[1]))
+    C = np.vstack([error[0], share * angle[0], control[0], angle[0], angle[0], still, y[0]])
+    D = np.vstack([error[1], share * angle[1], control[1], middle, angle[1], torques, y[1]])
     return _Weighted(
         channels=rows,
-        plant=split(System(A_w, B_w, C_w, D_w), len(C_w) - k, B_w.shape[1] - k),
+        plant=split(System(A, B, C, D), len(C) - k, B.shape[1] - k),
         weight=(gains, rates),
         unit=unit,
     )

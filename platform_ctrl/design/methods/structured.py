@@ -13,13 +13,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.descent import Found, Search
 from platform_ctrl.design.fixed_structure.sections import PID, Named, Sampled, Series
-from platform_ctrl.design.fixed_structure.starts import balanced_truncation
 from platform_ctrl.design.fixed_structure.structures import Parametrised, StateSpaceOrder, Units
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.method import LoopProblem, Method, Option, TunedMethod, hertz, number
@@ -37,6 +37,8 @@ _INTEGRAL_KEPT = 0.5
 # Least damping of the PID's filter: with less it gains phase by a resonance, which would lift the gain at frequencies
 # where gimbals and mountings bend.
 _FILTER_DAMPING = 0.4
+# Hankel singular values below this share of the largest are negligible.
+_NEGLIGIBLE = 1e-7
 # Poles this near to z = 1 are integrators.
 _INTEGRATOR = 1e-5
 # Shares of the evaluations that each structure gets on the way to the next.
@@ -312,3 +314,26 @@ def of_order(system: System, order: int, rate: float) -> System:
     whole = np.zeros((order, order))
     whole[:first, :first], whole[first:, first:] = A, own
     return System(whole, np.vstack([B, into]), np.hstack([C, out.T]), D, period)
+
+
+def balanced_truncation(system: System, order: int) -> System:
+    """Return the balanced truncation of a stable sampled system, by square roots (Tombs and Postlethwaite 1987).
+
+    Fewer than `order` states are kept where Hankel singular values are negligible.
+    """
+    A, B, C, D, dt = system
+    if not len(A):
+        return system
+    reach, show = (_root(stationary_covariance(a, b)) for a, b in ((A, B), (A.T, C.T)))
+    U, s, V = np.linalg.svd(show.T @ reach)
+    order = min(order, int(np.sum(s > _NEGLIGIBLE * s[0])))
+    scale = 1.0 / np.sqrt(s[:order])
+    right, left = reach @ V[:order].T * scale, (show @ U[:, :order] * scale).T
+    first, into, out = (np.asarray(item, dtype=np.float64) for item in (left @ A @ right, left @ B, C @ right))
+    return System(first, into, out, D, dt)
+
+
+def _root(gramian: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
+    out: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
+    return out
