@@ -52,6 +52,19 @@ def test_a_balanced_gimbal_without_friction_transmits_nothing():
     assert attenuation.value > 200.0
 
 
+def test_a_search_does_not_go_on_at_a_resonance_of_regular_plants_alone():
+    """A spring acts by an angle that no gyro reads: it drifts. The classical loop meets all limits as it is."""
+    limits = {"disk_margin": 0.4, "attenuation_db": 20.0, "attenuation_hz": 5.0}
+    one = {"name": "s", "method": "structured", "structure": "cross-axis"}
+    found = closed(
+        plant=camera_plant(spring=[{"gimbal": "el", "stiffness": 2.0}]),
+        loop=camera_loop(limits=limits, design=[one], use="s"),
+    )
+    assert found.plants.drifting == ("q_el",)
+    assert found.passed
+    assert found.claims["evaluations"] == 1.0
+
+
 def test_dry_friction_brings_the_base_in_by_its_describing_function():
     """LOS rate/base rate = S d/(J s), d = 4 F/(π Ω): the rate loop holds the body against d times the base's rate."""
     found = closed()
