@@ -243,8 +243,6 @@ class StateSpaceOrder(Structure):
     ----------
     states
         Its order.
-    strictly_proper
-        Whether D_K is zero.
     start, bounds, fixed
         As in `Structure`.
 
@@ -256,26 +254,19 @@ class StateSpaceOrder(Structure):
     """
 
     states: int
-    strictly_proper: bool = False
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return the entries, states in units in which they are as large as y and u."""
         k, rate = self.states, units.rate
+        into, out = np.sqrt(units.gain.mean(axis=0)), np.sqrt(units.gain.mean(axis=1))[:, None]
         typical = float(np.sqrt(np.mean(units.gain**2)))
-        into, out = np.sqrt(units.gain.mean(axis=0) / np.sqrt(typical)), np.sqrt(units.gain.mean(axis=1))
-        into = into * np.sqrt(typical) / np.maximum(into.mean(), 1e-300)
-        a, b = (
-            np.full((k, k), rate),
-            np.full((k, 1), rate) * np.ones((1, nmeas)) * into / max(float(into.mean()), 1e-300),
-        )
-        c = np.full((ncon, k), 1.0) * out[:, None] / max(float(out.mean()), 1e-300) * typical
-        everything = [
-            *gains_of("a", np.ones((k, k), dtype=bool), a),
-            *gains_of("b", np.ones((k, nmeas), dtype=bool), b),
-            *gains_of("c", np.ones((ncon, k), dtype=bool), c),
-        ]
-        if not self.strictly_proper:
-            everything += gains_of("d", np.ones((ncon, nmeas), dtype=bool), units.gain)
+        sizes = {
+            "a": np.full((k, k), rate),
+            "b": np.ones((k, 1)) * rate * into / max(float(into.mean()), 1e-300),
+            "c": np.ones((1, k)) * typical * out / max(float(out.mean()), 1e-300),
+            "d": units.gain,
+        }
+        everything = [one for name, size in sizes.items() for one in gains_of(name, np.ones(size.shape, bool), size)]
         # Distinct stable modes to begin with.
         starts = {f"a{i + 1}{i + 1}": -rate * 2.0 ** (i - 0.5 * (k - 1)) for i in range(k)}
         return tuple(Parameter(name=one.name, start=starts.get(one.name, 0.0), size=one.size) for one in everything)
@@ -283,16 +274,10 @@ class StateSpaceOrder(Structure):
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the matrices."""
         k = self.states
-        if self.strictly_proper:
-            p = np.concatenate([p, zeros(p, ncon * nmeas)], axis=-1)
         shapes = ((k, k), (k, nmeas), (ncon, k), (ncon, nmeas))
         parts = np.split(p, np.cumsum([r * c for r, c in shapes[:3]]), axis=-1)
         A, B, C, D = (part.reshape(*p.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True))
         return System(A, B, C, D)
-
-    def order(self, nmeas: int, ncon: int) -> int:
-        """Return the number of states."""
-        return self.states
 
 
 class Parametrised:
