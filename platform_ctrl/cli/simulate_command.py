@@ -221,7 +221,7 @@ def _drawn(run: Run, job: Job, title: str, path: Path) -> tuple[Path | None, str
     """Return the file of a figure, or None and why it is missing."""
 
     def draw(path: Path) -> None:
-        from platform_ctrl.report.figures.time_run import write_run_figure
+        from platform_ctrl.report.figures.runs import write_run_figure
 
         write_run_figure(run, job.platform, title, path)
 

@@ -36,8 +36,7 @@ from platform_ctrl.report.blocks import (
     table,
 )
 from platform_ctrl.report.captions import sentences
-from platform_ctrl.report.figures.campaign import histogram_figure, with_limit
-from platform_ctrl.report.figures.time_run import time_run
+from platform_ctrl.report.figures.runs import histogram_figure, time_run, with_limit
 from platform_ctrl.report.tables import folded_facts, record_part, versions
 from platform_ctrl.verification.verdict import JobResult
 

@@ -13,6 +13,7 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.modes import nutates
 from platform_ctrl.mechanics.state_space import coupled_while_changing
 from platform_ctrl.report import captions, comparison, curves, style, tables
 from platform_ctrl.report.blocks import (
@@ -43,14 +44,13 @@ from platform_ctrl.report.figures.job import (
 )
 from platform_ctrl.report.figures.nichols import nichols_figure
 from platform_ctrl.report.figures.panels import paint
-from platform_ctrl.report.figures.time_run import time_run
+from platform_ctrl.report.figures.runs import time_run
 from platform_ctrl.report.first_screen import (
     change_part,
     first_screen,
     own_results,
     section_verdict,
 )
-from platform_ctrl.report.modes import nutates
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
 from platform_ctrl.verification.simulated import Run

@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.files import toml
-from platform_ctrl.common.values import value
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import (
@@ -27,6 +27,8 @@ from platform_ctrl.job.quantities import (
     quantity,
 )
 from platform_ctrl.job.reading import job_data
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.modes import Mode, modes
 from platform_ctrl.plant.platform import Torquer
 from platform_ctrl.plant.sensors import PickOff
 from platform_ctrl.report import comparison
@@ -42,7 +44,6 @@ from platform_ctrl.report.blocks import (
     columns,
     table,
 )
-from platform_ctrl.report.modes import Mode, modes_at
 from platform_ctrl.verification import result_file
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import PROVED
@@ -266,9 +267,15 @@ def rotor_table(result: JobResult) -> Table:
     return table("rotor|carried by|spin axis|L|C|spin|speed", rows, numbers="L|C|spin")
 
 
+def modes_at(result: JobResult, Omega: FloatArray) -> tuple[Mode, ...]:
+    """Return the modes of all subsystems at a constant platform rate, rad/s."""
+    model = linearise(result.job.platform, Omega=Omega)
+    return tuple(mode for group in result.subsystems for mode in modes(model, group))
+
+
 def mode_table(result: JobResult) -> Table:
     """Return the modes of the uncontrolled gimbals at rest and at the job's largest rate; a group is named once."""
-    found = [("at rest", *_mode_cells(mode)) for mode in modes_at(result, (0.0, 0.0, 0.0))]
+    found = [("at rest", *_mode_cells(mode)) for mode in modes_at(result, np.zeros(3))]
     if np.any(result.job.Omega > 0.0):
         rate = f"Ω = ({', '.join(plain(float(x), 3) for x in result.job.Omega)}) rad/s"
         found += [(rate, *_mode_cells(mode)) for mode in modes_at(result, result.job.Omega)]

@@ -30,10 +30,11 @@ from platform_ctrl.design.loop import closed_loop_poles, measured
 from platform_ctrl.job.quantities import compared, plain
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
+from platform_ctrl.mechanics import modes
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report import blocks, captions, comparison, curves, modes, style, tables
+from platform_ctrl.report import blocks, captions, comparison, curves, style, tables
 from platform_ctrl.report.campaign_tables import chances
 from platform_ctrl.report.figures.job import platform_compliance, root_locus_plot
 from platform_ctrl.report.figures.panels import paint
@@ -443,7 +444,7 @@ def test_a_gimbal_without_a_loop_that_is_coupled_is_on_the_page() -> None:
     assert "Loop transfer" in text
     assert "not drawn" not in text
     # One rigid-body mode, and the yoke's own.
-    assert {mode.kind for mode in modes.modes_at(result, (0.0, 0.0, 0.0))} == {"oscillation", "rigid body"}
+    assert {mode.kind for mode in tables.modes_at(result, np.zeros(3))} == {"oscillation", "rigid body"}
 
 
 def test_the_page_of_four_designs_is_whole(compared_designs: JobResult, compared_page: str) -> None:
@@ -461,7 +462,7 @@ def test_the_page_of_four_designs_is_whole(compared_designs: JobResult, compared
 
 
 def test_nutation_is_that_of_the_closed_formula(result: JobResult) -> None:
-    at_rest = modes.modes_at(result, (0.0, 0.0, 0.0))
+    at_rest = tables.modes_at(result, np.zeros(3))
     nutation = {mode.gimbals: mode.frequency for mode in at_rest if mode.kind == "nutation"}
     assert nutation["9", "10"] == pytest.approx(0.15 / np.sqrt(5e-4 * 2e-4), rel=1e-9)
     assert nutation["4", "5", "7"] == pytest.approx(np.sqrt(2.0) * 0.15 / np.sqrt(8e-4 * 2e-4), rel=1e-9)

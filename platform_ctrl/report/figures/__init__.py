@@ -7,12 +7,11 @@ within `style.settings`.
 """
 
 from platform_ctrl.report.figures.axes_picture import axes_picture
-from platform_ctrl.report.figures.campaign import campaign_histograms
 from platform_ctrl.report.figures.campbell import campbell
 from platform_ctrl.report.figures.nichols import nichols
 from platform_ctrl.report.figures.root_locus import root_locus, root_locus_over_spin
+from platform_ctrl.report.figures.runs import campaign_histograms, time_run
 from platform_ctrl.report.figures.systems import bode, nyquist, singular_values
-from platform_ctrl.report.figures.time_run import time_run
 
 __all__ = [
     "axes_picture",

@@ -16,11 +16,11 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, RPM, plain
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.modes import poles_and_kinds, rotors_at_rest
 from platform_ctrl.mechanics.state_space import state_space, subsystems, whole_subsystems
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.figures.panels import LabelPlacer
-from platform_ctrl.report.figures.root_locus import increasing, with_rotors_at_rest
-from platform_ctrl.report.modes import poles_and_kinds
+from platform_ctrl.report.figures.root_locus import increasing, spinning
 from platform_ctrl.report.style import (
     LIMIT,
     MARKERS,
@@ -103,7 +103,7 @@ def campbell(
     multiples = np.atleast_1d(real_numbers("orders", orders))
     if multiples.ndim != 1 or not np.all(np.isfinite(multiples) & (multiples > 0.0)):
         raise ArgumentError(f"campbell: orders must be finite numbers > 0, such as (1, 2), got {multiples}")
-    stopped = with_rotors_at_rest(platform)
+    stopped = rotors_at_rest(spinning(platform))
     spin = sorted({round(abs(r.spin), 9) for r in platform.rotors if r.angular_momentum != 0.0})
     unit = RPM * spin[0] if len(spin) == 1 else 1.0
     model, still = linearise(platform, Omega=Omega), linearise(stopped, Omega=Omega)

@@ -20,6 +20,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Design, sampled_plant
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.quantities import HZ, quantity
+from platform_ctrl.mechanics.modes import nutates
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.drawing import root_series, signal_series
@@ -28,7 +29,6 @@ from platform_ctrl.report.captions import bandwidth_hz
 from platform_ctrl.report.curves import ShownLoop, damping_rays
 from platform_ctrl.report.figures.campbell import campbell
 from platform_ctrl.report.figures.root_locus import root_locus
-from platform_ctrl.report.modes import nutates
 from platform_ctrl.report.style import (
     BAND,
     DASH_DOTTED,

@@ -16,14 +16,14 @@ from platform_ctrl.analysis.feedback import loop_transfer
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
 from platform_ctrl.analysis.response import NamedSystem, linear_arrays
 from platform_ctrl.analysis.sampling import sampled, with_lag
-from platform_ctrl.analysis.system import ComplexArray, System, scaled
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import instance, known_names, positive, real_numbers, short
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.cases import changed
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, listed
 from platform_ctrl.job.quantities import plain as number
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.modes import rotors_at_rest
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.figures.panels import LabelPlacer, control_plot
@@ -139,7 +139,7 @@ def root_locus_over_spin(
     if late and not K.dt:
         raise ArgumentError(f"root_locus_over_spin: a delay of {delay!r} s needs a controller with a sample period")
     # The linear model is affine in the rotors' momenta.
-    models = [linearise(one, Omega=Omega) for one in (with_rotors_at_rest(platform), platform)]
+    models = [linearise(one, Omega=Omega) for one in (rotors_at_rest(spinning(platform)), platform)]
     # At rest there may be more subsystems, never fewer.
     still, full = (state_space(model, gimbals=gimbals) for model in models)
     angles, torques = list(controller.input_labels), list(controller.output_labels)
@@ -310,33 +310,22 @@ def gain_locus(plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | N
     """Return the poles of the closed loop while all of the controller is multiplied by one factor."""
     factors = increasing("gains", gains, np.linspace(0.0, 2.5, 101))
     L = System.of(loop_transfer(plant, controller), "root_locus")
-    A, B, C = scaled(L.A, L.B, L.C)
-    if not len(A):
+    if not len(L.A):
         raise ArgumentError("root_locus: neither the plant nor the controller has a state; there are no poles to draw")
-    eye = np.eye(len(L.D))
+    m = len(L.D)
 
     def poles(k: FloatArray) -> ComplexArray:
-        K = k[:, None, None]
-        feedback = K * C
-        if L.D.any():
-            direct = eye + K * L.D
-            if np.linalg.cond(direct).max() > 1e12:
-                raise ArgumentError(
-                    "root_locus: I + gain D_L is singular for one of the gains: the direct gains of plant and "
-                    "controller form an algebraic loop; add a lag or a delay, or leave that gain out"
-                )
-            feedback = np.asarray(np.linalg.solve(direct, feedback), dtype=np.float64)
-        return np.asarray(np.linalg.eigvals(A - B @ feedback), dtype=np.complex128)
+        K = System(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), -k[:, None, None] * np.eye(m), L.dt)
+        return np.asarray(np.linalg.eigvals(L.feedback(K).A), dtype=np.complex128)
 
     return traced_locus(factors, poles, L.dt)
 
 
-def with_rotors_at_rest(platform: Platform) -> Platform:
-    """Return the platform with its rotors at rest."""
-    turning = [r.name for r in instance("platform", platform, Platform).rotors if r.angular_momentum != 0.0]
-    if not turning:
+def spinning(platform: Platform) -> Platform:
+    """Return a platform that has a rotor with momentum."""
+    if not any(r.angular_momentum != 0.0 for r in instance("platform", platform, Platform).rotors):
         raise ArgumentError(f"platform {platform.name!r} must have a rotor that spins")
-    return changed(platform, {}, dict.fromkeys(turning, -1.0))
+    return platform
 
 
 def increasing(name: str, given: ArrayLike | None, default: FloatArray) -> FloatArray:

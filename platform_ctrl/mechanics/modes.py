@@ -16,20 +16,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.system import ComplexArray
-from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.cases import changed, rows_of
+from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.mechanics.state_space import state_space, subsystems
+from platform_ctrl.mechanics.state_space import named_rows, state_space, subsystems
 from platform_ctrl.plant.platform import Platform
-
-if TYPE_CHECKING:
-    from platform_ctrl.verification.verdict import JobResult
 
 Kind = Literal["nutation", "precession", "rigid body", "pendulum", "oscillation", "divergence", "decay"]
 
@@ -74,7 +69,7 @@ def modes(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[Mode, ...]:
 
 def poles_and_kinds(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[ComplexArray, list[Kind]]:
     """Return the poles of a subsystem, fastest first, and the kind of each that is not at the origin."""
-    rows = rows_of(model, gimbals)
+    rows = named_rows(model, gimbals)
     part = np.ix_(rows, rows)
     M, spinning = model.M[part], _rotors_part(model)[part]
     damping, stiffness = model.damping[part] - spinning, model.stiffness[part]
@@ -102,14 +97,14 @@ def poles_and_kinds(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[Compl
     return s, kinds
 
 
+def rotors_at_rest(platform: Platform) -> Platform:
+    """Return the platform with its rotors at rest: the linear model is affine in their momenta."""
+    return replaced(platform, {"rotors": tuple(replaced(r, {"angular_momentum": 0.0}) for r in platform.rotors)})
+
+
 def _rotors_part(model: LinearModel) -> FloatArray:
     """Return what the rotors' momenta make of G, (n, n): nutation and precession are theirs."""
-    return np.asarray(model.G - _again(model, without_spin(model)).G)
-
-
-def without_spin(model: LinearModel) -> Platform:
-    """Return the model's platform with all rotors at rest."""
-    return changed(model.platform, {}, {rotor.name: -1.0 for rotor in model.platform.rotors})
+    return np.asarray(model.G - _again(model, rotors_at_rest(model.platform)).G)
 
 
 def _again(model: LinearModel, platform: Platform) -> LinearModel:
@@ -119,7 +114,7 @@ def _again(model: LinearModel, platform: Platform) -> LinearModel:
 
 def _precessing(model: LinearModel, gimbals: tuple[str, ...]) -> int:
     """Return in how many directions without restraint a torque makes the rotors precess: poles at the origin."""
-    rows = rows_of(model, gimbals)
+    rows = named_rows(model, gimbals)
     part = np.ix_(rows, rows)
     spinning, stiffness = _rotors_part(model)[part], model.stiffness[part]
     _, sizes, directions = np.linalg.svd(stiffness)
@@ -136,12 +131,6 @@ def _mode(gimbals: tuple[str, ...], kind: Kind, s: ComplexArray, small: float) -
         frequency=frequency if frequency > small else 0.0,
         growth=growth if growth > small else 0.0,
     )
-
-
-def modes_at(result: JobResult, Omega: ArrayLike) -> tuple[Mode, ...]:
-    """Return the modes of all subsystems at a constant platform rate, rad/s."""
-    model = linearise(result.job.platform, Omega=Omega)
-    return tuple(mode for group in result.subsystems for mode in modes(model, group))
 
 
 def nutates(model: LinearModel, gimbals: Iterable[str]) -> bool:
