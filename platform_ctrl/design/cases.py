@@ -86,7 +86,7 @@ def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> l
 
 def friction_rate(job: Job) -> float:
     """Return the amplitude of the gimbals' rates for which dry friction counts, rad/s; 0: it does not."""
-    dry = any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions)
+    dry = bool(job.platform.dry_frictions)
     return float(np.max(job.Omega)) if dry else 0.0
 
 

@@ -174,7 +174,7 @@ def sampled_plants(
         disturbances=responses,
         drifting=linear.drifting,
         held=linear.held,
-        dry_friction=any(max(one.breakaway) > 0.0 for one in linear.cases[0].platform.frictions),
+        dry_friction=bool(linear.cases[0].platform.dry_frictions),
     ).on(tuning_grid(nutation, period))
 
 

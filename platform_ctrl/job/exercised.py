@@ -80,9 +80,7 @@ def _varied(job: Job, spec: LoopSpec) -> bool:
     if spec.kind == "tracking":
         gimbals = next((one.gimbals for one in job.loops if one.name == spec.around), ())
     spun = job.uncertainty.spin > _NOTHING and any(one.carrier in gimbals for one in job.platform.rotors)
-    turned = np.any(job.Omega > _NOTHING) and (
-        spec.kind == "caging" or any(max(one.breakaway) > 0.0 for one in job.platform.frictions)
-    )
+    turned = np.any(job.Omega > _NOTHING) and (spec.kind == "caging" or job.platform.dry_frictions)
     tilted = any(np.abs(q).max(initial=0.0) > _NOTHING for q in job.trims)
     return bool(job.uncertainty.inertia > _NOTHING or spun or turned or tilted)
 

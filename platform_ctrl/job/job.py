@@ -304,7 +304,7 @@ class Job:
             inner = next(one for one in self.loops if one.name == spec.around)
             return tuple(f"{name}{COMMAND}" for name in inner.read_by(inner.closed).sensors)
         if not spec.has_plants:
-            return tuple(one.name for one in self.platform.torquers if one.root_axis is not None)
+            return self.platform.root_torquers
         return spec.torquers or tuple(self.platform.torquer_on(name).name for name in spec.gimbals)
 
     def readings_of(self, spec: LoopSpec) -> tuple[str, ...]:

@@ -250,7 +250,7 @@ def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tup
     if not {spec.kind for spec in job.loops} & {"rate", "pointing"}:
         return _assuming(words)
     rate = float(max(job.Omega))
-    if any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
+    if job.platform.dry_frictions:
         fed = " less what is fed forward" if any(drive.friction for drive in job.drives) else ""
         what = f"is a describing function at {plain(rate)} rad/s" if rate > 0.0 else "is left out, as Omega is zero"
         words.append(f"dry friction{fed} {what}")

@@ -217,6 +217,16 @@ class Platform(GimbalTree):
         return tuple(part for part in parts if part.added)
 
     @property
+    def root_torquers(self) -> tuple[str, ...]:
+        """Names of the torquers that act on the root, in the file's order."""
+        return tuple(one.name for one in self.torquers if one.root_axis is not None)
+
+    @property
+    def dry_frictions(self) -> tuple[Friction, ...]:
+        """Frictions with a dry part, in the file's order."""
+        return tuple(one for one in self.frictions if max(one.breakaway) > 0.0)
+
+    @property
     def sensors(self) -> tuple[Sensor, ...]:
         """All that measures, kind by kind in the order of the fields: the pick-offs first."""
         return tuple(chain.from_iterable(getattr(self, kind) for kind in _sensor_fields()))

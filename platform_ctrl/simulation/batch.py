@@ -240,7 +240,7 @@ def merged_controller(
     Where Omega is prescribed controllers that act on the root are left out. Behind it are the rates of drives. The last
     inputs are the excesses of the torques over their limits, if there are limits.
     """
-    roots = {t.name for t in platform.torquers if t.root_axis is not None}
+    roots = set(platform.root_torquers)
     # What is no controller stays: `interconnected_by_sample` refuses it.
     active = [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
     sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]

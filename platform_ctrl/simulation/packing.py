@@ -251,7 +251,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         servos=servos,
         size=size,
         joints=bool(platform.springs or platform.frictions or platform.cages),
-        dry=any(max(f.breakaway) > 0.0 for f in platform.frictions),
+        dry=bool(platform.dry_frictions),
         cages=bool(platform.cages),
         weight=bool(platform.unbalances or platform.erections),
         course=False,

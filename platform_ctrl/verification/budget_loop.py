@@ -47,7 +47,7 @@ class BudgetLoop:
     def __init__(self, job: Job, budget: BudgetSpec, controllers: Sequence[control.StateSpace]) -> None:
         self.job, self.budget = job, budget
         self.free = acts_on_root(job, controllers)
-        self.dry = [one for one in job.platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]
+        self.dry = job.platform.dry_frictions
         seen, self.torquers = used_signals(
             job, controllers, coupled_plant(job, linearise(job.platform), controllers).system
         )

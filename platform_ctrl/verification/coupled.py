@@ -43,7 +43,6 @@ from platform_ctrl.verification.coupled_plant import (
     acts_on_root,
     coupled_plant,
     one_way_plant,
-    root_torquers,
     sensed_rates,
     used_signals,
 )
@@ -179,7 +178,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
             "exact",
         ),
     }
-    roots = [k for k, name in enumerate(channels) if name in root_torquers(job)]
+    roots = [k for k, name in enumerate(channels) if name in job.platform.root_torquers]
     if roots:
         noisiest = max(roots, key=lambda k: float(torque_noise[k]))
         evidence = f"torquer {channels[noisiest]}"
@@ -219,7 +218,7 @@ def _conditions(job: Job, together: _Together, growing: str) -> str:
 
 
 def _dry(job: Job) -> str:
-    return "; without dry friction" if any(max(one.breakaway) > 0.0 for one in job.platform.frictions) else ""
+    return "; without dry friction" if job.platform.dry_frictions else ""
 
 
 class _Together:

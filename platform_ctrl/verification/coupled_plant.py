@@ -109,14 +109,9 @@ def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[st
     return [s.name for s in job.platform.sensors if s.name in used]
 
 
-def root_torquers(job: Job) -> set[str]:
-    """Return the names of the torquers that act on the root."""
-    return {t.name for t in job.platform.torquers if t.root_axis is not None}
-
-
 def acts_on_root(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
     """Return whether a controller sets a torque on the root: the platform is free then."""
-    return any(root_torquers(job) & set(K.output_labels) for K in controllers)
+    return any(set(job.platform.root_torquers) & set(K.output_labels) for K in controllers)
 
 
 def used_signals(

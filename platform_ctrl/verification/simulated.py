@@ -204,7 +204,7 @@ def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tup
         evidence = (
             f"{signal}; non-linear plant{_start(job, manoeuvre)}, {trajectory.ended}, seed {trajectory.seed}, "
             f"substep {trajectory.step:g} s"
-        ) + ("; with dry friction" if any(max(one.breakaway) > 0.0 for one in job.platform.frictions) else "")
+        ) + ("; with dry friction" if job.platform.dry_frictions else "")
         result = limited.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
         reasons = (lost, _filter_words(job, signal) if metric.commanded and not lost else "")
         out.append(result if result.passed else result.because("; ".join(filter(None, reasons))))

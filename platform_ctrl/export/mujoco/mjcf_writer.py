@@ -297,10 +297,10 @@ def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
 def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
     """Return what of the plant is left out of the MJCF file, or has another form there."""
     moved = root != "fixed" and platform.unbalances and platform.specific_force.any()
-    left_out = [t.name for t in platform.torquers if t.root_axis is not None and root != "free"]
+    left_out = [*platform.root_torquers] if root != "free" else []
     found: dict[str, list[str]] = {
         "dry friction of {}: MuJoCo's frictionloss, the mean of both directions, in place of a smooth curve": [
-            friction.gimbal for friction in platform.frictions if max(friction.breakaway) > 0.0
+            friction.gimbal for friction in platform.dry_frictions
         ],
         "cage of {}: left out, for its clearance": [cage.gimbal for cage in platform.cages if cage.clearance],
         "erection of {}: left out; add it to the control of a torquer": [one.gimbal for one in platform.erections],

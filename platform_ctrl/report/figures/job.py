@@ -223,7 +223,7 @@ def coupled_grid(result: JobResult) -> FloatArray:
 def servo(result: JobResult) -> list[list[Curves]] | None:
     """Bode diagram of each root torquer's loop in the coupled system, others closed; None without such a torquer."""
     check = _checked(result)
-    roots = {t.name for t in result.job.platform.torquers if t.root_axis is not None}
+    roots = set(result.job.platform.root_torquers)
     chosen = [k for k, name in enumerate(check.channels) if name in roots]
     if not chosen or not check.stable or check.controller is None:
         return None
