@@ -1,10 +1,16 @@
-"""The commands. Each imports what it needs when it runs, so that ``--help`` and ``models`` answer at once.
+"""The commands, and those to start with: ``new``, ``models``, ``equations`` and ``warm-up``.
 
-In their help a line with a backspace, click's own mark, keeps the lines below it as they are.
+Each imports what it needs when it runs, so that ``--help`` and ``models`` answer at once. In their help a line with a
+backspace, click's own mark, keeps the lines below it as they are.
 """
 
 from __future__ import annotations
 
+import os
+import re
+import shlex
+import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,9 +19,234 @@ from platform_ctrl.cli.budget_command import budget
 from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.design_commands import check, design
 from platform_ctrl.cli.export_command import export
+from platform_ctrl.cli.job_arguments import Json, Quiet, folder_option, one_of, option, prepare_folder
 from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate
-from platform_ctrl.cli.start_commands import equations, models, new, warm_up
+from platform_ctrl.errors import InputError
+from platform_ctrl.mechanics.symbolic import HIGHEST_ORDER, TERMS, WRITTEN
+
+# Valid as a file name on all systems and, unquoted, in a text.
+_NAME = re.compile(r"\w[\w.-]*")
+EXACT = "exact"
+ORDERS = (*map(str, range(HIGHEST_ORDER + 1)), EXACT)
+
+
+# What `new` copies, by what people have: jobs of the folder examples, each with its plant.
+KINDS = {
+    "caged-gyro": "caged_gyro",
+    "camera-gimbal": "camera_gimbal",
+    "multirotor-gimbal": "multirotor_gimbal",
+    "seeker-head": "seeker_head",
+    "steering-mirror": "fast_steering_mirror",
+    "floated-gyro": "floated_gyro_platform",
+    "stabilised-platform": "three_gyro_platform",
+    "control-moment-gyro": "control_moment_gyro",
+}
+_PLANT = re.compile(r'^plant = "(\w+)(\.toml)?"', re.MULTILINE)
+
+
+Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="What the two files will be called: NAME_plant.toml and NAME.toml.", show_default=False
+    ),
+]
+Out = Annotated[Path, folder_option("Folder for both; made if needed. Default: here.")]
+Kind = Annotated[
+    str,
+    option("--kind", metavar="KIND", help=f"What you have: {', '.join(KINDS)}.", default=True),
+]
+
+
+def new(
+    name: Name,
+    out: Out = Path("."),
+    kind: Kind = "caged-gyro",
+    force: Annotated[bool, option("--force", help="Overwrite files that are there.", default=True)] = False,
+    as_json: Json = False,
+) -> None:
+    """Copy a commented plant and a job for it, to start from.
+
+    NAME_plant.toml describes the bodies, rotors, torquers and sensors; NAME.toml defines the loops to be designed,
+    their methods and their requirements. Both work as they are; then put in your own numbers.
+
+    \b
+    platform-ctrl new gyro
+        gyro_plant.toml and gyro.toml
+    platform-ctrl design gyro.toml
+        designs and checks its loop: out/report.html
+    platform-ctrl new eye --kind camera-gimbal
+        by what you have
+    """  # noqa: D301
+    from platform_ctrl.common.files import json_text, write_whole
+
+    title, known = _title(name), one_of("--kind", kind, tuple(KINDS))
+    files = (f"{title}_plant.toml", f"{title}.toml")
+    for file in files:
+        if os.path.lexists(out / file) and not force:
+            raise InputError(f"{out / file}: exists already; choose another NAME or -o DIR, or overwrite with --force")
+    prepare_folder(out, files)
+    for file, text in zip(files, _copied(KINDS[known], title), strict=True):
+        write_whole(out / file, text)
+    plant, job = (out / file for file in files)
+    commands = [
+        shlex.join(["platform-ctrl", word, str(file)]) for word, file in (("design", job), ("equations", plant))
+    ]
+    if as_json:
+        typer.echo(json_text({"schema": 1, "plant": str(plant), "job": str(job), "kind": kind, "next": commands}))
+        return
+    typer.echo(f"plant: {plant}\njob:   {job}\nnext:  {commands[0]}\nalso:  {commands[1]}")
+
+
+def _copied(example: str, title: str) -> tuple[str, str]:
+    """Return the texts of the plant and of the job of an example under another name."""
+    from platform_ctrl.plant.source import example_source, platform_source
+
+    job = example_source(example)
+    found = _PLANT.search(job)
+    assert found is not None, example
+    plant = example_source(found[1]) if found[2] else platform_source(found[1])
+    job = _PLANT.sub(f'plant = "{title}_plant.toml"', job, count=1)
+    job = re.sub(r'^name = ".*?"', f'name = "{title}"', job, count=1, flags=re.MULTILINE)
+    return tuple(  # type: ignore[return-value]
+        re.sub(rf"(examples/)?\b{example}(_plant)?\.toml", rf"{title}\2.toml", text) for text in (plant, job)
+    )
+
+
+def _title(name: str) -> str:
+    title = name.removesuffix(".toml")
+    if not _NAME.fullmatch(title):
+        raise InputError(f"NAME: {name!r} may contain only letters, digits, _, - and .; name a folder by -o DIR")
+    return title
+
+
+def models(as_json: Json = False) -> None:
+    """List the plants that come with the package.
+
+    \b
+    platform-ctrl models                            to read
+    platform-ctrl models --json | jq -r '.[].name'  the names alone
+    """  # noqa: D301
+    import tomllib
+
+    from platform_ctrl.cli.terminal import screen, show_pairs
+    from platform_ctrl.common.files import json_text
+    from platform_ctrl.job.quantities import count
+    from platform_ctrl.plant.source import platform_source, shipped_models
+
+    listed = []
+    for name in shipped_models():
+        plant = tomllib.loads(platform_source(name))
+        parts = {key: len(plant.get(key, [])) for key in ("gimbal", "rotor", "torquer", "pickoff")}
+        listed.append({"name": name, "title": plant["name"], "source": plant.get("source", ""), **parts})
+    if as_json:
+        typer.echo(json_text(listed))
+        return
+    pairs = [(m["name"], f"{m['title']}: {count(m['gimbal'], 'gimbal')}, {count(m['rotor'], 'rotor')}") for m in listed]
+    show_pairs(screen(), pairs)
+
+
+Plant = Annotated[
+    str,
+    typer.Argument(
+        metavar="PLANT",
+        help="A shipped plant's name (see platform-ctrl models), or a plant file (TOML).",
+        show_default=False,
+    ),
+]
+Form = Annotated[
+    str,
+    option(
+        "--format",
+        metavar="|".join(WRITTEN),
+        help="How they are written; latex is to be put into a document that loads amsmath.",
+        default=True,
+    ),
+]
+Order = Annotated[
+    str,
+    typer.Option(
+        metavar="N",
+        help=f"Matrices to order 0 to {HIGHEST_ORDER} in the angles, or {EXACT}: in sines and cosines, for small "
+        "trees.",
+    ),
+]
+Terms = Annotated[
+    str,
+    typer.Option(
+        metavar="|".join(TERMS),
+        help="paper: A constant, and in (27) the terms that the paper keeps. exact: all terms.",
+    ),
+]
+
+
+def equations(
+    plant: Plant,
+    form: Form = "text",
+    order: Order = "1",
+    terms: Terms = "paper",
+    as_json: Annotated[bool, option("--json", help="The same as --format json; no progress.", default=True)] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Print the equations of a plant in symbols.
+
+    By the numbers of the paper: B (21), A (23), the rotors' axial inertia (24), Coriolis (25) and gyroscopic matrix
+    (26), and the gimbal equations (27), (19) and (15), with every symbol's meaning, unit and number.
+
+    \b
+    platform-ctrl equations three_gyro_platform
+        to read
+    platform-ctrl equations plant.toml --format latex > equations.tex
+        to print
+    platform-ctrl equations plant.toml --terms exact --order 2 --json
+        all terms to second order, to compute with
+    """  # noqa: D301
+    chosen_form, chosen_terms = one_of("--format", form, WRITTEN), one_of("--terms", terms, TERMS)
+    if as_json and chosen_form == "latex":
+        raise InputError("--format latex and --json exclude each other; leave one out")
+    chosen_order = None if one_of("--order", order, ORDERS) == EXACT else int(order)
+    from platform_ctrl.cli.terminal import progress
+
+    if as_json:
+        chosen_form = "json"
+    with progress(quiet or as_json, f"deriving the equations of {plant}"):
+        from platform_ctrl.common.files import json_text
+        from platform_ctrl.mechanics.symbolic import equations as found
+        from platform_ctrl.plant.reading import read_platform
+
+        written = found(read_platform(plant), chosen_form, chosen_order, chosen_terms)
+        if chosen_form == "json":
+            written = f"{json_text(written)}\n"
+    typer.echo(written, nl=False)
+
+
+def warm_up(as_json: Json = False, quiet: Quiet = False) -> None:
+    """Compile what the other commands need, once an installation.
+
+    The simulation is compiled where it is first used, which takes about half a minute, and kept beside the installed
+    package. This compiles it before anybody waits for it: in an image, before CI runs its tests, after an update. What
+    is compiled already is not compiled again.
+
+    \b
+    platform-ctrl warm-up
+        once an installation
+    platform-ctrl warm-up --quiet
+        in a Dockerfile: RUN platform-ctrl warm-up --quiet
+    """  # noqa: D301
+    from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.common.files import json_text
+
+    start = time.monotonic()
+    with progress(quiet or as_json, "compiling the simulation"):
+        from platform_ctrl.plant.reading import read_platform
+        from platform_ctrl.simulation.batch import compile_kernel
+        from platform_ctrl.simulation.free_motion import rollout
+
+        compile_kernel()
+        rollout(read_platform("rate_gyro"), q=[[0.0]], velocity=[[0.0] * 4], step=1e-4, steps=1)
+    seconds = time.monotonic() - start
+    typer.echo(json_text({"schema": 1, "seconds": seconds}) if as_json else f"compiled in {seconds:.0f} s")
+
 
 app = typer.Typer(
     rich_markup_mode=None,

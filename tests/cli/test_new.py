@@ -9,7 +9,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.cli import main
-from platform_ctrl.cli.start_commands import KINDS
+from platform_ctrl.cli.commands import KINDS
 from refused_command import refused
 
 
