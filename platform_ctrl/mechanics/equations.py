@@ -41,12 +41,7 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
 
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5.
     """
-    tree = topology(platform)
-    n = len(tree.parents)
-    angles = real_array("q", q, (n,))
-    u = real_array("velocity", velocity, (3 + n,))
-    u_dot = real_array("acceleration", acceleration, (3 + n,))
-    at = configuration(tree, angles)
+    at, u, u_dot = _motion(platform, q, velocity, "acceleration", acceleration)
     return _moments(at, world_inertias(at), u, u_dot)
 
 
@@ -90,16 +85,21 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     >>> round(float(acceleration[7]), 3)
     5.014
     """
-    tree = topology(platform)
-    n = len(tree.parents)
-    angles = real_array("q", q, (n,))
-    u = real_array("velocity", velocity, (3 + n,))
-    torque = real_array("force", force, (3 + n,))
-    at = configuration(tree, angles)
+    at, u, torque = _motion(platform, q, velocity, "force", force)
     inertias = world_inertias(at)
-    bias = _moments(at, inertias, u, np.zeros(3 + n))
+    bias = _moments(at, inertias, u, np.zeros(len(u)))
     A_star = mass_matrix(at.jacobians, inertias)
     return solved_inertia(A_star, torque - bias, (*OMEGA_NAMES, *platform.angle_names))
+
+
+def _motion(
+    platform: Platform, q: ArrayLike, velocity: ArrayLike, name: str, given: ArrayLike
+) -> tuple[Kinematics, FloatArray, FloatArray]:
+    """Return the directions at q, the velocity, and another vector (3 + n,), called `name`."""
+    tree = topology(platform)
+    n = len(tree.parents)
+    at = configuration(tree, real_array("q", q, (n,)))
+    return at, real_array("velocity", velocity, (3 + n,)), real_array(name, given, (3 + n,))
 
 
 def _moments(at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatArray) -> FloatArray:

@@ -218,7 +218,7 @@ def _row(equations: Equations, gimbal: str, turning: FloatArray, amplitudes: tup
     variables = [list(some) for some in (equations.q, equations.rates, equations.accelerations)]
     names = equations.platform.gimbal_names
     about_own = "nutation" if equations.platform.rotors else "inertia"
-    for coefficient, variable in equations.row_terms(gimbal):
+    for coefficient, variable in equations.rows["partially_linear"][names.index(gimbal)]:
         derivative = next((k for k, some in enumerate(variables) if variable in some), None)
         column = None if derivative is None else names[variables[derivative].index(variable)]
         amplitude = 1.0 if derivative is None else float(amplitudes[derivative][names.index(str(column))])

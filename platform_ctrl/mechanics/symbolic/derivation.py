@@ -8,7 +8,7 @@ import numpy as np
 import sympy
 from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import known_name, real_array
+from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Topology, topology
@@ -113,24 +113,6 @@ class Equations:
     def precession(self) -> tuple[Expression, ...]:
         """(15): one `Eq` a gimbal, (27) with rotors' momenta and force elements alone."""
         return self._equations("precession")
-
-    def row_terms(self, gimbal: str, equation: str = "partially_linear") -> RowTerms:
-        """Return the terms (coefficient, variable) of a gimbal's left side; their sum is Q.
-
-        Parameters
-        ----------
-        gimbal
-            Its name in the plant.
-        equation
-            ``"partially_linear"`` (27), ``"linear"`` (19) or ``"precession"`` (15).
-
-        Returns
-        -------
-        RowTerms
-            In the symbols of these equations.
-        """
-        known_name("equation", equation, tuple(self.rows))
-        return self.rows[equation][known_name("gimbal", gimbal, self.platform.gimbal_names)]
 
     def numbers(self) -> dict[Expression, float]:
         """Return the platform's number of every symbol that has one: ``expression.subs(equations.numbers())``."""
@@ -261,8 +243,7 @@ class _Derivation:
         places = {symbol.name: k for k, symbol in enumerate(self.known)}
         self.C = [None if one is None else places[one.name] for one in C]
         self.L = [places[one.name] for one in L]
-        moving = (*motion.Omega, *motion.Omega_dot, *motion.accelerations, *motion.rates, *motion.angles)
-        self._symbols = [sympy.Symbol(s.name) for s in (*self.known, *moving)]
+        self._symbols = [sympy.Symbol(s.name) for s in (*self.known, *motion.moving)]
         self._n = len(platform.gimbals)
 
     def _algebra(self, order: int | None) -> Polynomials:
@@ -305,13 +286,12 @@ class _Derivation:
             *(np.array([p], dtype=object) for row in full for p in row.values())
         )
         listed = [s for k, s in enumerate(self.known) if k in used or s.kind != "inertia"]
-        moving = (*motion.Omega, *motion.Omega_dot, *motion.accelerations, *motion.rates, *motion.angles)
         A_R = [sympy.S.Zero if k is None else self._symbols[k] for k in self.C]
         return Equations(
             platform=self.platform,
             order=order,
             terms=self.terms,
-            symbols=(*listed, *moving, *motion.torques, *motion.root_torques),
+            symbols=(*listed, *motion.moving, *motion.torques, *motion.root_torques),
             q=_column(motion.angles),
             rates=_column(motion.rates),
             accelerations=_column(motion.accelerations),

@@ -94,6 +94,11 @@ class Motion(NamedTuple):
     torques: tuple[NamedSymbol, ...]
     root_torques: tuple[NamedSymbol, ...]
 
+    @property
+    def moving(self) -> tuple[NamedSymbol, ...]:
+        """All but the torques."""
+        return sum(self[:5], ())
+
 
 def motion_symbols(platform: Platform, names: SymbolNames) -> Motion:
     """Return the symbols of angles, rates and torques: they take their names first."""
@@ -142,18 +147,11 @@ def inertia_symbols(
 
 def rotor_symbols(platform: Platform, names: SymbolNames) -> tuple[list[NamedSymbol | None], list[NamedSymbol]]:
     """Return the symbols of the rotors' axial inertias, None of free ones, and of their momenta."""
-    C = [
-        None
-        if rotor.control == "free"
-        else names.symbol(
-            joined("C", rotor.name),
-            "axial inertia",
-            f"axial inertia of rotor {rotor.name}",
-            "kg m²",
-            rotor.axial_inertia,
-        )
-        for rotor in platform.rotors
-    ]
+    C: list[NamedSymbol | None] = []
+    for rotor in platform.rotors:
+        name, meaning = joined("C", rotor.name), f"axial inertia of rotor {rotor.name}"
+        free = rotor.control == "free"
+        C.append(None if free else names.symbol(name, "axial inertia", meaning, "kg m²", rotor.axial_inertia))
     L = []
     for rotor in platform.rotors:
         head, where = ("p", "about its axis") if rotor.control == "free" else ("L", "in its carrier")
@@ -250,7 +248,10 @@ class Polynomials:
 
     def numbers(self, array: FloatArray) -> Array:
         """Return an array of numbers as polynomials."""
-        exact = np.array([self._ring.ground_new(_QQ(rational(float(x)))) for x in array.ravel()], dtype=object)
+        exact = np.array(
+            [self._ring.ground_new(sympy.QQ(*rational(float(x)).as_integer_ratio())) for x in array.ravel()],
+            dtype=object,
+        )
         return exact.reshape(array.shape)
 
     def zeros(self, *shape: int) -> Array:
@@ -361,7 +362,3 @@ class Polynomials:
     def used(self, *arrays: Array) -> set[int]:
         """Return the places of the symbols that occur."""
         return {k for array in arrays for p in array.ravel() for powers in p for k, power in enumerate(powers) if power}
-
-
-def _QQ(number: Fraction) -> Any:
-    return sympy.QQ(number.numerator, number.denominator)
