@@ -183,11 +183,6 @@ class Source:
         return stated if stated is not None and stated.quantity == SOURCE_KINDS[self.kind].quantity else None
 
     @property
-    def knots_hz(self) -> FloatArray:
-        """Frequencies (k,) at which the density has a bend or a jump, increasing, Hz; it is zero outside of them."""
-        return self.spectrum.knots_hz
-
-    @property
     def lines(self) -> Lines:
         """Its sines, SI units."""
         own = self.spectrum.lines
@@ -345,7 +340,7 @@ def value_mistakes(budget: BudgetSpec) -> Iterator[Mistake]:
     for k, source in enumerate(budget.sources):
         path: Path = ("budget", "source", k)
         lead = next(key for key, kind in SPECTRA.items() if isinstance(source.spectrum, kind))
-        edges = np.concatenate([source.knots_hz, source.lines.frequencies_hz])
+        edges = np.concatenate([source.spectrum.knots_hz, source.lines.frequencies_hz])
         shaken = (budget.from_hz <= source.lines.frequencies_hz) & (source.lines.frequencies_hz <= budget.to_hz)
         if not source.spectrum.within(budget.from_hz, budget.to_hz).size and not shaken.any():
             words = f"{lead}: nothing of it lies in the band of the budget, {budget.from_hz:g} to {budget.to_hz:g} Hz"
