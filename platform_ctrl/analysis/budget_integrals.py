@@ -101,6 +101,42 @@ def edges_around(s: ComplexArray) -> FloatArray:
     return out[out > 0.0]
 
 
+class Prepared(NamedTuple):
+    """Responses at the nodes of some panels, weighted by the roots of the densities; images with sources are `inside`.
+
+    theta (N,), frequency (N, F), direct (N, I, q, c), measured (N, I, p, c), held (N, I, q, m), outer (N, F, q, m²),
+    rest (N, R, q, m²), sampled (N, R, p, m), weights (W, N, F); R: samples of a cycle, c: columns of random sources.
+    """
+
+    theta: FloatArray
+    frequency: FloatArray
+    inside: tuple[int, ...]
+    direct: ComplexArray
+    measured: ComplexArray
+    held: ComplexArray
+    outer: FloatArray
+    rest: FloatArray
+    sampled: ComplexArray
+    weights: FloatArray
+
+    def rows(self, rows: slice) -> Prepared:
+        """Return those at some of the nodes."""
+        return self._replace(**{name: getattr(self, name)[rows] for name in _BY_NODE}, weights=self.weights[:, rows])
+
+
+# What has the nodes first.
+_BY_NODE = tuple(name for name in Prepared._fields if name not in ("inside", "weights"))
+
+
+def joined(blocks: list[Prepared]) -> Prepared:
+    """Return the responses at the nodes of all blocks."""
+    if len(blocks) == 1:
+        return blocks[0]
+    fields = {name: np.concatenate([getattr(one, name) for one in blocks]) for name in _BY_NODE}
+    weights = np.concatenate([one.weights for one in blocks], axis=1)
+    return Prepared(**fields, inside=blocks[0].inside, weights=weights)
+
+
 # Edges of cumulative variances that are nearer to each other than this, relative, are one where there are many images.
 _NEAR = 1e-3
 

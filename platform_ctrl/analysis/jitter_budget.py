@@ -8,9 +8,8 @@ what the sampler brings there from all others:
 
     S_z(ω_n) = |G₀(ω_n)|² S_w(ω_n) + Σ_{k ≠ n} |P_zu H(ω_n) M P_yw(ω_k)|² S_w(ω_k),        ω_n = θ + n ω_s.
 
-Sums over the images beyond those that are kept are exact for outputs that are not integrated
-(`OpenLoop.remaining_images`) and bounded for integrated ones; more images are taken until the bound is below the
-tolerance.
+Sums over the images beyond those that are kept are exact for outputs that are not integrated, and bounded for
+integrated ones (`OpenLoop.remaining_images`); more images are taken until the bound is below the tolerance.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +27,7 @@ from platform_ctrl.analysis.budget_integrals import (
     WIDE,
     Contribution,
     Panel,
+    Prepared,
     aliased,
     alike,
     assembled,
@@ -37,6 +36,7 @@ from platform_ctrl.analysis.budget_integrals import (
     edges_around,
     exclusive,
     halves,
+    joined,
     moved_by_samples,
     nodes,
     packed,
@@ -77,25 +77,6 @@ _MOST_KEPT, _MOST_AT_ONCE = 4_000_000, 1_000_000
 _SAME = 1e-12
 
 
-class _Prepared(NamedTuple):
-    """Responses at the nodes of some panels, weighted by the roots of the densities; images with sources are `inside`.
-
-    theta (N,), frequency (N, F), direct (N, I, q, c), measured (N, I, p, c), held (N, I, q, m), outer (N, F, q, m²),
-    rest (N, R, q, m²), sampled (N, R, p, m), weights (W, N, F); R: samples of a cycle, c: columns of random sources.
-    """
-
-    theta: FloatArray
-    frequency: FloatArray
-    inside: tuple[int, ...]
-    direct: ComplexArray
-    measured: ComplexArray
-    held: ComplexArray
-    outer: FloatArray
-    rest: FloatArray
-    sampled: ComplexArray
-    weights: FloatArray
-
-
 class JitterBudget:
     """A plant with sampler and hold and its disturbances, prepared for budgets with one controller after the other.
 
@@ -134,7 +115,7 @@ class JitterBudget:
                 f"jitter budget: a source reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
                 f"at most {MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
             )
-        self._known: dict[Panel, _Prepared] = {}
+        self._known: dict[Panel, Prepared] = {}
         self._kept = 0
 
     def of(
@@ -143,8 +124,7 @@ class JitterBudget:
         """Return the budget with a controller u = K y, all of it of the plant's sample period or a part of it slower.
 
         `tolerance` bounds the relative error of each variance. Without cumulative variances, `over_frequency`, it is
-        faster. Raises `ArgumentError` where the loop is not stable, or an angle drifts without
-        bound.
+        faster. Raises `ArgumentError` where the loop is not stable, or an angle drifts without bound.
         """
         tolerance = within("jitter budget: tolerance", tolerance, 1e-11, 0.1)
         if isinstance(controller, System):
@@ -225,7 +205,7 @@ class JitterBudget:
         prepared = self._prepared(panels)
         nodes_at_once = max(1, _MOST_AT_ONCE // self._size)
         rows = [slice(k, k + nodes_at_once) for k in range(0, len(prepared.theta), nodes_at_once)]
-        found = [self._densities(_cut(prepared, some), controller) for some in rows]
+        found = [self._densities(prepared.rows(some), controller) for some in rows]
         density, rest = (np.concatenate(one) for one in zip(*found, strict=True))
         _, half = nodes(panels)
         P, (W, _, F) = len(panels), prepared.weights.shape
@@ -259,23 +239,23 @@ class JitterBudget:
         sources, packed = len(self._random) + len(self._noise), self.plant.controls**2
         return (2 * self._images + 1) * (self.plant.outputs + packed) * (sources + packed)
 
-    def _prepared(self, panels: list[Panel]) -> _Prepared:
+    def _prepared(self, panels: list[Panel]) -> Prepared:
         new = [one for one in panels if one not in self._known]
-        made: dict[Panel, _Prepared] = {}
+        made: dict[Panel, Prepared] = {}
         if new:
             points = nodes(new)[0].ravel()
             size = self.open_loop.size + 2 * self.plant.outputs * self.plant.controls**2
             step = max(1, _MOST_AT_ONCE // ((2 * self._images + 1) * size))
-            block = _joined([self._evaluated(points[k : k + step]) for k in range(0, len(points), step)])
+            block = joined([self._evaluated(points[k : k + step]) for k in range(0, len(points), step)])
             for k, one in enumerate(new):
-                made[one] = _cut(block, slice(21 * k, 21 * (k + 1)))
+                made[one] = block.rows(slice(21 * k, 21 * (k + 1)))
             size = sum(item.size for item in block if isinstance(item, np.ndarray))
             if self._kept + size <= _MOST_KEPT // self.plant.cycle:
                 self._known |= made
                 self._kept += size
-        return _joined([made[one] if one in made else self._known[one] for one in panels])
+        return joined([made[one] if one in made else self._known[one] for one in panels])
 
-    def _evaluated(self, theta: FloatArray) -> _Prepared:
+    def _evaluated(self, theta: FloatArray) -> Prepared:
         plant, count = self.plant, self._images
         images = np.arange(-count, count + 1)
         family = self.open_loop.family(theta, images)
@@ -295,7 +275,7 @@ class JitterBudget:
         )
         columns = columns[:, list(inside)]
         measured, held = family.measured[:, list(inside)] @ columns, family.held * family.integral
-        return _Prepared(
+        return Prepared(
             theta,
             family.frequency,
             inside,
@@ -317,7 +297,7 @@ class JitterBudget:
             out += [shares.displacement * above, shares.smear, shares.jitter]
         return np.stack(out)
 
-    def _densities(self, at: _Prepared, controller: MultiRate) -> tuple[FloatArray, FloatArray]:
+    def _densities(self, at: Prepared, controller: MultiRate) -> tuple[FloatArray, FloatArray]:
         """Return one-sided densities of the outputs (N, F, G, q) and what the images beyond add (N, G, q)."""
         M = self.open_loop.modulator(controller, at.theta, at.sampled)
         N, F, q, packed = at.outer.shape
@@ -336,7 +316,7 @@ class JitterBudget:
         rest = at.rest.swapaxes(1, 2).reshape(N, q, -1) @ moved.swapaxes(1, 2).reshape(N, R * packed, -1)
         return density, rest.swapaxes(-1, -2)
 
-    def _moved(self, at: _Prepared, M: Modulator, component: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    def _moved(self, at: Prepared, M: Modulator, component: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
         """Return what random sources do to controls (N, m², R, G), and the densities (N, I, G, q) at images inside.
 
         `component` (I,) are those of the images inside.
@@ -369,7 +349,7 @@ class JitterBudget:
         rows, columns = rows[order], columns[order]
         return out, self._where_sources_are(at, u[:, rows, columns], others[:, :, rows, columns])
 
-    def _where_sources_are(self, at: _Prepared, u: ComplexArray, others: FloatArray) -> FloatArray:
+    def _where_sources_are(self, at: Prepared, u: ComplexArray, others: FloatArray) -> FloatArray:
         """Return the densities (N, I, G, q) at images that have sources of their own.
 
         Of controls u (N, I, m, c) that an image's own disturbance moves, and of what the `others` (N, m², I, G) move.
@@ -435,20 +415,3 @@ class JitterBudget:
                 )
             )
         return out
-
-
-def _cut(block: _Prepared, rows: slice) -> _Prepared:
-    first = {name: getattr(block, name)[rows] for name in _Prepared._fields if name not in ("inside", "weights")}
-    return block._replace(**first, weights=block.weights[:, rows])
-
-
-def _joined(blocks: list[_Prepared]) -> _Prepared:
-    if len(blocks) == 1:
-        return blocks[0]
-    fields = {
-        name: np.concatenate([getattr(one, name) for one in blocks])
-        for name in _Prepared._fields
-        if name not in ("inside", "weights")
-    }
-    weights = np.concatenate([one.weights for one in blocks], axis=1)
-    return _Prepared(**fields, inside=blocks[0].inside, weights=weights)
