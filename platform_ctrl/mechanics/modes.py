@@ -20,10 +20,9 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.mechanics.state_space import named_rows, state_space, subsystems
+from platform_ctrl.mechanics.state_space import ComplexArray, named_rows, state_space, subsystems
 from platform_ctrl.plant.platform import Platform
 
 Kind = Literal["nutation", "precession", "rigid body", "pendulum", "oscillation", "divergence", "decay"]
