@@ -13,13 +13,11 @@ import numpy as np
 
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.app.background import IsCancelled, Simulating, Tuning
-from platform_ctrl.app.budget import BudgetState, SightBudgets
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
-from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
-from platform_ctrl.app.limits import limits_of_rows
+from platform_ctrl.app.job_parts import BudgetState, JobParts, SightBudgets, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Measured, Picture
 from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, is_unchanged, write_job
 from platform_ctrl.app.settings import (
@@ -27,6 +25,7 @@ from platform_ctrl.app.settings import (
     Part,
     Settings,
     Slider,
+    limits_of_rows,
     main_sliders,
     moved,
     option_sliders,

@@ -23,11 +23,10 @@ from platform_ctrl.app.controllers import (
     existing_designs,
     loop_names,
 )
-from platform_ctrl.app.limits import of_loop, with_limits
 from platform_ctrl.app.pictures import Overlay
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import ClosedController
-from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.settings import Settings, of_loop, with_limits
 from platform_ctrl.app.stabilised import StabilisedCurves, StabilisedLoop
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray

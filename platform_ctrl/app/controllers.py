@@ -11,9 +11,8 @@ from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.excitation import first_axis
-from platform_ctrl.app.limits import stated_limits
 from platform_ctrl.app.plants import JobPlants
-from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.settings import Settings, stated_limits
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import loop_signals

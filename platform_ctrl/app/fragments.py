@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.budget import BudgetState
-from platform_ctrl.app.job_parts import ChipState
+from platform_ctrl.app.job_parts import BudgetState, ChipState
 from platform_ctrl.app.pictures import Margins, Picture
+from platform_ctrl.app.plots.panel import Panel
 from platform_ctrl.app.settings import Mode, Settings, Slider
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.methods import METHODS
@@ -88,6 +88,12 @@ def overlays(backend: Backend, settings: Settings) -> str:
     """Return the boxes of the designs that can be drawn over the one that is shown."""
     designs = [one for one in backend.spec(settings).designs if one.name != settings.design]
     return fragment("overlays", designs=designs, chosen=settings.overlays)
+
+
+def heading(panel: Panel) -> str:
+    """Return what is written above the figures of a panel."""
+    keys = [{"words": words, "role": role, "dashes": dash, "width": width} for words, role, dash, width in panel.keys]
+    return fragment("heading", panel=panel, keys=keys)
 
 
 def strip(states: Sequence[ChipState], said: Mapping[str, ChipState], loop: str) -> str:

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.app.controllers import ALWAYS, DesignOptions
-from platform_ctrl.app.limits import Limits, number, put_into
 from platform_ctrl.app.plants import JobPlants
-from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.settings import Limits, Settings, number, put_into
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.design.methods import METHODS, read_job

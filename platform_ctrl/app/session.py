@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app import fragments
 from platform_ctrl.app.background import DesignPending, LatestTasks
-from platform_ctrl.app.gimbal_tree import tree_data
 from platform_ctrl.app.link import decode_state, encode_state
-from platform_ctrl.app.messages import Connection, Request, parse_request
+from platform_ctrl.app.pictures import tree_data
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.settings import History
-from platform_ctrl.app.tasks import PageTasks, error_text
+from platform_ctrl.app.tasks import Connection, PageTasks, Request, error_text, parse_request
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
@@ -25,8 +24,7 @@ if TYPE_CHECKING:
     from bokeh.document import Document
 
     from platform_ctrl.app.backend import Backend
-    from platform_ctrl.app.budget import BudgetState
-    from platform_ctrl.app.job_parts import ChipState
+    from platform_ctrl.app.job_parts import BudgetState, ChipState
     from platform_ctrl.app.pictures import Drawing, Picture
     from platform_ctrl.app.settings import Settings
     from platform_ctrl.design.tuning import OptionEffects
@@ -74,10 +72,6 @@ class Session:
         self.connection.model.on_change("request", self._requested)
         self.plots = Plots(dark=False, budget=backend.read.budget)
         self._view = VIEWS[0]
-        roots: list[Any] = list(self.plots.layout.values())
-        for root in roots:
-            # Beside the headings the template has a button.
-            root.children[0].margin = (0, 24, 0, 0)
         self._gesture: object = None
         self._changes: LatestTasks[Task] = LatestTasks(self._work)
         # What is drawn next.
@@ -171,6 +165,14 @@ class Session:
         if view == "loop" and before != view and self.picture is not None:
             self.plots.show(self.picture)
 
+    def _on_turn(self, request: Request) -> None:
+        panels = {one.name: one for one in self.plots.panels}
+        panels[request.more["panel"]].turn()
+        self.connection.answer(request.count, html=self._headings())
+
+    def _headings(self) -> dict[str, str]:
+        return {f"head-{one.name}": fragments.heading(one) for one in self.plots.panels}
+
     def _on_undo(self, request: Request) -> None:
         there = self.settings
         undo = (lambda: there) if self._awaited is not None else partial(self.history.step, -1)
@@ -233,6 +235,7 @@ class Session:
     def _show_budget(self, state: BudgetState, shown: Callable[[], None] = lambda: None) -> None:
         if state.found is not None:
             self.plots.show_budget(state.found)
+            self.connection.answer(html=self._headings())
         self.connection.answer(html={"budget": fragments.budget(state)})
         self.connection.later(shown)
 
@@ -319,6 +322,7 @@ class Session:
         names = self.backend.limit_names
         return {
             **self._chosen(settings),
+            **self._headings(),
             "figures": fragments.figures(picture),
             "requirements": fragments.table(every, sliders, self._effects, names, stale),
             "strip": self.strip(),
@@ -354,7 +358,7 @@ class Session:
                 _, words, more = fragments.loop_verdict(self.picture)
                 # The address, and what a screen reader says, not of every step of a move.
                 link = encode_state(self.backend, settings)
-                self.connection.answer(link=link, spoken=f"{words}. {more}", said=self.plots.captions())
+                self.connection.answer(link=link, spoken=f"{words}. {more}")
                 self._tasks.measure(settings)
 
         self._idle = document.add_timeout_callback(rested, IDLE)

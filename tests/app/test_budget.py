@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 import re
 import threading
@@ -19,7 +18,6 @@ pytest.importorskip("tomlkit")
 
 import tomlkit
 from bokeh.document import Document
-from bokeh.models import Div
 
 from browser import screen, served
 from camera_job import camera_job
@@ -27,9 +25,9 @@ from platform_ctrl import read_job
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.fragments import next_step
 from platform_ctrl.app.job_parts import BUDGET, ChipState
-from platform_ctrl.app.messages import Connection
 from platform_ctrl.app.session import Session
 from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.tasks import Connection
 from platform_ctrl.cli import main
 from platform_ctrl.job.quantities import plain
 from platform_ctrl.verification.budget_result import LineOfSightBudget
@@ -175,9 +173,8 @@ def test_a_page_shows_the_budget_once_it_is_wanted(backend: Backend, monkeypatch
     # Of each axis the legend names its own largest source first.
     for axis in (0, 1):
         largest = first.names[int(np.argmax(first.rms[:, axis]))]
-        keys = session.plots.layout[f"cumulative{axis}"].select({"type": Div})
-        [title] = [one for key in keys for one in re.findall('class="line keys[^"]*" title="([^"]*)"', key.text)]
-        assert html.unescape(title).split(", ")[:2] == ["all sources", largest]
+        keys = next(one.keys for one in session.plots.panels if one.name == f"cumulative{axis}")
+        assert [words for words, *_ in keys[:2]] == ["all sources", largest]
     loop = list(sources["loop"].data["gain"])
     moved = table(3, "move", moves=[{"slider": "crossover_hz", "value": 33.0}], gesture=1)
     assert f">{plain(1e6 * first.total[0], 4)}<" not in moved

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from platform_ctrl.app.gimbal_tree import run_data, tree_data
+from platform_ctrl.app.pictures import run_data, tree_data
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.source import shipped_models
 

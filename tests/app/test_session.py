@@ -18,9 +18,9 @@ from bokeh.document import Document
 from app.test_page import JOB
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import DesignPending, DesignQueue
-from platform_ctrl.app.messages import Connection
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.session import Session
+from platform_ctrl.app.tasks import Connection
 from platform_ctrl.errors import DesignError
 
 

@@ -83,12 +83,15 @@ class BodePanel(Panel):
         self._crossover = self.span(above, "height", "series-1", line_width=1.2)
         self._message = self.message(above)
         self._open, self._closed = (above, below), ClosedLoopFigures(self, frequency, self.mouse)
-        self._toggle = self.toggle(_TOGGLE[False], lambda: self.choose(not self._is_closed))
 
-    def choose(self, closed: bool) -> None:
-        """Show the closed loop, or the open one."""
-        self._is_closed = closed
-        self._toggle.label = _TOGGLE[closed]
+    @property
+    def other(self) -> str:  # type: ignore[override]
+        """What the panel can show instead."""
+        return _TOGGLE[self._is_closed]
+
+    def turn(self) -> None:
+        """Show the closed loop in place of the open one, or the open one again."""
+        self._is_closed = closed = not self._is_closed
         for plot in self._open:
             plot.visible = not closed
         self._closed.choose(closed)
@@ -126,12 +129,12 @@ class BodePanel(Panel):
         self._phase.fit(extent([phase]))
         assign(self._crossover, location=None if crossover is None else crossover * HZ)
         if self._is_closed:
-            self.heading(f"closed loop at {bode.channel}")
-            self.keys(self._closed.show(picture))
+            self.detail = f"closed loop at {bode.channel}"
+            self.keys = self._closed.show(picture)
         else:
-            self.heading(f"L at {bode.channel}, others closed")
+            self.detail = f"L at {bode.channel}, others closed"
             limits = [limit_key("required bandwidth")] if required is not None else []
-            self.keys([(picture.settings.design or "L", "series-1", (), 2.2), *overlay_keys(bode.overlays), *limits])
+            self.keys = [(picture.settings.design or "L", "series-1", (), 2.2), *overlay_keys(bode.overlays), *limits]
         empty = not (np.isfinite(gain).any() and np.isfinite(phase).any())
         set_message(self._message, "no finite response of this loop" if empty else _trouble(picture))
 
@@ -241,9 +244,9 @@ class NicholsPanel(Panel):
         self._gain.fit(extent([gains[(phases >= left) & (phases <= right)]]) or extent([gains]))
         self._regions(required)
         others = len(nichols.labels) - 1
-        self.heading("" if required is None else f"grey: disk margin {required:g}")
+        self.detail = "" if required is None else f"grey: disk margin {required:g}"
         set_of_plants = [(f"{others} more plants", "series-1", (), 0.9)] if others else []
-        self.keys([("L", "series-1", (), 2.2), *set_of_plants, *overlay_keys(picture.bode.overlays)])
+        self.keys = [("L", "series-1", (), 2.2), *set_of_plants, *overlay_keys(picture.bode.overlays)]
         empty = not (np.isfinite(loop["phase"]).any() and np.isfinite(loop["gain"]).any())
         trouble = "no finite response of this loop" if empty else "" if picture.stable else "closed loop not stable"
         set_message(self._message, trouble)

@@ -125,7 +125,7 @@ class LocusPanel(Panel):
         self._required(picture.damping)
         limits = [limit_key(f"required damping {picture.damping:g}")] if picture.damping is not None else []
         designs: list[Key] = [(one.design, series(1 + k), (), 1.5) for k, one in enumerate(overlays)]
-        self.keys([("gain from 0", "series-3", (), 1.4), *limits, *designs])
+        self.keys = [("gain from 0", "series-3", (), 1.4), *limits, *designs]
         right = int((picture.poles.real > 0.0).sum())
         trouble = "" if picture.stable else f"not stable: {right} {'pole' if right == 1 else 'poles'} to the right"
         set_message(self._message, trouble if np.isfinite(column(size)).any() else "no finite pole")

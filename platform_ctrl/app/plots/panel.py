@@ -15,7 +15,6 @@ from bokeh.models import (
     Column,
     CrosshairTool,
     HoverTool,
-    InlineStyleSheet,
     LinearAxis,
     LogAxis,
     LogTicker,
@@ -25,13 +24,10 @@ from bokeh.models import (
     NoOverlap,
     PanTool,
     ResetTool,
-    Row,
     WheelZoomTool,
 )
 from bokeh.models.annotations.geometry import BoxAnnotation, Span
 from bokeh.models.annotations.labels import Label
-from bokeh.models.widgets.buttons import Button
-from bokeh.models.widgets.markups import Div
 from bokeh.plotting import figure
 
 from platform_ctrl.app.pictures import Drawing, Overlay
@@ -58,8 +54,6 @@ Key = tuple[str, str, Sequence[int], float]
 # A curve: name, role of its colour, dashes, and the columns x and y.
 Curve = tuple[str, str, Sequence[int], Any, Any]
 
-# More keys than this are written closer together.
-_FEW = 5
 # Steps between ticks, times powers of 360 degrees, or of 10 dB: a phase is read in parts of a turn.
 _TURNS, _DECIBELS = (1.0, 2.0, 5.0, 15.0, 45.0, 90.0, 180.0), (1.0, 2.0, 4.0)
 # Least distance of the numbers at an axis, pixels.
@@ -71,36 +65,14 @@ _LEFT, _RIGHT, _TOP = 54, 12, 7
 # that: early enough that it never reaches the edge of the canvas, where Bokeh leaves the last half of a pixel.
 _LOW, _SHORT, _LOW_OF_LONG = 64.0, 8, 100.0
 
-_HEADING = f"""
-.line {{ display: flex; gap: 10px; white-space: nowrap; overflow: hidden; font: {NORMAL}/18px {FONT};
+# A style inside a tooltip is one for its host: Bokeh's is white in any theme.
+_TIP = f"""<style>
+:host {{ background-color: var(--page); color: var(--ink); border: 1px solid var(--frame); border-radius: 3px;
+  padding: 4px 8px; opacity: 1; }}
+.tip {{ display: grid; grid-template-columns: auto auto; gap: 0 10px; font: {SMALL}/16px {FONT};
   font-variant-numeric: tabular-nums; }}
-.bk-clearfix {{ display: block; max-width: 100%; }} .title {{ font-weight: 650; flex: none; }}
-.detail {{ min-width: 0; overflow: hidden; text-overflow: ellipsis; }}
-.keys {{ position: relative; font-size: {SMALL}; gap: 14px; height: 16px; line-height: 16px; }}
-.keys span {{ flex: none; }}
-.keys {{ mask: linear-gradient(to right, #000 calc(100% - 16px), transparent); }}
-.keys.many {{ gap: 8px; }} .keys.many svg {{ width: 10px; margin-right: 3px; }}
-.keys svg {{ width: 22px; height: 8px; margin-right: 5px; overflow: visible; vertical-align: 0; }}
-"""
-
-_BUTTON = """
-:host {{ flex: none; }}
-.bk-btn {{ padding: 0 7px; height: 18px; line-height: 16px; border: 1px solid transparent; border-radius: 3px;
-  background: transparent; color: {muted}; font: {small} {font}; box-shadow: none; cursor: pointer; }}
-.bk-btn:hover, .bk-btn:focus-visible {{ border-color: {frame}; background: transparent; color: {ink}; }}
-.bk-btn:focus, .bk-btn:active {{ outline: none; }}
-.bk-btn:focus-visible {{ outline: 2px solid var(--accent, currentColor); outline-offset: 1px; }}
-.bk-btn.bk-active {{ border-color: {frame}; background: {panel}; color: {ink}; }}
-"""
-
-
-_TIP = """
-:host {{ background-color: {page}; color: {ink}; border: 1px solid {frame}; border-radius: 3px; padding: 4px 8px;
-  opacity: 1; }}
-.tip {{ display: grid; grid-template-columns: auto auto; gap: 0 10px; font: {small}/16px {font};
-  font-variant-numeric: tabular-nums; }}
-.word {{ color: {muted}; }} .number {{ text-align: right; }}
-"""
+.word {{ color: var(--muted); }} .number {{ text-align: right; }}
+</style>"""
 
 
 class Theme:
@@ -109,7 +81,6 @@ class Theme:
     def __init__(self, dark: bool) -> None:
         self.colours = colours(dark)
         self._properties: list[tuple[Model, str, str]] = []
-        self._texts: list[tuple[Model, str, str]] = []
 
     def paint(self, model: Model, **roles: str) -> None:
         """Give properties of a model the colours of their roles, now and after every change of the theme."""
@@ -117,67 +88,35 @@ class Theme:
             self._properties.append((model, name, role))
             setattr(model, name, self.colours[role])
 
-    def sheet(self, css: str) -> InlineStyleSheet:
-        """Return a style sheet in which ``{role}`` stands for a colour of the theme."""
-        out = InlineStyleSheet()
-        self.text(out, "css", css)
-        return out
-
-    def text(self, model: Model, name: str, text: str) -> None:
-        """Give a property a text in which ``{role}`` stands for a colour of the theme."""
-        self._texts.append((model, name, text))
-        setattr(model, name, self._filled(text))
-
     def change(self, dark: bool) -> None:
         """Switch everything that was painted."""
         self.colours = colours(dark)
         for model, name, role in self._properties:
             setattr(model, name, self.colours[role])
-        for model, name, text in self._texts:
-            setattr(model, name, self._filled(text))
-
-    def _filled(self, text: str) -> str:
-        names = {name.replace("-", "_"): colour for name, colour in self.colours.items()}
-        return text.format(small=SMALL, font=FONT, **names)
 
 
 class Panel:
-    """Heading, keys of the curves, reset button, and one or two figures below.
+    """One or two figures, one below the other, and what the page writes above them.
 
     A plot is a subclass: its constructor adds figures and draws on empty sources, `show` fills the sources.
+
+    Attributes
+    ----------
+    title, detail, keys
+        What is written above the figures: what is drawn, what of, and what each curve is.
+    other
+        What the panel can show instead, on a button; empty: nothing.
     """
 
+    other = ""
+
     def __init__(self, name: str, title: str, theme: Theme, sources: Sources) -> None:
-        self.name, self._title, self.theme, self.sources = name, title, theme, sources
+        self.name, self.title, self.theme, self.sources = name, title, theme, sources
+        self.detail, self.keys = "", list[Key]()
         self.views: list[View] = []
         self._plots: list[Any] = []
         self._messages: list[Any] = []
-        self._detail = self._curves = ""
-        colour = theme.sheet(":host {{ color: {ink}; }} .detail, .keys {{ color: {muted}; }}")
-        common: dict[str, Any] = {
-            "sizing_mode": "stretch_width",
-            "tags": ["heading"],
-            "margin": 0,
-            "styles": {"min-width": "0", "overflow": "hidden"},
-            "stylesheets": [InlineStyleSheet(css=_HEADING), colour],
-        }
-        self._head, self._keys = Div(height=18, **common), Div(height=16, **common)
-        self._reset = self.button("reset", f"{name}-reset")
-        self._reset.update(visible=False)
-        self._reset.on_click(self.reset)
-        self.row: Any = Row(
-            children=[self._head, self._reset], sizing_mode="stretch_width", margin=(0, 20, 0, 0), spacing=4
-        )
-        self.layout: Any = Column(
-            children=[self.row, self._keys],
-            sizing_mode="stretch_both",
-            margin=0,
-            spacing=2,
-            name=name,
-            css_classes=[f"plot-{name}"],
-        )
-        self.heading("")
-        self.keys([])
+        self.layout: Any = Column(sizing_mode="stretch_both", margin=0, spacing=2, name=name)
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
@@ -189,28 +128,16 @@ class Panel:
         shown = [one for one in self._plots if one.visible]
         axes = [one for one in (shown[0].yaxis[0].axis_label, shown[-1].xaxis[0].axis_label) if one] if shown else []
         said = [one.text for one in self._messages if one.visible]
-        return "; ".join(filter(None, [self._detail, " over ".join(axes), self._curves, *said]))
+        curves = ", ".join(words for words, *_ in self.keys)
+        return "; ".join(filter(None, [self.detail, " over ".join(axes), curves, *said]))
 
     def reset(self) -> None:
         """Show everything again."""
         for view in self.views:
             view.reset()
 
-    def _offer_reset(self, name: str, old: object, new: object) -> None:
-        # Only where there is something to undo: a narrow panel needs the room for its heading.
-        self._reset.update(visible=any(view.zoomed for view in self.views))
-
-    def button(self, label: str, name: str) -> Button:
-        """Return a small button in the page's style."""
-        return Button(label=label, name=name, margin=0, height=18, stylesheets=[self.theme.sheet(_BUTTON)])
-
-    def toggle(self, label: str, clicked: Callable[[], None]) -> Button:
-        """Return a button beside the heading, by which the panel shows something else."""
-        out = self.button(label, f"{self.name}-toggle")
-        out.on_click(clicked)
-        heading, *others = self.row.children
-        self.row.children = [heading, out, *others]
-        return out
+    def turn(self) -> None:
+        """Show what the panel can show instead."""
 
     def add(self, x: View, y: View, x_label: str, y_label: str) -> Any:
         """Return a new figure below the others, styled, with zoom, pan and reset but without a tool bar."""
@@ -244,16 +171,11 @@ class Panel:
         for view in (x, y):
             if view not in self.views:
                 self.views.append(view)
-                view.range.on_change("start", self._offer_reset)
-                view.range.on_change("end", self._offer_reset)
         out.on_event(DoubleTap, lambda event: self.reset())
         # The page shows through: half of the outermost pixels would keep the colour of the theme before.
         out.background_fill_color = out.border_fill_color = out.outline_line_color = None
         for axis in (*out.xaxis, *out.yaxis):
             self._style_axis(axis)
-        for grid in (*out.xgrid, *out.ygrid):
-            self.theme.paint(grid, grid_line_color="grid")
-            grid.grid_line_width = 1
         for name in ("inner_width", "inner_height"):
             out.on_change(name, lambda attr, old, new: self._ticks(out))
         for axis in out.yaxis:
@@ -275,14 +197,7 @@ class Panel:
                     axis.ticker.desired_num_ticks = max(3, min(9, round(pixels / each)))
 
     def _style_axis(self, axis: Any) -> None:
-        self.theme.paint(
-            axis,
-            axis_line_color="frame",
-            major_tick_line_color="frame",
-            major_label_text_color="muted",
-            axis_label_text_color="muted",
-        )
-        axis.minor_tick_line_color = None
+        # The page's style sheet has the colours of axes and grids.
         axis.major_tick_in, axis.major_tick_out = 0, 4
         axis.major_label_standoff, axis.axis_label_standoff = 3, 4
         axis.major_label_text_font = axis.axis_label_text_font = FONT
@@ -290,13 +205,13 @@ class Panel:
         axis.axis_label_text_font_style = "normal"
         if isinstance(axis, LogAxis):
             axis.ticker = LogTicker(desired_num_ticks=8, num_minor_ticks=9)
-            self.theme.paint(axis, minor_tick_line_color="frame")
             axis.minor_tick_in, axis.minor_tick_out = 0, 2
             axis.formatter = LogTickFormatter(ticker=axis.ticker, min_exponent=4)
             # Within a decade the numbers come closer and closer together.
             axis.major_label_policy = NoOverlap(min_distance=_APART)
         elif isinstance(axis, LinearAxis):
             axis.ticker.desired_num_ticks = 5
+            axis.minor_tick_in = axis.minor_tick_out = 0
             axis.formatter = BasicTickFormatter(use_scientific=False)
             # A low figure has more ticks than numbers.
             axis.major_label_policy = NoOverlap(min_distance=1)
@@ -395,8 +310,9 @@ class Panel:
 
     def hover(self, plot: Any, renderers: Sequence[Any], rows: Sequence[tuple[str, str]], **settings: Any) -> None:
         """Show numbers of curves at the mouse: rows of a label and Bokeh's fields with the unit."""
-        tool = HoverTool(renderers=list(renderers), tooltips="", visible=False, show_arrow=False, **settings)
-        self.theme.text(tool, "tooltips", _tooltip(rows))
+        tool = HoverTool(
+            renderers=list(renderers), tooltips=_tooltip(rows), visible=False, show_arrow=False, **settings
+        )
         plot.add_tools(tool)
 
     def message(self, plot: Any) -> Any:
@@ -412,30 +328,6 @@ class Panel:
         self._messages.append(out)
         return out
 
-    def heading(self, detail: str) -> None:
-        """Write a detail beside the title."""
-        self._detail = detail
-        text = (
-            f'<div class="line" title="{escape(detail)}"><span class="title" role="heading" aria-level="2">'
-            f'{escape(self._title)}</span><span class="detail">{escape(detail)}</span></div>'
-        )
-        assign(self._head, text=text)
-
-    def keys(self, entries: Sequence[Key]) -> None:
-        """Write what each curve is; the title has those too that do not fit."""
-        self._curves = ", ".join(words for words, _, _, _ in entries)
-        parts = []
-        many = len(entries) > _FEW
-        for words, role, dash, width in entries:
-            written = escape(words.replace("attitude", "att.") if many else words)
-            dashing = f' stroke-dasharray="{" ".join(map(str, dash))}"' if dash else ""
-            parts.append(
-                f'<span><svg aria-hidden="true"><line x1="0" x2="100%" y1="4" y2="4" '
-                f'stroke="{self.theme.colours[role]}" stroke-width="{width:g}"{dashing}/></svg>{written}</span>'
-            )
-        text = f'<div class="line keys{" many" if many else ""}" title="{escape(self._curves)}">{"".join(parts)}</div>'
-        assign(self._keys, text=text)
-
 
 def set_message(label: Any, text: str) -> None:
     """Write a message into a figure; an empty one hides it."""
@@ -443,12 +335,11 @@ def set_message(label: Any, text: str) -> None:
 
 
 def _tooltip(rows: Sequence[tuple[str, str]]) -> str:
-    """Return the HTML of a tooltip with ``{role}`` for the theme's colours; Bokeh's own fields stay as they are."""
+    """Return the HTML of a tooltip with Bokeh's fields."""
     cells = "".join(
         f'<span class="word">{escape(words)}</span><span class="number">{number}</span>' for words, number in rows
     )
-    # A style inside the tooltip is one for its host: Bokeh's is white in any theme.
-    return '<div class="tip">' + cells.replace("{", "{{").replace("}", "}}") + f"<style>{_TIP}</style></div>"
+    return f'<div class="tip">{cells}{_TIP}</div>'
 
 
 _OVERLAY_WIDTH = 1.5

@@ -190,11 +190,11 @@ class TimePanel(Panel):
             limits += one.limits
         self._time.fit(extent([column(response.t)]))
         self._arrange()
-        self.heading(response.title)
+        self.detail = response.title
         # A gimbal's torque has the colour of its angle. Other designs have the colours of the signals, and dashes.
         signals: list[Key] = [(", ".join(names), role, (), _WIDTH) for role, names in words.items()]
         designs: list[Key] = [(one.design, "muted", dashes(1 + j), 1.3) for j, one in enumerate(picture.bode.overlays)]
-        self.keys([*signals, *limits, *designs])
+        self.keys = [*signals, *limits, *designs]
 
     def set_visible(self, visible: bool) -> None:
         """Show the figures over time, or hide them."""
@@ -239,16 +239,19 @@ class RatePanel(TimePanel):
         self._message = self.message(plot)
         self._unit = Unit()
         self._over_frequency = False
-        self._toggle = self.toggle("frequency", lambda: self.choose(not self._over_frequency))
         plot.visible = False
         self._picture: Drawing | None = None
 
-    def choose(self, over_frequency: bool) -> None:
-        """Show the response over frequency, or over time."""
-        self._over_frequency = over_frequency
-        self._toggle.label = "time" if over_frequency else "frequency"
-        self._plot.visible = over_frequency
-        self.set_visible(not over_frequency)
+    @property
+    def other(self) -> str:  # type: ignore[override]
+        """What the panel can show instead."""
+        return "time" if self._over_frequency else "frequency"
+
+    def turn(self) -> None:
+        """Show the response over frequency in place of that over time, or over time again."""
+        self._over_frequency = not self._over_frequency
+        self._plot.visible = self._over_frequency
+        self.set_visible(not self._over_frequency)
         if self._picture is not None:
             self.show(self._picture)
 
@@ -288,6 +291,6 @@ class RatePanel(TimePanel):
         self._plot.yaxis[0].axis_label = self._unit.name
         trouble = "" if picture.stable else "closed loop not stable"
         set_message(self._message, "no finite response" if top is None else trouble)
-        self.heading(response.title)
+        self.detail = response.title
         limits = [] if limit is None else [limit_key(f"limit {quantity(limit, response.unit)}")]
-        self.keys([(picture.settings.design, "series-1", (), 2.2), *overlay_keys(overlays), *limits])
+        self.keys = [(picture.settings.design, "series-1", (), 2.2), *overlay_keys(overlays), *limits]

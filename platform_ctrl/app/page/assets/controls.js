@@ -129,7 +129,9 @@ for (const type of ["mouseover", "focusin"]) {
 
 // Keys: those that elements name themselves, and a few that are meant for where the focus is.
 const press = (element, way) => {
-  if (element.matches("button, input")) element.click();
+  // The buttons follow what is shown: a move that is still being worked out is undone as well.
+  if (element.matches("#undo, #redo")) request(element.id);
+  else if (element.matches("button, input")) element.click();
   else if (element.matches("fieldset")) {
     const all = [...element.querySelectorAll("input")];
     all[(all.findIndex((one) => one.checked) + 1) % all.length].click();
@@ -182,9 +184,6 @@ on("busy", (given) => {
 });
 on("view", (view) => document.body.classList.toggle("budget", view === "budget"));
 on("spoken", (words) => { byId("spoken").textContent = words; });
-on("said", (said) => {
-  for (const [name, words] of Object.entries(said)) byId(`said-${name}`).setAttribute("aria-label", `${byId(`panel-${name}`).getAttribute("aria-label")}: ${words}`);
-});
 on("link", (link) => {
   const address = new URL(location);
   if (link) address.searchParams.set("state", link);
