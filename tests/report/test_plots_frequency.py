@@ -94,6 +94,15 @@ def test_a_notch_has_its_depth_and_no_response_turns_far_from_point_to_point():
     assert np.abs(np.diff(np.unwrap(phase, period=360.0))).max() < 2.1
 
 
+@pytest.mark.parametrize("dt", [0, 0.01])
+def test_singular_values_are_those_of_the_response(dt):
+    system = control.ss([[-0.1, 0.2], [0.0, -0.3]], [[1.0, 0.0], [1.0, 1.0]], [[1.0, 0.0], [0.5, 1.0]], 0, dt)
+    w = np.array([0.1, 1.0, 10.0])
+    drawn = [line.get_ydata() for line in figures.singular_values(system, w).lines.ravel()[0]]
+    response = np.moveaxis(np.asarray(system(np.exp(1j * w * dt) if dt else 1j * w)), -1, 0)
+    assert np.allclose(drawn, np.linalg.svd(response, compute_uv=False).T)
+
+
 @pytest.mark.parametrize("draw", [figures.bode, figures.nyquist, figures.singular_values, figures.nichols])
 def test_wrong_input_is_one_line(draw):
     wide = control.ss([[-1.0]], [[1.0, 0.0]], [[1.0]], 0)

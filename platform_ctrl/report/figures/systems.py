@@ -220,8 +220,11 @@ def singular_values(systems: Systems, frequency: ArrayLike | None = None, **opti
     """
     import control
 
-    drawn = [one.frd() for one in drawn_systems("singular_values", systems, frequency)]
-    return control.singular_values_plot(drawn, **_UNTITLED | options)
+    drawn = drawn_systems("singular_values", systems, frequency)
+    # Of a response `control.singular_values_plot` would draw the entries.
+    return control.singular_values_plot(
+        [control.singular_values_response(one.frd()) for one in drawn], **_UNTITLED | options
+    )
 
 
 def nyquist(loops: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
