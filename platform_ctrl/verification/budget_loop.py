@@ -30,9 +30,9 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import connected, linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
 from platform_ctrl.plant.sensors import LOS_RATES
-from platform_ctrl.verification.coupled_plant import acts_on_root, coupled_plant, used_signals
+from platform_ctrl.verification.coupled_plant import acts_on_root
 
 if TYPE_CHECKING:
     import control
@@ -48,12 +48,11 @@ class BudgetLoop:
         self.job, self.budget = job, budget
         self.free = acts_on_root(job, controllers)
         self.dry = job.platform.dry_frictions
-        seen, self.torquers = used_signals(
-            job, controllers, coupled_plant(job, linearise(job.platform), controllers).system
-        )
         read = {name for one in controllers for name in one.input_labels}
+        used = {name for one in controllers for name in one.output_labels}
         # An angle that no controller reads may drift.
-        self.sensors = [name for name in seen if name in read]
+        self.sensors = [one.name for one in job.platform.sensors if one.name in read]
+        self.torquers = [one.name for one in job.platform.torquers if one.name in used]
         self.laws = self._drives()
         self.controller = self.controllers_of(controllers)
         self.inputs: list[str] = []
@@ -111,10 +110,13 @@ class BudgetLoop:
     def damped(self, viscous: FloatArray, q: FloatArray) -> HybridPlant:
         """Return the model about gimbal angles with damping (J,) in the place of dry friction."""
         added = dict(zip((one.gimbal for one in self.dry), map(float, viscous), strict=True))
-        return self.plant(_damped(self.job.platform, added), q)
-
-    def plant(self, platform: Platform, q: FloatArray) -> HybridPlant:
-        """Return the model of a platform about gimbal angles, with the loop's torquers, sensors and sources."""
+        frictions = [
+            dataclasses.replace(one, viscous=one.viscous + added[one.gimbal], coulomb=(0.0, 0.0), breakaway=(0.0, 0.0))
+            if one.gimbal in added
+            else one
+            for one in self.job.platform.frictions
+        ]
+        platform = dataclasses.replace(self.job.platform, frictions=tuple(frictions))
         model = linearise(platform, q=q)
         system = state_space(model, root="free" if self.free else "prescribed", specific_force=True)
         shown = observed(system, platform, [*self.sensors, *LOS_RATES], model.q0, model.Omega0)
@@ -223,19 +225,6 @@ class BudgetLoop:
                 )
             )
         return [*out, *(one for one in self.sources if isinstance(one, SineDisturbance)), *self.noise]
-
-
-def _damped(platform: Platform, viscous: dict[str, float]) -> Platform:
-    """Return the platform with viscous friction in the place of dry friction."""
-    if not viscous:
-        return platform
-    frictions = [
-        dataclasses.replace(one, viscous=one.viscous + viscous[one.gimbal], coulomb=(0.0, 0.0), breakaway=(0.0, 0.0))
-        if one.gimbal in viscous
-        else one
-        for one in platform.frictions
-    ]
-    return dataclasses.replace(platform, frictions=tuple(frictions))
 
 
 def _torque_on(angle: str) -> str:
