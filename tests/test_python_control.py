@@ -44,17 +44,6 @@ def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(lo
     np.testing.assert_allclose(analysis.frequency_response(theirs, w), expected, rtol=1e-8)
 
 
-def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(loop: Design) -> None:
-    plant = loop.plant
-    assert plant is not None
-    angles = list(plant.output_labels)
-    # By python-control alone: a zero-order hold before the continuous plant.
-    direct = control.sample_system(pc.state_space(MODEL, gimbals=("9", "10")), PERIOD)[angles, RATES]
-    t, u = PERIOD * np.arange(60), np.random.default_rng(1).normal(size=(3, 60))
-    found = analysis.time_response(plant[angles, RATES], t, u)
-    np.testing.assert_allclose(found, control.forced_response(direct, t, u).outputs, rtol=0, atol=1e-13)
-
-
 def test_names_of_states_last(loop: Design) -> None:
     assert loop.plant is not None
     gyro = pc.state_space(MODEL, gimbals=("9", "10"))

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis, design, read_job, simulation, verification
-from platform_ctrl.design.cases import cases
 from platform_ctrl.errors import InputError
-from single_runs import simulated
 
 MAIN = Path("examples/three_gyro_platform.toml")
 
@@ -171,15 +169,14 @@ def attenuation(job, controllers, axis, hz, rate, share=1.0, elevation=0.0):
     return 20.0 * np.log10(rate / np.sqrt(2.0) / np.linalg.norm(found.line_of_sight_rms[0, :2]))
 
 
-@pytest.mark.parametrize("axis", [pytest.param(2, marks=pytest.mark.slow), 3])
-def test_the_camera_stands_still_on_a_vehicle_that_pitches_and_yaws_with_all_its_dry_friction(axis):
+def test_the_camera_stands_still_on_a_vehicle_that_yaws_with_all_its_dry_friction():
     """40 dB from 1 to 10 Hz at 0.3 rad/s; what friction does does not grow with the motion, so it weighs less there."""
     result = shipped(Path("examples/camera_gimbal.toml"))
     assert max(max(friction.coulomb) for friction in result.job.platform.frictions) >= 0.02
     controllers = [outcome.closed.controller for outcome in result.loops]
     for hz in (1.0, 2.0, 5.0, 10.0):
-        assert attenuation(result.job, controllers, axis, hz, 0.3) >= 40.0
-    assert attenuation(result.job, controllers, axis, 10.0, 0.1) < attenuation(result.job, controllers, axis, 10.0, 0.3)
+        assert attenuation(result.job, controllers, 3, hz, 0.3) >= 40.0
+    assert attenuation(result.job, controllers, 3, 10.0, 0.1) < attenuation(result.job, controllers, 3, 10.0, 0.3)
 
 
 @pytest.mark.parametrize("axis", [2, 3])
@@ -211,23 +208,3 @@ def test_the_margin_of_the_camera_loop_holds_over_inertias_and_elevations():
     [outcome] = result.loops
     over = next(one for one in outcome.closed.results if one.name == "disk margin, worst case")
     assert over.value >= over.limit == 0.5
-
-
-@pytest.mark.slow
-def test_every_corner_of_the_uncertainty_flies(result):
-    """The non-linear caged platform holds a tilted gimbal and comes to rest with every plant of both caging loops."""
-    controllers = [outcome.closed.controller for outcome in result.loops[:2]]
-    for outcome in result.loops[:2]:
-        for case in cases(result.job, outcome.gimbals):
-            run = simulated(
-                case.platform,
-                controllers,
-                period=result.job.sampling.period,
-                delay=result.job.sampling.delay,
-                duration=1.0,
-                mode="caged",
-                noise=False,
-                q=np.full(5, 1e-4),
-            )
-            assert run.completed, case.label
-            assert np.abs(run.q[-1]).max() < 1e-6, case.label

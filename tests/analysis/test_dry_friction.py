@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Callable
@@ -15,7 +14,6 @@ from scipy.special import erf
 
 from platform_ctrl.analysis.dry_friction import (
     FedFriction,
-    FoundRate,
     describing_function,
     friction_balance,
     friction_noise,
@@ -74,47 +72,6 @@ def test_what_is_left_of_a_sign_is_a_noise_by_the_arcsine_law() -> None:
     whole = between(0.05, float(noise.knots[-1]))
     assert whole == pytest.approx(describing_function(sharp, 0.1).remainder ** 2, rel=0.03)
     assert friction_noise(sharp, 0.0, edges, cumulative, 0.05) is None
-
-
-def test_what_a_late_drive_leaves_of_a_sign_is_its_remainder_less_the_late_one() -> None:
-    """r(t) − k r(t − T): the spectrum of r times |1 − k exp(−jωT)|²."""
-    sharp, share, late, corner, a = (
-        Friction(gimbal="pitch", coulomb=(0.02, 0.02), coulomb_rate=1e-4),
-        0.8,
-        4e-3,
-        8.0,
-        5.0,
-    )
-    drive = FedFriction(friction=share * 0.02, friction_rate=1e-4)
-    edges = np.linspace(0.0, 12.0 * a, 8001)
-    cumulative = 0.1**2 * erf(edges / (a * math.sqrt(2.0)))
-
-    def summed(shape: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        # Of the rate plus itself behind a transfer function: |shape|² in each interval.
-        middle = 0.5 * (edges[1:] + edges[:-1])
-        return np.concatenate([[0.0], np.cumsum(np.abs(shape(middle)) ** 2 * np.diff(cumulative))])
-
-    found = FoundRate(
-        drive=drive,
-        rms=0.1,
-        alone=cumulative,
-        together=summed(lambda w: 1.0 + np.exp(-1j * w * late)),
-        filtered=summed(lambda w: 1.0 / (1.0 + 1j * w / corner) + np.exp(-1j * w * late)),
-        corner=corner,
-    )
-    alone = friction_noise(sharp, 0.1, edges, cumulative, 0.05)
-    left = friction_noise(sharp, 0.1, edges, cumulative, 0.05, found)
-    assert alone is not None
-    assert left is not None
-    for low, high in pairwise((0.5, 3.0, 10.0, 30.0)):
-        w = np.geomspace(low, high, 401)
-        expected = np.trapezoid(alone.spectrum.at(w) * np.abs(1.0 - share * np.exp(-1j * w * late)) ** 2, w)
-        assert np.trapezoid(left.spectrum.at(w), w) == pytest.approx(expected, rel=0.01)
-    # A drive that finds nothing feeds nothing.
-    still = dataclasses.replace(found, rms=0.0, alone=0.0 * edges, together=cumulative, filtered=0.0 * edges)
-    same = friction_noise(sharp, 0.1, edges, cumulative, 0.05, still)
-    assert same is not None
-    assert same.rms == alone.rms
 
 
 def test_what_is_fed_forward_is_balanced_with_the_friction() -> None:

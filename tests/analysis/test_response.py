@@ -34,6 +34,13 @@ def test_a_stack_gives_what_its_systems_give_one_by_one() -> None:
     np.testing.assert_allclose(out, truth, rtol=1e-9, atol=1e-11)
 
 
+def test_undamped_oscillation_keeps_its_phase_over_thousands_of_samples() -> None:
+    system = control.ss([[0.0, 3.0], [-3.0, 0.0]], [[0.0], [0.0]], np.eye(2), np.zeros((2, 1)))
+    t = np.arange(20001) / 128.0
+    out = analysis.time_response(system, t, np.zeros(t.size), initial_state=[1.0, 0.0])
+    np.testing.assert_allclose(out, [np.cos(3.0 * t), -np.sin(3.0 * t)], rtol=0, atol=2e-11)
+
+
 @given(seeds)
 @settings(max_examples=15, deadline=None)
 def test_time_response_of_a_discrete_system_is_its_recurrence(seed: int) -> None:

@@ -225,55 +225,29 @@ P = ".platform"
 EXPECTED: dict[str, tuple[int, list[str]]] = {
     # path: (manoeuvre, what a factor of 1.25 multiplies)
     "rotor.11.spin": (0, [f"{P}.rotors[2].angular_momentum"]),
-    "rotor.11.angular_momentum": (0, [f"{P}.rotors[2].angular_momentum"]),
     "rotor.6.axial_inertia": (0, [f"{P}.rotors[0].axial_inertia", f"{P}.rotors[0].angular_momentum"]),
-    "rotor.6.transverse_inertia": (0, [f"{P}.rotors[0].transverse_inertia"]),
     "gimbal.5.inertia": (0, [f"{P}.gimbals[1].inertia[{k}][{k}]" for k in range(3)]),
-    "gimbal.4.restitution": (0, [f"{P}.gimbals[0].restitution"]),
     "root.inertia": (0, [f"{P}.root_inertia[{i}][{j}]" for i in range(3) for j in range(3)]),
     "root.specific_force3": (0, [f"{P}.specific_force[2]"]),
     "torquer.Q9.limit": (0, [f"{P}.torquers[3].limit"]),
-    "torquer.M2.lag": (0, [f"{P}.torquers[6].lag"]),
     "torquer.Q4.rate_limit": (0, [f"{P}.torquers[0].rate_limit"]),
     "pickoff.alpha4.noise_rms": (0, [f"{P}.pickoffs[0].noise_rms"]),
-    "pickoff.beta10.noise_bandwidth_hz": (0, [f"{P}.pickoffs[4].noise_bandwidth_hz"]),
     "rate_sensor.Omega2.noise_rms": (0, [f"{P}.rate_sensors[0].noise_rms"]),
-    "spring.4.stiffness": (0, [f"{P}.springs[0].stiffness"]),
-    "spring.4.rest": (0, [f"{P}.springs[0].rest"]),
     "spring.4#2.stiffness": (0, [f"{P}.springs[1].stiffness"]),
-    "friction.5.viscous": (0, [f"{P}.frictions[0].viscous"]),
-    "friction.5.coulomb": (0, [f"{P}.frictions[0].coulomb[{k}]" for k in (0, 1)]),
-    "friction.5.coulomb_rate": (0, [f"{P}.frictions[0].coulomb_rate"]),
     "friction.5.breakaway": (0, [f"{P}.frictions[0].breakaway[{k}]" for k in (0, 1)]),
-    "friction.5.stribeck_rate": (0, [f"{P}.frictions[0].stribeck_rate"]),
     # Without a Stribeck curve the breakaway torque is the dry friction itself.
     "friction.9.coulomb": (0, [f"{P}.frictions[1].{key}[{k}]" for key in ("coulomb", "breakaway") for k in (0, 1)]),
-    "cage.7.stiffness": (0, [f"{P}.cages[0].stiffness"]),
-    "cage.7.damping": (0, [f"{P}.cages[0].damping"]),
     "cage.7.clearance": (0, [f"{P}.cages[0].clearance"]),
-    "cage.7.angle": (0, [f"{P}.cages[0].angle"]),
     "erection.9.gain": (0, [f"{P}.erections[0].gain"]),
-    "erection.9.limit": (0, [f"{P}.erections[0].limit"]),
     "unbalance.10.moment2": (0, [f"{P}.unbalances[0].moment[1]"]),
     "sampling.delay": (0, [".delay"]),
-    "initial.alpha4": (0, [".q[0]"]),
     "initial.beta5_rate": (0, [".rate[1]"]),
     "initial.Omega3": (1, [".Omega[2]"]),
     "manoeuvre.rate": (0, [".profile.rate"]),
-    "manoeuvre.rise": (0, [".profile.rise"]),
-    "manoeuvre.hold": (0, [".profile.hold"]),
-    "manoeuvre.torque": (1, [".torque[2]"]),
     "manoeuvre.Omega_scale": (0, [".Omega_table.scale"]),
     "manoeuvre.torque_scale": (1, [".torque_table.scale"]),
-    "fault.power.at": (0, [".faults[0].at"]),
-    "fault.power.share": (0, [".faults[0].share"]),
     "fault.power.time_constant": (0, [".faults[0].time_constant"]),
-    "fault.bump.impulse": (0, [".faults[1].impulse"]),
-    "fault.deaf.until": (0, [".faults[2].until"]),
     "fault.deaf.probability": (0, [".faults[2].probability"]),
-    "fault.drift.rate": (0, [".faults[3].rate"]),
-    "fault.hum.amplitude": (0, [".faults[4].amplitude"]),
-    "fault.hum.frequency_hz": (0, [".faults[4].frequency_hz"]),
 }
 
 
@@ -317,30 +291,6 @@ def test_a_body_without_unbalance_gets_one() -> None:
     _, after = varied("unbalance.platform.moment2", 1e-4, False)
     assert [one.body for one in after.platform.unbalances] == ["10", "platform"]
     np.testing.assert_array_equal(after.platform.unbalances[1].moment, [0.0, 1e-4, 0.0])
-
-
-def test_components_and_parts_that_vary_together_do_not_disturb_one_another() -> None:
-    nominal, faults = planned().nominal, job().fault_events
-    known = parameters(nominal, faults)
-    paths = {
-        "rotor.11.spin": 0.9,
-        "rotor.11.axial_inertia": 1.1,
-        "unbalance.9.moment1": 1e-5,
-        "unbalance.9.moment3": 2e-5,
-        "torquer.Q4.limit": 0.5,
-        "torquer.Q4.lag": 2.0,
-        "manoeuvre.rate": 2.0,
-        "manoeuvre.rise": 0.5,
-    }
-    drawn = [(known[path], x, not path.startswith("unbalance")) for path, x in paths.items()]
-    for order in (drawn, drawn[::-1]):
-        after = varied_scenario(nominal[0], order)
-        rotor, torquer = after.platform.rotors[2], after.platform.torquers[0]
-        assert rotor.angular_momentum == pytest.approx(0.15 * 0.9 * 1.1, rel=1e-15)
-        assert (torquer.limit, torquer.lag) == (0.125, 0.0004)
-        assert after.profile is not None
-        assert (after.profile.rate, after.profile.rise, after.profile.hold) == (2.0, 0.25, 0.5)
-        np.testing.assert_array_equal(after.platform.unbalances[-1].moment, [1e-5, 0.0, 2e-5])
 
 
 MIXED = (

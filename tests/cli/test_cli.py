@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -17,46 +16,11 @@ import pytest
 
 import one_gyro_job
 import platform_ctrl as pc
-from campaign_runs import MANOEUVRES
 from platform_ctrl import platform_source
 from platform_ctrl.cli import main
-from platform_ctrl.errors import DesignError
 from refused_command import refused
+from three_loops_job import JOB
 from verification.test_records import alike
-
-JOB = (
-    """
-schema = 2
-name = "three gyros, fixed numbers"
-plant = "three_gyro_platform"
-operation = { Omega = [0.0, 0.0, 0.0], seed = 7 }
-sampling = { rate_hz = 2000, delay = 0.0005 }
-coupled = { disk_margin = 0.2, coupling_cost = 0.05 }
-
-[[loop]]
-name = "caging 4-5-7"
-kind = "caging"
-gimbals = ["4", "5", "7"]
-use = "classical"
-limits = { bandwidth_hz = 15, disk_margin = 0.2 }
-design = [{ name = "classical", method = "classical", crossover_hz = 30, integral_hz = 2 }]
-
-[[loop]]
-name = "caging 9-10"
-kind = "caging"
-gimbals = ["9", "10"]
-use = "classical"
-limits = { bandwidth_hz = 20, disk_margin = 0.4 }
-design = [{ name = "classical", method = "classical", crossover_hz = 40, integral_hz = 2 }]
-
-[[loop]]
-name = "stabilisation"
-kind = "stabilisation"
-use = "servo"
-design = [{ name = "servo", method = "platform-servo", crossover_hz = 4, filter_hz = 50 }]
-"""
-    + MANOEUVRES
-)
 
 
 @pytest.fixture(scope="module")
@@ -252,22 +216,6 @@ def test_help_and_models_load_nothing_heavy() -> None:
             check=True,
         )
         assert done.stderr.split() == []
-
-
-def _forgotten(error: type[Exception]) -> None:
-    """Raise an error after a Ctrl-C that leaves no trace in it, as compiled libraries do."""
-    with contextlib.suppress(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-    raise error("no luck")
-
-
-@pytest.mark.parametrize("error", [DesignError, ValueError])
-def test_an_error_after_an_interrupt_is_an_interrupt(
-    error: type[Exception], there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("platform_ctrl.design.jobs.attempted_loops", lambda *given: _forgotten(error))
-    assert main(["design", "job.toml", "-o", "broken", "-q"]) == 130
-    assert capsys.readouterr().err == "platform-ctrl: interrupted\n"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")

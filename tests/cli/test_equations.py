@@ -13,11 +13,6 @@ from platform_ctrl.cli import main
 PLANT = "three_gyro_platform"
 
 
-def test_text_is_the_default(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["equations", PLANT]) == 0
-    assert capsys.readouterr().out == equations(read_platform(PLANT))
-
-
 def test_options_reach_the_equations(capsys: pytest.CaptureFixture[str]) -> None:
     for given, order in (("0", 0), ("exact", None)):
         assert main(["equations", PLANT, "--order", given, "--terms", "exact", "--format", "latex"]) == 0

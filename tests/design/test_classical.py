@@ -8,18 +8,15 @@ import pytest
 from hypothesis import given, settings
 
 from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.design.cases import cases, changed
-from platform_ctrl.design.loop import closed_loop_poles, measured, sampled_plant
-from platform_ctrl.design.method import LoopProblem, instability
+from platform_ctrl.design.loop import measured
+from platform_ctrl.design.method import instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
-from platform_ctrl.design.methods.platform_servo import PlatformServo, rate_estimate
+from platform_ctrl.design.methods.platform_servo import rate_estimate
 from platform_ctrl.design.partition import channels, first_order, gain, low_pass, notch
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import DesignError
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.matrices import matrices
-from platform_ctrl.plant.reading import read_platform
 from tree_cases import platforms
 
 PERIOD = 5e-4
@@ -111,34 +108,6 @@ def test_channels_bring_every_skew_matrix_to_pairs(platform):
     np.testing.assert_allclose(found.basis @ model.G @ found.basis.T, block, atol=1e-8 * (1 + np.abs(model.G).max()))
 
 
-def test_a_change_of_inertia_moves_one_J_alone(job):
-    J = np.diag(matrices(job.platform).A_star)[3:]
-    moved = changed(job.platform, {"9": 0.1, "10": -0.1}, {"6": 0.2})
-    now = np.diag(matrices(moved).A_star)[3:]
-    np.testing.assert_allclose(now / J, [1, 1, 1, 1.1, 0.9], rtol=1e-12)
-    np.testing.assert_allclose(matrices(moved).L / matrices(job.platform).L, [1.2, 1, 1])
-
-
-def test_every_corner_of_the_uncertainty_and_of_the_rate_is_in_the_set(job):
-    found = cases(job, ("9", "10"))
-    assert found[0].label == "nominal"
-    assert len(found) == 1 + 2**3 + 2**3
-    assert len(cases(job, ("4", "5", "7"))) == 1 + 2**5 + 2**3
-    assert len({case.label for case in found}) == len(found)
-
-
-def test_corner_plants_have_their_own_nutation(job):
-    """L up, J down: the open-loop nutation of that corner is 1.1/0.9 of the nominal one."""
-    plants = loop_plants(job, ("9", "10"))
-    corner = plants.labels.index("J9-10% J10-10% L11+10%")
-    fast = [np.abs(np.log(np.linalg.eigvals(plants.A[k])[:, None] + 1e-300) / PERIOD) for k in (0, corner)]
-    nutation = [
-        f[np.abs(f - plants.nutation * guess).argmin()] for f, guess in zip(fast, (1.0, 1.1 / 0.9), strict=True)
-    ]
-    assert nutation[0] == pytest.approx(L / np.sqrt(J9 * J10), rel=1e-6)
-    assert nutation[1] / nutation[0] == pytest.approx(1.1 / 0.9, rel=1e-6)
-
-
 def test_cross_gain_alone_drives_nutation_unstable_and_the_direct_lead_damps_it(channel, two_axis):
     """Growth rate about the crossover; the trap of the cross-axis loop."""
     options = starting_values({"crossover_hz": 10.0}, channel, two_axis.nutation, PERIOD)
@@ -160,27 +129,6 @@ def test_no_integrator_is_doubled(model):
         assert np.sum(np.abs(np.linalg.eigvals(A) - 1.0) < 1e-6) == len(rows)
 
 
-def test_certified_figures_come_from_the_closed_loop(job, classical, two_axis):
-    """Against python-control: poles, and the disk margin by a dense frequency sweep."""
-    spec = job.loops[1]
-    _, controller = classical
-    design = measured(spec, "classical", "classical", controller, two_axis)
-    P, K = sampled_plant(two_axis), design.controller
-    loop = control.feedback(P, K, sign=1)
-    radius = np.abs(control.poles(loop)).max()
-    assert design.measures.decay[0] == pytest.approx(-np.log(radius) / PERIOD, rel=1e-6)
-    assert np.abs(closed_loop_poles(two_axis, K)[0]).max() == pytest.approx(radius, abs=1e-8)
-    w = np.geomspace(1.0, 0.9999 * np.pi / PERIOD, 4000)
-    L_out = -np.moveaxis((P * K)(np.exp(1j * w * PERIOD)), -1, 0)
-    S = np.linalg.inv(np.eye(2) + L_out)
-    swept = 1.0 / np.linalg.norm(S - 0.5 * np.eye(2), 2, axis=(1, 2)).max()
-    assert design.measures.disk_margin[0] <= swept * (1 + 1e-9)
-    assert design.measures.disk_margin[0] == pytest.approx(swept, rel=1e-3)
-    sigma = np.linalg.norm(S, 2, axis=(1, 2))
-    assert design.measures.bandwidth <= w[np.argmax(sigma >= np.sqrt(0.5))] * (1 + 1e-9)
-    assert {r.name for r in design.results} >= {"bandwidth", "disk margin, worst case", "torque noise, rms"}
-
-
 def test_an_unstable_controller_is_not_certified(job, two_axis):
     growing = gain(np.array([[0.0, 40.0], [40.0, 0.0]]))
     error = instability(measured(job.loops[1], "growing", "classical", growing, two_axis), False)
@@ -192,35 +140,6 @@ def test_rates_from_the_torques_of_the_caged_gyros(model):
     estimate, used = rate_estimate(model)
     assert [model.gimbal_names[k] for k in used] == ["5", "7", "9", "10"]
     np.testing.assert_allclose(estimate, [[0, 0, 1 / L, 0], [-0.5 / L, -0.5 / L, 0, 0], [0, 0, 0, -1 / L]], atol=1e-9)
-
-
-def test_gyros_that_do_not_measure_a_rate_are_an_error(job):
-    blind = dataclasses.replace(job.platform, rotors=job.platform.rotors[:2])
-    with pytest.raises(DesignError, match=r"gyros of gimbals 5 and 7 show the rate about parallel axes"):
-        rate_estimate(linearise(blind))
-    # Two gimbals show two rates at most: the third is named too.
-    with pytest.raises(DesignError, match=r"about \(0\.00, -?1\.00, 0\.00\)"):
-        rate_estimate(linearise(read_platform("momentum_wheel_satellite")))
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"inertial_crossover_hz": 3.0}, "inertial_crossover_hz"),
-        ({"crossover_hz": 0.0}, "crossover_hz must be > 0, got 0"),
-        ({"notch_hz": 1500.0}, "notch_hz must be below half the sample rate, got 1500"),
-        ({"lag_ratio": 1.0}, "lag_ratio.* must exceed 1, got 1"),
-    ],
-)
-def test_wrong_options_are_named(channel, options, message):
-    with pytest.raises(DesignError, match=message):
-        starting_values(options, channel, 474.0, PERIOD)
-
-
-def test_a_filter_beyond_half_the_sample_rate_is_an_error(job, model):
-    servo = dataclasses.replace(job.loops[2].designs[0], options={"filter_hz": 1000.0})
-    with pytest.raises(DesignError, match="filter_hz must be below half the sample rate, got 1000"):
-        PlatformServo().design(LoopProblem(job=job, spec=job.loops[2], design=servo, model=model))
 
 
 def test_a_lag_raises_the_gain_at_low_frequencies_alone(channel):

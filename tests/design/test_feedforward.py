@@ -11,15 +11,13 @@ from hypothesis import strategies as st
 import platform_ctrl as pc
 from camera_job import J_AZIMUTH, J_ELEVATION, camera_job, camera_plant
 from platform_ctrl import analysis, design
-from platform_ctrl.analysis.loop import TORQUE_SHARE, Loop
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.measuring import torque_noise
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.feedforward import rate_feedforward
-from platform_ctrl.design.fixed_structure.loops import LoopGradients
-from platform_ctrl.design.fixed_structure.maps import torque_per_Omega
 from platform_ctrl.design.loop import Design, LoopOutcome, closed_loop_poles
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.drive import Feedforward
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.requirements import requirement
@@ -189,20 +187,6 @@ def test_torque_and_noise_count_the_feedforward(outcome):
 
 
 @pytest.mark.parametrize("kind", ["direct", "indirect"])
-def test_structured_search_sees_what_the_verdict_sees(outcome, kind):
-    """Torques per platform rate and the noise in readings are those of the metrics, by another route."""
-    one = of(outcome, kind)
-    K = System.of(one.own_controller, "controller")
-    plants = one.plants.regular()
-    search, loops = LoopGradients(plants, K), Loop(plants, K)
-    w, nominal = 60.0, np.zeros(1, dtype=np.intp)
-    seen = [search.edge(torque_per_Omega(k, plants), w, nominal).ratio[0] for k in range(2)]
-    assert max(seen) == pytest.approx(loops.gain_at([TORQUE_SHARE], np.array([w]))[0], rel=1e-9)
-    if kind == "indirect":
-        np.testing.assert_allclose(search.noise(1.0, nominal).ratio, torque_noise(loops)[0], rtol=1e-6)
-
-
-@pytest.mark.parametrize("kind", ["direct", "indirect"])
 def test_the_budget_of_a_sine_of_the_base_is_the_rms_of_the_simulation(kind):
     """The linear prediction is exact for small motion: a continuous base, sensors with errors, sampled feedforward."""
     hz, amplitude = 4.0, 1e-3
@@ -298,28 +282,3 @@ def test_the_torque_keeps_what_is_read_at_zero_on_skewed_gimbals(seed):
     left = H[:, rates] + H[:, torques] @ analysis.frequency_response(F, w)[..., 0]
     # The filtered derivative and the forgetting integral are off by 0.2 in 40.
     assert np.abs(left).max() < 0.01 * np.abs(H[:, rates]).max()
-
-
-def mistakes(fed: dict[str, Any], kind: str = "rate", **more: Any) -> str:
-    with pytest.raises(InputError) as error:
-        design.loops(job([{"name": "fed", "feedforward": fed} | more], kind))
-    return str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("fed", "more", "words"),
-    [
-        ({"sensors": ["yaw_gyro"]}, {}, "'yaw_gyro' does not measure a rate of the root alone: torquers move"),
-        ({"sensors": ["Omega4"]}, {}, "'Omega4' is no sensor of the plant"),
-        ({"sensors": BASE, "into": "reading"}, {}, "yaw_gyro, pitch_gyro measure against inertial space already"),
-        (
-            {"sensors": ["Omega1", "Omega3"], "into": "reading"},
-            {"sensors": RATES},
-            "do not measure Omega2, which the readings lack to become inertial; add rate sensors of the root",
-        ),
-        ({"sensors": ["Omega1"]}, {}, "the rates Omega1 add nothing to this loop"),
-        ({"sensors": BASE}, {"sensors": ["q_az"]}, "measures an angle; a rate loop reads sensors of rates"),
-    ],
-)
-def test_mistakes_are_named(fed, more, words):
-    assert words.replace("'", '"') in mistakes(fed, **more).replace("'", '"')

@@ -1,4 +1,4 @@
-"""LQG loops: gains by python-control called by hand, each loop closed by hand on the paper's (27), sentences."""
+"""LQG loops: gains by python-control called by hand, poles of feedback and estimator, sentences."""
 
 from __future__ import annotations
 

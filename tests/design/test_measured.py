@@ -136,14 +136,6 @@ def test_the_realised_controller_answers_like_its_actions():
     assert K.nstates == 4
 
 
-def test_sampled_actions_are_python_controls_tustin():
-    s = control.tf("s")
-    w = np.geomspace(1.0, 5000.0, 30)
-    for k, action in enumerate([1 / s, s / (1e-3 * s + 1)], 1):
-        expected = control.sample_system(action, PERIOD, method="tustin")(np.exp(1j * w * PERIOD))
-        np.testing.assert_allclose(actions(1j * w, 1e-3, PERIOD)[:, k], expected, rtol=1e-9)
-
-
 # Stability from data
 
 
@@ -242,26 +234,6 @@ def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant,
     w = np.array([1e-3])
     slow = gang(plant, controller, w).angle_per_torque[:, :, 0]
     assert np.linalg.norm(slow, 2) / w[0] == pytest.approx(1.0 / design.objective, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_one_controller_serves_several_measured_plants(plant):
-    """A second plant with 15 % more momentum: every limit on both, and stable on both."""
-    both = [measurement(one, points=50) for one in (plant, second_plant())]
-    found = pid(*both, limits=LIMITS | {"disk_margin": 0.6})
-    assert found.unstable_poles == (0, 0)
-    K = found.controller.to_control(ANGLES, TORQUES)
-    for one in (plant, second_plant()):
-        assert analysis.damping(analysis.closed_loop(one, K)).ratio.min() > 0.0
-
-
-def second_plant():
-    mobility = np.diag([1.0 / J9, 1.0 / J10])
-    G = 1.15 * L * np.array([[0.0, 1.0], [-1.0, 0.0]])
-    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 2)), -mobility @ G]])
-    B = np.vstack([np.zeros((2, 2)), mobility])
-    sys = control.ss(A, B, np.eye(2, 4), np.zeros((2, 2)), inputs=TORQUES, outputs=ANGLES)
-    return analysis.sampled(sys, PERIOD, DELAY, [LAG, LAG])
 
 
 # What cannot be

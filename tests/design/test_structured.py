@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,8 @@ import pytest
 from platform_ctrl import analysis, design
 from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm
 from platform_ctrl.design.fixed_structure.structures import Parametrised, Structure, Units
-from platform_ctrl.design.partition import Partition, augmented, partition
+from platform_ctrl.design.partition import Partition, augmented
 from platform_ctrl.design.synthesis import Synthesis
-from platform_ctrl.errors import ArgumentError, NotFoundError, NotStabilisableError
 
 PROBLEMS = json.loads((Path(__file__).parents[1] / "data" / "compleib.json").read_text())["problems"]
 
@@ -108,19 +106,6 @@ def test_a_pid_has_the_transfer_function_that_it_says() -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
-def test_what_is_given_to_a_block_holds_in_a_series() -> None:
-    pi = design.PID(
-        D="none", P="diagonal", I="diagonal", filter_order=0, fixed={"kp11": 9.0}, bounds={"kp22": (2.0, 4.0)}
-    )  # fmt: skip
-    structure = design.Series(blocks=(pi, design.Static(start={"k12": 5.0})), start={"ki11": 3.0})
-    whole = Parametrised(structure, 2, 2, Units(gain=np.ones((2, 2)), rate=1.0))
-    named = whole.named(whole.start)
-    assert whole.start.size == len(named) - 1
-    assert (named["kp11"], named["k12"]) == (9.0, 5.0)
-    assert named["ki11"] == pytest.approx(3.0)
-    assert 2.0 <= named["kp22"] <= 4.0
-
-
 def test_peaks_and_their_slopes_are_those_of_the_closed_loop() -> None:
     rng = np.random.default_rng(1)
     plant = augmented(random_plant(rng), 1)
@@ -136,19 +121,6 @@ def test_peaks_and_their_slopes_are_those_of_the_closed_loop() -> None:
         e = 1e-4 * np.eye(x.size)[k]
         up, down = (WorstNorm([plant], whole)(x + d).values.max() for d in (e, -e))
         assert found.gradients[top, k] == pytest.approx((up - down) / 2e-4, rel=1e-4, abs=1e-6)
-
-
-def test_poles_of_a_loop_that_grows_have_the_slopes_of_differences() -> None:
-    plant = augmented(dataclasses.replace(random_plant(np.random.default_rng(1)), A=np.diag([1.0, 0.5, -1, -2, -3])), 1)
-    whole = Parametrised(design.StateSpaceOrder(states=1), 2, 2, Units(gain=np.ones((2, 2)), rate=1.0))
-    x = whole.start + 0.1
-    found = WorstNorm([plant], whole)(x)
-    top = int(np.argmax(found.values))
-    assert not found.stable
-    for k in range(x.size):
-        e = 1e-6 * np.eye(x.size)[k]
-        up, down = (WorstNorm([plant], whole)(x + d).values.max() for d in (e, -e))
-        assert found.gradients[top, k] == pytest.approx((up - down) / 2e-6, rel=1e-4, abs=1e-6)
 
 
 def test_a_peak_far_narrower_than_the_distance_of_poles_is_found() -> None:
@@ -169,31 +141,6 @@ def test_static_gains_reach_the_published_norms(name: str) -> None:
     assert found.gamma <= 1.001 * PROBLEMS[name]["best"]
     assert found.gamma == pytest.approx(analysis.hinf_norm(found.closed_loops[0])[0], rel=1e-9)
     assert found.gamma >= (1.0 - 1e-3) * found.gamma_optimal
-
-
-@pytest.mark.slow
-def test_a_richer_structure_costs_less(best: Synthesis) -> None:
-    pd = design.structured(gyro(), 2, 2, structure=design.PID(I="none", filter_order=1), starts=4)
-    two = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=2), starts=4)
-    four = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=4), starts=3)
-    assert 1.0 - 1e-3 <= four.price <= two.price * (1.0 + 1e-4) <= pd.price
-    assert four.price < 1.01
-    assert four.gamma_optimal == pytest.approx(best.gamma_optimal, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_one_controller_serves_several_plants_and_is_worst_at_one_of_them() -> None:
-    plants = [gyro(w) for w in (1.0, 1.2)]
-    together = design.structured(plants, 2, 2, structure=design.StateSpaceOrder(states=2), starts=2)
-    alone = design.structured(plants[0], 2, 2, structure=design.StateSpaceOrder(states=2), starts=2)
-    K = alone.controller
-    for P, gamma, loop in zip(plants, together.gammas, together.closed_loops, strict=True):
-        assert analysis.hinf_norm(P.lft(together.controller))[0] == pytest.approx(gamma, rel=1e-6)
-        assert analysis.damping(loop).ratio.min() > 0.0
-    loops = [P.lft(K) for P in plants]
-    stable = all(analysis.damping(loop).ratio.min() > 0.0 for loop in loops)
-    others = max(analysis.hinf_norm(loop)[0] for loop in loops) if stable else np.inf
-    assert alone.gamma <= together.gamma <= others * (1 + 1e-6)
 
 
 def test_a_sampled_plant_gets_a_sampled_controller_of_the_same_norm() -> None:
@@ -218,56 +165,6 @@ def test_bounds_and_fixed_numbers_are_kept() -> None:
     assert 1.0 <= p["filter1"] <= 4.0
     free = design.structured(gyro(), 2, 2, structure=design.PID(I="none", filter_order=1), starts=3)
     assert free.gamma <= found.gamma * (1 + 1e-6)
-
-
-def test_what_cannot_be_is_said_in_one_line() -> None:
-    P = gyro()
-    lost = control.ss(np.diag([1.0, -1.0]), [[1, 0], [0, 1]], np.eye(2), np.zeros((2, 2)))
-    with pytest.raises(NotStabilisableError, match="no control u moves the mode at 1"):
-        design.structured(lost, 1, 1, structure=design.Static())
-    # A plant that gains on the angles alone cannot stabilise: the sum of its roots is fixed at zero.
-    double = control.ss([[0, 1], [0, 0]], [[0, 0], [1, 1]], [[1, 0], [1, 0]], np.zeros((2, 2)))
-    with pytest.raises(
-        NotFoundError, match=r"none found: no Static controller with a stable loop .* in 3 starts"
-    ) as caught:
-        design.structured(double, 1, 1, structure=design.Static(), starts=3)
-    assert caught.value.problem is not None
-    for wrong, said in (
-        ({"structure": "PID"}, "must be a Structure"),
-        ({"structure": design.Static(), "starts": 0}, "must be a whole number"),
-        ({"structure": design.Static(), "evaluations": 0.5}, "must be a whole number"),
-        ({"structure": design.Static(fixed={"k13": 1.0})}, "k13"),
-        ({"structure": design.Static(bounds={"k11": (2.0, 1.0)})}, "the lower bound must be below the upper one"),
-        (
-            {"structure": design.Static(pattern="round")},
-            "Static: pattern: must be 'full', 'diagonal', 'cross', 'none' or booleans, got 'round'",
-        ),
-        ({"structure": design.PID(start={"filter1": -1.0})}, "must be a positive number"),
-    ):
-        with pytest.raises(ArgumentError, match=said):
-            design.structured(P, 2, 2, **wrong)
-    with pytest.raises(ArgumentError, match="plant 2 has dt"):
-        design.structured([P, P.sample(0.1, method="bilinear")], 2, 2, structure=design.Static())
-    with pytest.raises(ArgumentError, match="no plants"):
-        design.structured([], 2, 2, structure=design.Static())
-
-
-def test_the_partition_of_a_gyro_is_stabilised_by_two_states_but_not_by_gains() -> None:
-    # Gains on the angles leave the sum of the roots where it is: at zero.
-    assert np.trace(partition(gyro(), 2, 2).A) == 0.0
-    with pytest.raises(NotFoundError, match="pole at"):
-        design.structured(gyro(), 2, 2, structure=design.Static(), starts=3)
-
-
-def test_the_same_call_gives_the_same_controller_within_its_evaluations() -> None:
-    P, nmeas, ncon = problem("REA2")
-    lines: list[str] = []
-    options: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 60}
-    one, two = (design.structured(P, nmeas, ncon, **options, progress=lines.append) for _ in range(2))
-    assert np.array_equal(one.controller.D, two.controller.D)
-    assert not one.finished
-    assert len(one.reached) == 3
-    assert all(line.startswith("structured: start ") for line in lines)
 
 
 def test_an_infimum_at_infinite_gain_is_approached() -> None:

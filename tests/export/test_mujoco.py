@@ -203,20 +203,6 @@ def test_caging_controllers_run_on_mujocos_plant_as_on_ours(
     assert 3.5 < differ[0] / differ[1] < 4.5
 
 
-def test_all_loops_stabilise_mujocos_free_platform_as_ours(
-    main_job: tuple[Job, list[control.StateSpace]], tmp_path: Path
-) -> None:
-    job, controllers = main_job
-    manoeuvre = next(one for one in job.manoeuvres if one.mode == "stabilised")
-    scenario = dataclasses.replace(manoeuvre_scenario(job, manoeuvre), duration=0.1)
-    ours = simulation.simulate(scenario, controllers, period=job.sampling.period, step=1e-4, noise=False)
-    run = Run(job.platform, tmp_path, step=1e-4)
-    angles, _ = closed_loop(run, controllers, job.sampling.period, len(ours.t), torque=manoeuvre.torque)
-    assert np.allclose(angles, ours.q, rtol=0.0, atol=1e-6 * np.abs(ours.q).max())
-    mujoco.mj_forward(run.model, run.data)
-    assert run.data.sensor("Omega").data == pytest.approx(run.data.qvel[:3])
-
-
 def test_stops_stop_and_friction_brakes(tmp_path: Path) -> None:
     platform = pc.read_platform("three_gyro_platform")
     run = Run(platform, tmp_path, root="fixed", step=5e-5)
@@ -346,70 +332,6 @@ def test_a_model_that_somebody_else_made_is_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='spins: "spin" = 1'):
         read_mjcf(path, spins={"spin": 1.0})
     assert read_mjcf(path).rotors == ()  # nothing says that it turns
-
-
-VSCMG = """
-<mujoco model="pan and tilt with a control moment gyro">
-  <worldbody>
-    <body name="stand">{joint}
-      <inertial pos="0 0 0" mass="5" diaginertia="0.1 0.1 0.1"/>
-      {first}
-      <body name="pan">
-        <joint name="turn" axis="0 0 1"/>
-        <inertial pos="0 0 0" mass="2" diaginertia="0.02 0.02 0.02"/>
-        <body name="tilt">
-          <joint name="nod" axis="0 1 0"/>
-          <inertial pos="{offset} 0 0.01" mass="1" diaginertia="0.01 0.01 0.01"/>
-          {carried}
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-GYRO = """
-<body name="gyro{k}" pos="{at}">
-  <joint name="gyro{k}" axis="{axis}"/>
-  <inertial pos="0 0 0" mass="0.1" diaginertia="0.001 0.001 0.001"/>
-  <body name="rotor {k}">
-    <joint name="spin{k}" axis="1 0 0"/>
-    <inertial pos="0 0 0" mass="0.05" diaginertia="1e-4 0.6e-4 0.6e-4"/>
-  </body>
-</body>
-"""
-
-
-@pytest.mark.parametrize(
-    ("offset", "axis", "place"), [(0.0, "0 0 1", "first"), (0.02, "0 1 0", "carried"), (0.02, "0 0.6 0.8", "both")]
-)
-def test_the_joint_of_a_balanced_gimbal_may_lie_anywhere(offset: float, axis: str, place: str, tmp_path: Path) -> None:
-    gyros = {
-        "first": GYRO.format(k=1, at="0 0.1 -0.3", axis=axis) if place != "carried" else "",
-        "carried": GYRO.format(k=2, at="0.1 0 0", axis=axis) if place != "first" else "",
-    }
-    path, found = tmp_path / "vscmg.xml", []
-    for joint in ("", '<joint type="ball"/>'):
-        path.write_text(VSCMG.format(joint=joint, offset=offset, **gyros))
-        found.append(read_mjcf(path))
-    fixed, ball = found
-    for one, other in zip(fixed.gimbals, ball.gimbals, strict=True):
-        assert one.name == other.name
-        np.testing.assert_allclose(one.inertia, other.inertia, atol=1e-15)
-    for one, other in zip(fixed.unbalances, ball.unbalances, strict=True):
-        assert one.body == other.body
-        np.testing.assert_allclose(one.moment, other.moment, atol=1e-15)
-    model = mujoco.MjModel.from_xml_path(str(path))
-    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
-    q = np.linspace(0.3, 0.9, len(ball.gimbals))
-    at = [model.joint(name) for name in ball.angle_names]
-    data.qpos[[int(one.qposadr[0]) for one in at]] = q
-    mujoco.mj_forward(model, data)
-    mujoco.mj_fullM(model, data, full)
-    rows = [0, 1, 2, *(int(one.dofadr[0]) for one in at)]
-    wheels = [int(model.joint(f"spin{k}").dofadr[0]) for k in (1, 2) if gyros[("first", "carried")[k - 1]]]
-    moved = full[np.ix_(rows, wheels)]
-    ours = full[np.ix_(rows, rows)] - moved @ np.linalg.solve(full[np.ix_(wheels, wheels)], moved.T)
-    np.testing.assert_allclose(pc.matrices(fixed, q).A_star, ours, atol=1e-12)
 
 
 @pytest.mark.parametrize(

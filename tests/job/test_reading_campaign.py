@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import random
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from job.test_reading_job import job
 from plant.test_reading_plant import JUNK, mutate, outcome, refusal
 from platform_ctrl import read_job
-from platform_ctrl.job.faults import FAULT_KINDS
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.simulation import HalfCosine
@@ -89,18 +86,6 @@ def test_a_manoeuvre_is_flown_as_the_job_says() -> None:
     assert (turn.limits, still.limits) == ({"angle": 0.003}, {})
 
 
-def test_a_campaign_is_read() -> None:
-    campaign = read_job(flown_job()).campaign
-    assert campaign is not None
-    assert (campaign.runs, campaign.seed, campaign.sampling, campaign.step) == (64, 7, "latin-hypercube", 2e-4)
-    assert [(one.name, one.weight) for one in campaign.manoeuvres] == [("push", 2.0), ("turn", 1.0)]
-    spin, alpha9, rate = campaign.vary
-    assert spin.numbers == {"mean": 1.0, "deviation": 0.1, "low": 0.8, "high": 1.2}
-    assert (spin.relative, alpha9.relative, alpha9.support) == (True, False, (-1e-3, 1e-3))
-    assert (rate.values, rate.weights, rate.support) == ((0.5, 1.0), (1.0, 3.0), (0.5, 1.0))
-    assert [(one.fault, one.probability) for one in campaign.faults] == [("deaf", 0.25)]
-
-
 def test_an_empty_campaign_flies_all_manoeuvres_alike() -> None:
     read = read_job(flown_job() | {"campaign": {}})
     assert read.campaign is not None
@@ -110,28 +95,6 @@ def test_an_empty_campaign_flies_all_manoeuvres_alike() -> None:
         ("push", 1.0),
         ("still", 1.0),
     ]
-
-
-@pytest.mark.parametrize("kind", FAULT_KINDS)
-def test_every_kind_of_fault_is_read_with_what_it_needs(kind: Any) -> None:
-    keys = FAULT_KINDS[kind]
-    part = {None: {}, "rotor": {"part": "8"}, "torquer": {"part": "M1"}, "pick-off": {"part": "alpha4"}}.get(
-        keys.part, {"part": "4"}
-    )
-    numbers = {key: 0.5 for key in (*keys.needed, *keys.optional)}
-    (fault,) = read_job(
-        flown_job()
-        | {"manoeuvre": [], "campaign": {}, "fault": []}
-        | {"manoeuvre": job()["manoeuvre"], "fault": [{"name": "it", "kind": kind, "at": 0.25, **part, **numbers}]}
-    ).fault_events
-    assert (fault.kind, fault.at, fault.part) == (kind, 0.25, part.get("part"))
-    assert {key: getattr(fault, key) for key in numbers} == numbers
-    (bare,) = read_job(
-        flown_job()
-        | {"campaign": {}, "manoeuvre": job()["manoeuvre"]}
-        | {"fault": [{"name": "it", "kind": kind, "at": 0.25, **part, **dict.fromkeys(keys.needed, 0.5)}]}
-    ).fault_events
-    assert (bare.until, bare.probability) == (math.inf, 0.5 if "probability" in keys.needed else 1.0)
 
 
 def test_a_job_with_everything_is_written_and_read_back_whole() -> None:

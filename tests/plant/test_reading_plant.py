@@ -74,10 +74,6 @@ def enter(data: Any, path: tuple[str | int, ...]) -> Any:
     return data
 
 
-def put(value: object, *path: str | int) -> Change:
-    return lambda data: enter(data, path[:-1]).__setitem__(path[-1], copy.deepcopy(value))
-
-
 def refusal(read: Callable[[Any], object], source: object) -> str:
     """Return the message, which is one line whatever was refused."""
     with pytest.raises(InputError) as caught:
@@ -197,38 +193,6 @@ def test_an_unknown_shipped_name_gets_the_nearest_one(tmp_path: Path, monkeypatc
     assert 'a file of that name is read as "./zzz"' in refusal(read_platform, "zzz")
     assert read_platform("./zzz").name == "two gimbals"
     assert read_platform(Path("zzz")).name == "two gimbals"
-
-
-def test_of_several_mistakes_the_first_in_the_files_order_is_told_and_the_others_placed() -> None:
-    data = plant()
-    put(-1, "torquer", 0, "limit")(data)
-    put("", "rotor", 0, "carrier")(data)
-    put([0, 0, 0], "gimbal", 1, "axis")(data)
-    put(3, "gimbal", 0, "parent")(data)
-    for path, fragment, more in (
-        (
-            ("gimbal", 0, "parent"),
-            "parent must be a line of text that is not empty, got 3",
-            ' (and 3 more: [[gimbal]] 2 "5": axis, [[rotor]] 1 "6": carrier, [[torquer]] 1 (gimbal "4"): limit)',
-        ),
-        (
-            ("gimbal", 1, "axis"),
-            "of length zero",
-            ' (and 2 more: [[rotor]] 1 "6": carrier, [[torquer]] 1 (gimbal "4"): limit)',
-        ),
-        (
-            ("rotor", 0, "carrier"),
-            'carrier must be a line of text that is not empty, got "" (empty)',
-            ' (and 1 more: [[torquer]] 1 (gimbal "4"): limit)',
-        ),
-        (("torquer", 0, "limit"), "limit must be a number > 0, got -1", ""),
-    ):
-        message = refusal(read_platform, data)
-        assert fragment in message
-        assert message.endswith(more)
-        assert ("more: " in message) == bool(more)
-        put(enter(plant(), path) if path != ("rotor", 0, "carrier") else "5", *path)(data)
-    read_platform(data)
 
 
 def test_a_gimbal_that_hangs_on_a_cycle_is_not_blamed_for_it() -> None:

@@ -11,17 +11,14 @@ from matplotlib.colors import to_hex
 
 import platform_ctrl as pc
 from platform_ctrl.campaign.statistics import statistics
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.plant.force_elements import Spring
-from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import figures, style
 from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
 from single_runs import simulated
 
 HZ = 1.0 / (2.0 * np.pi)
 RPM = 60.0 * HZ
-EVERY = shipped_models()
 
 
 @pytest.fixture(autouse=True)
@@ -105,13 +102,6 @@ def test_a_spin_line_meets_a_mode_where_frequency_is_a_multiple_of_the_speed(gyr
     assert sum(text.endswith(" rpm") for text in written(figure)) == 4
 
 
-@pytest.mark.parametrize("name", [name for name in EVERY if pc.read_platform(name).rotors])
-def test_every_shipped_plant_with_a_rotor_has_a_campbell_chart(name):
-    figure = figures.campbell(pc.read_platform(name))
-    for line in figure.axes[0].lines:
-        assert np.isfinite(np.asarray(line.get_ydata(), dtype=float)).all()
-
-
 @pytest.fixture(scope="module")
 def flown(gyro):
     turn = pc.simulation.HalfCosine(axis=1, rate=0.01, rise=0.01, hold=0.0)
@@ -168,26 +158,6 @@ def test_histograms_count_every_run_and_colour_those_beyond_the_limit():
     assert f"{beyond} beyond" in written(figure)
     [start] = [patch.get_x() for patch in axes.patches if to_hex(patch.get_facecolor()) == BEYOND]
     assert start == pytest.approx(1.2)
-
-
-@pytest.mark.parametrize(
-    ("draw", "says"),
-    [
-        (lambda p, t: figures.campbell("gyro"), "platform must be a Platform, for example from read_platform, got"),
-        (lambda p, t: figures.campbell(dataclasses.replace(p, rotors=())), "must have a rotor that spins"),
-        (lambda p, t: figures.campbell(p, gimbals=("outer",)), "are coupled"),
-        (lambda p, t: figures.campbell(p, spins=[-1.0, 1.0]), "factors >= 0"),
-        (lambda p, t: figures.time_run(p, p), "run must be a Trajectory, got a Platform"),
-        (lambda p, t: figures.time_run(t, p, limits={"angel": 1.0}), "did you mean 'angle'"),
-        (lambda p, t: figures.time_run(t, pc.read_platform("rate_gyro")), "must be the one that was run"),
-        (lambda p, t: figures.campaign_histograms(table()), "must be what campaign.summarise returned"),
-        (lambda p, t: figures.campaign_histograms(statistics(table(), {"turn": {}})), "nothing to draw"),
-    ],
-)
-def test_wrong_input_is_one_line(draw, says, gyro, flown):
-    with pytest.raises(ArgumentError, match=says) as raised:
-        draw(gyro, flown)
-    assert "\n" not in str(raised.value)
 
 
 def test_pyplot_knows_the_plots_of_scripts_and_those_of_pages_not(gyro):

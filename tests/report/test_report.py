@@ -21,22 +21,19 @@ import narrow_loops
 import platform_ctrl as pc
 from legend_entries import without_a_curve
 from passive_gimbal import passive_job
-from platform_ctrl.analysis.loop import Transfer
-from platform_ctrl.analysis.measuring import Peak
-from platform_ctrl.analysis.metrics import METRICS, Metric, Sense
+from platform_ctrl.analysis.metrics import Sense
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
-from platform_ctrl.design.loop import closed_loop_poles, measured
+from platform_ctrl.design.loop import measured
 from platform_ctrl.job.quantities import compared, plain
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
 from platform_ctrl.mechanics import modes
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.plant.force_elements import Spring
-from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import blocks, captions, comparison, curves, style, tables
 from platform_ctrl.report.campaign_tables import chances
-from platform_ctrl.report.figures.job import platform_compliance, root_locus_plot
+from platform_ctrl.report.figures.job import platform_compliance
 from platform_ctrl.report.figures.panels import paint
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.proofs import Claim, Proofs, with_proofs
@@ -389,35 +386,6 @@ def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResul
     assert levels(shares, style.LIMIT) == {5.0}
 
 
-def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    noise = Metric(
-        name="torque per noise",
-        key="noise_gain",
-        unit="N m/rad",
-        sense="at most",
-        meaning="peak gain from the noise of the pick-offs to the torques",
-        measure=Peak(transfers=(Transfer("noise", "torque"),)),
-        scopes=("", "worst_case"),
-    )
-    monkeypatch.setitem(METRICS, "noise gain", noise)
-    loop = {**CAGING, "limits": {"noise_gain": 2000.0}, "soft": {"noise_gain": 500.0}, "design": CAGING["design"][1:]}
-    result = checked(job(loop=[loop]))
-    page = page_html(result)
-    [row] = [row for row in tables.requirement_rows(result) if row.checked.name == noise.name]
-    assert row.limit == "≤ 2000 N m/rad"
-    assert sum(noise.name in " ".join(cells) for cells in Cells(page).rows) >= 2  # requirements, designs side by side
-    [caption] = [
-        text for text in re.findall(r"<figcaption>(.*?)</figcaption>", page, re.DOTALL) if noise.meaning in text
-    ]
-    assert "limit ≤ 2000 N m/rad and goal ≤ 500 N m/rad" in html.unescape(caption)
-    loop_shown = curves.shown_loop(result.loops[0])
-    assert loop_shown is not None
-    with style.settings():
-        [axes] = paint(curves.further(loop_shown, ["noise gain"]), 2.0).axes
-    assert max(axes.lines[0].get_ydata()) == pytest.approx(result.loops[0].closed.results[-1].value, rel=1e-4)
-    assert [float(line.get_ydata()[0]) for line in axes.lines[1:]] == [2000.0, 500.0]
-
-
 def test_captions_have_peaks_that_every_grid_misses() -> None:
     data = pc.read_job(job(loop=[CAGING], sampling={"rate_hz": 2000, "delay": 0.0}))
     [outcome] = loops(data)
@@ -514,7 +482,7 @@ def test_a_gyro_on_springs_has_nutation_and_precession() -> None:
     assert found[0].frequency * found[1].frequency == pytest.approx(product, rel=1e-9)
 
 
-@pytest.mark.parametrize("name", shipped_models())
+@pytest.mark.parametrize("name", ["three_gyro_platform", "suspended_platform", "vscmg_pyramid"])
 def test_every_pole_of_a_shipped_plant_belongs_to_one_mode(name: str) -> None:
     model = pc.linearise(pc.read_platform(name), Omega=(0.1, 0.2, -0.3))
     found = [mode for group in pc.subsystems(model) for mode in modes.modes(model, group)]
@@ -524,32 +492,6 @@ def test_every_pole_of_a_shipped_plant_belongs_to_one_mode(name: str) -> None:
 
 
 # Responses
-
-
-def test_responses_are_finite_and_agree_with_the_measures(result: JobResult) -> None:
-    [outcome] = [one for one in result.loops if one.spec.name == "caging 9-10"]
-    loop = curves.shown_loop(outcome)
-    assert loop is not None
-    for one in loop.designs:
-        assert one.design.measures is not None
-        assert 1.0 / one.gains["disk margin"].max() == pytest.approx(one.design.measures.disk_margin[0], rel=0.01)
-        below = loop.frequency < 0.999 * one.design.measures.bandwidth
-        assert np.all(one.gains["sensitivity peak"][below] < np.sqrt(0.5))
-        for curve in (one.loop_gains, one.channels, one.angle_per_rate, one.gains["torque rejection"]):
-            assert np.all(np.isfinite(curve))
-    assert curves.shown_loop(result.loops[2]) is None
-
-
-def test_the_root_locus_begins_at_the_open_loop_and_passes_the_design(result: JobResult) -> None:
-    design = result.loops[1].closed
-    locus = root_locus_plot(design, result.loops[1].spec).locus
-    plants = design.plants
-    assert plants is not None
-    own = closed_loop_poles(plants.only([0]), design.controller)[0]
-    assert np.sort_complex(locus.nominal) == pytest.approx(np.sort_complex(own), abs=1e-6)
-    poles = np.linalg.eigvals(plants.A[0])
-    for z in poles[poles != 0.0]:
-        assert np.abs(locus.branches[0] - z).min() < 1e-5
 
 
 def test_the_platform_yields_to_a_torque_as_in_the_simulation(result: JobResult) -> None:

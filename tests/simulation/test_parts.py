@@ -123,20 +123,6 @@ def test_a_weak_torquer_gives_its_share_of_the_limited_command() -> None:
     np.testing.assert_allclose(out.command[:, 0], 10.0 * out.t, rtol=0, atol=1e-13)
 
 
-def test_of_several_faults_of_a_torquer_the_gravest_counts() -> None:
-    faults = (
-        fault("torquer dead", at=0.05, until=0.06),
-        fault("torquer weak", at=0.01, until=0.08, share=0.5),
-        fault("torquer stuck", at=0.03, until=0.07),
-    )
-    ramp = {"level": 0.0, "slope": 10.0}
-    for order in itertools.permutations(faults):
-        torque = flown(plant(), *order, **ramp).torque[:, 0]
-        np.testing.assert_allclose(
-            torque[[5, 20, 35, 55, 65, 75, 90]], [0.05, 0.1, 0.145, 0.0, 0.145, 0.375, 0.9], rtol=0, atol=1e-13
-        )
-
-
 # Sensors.
 
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from platform_ctrl import Platform, element_forces, forward_dynamics, inverse_dynamics, matrices
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.force_elements import Spring, Unbalance
 from platform_ctrl.simulation import HalfCosine, rollout
 from rotors_as_gimbals import with_rotors_as_gimbals
@@ -180,20 +179,3 @@ def test_the_motor_never_gives_more_than_its_limit_and_the_integral_does_not_win
     entering = limit / rotor.speed_gain
     overshoot = -(unlimited.rotor_spin[:, 0] - rotor.spin).min() / (unlimited.rotor_spin[0, 0] - rotor.spin)
     assert -error.min() == pytest.approx(overshoot * entering, rel=0.05)
-
-
-def test_a_step_is_judged_by_what_the_motor_turns_the_wheel_against():
-    # A root as light as the wheel doubles the pole; a prescribed root does not give way.
-    gain = 30.0
-    wheel = dataclasses.replace(gyro_on_a_block(speed_gain=gain).rotors[1], axis=np.array([0.0, 0.0, 1.0]))
-    platform = dataclasses.replace(
-        gyro_on_a_block(), root_inertia=np.diag([C, C, C]), gimbals=(), rotors=(wheel,)
-    )  # fmt: skip
-    common = {"period": 0.1, "delay": 0.0, "duration": 2.0, "spin": [wheel.spin + 1.0]}
-    step = 2.0 * C / gain
-    out = simulated(platform, [], mode="caged", step=step, **common)
-    assert out.rotor_spin[-1, 0] == pytest.approx(wheel.spin, abs=1e-6)
-    with pytest.raises(ArgumentError, match=rf"decays at {2.0 * gain / C:g} 1/s; take at most 0.0135 s$"):
-        simulated(platform, [], mode="stabilised", step=step, **common)
-    with pytest.raises(ArgumentError, match=rf"decays at {gain / C:g} 1/s; take at most 0.027 s$"):
-        simulated(platform, [], mode="caged", step=2.5 * step, **common)

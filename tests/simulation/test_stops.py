@@ -10,7 +10,6 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import Platform, simulation
 from platform_ctrl.plant.force_elements import Friction
-from platform_ctrl.plant.gimbals import Gimbal
 from platform_ctrl.simulation import Scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
 from signal_and_gimbal import PERIOD, J, fault, flown, gain, plant, scenario, within
@@ -110,25 +109,6 @@ def test_bounces_keep_the_angular_momentum_of_a_free_platform(restitution: float
         assert np.diff(energy).max() < 1e-3 * energy[0]
 
 
-@pytest.mark.parametrize("free", [False, True])
-def test_two_gimbals_that_come_to_their_stops_at_once_stay_there(free: bool) -> None:
-    # One on the other about the same axis, so that each impulse turns the other one, too.
-    inner = Gimbal(
-        name="g", parent="s", axis=np.array([0, 0, 1.0]), inertia=J * np.eye(3), angle="alpha", stops=(-0.05, 0.05)
-    )
-    outer = dataclasses.replace(inner, name="s", parent="case", angle="signal", inertia=3.0 * J * np.eye(3))
-    platform = dataclasses.replace(plant(), gimbals=(outer, inner), torquers=())
-    one = scenario(platform, level=0.0, slope=2.0, mode="stabilised" if free else "caged", rate=[2.0, 2.0])
-    out = simulation.simulate(one, [], period=PERIOD)
-    last = out.t > 0.03
-    np.testing.assert_array_equal(out.stop_contacts, [1, 1])
-    np.testing.assert_array_equal(out.q[last], 0.05)
-    np.testing.assert_allclose(out.rate[last], 0.0, atol=1e-11)
-    momentum = 3.0 * J * 2.0 + J * 4.0
-    expected = momentum / (0.01 + 4.0 * J) if free else 0.0
-    np.testing.assert_allclose(out.Omega[last, 2], expected, rtol=1e-9)
-
-
 def test_a_blow_falls_once_whenever_it_is_due_and_changes_the_momentum_by_its_impulse() -> None:
     platform = plant(stops=(-1.0, 1.0))
     for k in range(1, 100, 7):
@@ -136,33 +116,6 @@ def test_a_blow_falls_once_whenever_it_is_due_and_changes_the_momentum_by_its_im
             blow = fault("stop contact", part="g", at=at, until=np.inf, impulse=3e-3)
             out = simulation.simulate(scenario(platform, faults=(blow,)), [], period=PERIOD, step=PERIOD)
             np.testing.assert_array_equal(out.p[:, 1], np.where(np.arange(101) < sample, 0.0, 3e-3))
-
-
-@pytest.mark.parametrize("mode", ["caged", "stabilised"])
-@pytest.mark.parametrize("restitution", [0.0, 0.5])
-def test_a_blow_on_a_gimbal_that_is_pressed_against_its_stop_makes_it_meet_the_stop_anew(
-    mode: str, restitution: float
-) -> None:
-    stop, impulse = 0.06, 2e-3
-    platform = dataclasses.replace(plant(stops=(-stop, stop), restitution=restitution), root_inertia=1e3 * np.eye(3))
-    blow = fault("stop contact", part="g", at=0.03, until=np.inf, impulse=impulse)
-    # The push of 0.5 N m vanishes at 0.1 s and pulls from then on.
-    begin = {"mode": mode, "level": 0.5, "slope": -5.0, "q": [0.5, stop]}
-    quiet, struck = (flown(platform, *faults, duration=0.15, **begin) for faults in ((), (blow,)))
-    contacts = [flown(platform, *faults, duration=0.08, **begin).stop_contacts[1] for faults in ((), (blow,))]
-    assert contacts[1] > contacts[0]
-    assert struck.rate[30, 1] == pytest.approx(impulse / J, rel=1e-3)
-    back = struck.rate[31, 1]
-    if restitution == 0.0:
-        assert abs(back) < 1e-11
-    else:
-        assert back == pytest.approx(-restitution * impulse / J + 0.35 / J * PERIOD, rel=0.1)
-    resting, leaving = within(struck.t, 0.06, 0.099), struck.t > 0.103
-    for out in (quiet, struck):
-        np.testing.assert_array_equal(out.q[resting, 1], stop)
-        np.testing.assert_allclose(out.rate[resting, 1], 0.0, rtol=0, atol=1e-11)
-        assert out.q[leaving, 1].max() < stop
-        assert np.diff(out.q[leaving, 1]).max() < 0.0
 
 
 # Friction.

@@ -19,7 +19,7 @@ from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.system import System
 from platform_ctrl.cli import main
 from platform_ctrl.design import loops
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.simulation import Scenario, TimeTable, simulate
@@ -311,19 +311,6 @@ def test_a_limit_is_judged_at_the_gimbal_angles_where_it_is_worst(tmp_path: Path
     worst = next(one for one in found.results if one.name.endswith("from vibration"))
     assert worst.value == pytest.approx(math.sin(0.5) * by_hand().rms[1, 0], rel=1e-4)
     assert "q_pitch = 0.5 rad" in worst.evidence
-
-
-def test_what_has_no_budget_or_no_line_of_sight_is_refused(tmp_path: Path) -> None:
-    text = FILE.format(more=ALL, friction="")
-    (tmp_path / "blind.toml").write_text(text.replace("line_of_sight", "# line_of_sight"), encoding="utf-8")
-    (tmp_path / "still.toml").write_text(text[: text.index("[budget]")], encoding="utf-8")
-    for name, words in (("blind", "no \\[line_of_sight\\]"), ("still", "no \\[budget\\]")):
-        with pytest.raises(ArgumentError, match=words):
-            line_of_sight_budget(pc.read_job(tmp_path / f"{name}.toml"), controllers())
-    blind = FILE.format(more=LIMITS + ALL, friction="").replace("line_of_sight", "# line_of_sight")
-    (tmp_path / "blind.toml").write_text(blind, encoding="utf-8")
-    with pytest.raises(InputError, match="limits: the plant has no line of sight"):
-        pc.read_job(tmp_path / "blind.toml")
 
 
 def test_the_verdict_of_a_job_counts_the_limits_and_its_report_has_a_section(tmp_path: Path) -> None:

@@ -140,32 +140,6 @@ def test_the_slow_loop_is_what_the_run_does(made: tuple[LoopOutcome, ...], job: 
     np.testing.assert_allclose(heading, expected, rtol=0.0, atol=1e-9)
 
 
-def test_a_slow_torque_loop_is_what_the_run_does() -> None:
-    """A pointing loop at 250 Hz with torques that act 1.5 samples late: the plant holds them for four samples."""
-    data = commanded_job(STEP, "pointing") | {"sampling": {"rate_hz": RATE_HZ, "delay": 0.0015}}
-    data["loop"][0] |= {"rate_hz": RATE_HZ / 4, "limits": {"disk_margin": 0.5}}
-    job = read_job(data)
-    (outcome,) = loops(job)
-    P, K = outcome.closed.plants, System.of(outcome.closed.controller, "controller")
-    assert P is not None
-    assert P.period == pytest.approx(4 * T)
-    # Angle, momentum and one held torque: none of the samples in between is a state.
-    assert P.A.shape[-1] == 3
-    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [outcome.closed.controller], period=T)
-    x, x_K, expected, torques = np.zeros(3), np.zeros(len(K.A)), [], []
-    for k in range(len(run.t[::4])):
-        y = (P.C[0] @ x)[0]
-        expected.append(y)
-        given = np.array([y, 1e-3 if 4 * k * T >= 0.1 - 1e-9 else 0.0])
-        u = K.C @ x_K + K.D @ given
-        torques.append(u[0])
-        x, x_K = P.A[0] @ x + P.B[0] @ u, K.A @ x_K + K.B @ given
-    heading = run.reading[::4, run.pickoff_names.index("heading")]
-    np.testing.assert_allclose(heading, expected, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(run.command[:, 0], np.repeat(torques, 4)[: len(run.t)], rtol=0.0, atol=1e-6)
-    assert np.abs(run.command).max() > 1e-3
-
-
 def test_poles_are_those_of_stepping_plant_and_computer_over_a_cycle(
     job: Job, check: CoupledCheck, controllers: list[control.StateSpace]
 ) -> None:

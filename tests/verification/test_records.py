@@ -6,6 +6,7 @@ import copy
 import json
 import math
 import os
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+import three_loops_job
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
@@ -22,51 +24,9 @@ from platform_ctrl.verification.controllers import outcomes_from, read_controlle
 from platform_ctrl.verification.result_file import read_record, result_record, write_record
 from platform_ctrl.verification.verdict import JobResult
 
-JOB: dict[str, Any] = {
-    "schema": 2,
-    "name": "three gyros, fixed numbers",
-    "plant": "three_gyro_platform",
-    "operation": {"Omega": [0.0, 0.0, 0.0], "seed": 7},
-    "sampling": {"rate_hz": 2000, "delay": 0.0005},
-    "loop": [
-        {
-            "name": "caging 4-5-7",
-            "kind": "caging",
-            "gimbals": ["4", "5", "7"],
-            "use": "classical",
-            "limits": {"bandwidth_hz": 20, "disk_margin": 0.4},
-            "design": [{"name": "classical", "method": "classical", "crossover_hz": 30, "integral_hz": 2}],
-        },
-        {
-            "name": "caging 9-10",
-            "kind": "caging",
-            "gimbals": ["9", "10"],
-            "use": "classical",
-            "limits": {"bandwidth_hz": 20, "disk_margin": 0.4, "damping": 0.05, "torque_noise": 0.008},
-            "design": [
-                {"name": "slow", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
-                {"name": "classical", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
-            ],
-        },
-        {
-            "name": "stabilisation",
-            "kind": "stabilisation",
-            "use": "servo",
-            "design": [{"name": "servo", "method": "platform-servo", "crossover_hz": 4, "filter_hz": 50}],
-        },
-    ],
-    "coupled": {"disk_margin": 0.2, "coupling_cost": 0.05},
-    "manoeuvre": [
-        {
-            "name": "step",
-            "mode": "stabilised",
-            "axis": 2,
-            "torque": 0.1,
-            "duration": 0.02,
-            "limits": {"angle": 0.0005},
-        }
-    ],
-}
+JOB: dict[str, Any] = tomllib.loads(three_loops_job.JOB)
+JOB["loop"][1]["limits"] |= {"damping": 0.05, "torque_noise": 0.008}
+JOB["loop"][1]["design"].insert(0, {"name": "slow", "method": "classical", "crossover_hz": 30, "integral_hz": 2})
 
 
 @pytest.fixture(scope="module")
