@@ -143,19 +143,17 @@ def campaign_plates(summary: Summary) -> tuple[Block, ...]:
 def _influences(summary: Summary) -> tuple[Block, ...]:
     """Return what violating runs have in common, and what drives each requirement."""
     groups = tables.influence_groups(summary)
-    if not any(found for _, found, _ in groups):
+    if not any(groups.values()):
         return (Paragraph(text="Neither ranks nor counts show an influence of an input."),) if groups else ()
     numbers = f"rank corr.|violations|probability|{_bounds(summary)}|p-value"
     # Names of manoeuvres, at the end of a title, stay as people have to type them.
-    rows = [Group(title=sentence(title), rows=_influence_rows(found)) for title, found, _ in groups if found]
+    rows = [Group(title=sentence(title), rows=_influence_rows(found)) for title, found in groups.items() if found]
     shared = [tables.cause_words(one) for one in tables.causes(summary) if one.in_every_violation]
     lines = [Paragraph(text=f"{sentence(_tied(line))}.") for line in shared]
-    quiet = [f"{sentence(title)}: {', '.join(names)}." for title, found, names in groups if found and names]
-    others = [Paragraph(text=f"Of no influence that these runs show. {' '.join(quiet)}", tone="quiet")] if quiet else []
     words = Paragraph(text=sentences("campaign_influences"), tone="quiet")
     titles = columns(f"with, and without|{numbers}", numbers)
     contrasts = Table(columns=titles, groups=tuple(rows), form="contrasts")
-    return (*lines, contrasts, *others, words)
+    return (*lines, contrasts, words)
 
 
 def _influence_rows(found: list[Influence]) -> tuple[Row, ...]:

@@ -165,24 +165,15 @@ def signed(correlation: float) -> str:
     return DASH if math.isnan(correlation) else f"{correlation:+.2f}".replace("-", MINUS)
 
 
-def influence_groups(summary: Summary) -> list[tuple[str, list[Influence], list[str]]]:
-    """Return every requirement over all manoeuvres, and all together within each, with the inputs that matter.
-
-    The last entry names the inputs of which neither ranks nor counts show anything.
-    """
+def influence_groups(summary: Summary) -> dict[str, list[Influence]]:
+    """Return every requirement over all manoeuvres, and all together within each, with the inputs that matter."""
     groups: dict[str, list[Influence]] = {}
     for one in summary.influences:
         if one.manoeuvre is None or one.requirement == PASSED:
             name = requirement_name(one.requirement)
-            groups.setdefault(name if one.manoeuvre is None else f"{name} in {one.manoeuvre}", []).append(one)
-    return [
-        (
-            title,
-            [one for one in found if one.driver or one.cause],
-            [one.parameter for one in found if not (one.driver or one.cause)],
-        )
-        for title, found in groups.items()
-    ]
+            found = groups.setdefault(name if one.manoeuvre is None else f"{name} in {one.manoeuvre}", [])
+            found += [one] if one.driver or one.cause else []
+    return groups
 
 
 def value_name(one: Influence) -> str:

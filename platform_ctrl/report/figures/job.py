@@ -17,7 +17,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import Design, sampled_plant
+from platform_ctrl.design.loop import Design, closed_loop_poles, sampled_plant
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.quantities import HZ, quantity
 from platform_ctrl.mechanics.modes import nutates
@@ -28,7 +28,7 @@ from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.report.captions import bandwidth_hz
 from platform_ctrl.report.curves import ShownLoop, damping_rays
 from platform_ctrl.report.figures.campbell import campbell
-from platform_ctrl.report.figures.root_locus import root_locus
+from platform_ctrl.report.figures.root_locus import draw_locus, gain_locus
 from platform_ctrl.report.style import (
     BAND,
     DASH_DOTTED,
@@ -49,6 +49,8 @@ from platform_ctrl.verification.verdict import JobResult
 
 # Range of the root locus, factors on the loop gain; and of the rotors' speed in the Campbell diagram.
 _GAINS, _SPINS = (0.0, 2.0), (0.0, 1.5)
+# From z = 1, of a pole at rest.
+_AT_REST = 1e-6
 # Cells of a panel with poles, one of which is drawn in each.
 _CELLS = 400.0
 # Labels on two lines that are closer than this share of the axis would overlap.
@@ -156,7 +158,12 @@ def apart(s: ComplexArray, left: float, right: float, top: float) -> ComplexArra
 def root_locus_plot(design: Design, spec: LoopSpec) -> Any:
     """Return a root locus over gains up to twice the design's, with the limits on poles; `locus` has the numbers."""
     assert design.plants is not None
-    plot = root_locus(sampled_plant(design.plants), design.own_controller, gains=_GAINS)
+    assert design.measures is not None
+    plant, K = sampled_plant(design.plants), design.own_controller
+    every, own = closed_loop_poles(design.plants.only([0]), K)[0], design.measures.poles[0]
+    # Where angles drift, the loop has poles at rest that its measures leave out.
+    resting, kept = (np.count_nonzero(np.abs(z - 1.0) < _AT_REST) for z in (every, own))
+    plot = draw_locus(gain_locus(plant, K, _GAINS, int(resting - kept)), "gain", "loop gain / nominal")
     axes: Axes = plot.axes[0, 0]
     damping_lines(axes, spec, axes.get_ylim()[1], named=False)
     fastest_pole_line(axes, spec, design.plants.period)

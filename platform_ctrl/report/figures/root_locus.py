@@ -85,7 +85,7 @@ def root_locus(plant: NamedSystem, controller: NamedSystem, *, gains: ArrayLike 
     ----------
     W. R. Evans, Trans. AIEE 67, 1948.
     """
-    return _drawn(gain_locus(plant, controller, gains), "gain", "loop gain / nominal")
+    return draw_locus(gain_locus(plant, controller, gains), "gain", "loop gain / nominal")
 
 
 @standalone
@@ -156,7 +156,7 @@ def root_locus_over_spin(
         P = sampled(plant, K.dt, late, lags) if K.dt else with_lag(plant, lags)
         return np.asarray(np.linalg.eigvals(P.feedback(K).A), dtype=np.complex128)
 
-    return _drawn(traced_locus(factors, poles, K.dt), "speed", "rotor speed / nominal")
+    return draw_locus(traced_locus(factors, poles, K.dt), "speed", "rotor speed / nominal")
 
 
 def round_steps(top: float) -> FloatArray:
@@ -202,7 +202,8 @@ def s_plane(axes: Axes, view: PlaneView) -> list[tuple[str, float, float, tuple[
     return labels
 
 
-def _drawn(locus: RootLocus, word: str, quantity: str) -> control.ControlPlot:
+def draw_locus(locus: RootLocus, word: str, quantity: str) -> control.ControlPlot:
+    """Draw poles over a number: what a word says, and in the legend a quantity."""
     low, high = float(locus.values[0]), float(locus.values[-1])
     points, nominal = locus.s, continuous_poles(locus.nominal, locus.dt)
     at_start = f"{word} {number(low, 3)}" + (": plant and controller" if low == 0.0 and word == "gain" else "")
@@ -306,8 +307,13 @@ def _stable_words(locus: RootLocus, word: str) -> str:
     return f"{word} {span}: stable {listed(words)}"
 
 
-def gain_locus(plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | None) -> RootLocus:
-    """Return the poles of the closed loop while all of the controller is multiplied by one factor."""
+def gain_locus(
+    plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | None = None, unseen: int = 0
+) -> RootLocus:
+    """Return the poles of the closed loop while all of the controller is multiplied by one factor.
+
+    So many poles at rest are left out as are `unseen`: of angles that drift, from which nothing follows.
+    """
     factors = increasing("gains", gains, np.linspace(0.0, 2.5, 101))
     L = System.of(loop_transfer(plant, controller), "root_locus")
     if not len(L.A):
@@ -316,7 +322,11 @@ def gain_locus(plant: NamedSystem, controller: NamedSystem, gains: ArrayLike | N
 
     def poles(k: FloatArray) -> ComplexArray:
         K = System(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), -k[:, None, None] * np.eye(m), L.dt)
-        return np.asarray(np.linalg.eigvals(L.feedback(K).A), dtype=np.complex128)
+        s = np.asarray(np.linalg.eigvals(L.feedback(K).A), dtype=np.complex128)
+        resting = np.argsort(np.abs(s - (1.0 if L.dt else 0.0)), axis=-1)[..., :unseen]
+        kept = np.ones(s.shape, dtype=bool)
+        np.put_along_axis(kept, resting, False, axis=-1)
+        return s[kept].reshape(len(s), -1)
 
     return traced_locus(factors, poles, L.dt)
 
