@@ -13,7 +13,7 @@ from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.scenario import TimeTable
 from platform_ctrl.plant.fields import ROUNDING
-from platform_ctrl.plant.mistakes import Mistake, Path
+from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, within
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 # Samples behind `settle` at least.
@@ -30,12 +30,12 @@ def unexercised(job: Job) -> Iterator[Mistake]:
     """Walk the limits of a job that nothing puts to the test."""
     for i, spec in enumerate(job.loops):
         for table, limits in (("limits", spec.limits), ("soft", spec.soft)):
-            yield from _of_loop(job, spec, limits, ("loop", i, table))
+            yield from at(("loop", i, table), _of_loop(job, spec, limits))
     for k, manoeuvre in enumerate(job.manoeuvres):
-        yield from _of_run(job, manoeuvre, ("manoeuvre", k))
+        yield from at(("manoeuvre", k), _of_run(job, manoeuvre))
 
 
-def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float], path: Path) -> Iterator[Mistake]:
+def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float]) -> Iterator[Misfit]:
     known = limit_keys()
     for key in limits:
         kind, scope = known.get(key, ("", ""))
@@ -43,26 +43,22 @@ def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float], path: Path) -> 
             continue
         if kind in _OF_OMEGA and not np.any(job.Omega > _NOTHING):
             words = f"{key} is about the platform's rate, and Omega = [0, 0, 0]: the platform never turns"
-            yield Mistake((*path, key), f"{words}; state how fast it turns in [operation], or leave the limit out")
+            yield key, f"{words}; state how fast it turns in [operation], or leave the limit out"
         if kind == "torque limit":
             endless = {one.name for one in job.platform.torquers if one.limit is None}
-            yield from _without_limit([name for name in job.channels_of(spec) if name in endless], key, path)
+            yield from _without_limit([name for name in job.channels_of(spec) if name in endless], key)
         if kind == "torque noise" and not _noisy(job, spec):
             words = f"{key} cannot be missed: no sensor of this loop has noise"
-            yield Mistake(
-                (*path, key), f"{words}; state noise_rms or noise_density in the plant, or leave the limit out"
-            )
+            yield key, f"{words}; state noise_rms or noise_density in the plant, or leave the limit out"
         if scope == "worst_case" and METRICS[kind].of != "controller" and not _varied(job, spec):
             words = f"{key} needs plants that differ"
-            yield Mistake(
-                (*path, key), f"{words}; state [uncertainty], or angles in [operation], or use {METRICS[kind].key}"
-            )
+            yield key, f"{words}; state [uncertainty], or angles in [operation], or use {METRICS[kind].key}"
 
 
-def _without_limit(names: list[str], key: str, path: Path) -> Iterator[Mistake]:
+def _without_limit(names: list[str], key: str) -> Iterator[Misfit]:
     if names:
         words = f"{key} does not count torquer {', '.join(names)}, which the plant gives no limit"
-        yield Mistake((*path, key), f"{words}; state its limit in the plant, or leave this one out")
+        yield key, f"{words}; state its limit in the plant, or leave this one out"
 
 
 def _noisy(job: Job, spec: LoopSpec) -> bool:
@@ -85,13 +81,13 @@ def _varied(job: Job, spec: LoopSpec) -> bool:
     return bool(job.uncertainty.inertia > _NOTHING or spun or turned or tilted)
 
 
-def _of_run(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
-    yield from _after_the_end(job, manoeuvre, path)
-    yield from _window(job, manoeuvre, path)
+def _of_run(job: Job, manoeuvre: Manoeuvre) -> Iterator[Misfit]:
+    yield from _after_the_end(job, manoeuvre)
+    yield from _window(job, manoeuvre)
     limits = manoeuvre.limits
     if manoeuvre.initial and not any(abs(one) > _NOTHING for one in manoeuvre.initial.values()):
         words = "initial: all of it is zero, where a run starts anyway; give other numbers, or leave it out"
-        yield Mistake((*path, "initial"), words)
+        yield "initial", words
     if "torque_share" in limits:
         used = {name for spec in job.loops for name in job.channels_of(spec)}
         free = manoeuvre.mode == "stabilised"
@@ -100,15 +96,13 @@ def _of_run(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
             for one in job.platform.torquers
             if one.name in used and one.limit is None and (free or one.gimbal is not None)
         ]
-        yield from _without_limit(lacking, "torque_share", (*path, "limits"))
+        yield from within(("limits",), _without_limit(lacking, "torque_share"))
     if "attenuation_db" in limits and not _turns(manoeuvre):
         words = "attenuation_db: the base does not turn in this manoeuvre"
-        yield Mistake(
-            (*path, "limits", "attenuation_db"), f"{words}; give rate, Omega_table, or a sine or vibration of it"
-        )
+        yield ("limits", "attenuation_db"), f"{words}; give rate, Omega_table, or a sine or vibration of it"
     if "attitude" in limits and manoeuvre.mode == "caged":
         words = "attitude: how a caged platform turns is prescribed, no loop has a part in it"
-        yield Mistake((*path, "limits", "attitude"), f'{words}; leave the limit out, or use mode = "stabilised"')
+        yield ("limits", "attitude"), f'{words}; leave the limit out, or use mode = "stabilised"'
 
 
 def _turns(manoeuvre: Manoeuvre) -> bool:
@@ -125,38 +119,35 @@ def _acts(table: TimeTable, duration: float, least: float = 0.0) -> bool:
     return bool(np.sum(np.diff(knots)[large[1:] | large[:-1]]) > least)
 
 
-def _after_the_end(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
+def _after_the_end(job: Job, manoeuvre: Manoeuvre) -> Iterator[Misfit]:
     """Walk what would happen after the end of a run, or does nothing before it."""
     duration, sample = manoeuvre.duration, job.sampling.period * (1.0 - ROUNDING)
     end = f"before the run ends, at {duration:.6g} s"
-    shaken: tuple[tuple[float, str, int | None], ...] = (
-        *((one.amplitude, "sine", k) for k, one in enumerate(manoeuvre.sines)),
-    )
-    shaken += (*((one.amplitudes[1].max(), "vibration", k) for k, one in enumerate(manoeuvre.vibrations)),)
-    shaken += ((manoeuvre.rate or 1.0, "rate", None), (manoeuvre.torque or 1.0, "torque", None))
-    for size, key, place in shaken:
+    sizes: dict[Path, float] = {("sine", k): one.amplitude for k, one in enumerate(manoeuvre.sines)}
+    sizes |= {("vibration", k): one.amplitudes[1].max() for k, one in enumerate(manoeuvre.vibrations)}
+    sizes |= {("rate",): manoeuvre.rate or 1.0, ("torque",): manoeuvre.torque or 1.0}
+    for keys, size in sizes.items():
         if abs(size) <= _NOTHING:
-            where = (*path, key) if place is None else (*path, key, place)
-            yield Mistake(where, f"{key}: {size:.3g} is next to nothing; give a larger one, or leave it out")
+            yield keys, f"{keys[0]}: {size:.3g} is next to nothing; give a larger one, or leave it out"
     for key, table, columns in (
         ("Omega_table", manoeuvre.Omega_table, OMEGA_NAMES),
         ("torque_table", manoeuvre.torque_table, ("M1", "M2", "M3")),
     ):
         if table is not None and not _acts(table, duration, sample):
             words = f"{key}: {', '.join(columns)} stay zero {end}"
-            yield Mistake((*path, key), f"{words}; give times in s within the run, or a longer duration")
+            yield key, f"{words}; give times in s within the run, or a longer duration"
     for k, command in enumerate(manoeuvre.commands):
         later = command.at < duration - sample and (abs(command.step) > _NOTHING or abs(command.ramp) > _NOTHING)
         moved = later or abs(command.amplitude) > _NOTHING
         if not (moved or command.t):
             words = f"command of {command.reading} stays zero {end}; give a larger or an earlier one, or leave it out"
-            yield Mistake((*path, "command", k), words)
+            yield ("command", k), words
         if command.t:
             values = np.array([command.value, command.value, command.value]).T
             table = TimeTable(t=np.array(command.t), values=values, smooth=command.smooth)
             if not (moved or _acts(table, duration, sample)):
                 words = f"value stays zero {end}; give times in s within the run, or a longer duration"
-                yield Mistake((*path, "command", k, "value"), words)
+                yield ("command", k, "value"), words
     events = {one.name: one for one in job.fault_events}
     for name in manoeuvre.faults:
         if name not in events:
@@ -164,13 +155,13 @@ def _after_the_end(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mista
         event, last = events[name], min(events[name].until, duration)
         if event.at >= duration - sample:
             words = f"faults: {name!r} happens at {event.at:.6g} s, and not {end}"
-            yield Mistake((*path, "faults"), f"{words}; choose an earlier time, or a longer duration")
+            yield "faults", f"{words}; choose an earlier time, or a longer duration"
         elif event.until - event.at < sample:
             words = f"faults: {name!r} lasts {event.until - event.at:.3g} s, less than a sample"
-            yield Mistake((*path, "faults"), f"{words}; choose a later until, or leave it out")
+            yield "faults", f"{words}; choose a later until, or leave it out"
         elif _harmless(event, last - event.at, job.sampling.period):
             words = f"faults: {name!r} changes nothing with its numbers"
-            yield Mistake((*path, "faults"), f"{words}; give others, or leave it out")
+            yield "faults", f"{words}; give others, or leave it out"
 
 
 def _harmless(fault: Fault, lasting: float, period: float) -> bool:
@@ -185,24 +176,24 @@ def _harmless(fault: Fault, lasting: float, period: float) -> bool:
     )
 
 
-def _window(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
+def _window(job: Job, manoeuvre: Manoeuvre) -> Iterator[Misfit]:
     """Walk means over too short a time, and sines that samples see at one phase alone."""
     if not set(manoeuvre.limits) & {*_MEANS, "angle_following_error", "rate_following_error"}:
         return
     rate, left = 1.0 / job.sampling.period, manoeuvre.duration - manoeuvre.settle
     if left * rate < _FEWEST_SAMPLES * (1.0 - ROUNDING):
         words = f"settle leaves {max(left, 0.0):.3g} s of the run, less than {_FEWEST_SAMPLES} samples"
-        yield Mistake((*path, "settle"), f"{words}; choose an earlier time, or a longer duration")
+        yield "settle", f"{words}; choose an earlier time, or a longer duration"
         return
     for k, sine in enumerate(manoeuvre.sines):
-        f, own = sine.frequency_hz, (*path, "sine", k, "frequency_hz")
+        f, own = sine.frequency_hz, ("sine", k, "frequency_hz")
         half = round(2.0 * f / rate)
         beat = abs(f - 0.5 * rate * half)
         if beat * left >= 1.0 - ROUNDING:
             continue
         if half:
             words = f"frequency_hz = {f:g}: samples at {rate:g} Hz see it at one and the same phase"
-            yield Mistake(own, f"{words}, so that the run does not show it; choose another frequency")
+            yield own, f"{words}, so that the run does not show it; choose another frequency"
         else:
             words = f"frequency_hz = {f:g}: behind settle there are {left:.3g} s, less than a period of it"
-            yield Mistake(own, f"{words}; choose a longer duration")
+            yield own, f"{words}; choose a longer duration"
