@@ -80,6 +80,24 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
     else:
         path = path_of(source, "the path of a CSV file")
         label, text = one_line(str(path)), read_text(path, "a CSV file")
+    dt = 0.0 if period is None else positive("read_measurement: period", period)
+    found = parsed(label, text, dt)
+    H, names = np.moveaxis(found.response, 0, -1), {"inputs": list(found.inputs), "outputs": list(found.outputs)}
+    return import_module("control").FRD(H, found.frequency, dt, **names)
+
+
+@value
+class MeasuredResponses:
+    """Responses of a plant, of a loop in the order of its signals."""
+
+    frequency: FloatArray  # (F,): rad/s
+    response: ComplexArray  # complex (F, p, m)
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+def parsed(label: str, text: str, period: float) -> MeasuredResponses:
+    """Return the responses in the text of a file, in the order in which its header names the signals first."""
     (number, header), *lines = _lines(label, text)
     at = [f"{label}, line {k}" for k, _ in lines]
     unit, columns = _columns(f"{label}, line {number}", header)
@@ -89,16 +107,15 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
     rising = np.append(0.0, numbers[:, 0])
     for k in np.flatnonzero(~(np.diff(rising) > 0.0))[:1]:
         raise InputError(f"{at[k]}: {header[0]} must be > 0 and rise, got {rising[k + 1]:g} after {rising[k]:g}")
-    dt = 0.0 if period is None else positive("read_measurement: period", period)
-    if dt * unit * rising[-1] > np.pi * (1.0 + 1e-9):
-        raise InputError(
-            f"{at[-1]}: {header[0]} must not exceed half the sample rate, {np.pi / dt / unit:g}, got {rising[-1]:g}"
-        )
-    outputs, inputs = (list(dict.fromkeys(names)) for names in zip(*columns, strict=True))
+    if period * unit * rising[-1] > np.pi * (1.0 + 1e-9):
+        most = np.pi / period / unit
+        raise InputError(f"{at[-1]}: {header[0]} must not exceed half the sample rate, {most:g}, got {rising[-1]:g}")
+    outputs, inputs = (tuple(dict.fromkeys(names)) for names in zip(*columns, strict=True))
     response = np.array([[_values(numbers, columns[one, other]) for other in inputs] for one in outputs])
     for i, j, k in np.argwhere(~np.isfinite(response))[:1]:
         raise InputError(f"{at[k]}: {outputs[i]}/{inputs[j]} is not finite, or its magnitude is below 0")
-    return import_module("control").FRD(response, unit * rising[1:], dt, inputs=inputs, outputs=outputs)
+    H = np.asarray(np.moveaxis(response, -1, 0), dtype=np.complex128)
+    return MeasuredResponses(frequency=unit * rising[1:], response=H, inputs=inputs, outputs=outputs)
 
 
 def _lines(label: str, text: str) -> list[tuple[int, list[str]]]:

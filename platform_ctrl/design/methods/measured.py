@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,13 +14,13 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import following_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.convex_step import CENTRES
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.measured_pid import MeasuredDesign, measured_pid
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.partition import Channels
-from platform_ctrl.design.responses import contour, read_measurement, unstable_poles
+from platform_ctrl.design.responses import MeasuredResponses, contour, parsed, unstable_poles
 from platform_ctrl.errors import DesignError, InputError, NotCertifiedError
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.methods import DesignSpec
@@ -48,15 +47,6 @@ _HZ = 1.0 / (2.0 * np.pi)
 _ON_DATA = ", measured responses"
 # What the signals of a loop may be, by the units in which the names of columns state them.
 _SIGNALS = ("angle", "rate", "torque")
-
-
-@value
-class LoopData:
-    """Measured responses of the plant of a loop, in the order of its signals."""
-
-    frequency: FloatArray  # (F,): rad/s
-    # complex (F, p, m): from torques to what the loop reads, as its sampled controller sees them.
-    response: ComplexArray
 
 
 OPTIONS: dict[str, Option] = {
@@ -246,26 +236,23 @@ def _unstable(A: FloatArray) -> int:
     return int(np.count_nonzero((np.abs(poles) > 1.0 + _INTEGRATOR) & (np.abs(poles - 1.0) > _INTEGRATOR)))
 
 
-def read_responses(text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float) -> LoopData:
+def read_responses(
+    text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float
+) -> MeasuredResponses:
     """Return the responses of a file's text, its signals in the order of a loop's; an InputError says what is wrong."""
-    source = io.StringIO(text)
-    setattr(source, "name", label)  # noqa: B010 - what messages call it
-    data = read_measurement(source, period=period)
-    inputs, per_input = _in_SI(list(data.input_labels), torques)
-    outputs, per_output = _in_SI(list(data.output_labels), readings)
+    data = parsed(label, text, period)
+    inputs, per_input = _in_SI(data.inputs, torques)
+    outputs, per_output = _in_SI(data.outputs, readings)
     for what, needed, there in (("inputs", torques, inputs), ("outputs", readings, outputs)):
         if sorted(needed) != sorted(there):
-            raise InputError(
-                f"{label}: must have the {what} {', '.join(needed)} of the loop, got {', '.join(map(str, there))}"
-            )
+            raise InputError(f"{label}: must have the {what} {', '.join(needed)} of the loop, got {', '.join(there)}")
     rows, columns = [outputs.index(name) for name in readings], [inputs.index(name) for name in torques]
-    scaled = np.asarray(data.frdata) * (per_output[:, None, None] / per_input[:, None])
-    P = np.moveaxis(scaled[np.ix_(rows, columns)], -1, 0)
+    P = (data.response * (per_output[:, None] / per_input))[:, rows][..., columns]
     if len(P) < _FEWEST_POINTS:
         raise InputError(f"{label}: must have {_FEWEST_POINTS} or more frequencies, got {len(P)}")
     if not np.all(np.abs(P).max(axis=(1, 2)) > 0.0):
         raise InputError(f"{label}: must have a response that is not zero at every frequency")
-    return LoopData(frequency=np.asarray(data.omega, dtype=np.float64), response=np.asarray(P, dtype=np.complex128))
+    return MeasuredResponses(frequency=data.frequency, response=P, inputs=tuple(torques), outputs=tuple(readings))
 
 
 def _in_SI(labels: Sequence[str], names: Sequence[str]) -> tuple[list[str], FloatArray]:
@@ -279,7 +266,7 @@ def _in_SI(labels: Sequence[str], names: Sequence[str]) -> tuple[list[str], Floa
     return out, np.array(factors)
 
 
-def _results(problem: LoopProblem, design: Design, data: LoopData, plants: PlantSet) -> list[CheckResult]:
+def _results(problem: LoopProblem, design: Design, data: MeasuredResponses, plants: PlantSet) -> list[CheckResult]:
     """Return the limits that responses can be held against, and stability, on a file's responses."""
     K = plants.feedback(plants.joined(design.own_controller))
     sense = np.eye(len(plants.angles)) if problem.channel.sense is None else problem.channel.sense
