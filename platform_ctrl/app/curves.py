@@ -23,7 +23,6 @@ from platform_ctrl.app.pictures import (
     Drawing,
     FrequencyGain,
     Measured,
-    Nichols,
     Overlay,
     TimeResponse,
 )
@@ -219,14 +218,12 @@ class LoopCurves(ABC):
     def drawing(self, labels: tuple[str, ...]) -> Drawing:
         """Return what is drawn; `labels` are those of all plants that may be shown."""
         response = channel_response(self.own.S, self.index)
-        bode, nichols = self._frequency_parts(response)
         locus, others = self.locus(), self.other_poles.ravel()
         return Drawing(
             settings=self.settings,
             plants=labels,
-            bode=bode,
+            bode=self._bode(response),
             closed=self._closed_loop(),
-            nichols=nichols,
             locus=locus,
             poles=self.poles,
             other_poles=others[np.abs(others) < 4.0 * locus.view.reach],
@@ -235,6 +232,7 @@ class LoopCurves(ABC):
             Omega_time=self.disturbance(),
             Omega_frequency=self.disturbance_gain(self.frequency),
             bandwidth=self.limit("bandwidth"),
+            disk_margin=self.limit("disk margin"),
             stable=self.stable,
             all_stable=self.all_stable,
         )
@@ -266,38 +264,23 @@ class LoopCurves(ABC):
             units=(_per(torque, units[0]), _per(units[0], torque)),
         )
 
-    def _frequency_parts(self, response: ComplexArray) -> tuple[Bode, Nichols]:
-        """Return both diagrams of the loop broken at the channel."""
-        grid, shown = self.frequency, self.settings.plant
-        magnitude, phase = np.abs(response), loop_phase(response)
-        w = low = high = phase_low = phase_high = np.zeros(0)
-        labels: tuple[str, ...] = (shown,)
-        phases, sizes, where = phase[None], magnitude[None], grid
-        if self.band is not None:
-            labels, w, responses = self.band
-            at, where = np.searchsorted(grid, w), w
-            sizes, phases = np.abs(responses), degrees_beside(responses, response[at], phase[at])
-            low, high = around(sizes, magnitude[at])
-            phase_low, phase_high = around(phases, phase[at])
-            first = [k for k, label in enumerate(labels) if label == shown][:1]
-            order = [*first, *(k for k in range(len(labels)) if k not in first)]
-            labels, sizes, phases = tuple(labels[k] for k in order), sizes[order], phases[order]
-        bode = Bode(
+    def _bode(self, response: ComplexArray) -> Bode:
+        """Return the loop broken at the channel."""
+        grid, phase = self.frequency, loop_phase(response)
+        labels, w, band = self.band or ((self.settings.plant,), np.zeros(0), np.zeros((1, 0), dtype=np.complex128))
+        at = np.searchsorted(grid, w)
+        return Bode(
             channel=self.channel,
             frequency=grid,
             response=response,
-            magnitude=magnitude,
             phase=phase,
+            labels=labels,
             band_frequency=w,
-            magnitude_low=low,
-            magnitude_high=high,
-            phase_low=phase_low,
-            phase_high=phase_high,
+            band=band,
+            band_phase=degrees_beside(band, response[at], phase[at]),
             crossovers=gain_crossings(grid, response)[0],
             nyquist=math.pi / self.plant.dt,
         )
-        disk_margin = self.limit("disk margin")
-        return bode, Nichols(labels=labels, phase=phases, magnitude=sizes, frequency=where, disk_margin=disk_margin)
 
     def over_time(
         self, drive: SampledInput, signals: Sequence[str], shown: System, band: System | None, inputs: FloatArray

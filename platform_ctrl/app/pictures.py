@@ -62,21 +62,20 @@ class Overlay:
 class Bode:
     """The loop broken at the torquer `channel`, all others closed: L = 1/S - 1 there, for positive feedback u = +K y.
 
-    `response` (F,) of the plant shown, its gain `magnitude` and its unwrapped `phase` in degrees, from -360 to 0 at the
-    crossover. All frequencies are in rad/s, rising. The band has the extremes over the set at `band_frequency` (B,),
-    which is empty without a band. `crossovers` are the frequencies at which the gain passes 1.
+    `response` (F,) of the plant shown, and its unwrapped `phase`, degrees, in the turn in which it comes closest to the
+    critical point. All frequencies are in rad/s, rising. `band` (N, B) are the responses of the plants `labels` of the
+    set at `band_frequency` (B,), which is empty without a band, and `band_phase` (N, B) their phases. `crossovers` are
+    the frequencies at which the gain passes 1.
     """
 
     channel: str
     frequency: FloatArray
     response: ComplexArray
-    magnitude: FloatArray
     phase: FloatArray
+    labels: tuple[str, ...]
     band_frequency: FloatArray
-    magnitude_low: FloatArray
-    magnitude_high: FloatArray
-    phase_low: FloatArray
-    phase_high: FloatArray
+    band: ComplexArray
+    band_phase: FloatArray
     crossovers: FloatArray
     nyquist: float
     overlays: tuple[Overlay, ...] = ()
@@ -93,21 +92,6 @@ class ClosedLoop:
     KS: FloatArray
     PS: FloatArray
     units: tuple[str, str]
-
-
-@value
-class Nichols:
-    """The Nichols plot of the same loop for all plants of the set, the plant shown first.
-
-    `phase` (N, B), unwrapped, degrees, and `magnitude` (N, B) at `frequency` (B,), rad/s; without a band (1, F) of the
-    plant shown. `disk_margin` is the job's limit, or None.
-    """
-
-    labels: tuple[str, ...]
-    phase: FloatArray
-    magnitude: FloatArray
-    frequency: FloatArray
-    disk_margin: float | None
 
 
 @value
@@ -178,15 +162,14 @@ class Drawing:
     `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
     `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
     the platform; `Omega_frequency` the same over frequency. `poles` (n,) are those of the closed loop in s, rad/s,
-    `other_poles` those of the other plants of the band that the locus may show. `bandwidth`, Hz, and `damping` are
-    limits, or None.
+    `other_poles` those of the other plants of the band that the locus may show. `bandwidth`, Hz, `damping` and
+    `disk_margin` are limits, or None.
     """
 
     settings: Settings
     plants: tuple[str, ...]
     bode: Bode
     closed: ClosedLoop
-    nichols: Nichols
     locus: RootLocus
     poles: ComplexArray
     other_poles: ComplexArray
@@ -195,6 +178,7 @@ class Drawing:
     Omega_time: TimeResponse
     Omega_frequency: FrequencyGain
     bandwidth: float | None
+    disk_margin: float | None
     stable: bool
     all_stable: bool
 

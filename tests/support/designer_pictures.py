@@ -13,7 +13,6 @@ from platform_ctrl.app.pictures import (
     ClosedLoop,
     FrequencyGain,
     Margins,
-    Nichols,
     Overlay,
     Picture,
     TimeResponse,
@@ -46,8 +45,7 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
     spread = np.concatenate([[1.0], np.linspace(0.8, 1.2, plants)]) if plants else np.ones(1)
     responses = np.array([k * gain / (s * (s + DAMPING)) for k in spread])
     size, phase = np.abs(responses), np.degrees(np.unwrap(np.angle(responses), axis=1))
-    low, high = (size.min(axis=0), size.max(axis=0)) if plants else (np.zeros(0), np.zeros(0))
-    band_f, band_phase = (f, phase[0]) if plants else (np.zeros(0), np.zeros(0))
+    band_f = f if plants else np.zeros(0)
     crossover = float(np.sqrt(0.5 * (np.sqrt(DAMPING**4 + 4.0 * gain**2) - DAMPING**2)))
     t = np.linspace(0.0, 0.5, 101)
 
@@ -109,25 +107,16 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             channel="Q4",
             frequency=f,
             response=responses[0],
-            magnitude=size[0],
             phase=phase[0],
+            labels=("nominal", *(f"plant {k}" for k in range(1, len(spread)))),
             band_frequency=band_f,
-            magnitude_low=low,
-            magnitude_high=high,
-            phase_low=band_phase - 5.0,
-            phase_high=band_phase + 5.0,
+            band=responses if plants else np.zeros((1, 0), np.complex128),
+            band_phase=phase if plants else np.zeros((1, 0)),
             crossovers=np.array([crossover]),
             nyquist=2000.0 * np.pi,
             overlays=over,
         ),
         closed=ClosedLoop(KS=3.0 * size[0], PS=0.01 / size[0], units=("N m/rad", "rad/(N m)")),
-        nichols=Nichols(
-            labels=tuple(f"plant {k}" for k in range(len(spread))),
-            phase=phase,
-            magnitude=size,
-            frequency=f,
-            disk_margin=0.5,
-        ),
         locus=RootLocus(
             values=gains,
             branches=branches,
@@ -153,6 +142,7 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             limit=1e-3,
         ),
         bandwidth=asked.limit,
+        disk_margin=0.5,
         margins=Margins(
             disk=0.3,
             worst_disk=0.25,
@@ -188,7 +178,7 @@ def broken(number: float) -> Picture:
                 changes[one.name] = np.full(item.shape, number, item.dtype)
         return dataclasses.replace(part, **changes)
 
-    names = ("bode", "nichols", "locus", "step", "Omega_time", "Omega_frequency")
+    names = ("bode", "locus", "step", "Omega_time", "Omega_frequency")
     return dataclasses.replace(
         made,
         **{name: spoilt(getattr(made, name)) for name in names},

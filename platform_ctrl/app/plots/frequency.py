@@ -9,7 +9,7 @@ import numpy as np
 from bokeh.models.annotations.geometry import Span
 
 from platform_ctrl.analysis.system import ComplexArray
-from platform_ctrl.app.pictures import Bode, Drawing, Nichols
+from platform_ctrl.app.pictures import Bode, Drawing
 from platform_ctrl.app.plots.data import (
     HZ,
     LIMIT_DASHES,
@@ -102,15 +102,9 @@ class BodePanel(Panel):
         """Follow a picture."""
         self._picture = picture
         bode, crossover, required = picture.bode, picture.crossover, picture.bandwidth
-        f, gain, phase = column(bode.frequency * HZ), decibels(bode.magnitude), column(bode.phase)
+        f, gain, phase = column(bode.frequency * HZ), decibels(bode.response), column(bode.phase)
         self.sources.put("loop", frequency=f, gain=gain, phase=phase)
-        band = finite(
-            column(bode.band_frequency * HZ),
-            decibels(bode.magnitude_low),
-            decibels(bode.magnitude_high),
-            column(bode.phase_low),
-            column(bode.phase_high),
-        )
+        band = _extremes(bode, decibels(bode.band), bode.band_phase)
         self.sources.put("band", **dict(zip(_BAND, band, strict=True)))
         self.overlays.show(bode.overlays, bode.frequency)
         marks = _margin_marks(bode) if picture.stable else np.zeros((0, 5))
@@ -149,7 +143,7 @@ def _trouble(picture: Drawing) -> str:
 
 def _margin_marks(bode: Bode) -> FloatArray:
     """Return rows of frequency, gain from and to, phase from and to: the least phase and gain margins as lengths."""
-    f, gain, phase = bode.frequency, bode.magnitude, bode.phase
+    f, gain, phase = bode.frequency, np.abs(bode.response), bode.phase
     fine = np.isfinite(f) & np.isfinite(gain) & np.isfinite(phase) & (gain > 0.0) & (f > 0.0)
     if fine.sum() < 2:
         return np.zeros((0, 5))
@@ -234,8 +228,10 @@ class NicholsPanel(Panel):
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
-        nichols, required = picture.nichols, picture.nichols.disk_margin
-        phase, gain = _thin_curves(nichols)
+        bode, required = picture.bode, picture.disk_margin
+        rows = [k for k, label in enumerate(bode.labels) if label != picture.settings.plant]
+        others = len(rows)
+        phase, gain = _thin_curves(bode, rows)
         self.sources.put("plants", phase=phase, gain=gain)
         loop = self.sources.by_name["loop"].data
         # The critical point at the crossover with 90 degrees on both sides: the rest is seen by zooming out.
@@ -243,10 +239,9 @@ class NicholsPanel(Panel):
         phases, gains = (np.concatenate([loop[name], one]) for name, one in (("phase", phase), ("gain", gain)))
         self._gain.fit(extent([gains[(phases >= left) & (phases <= right)]]) or extent([gains]))
         self._regions(required)
-        others = len(nichols.labels) - 1
         self.detail = "" if required is None else f"grey: disk margin {required:g}"
         set_of_plants = [(f"{others} more plants", "series-1", (), 0.9)] if others else []
-        self.keys = [("L", "series-1", (), 2.2), *set_of_plants, *overlay_keys(picture.bode.overlays)]
+        self.keys = [("L", "series-1", (), 2.2), *set_of_plants, *overlay_keys(bode.overlays)]
         empty = not (np.isfinite(loop["phase"]).any() and np.isfinite(loop["gain"]).any())
         trouble = "no finite response of this loop" if empty else "" if picture.stable else "closed loop not stable"
         set_message(self._message, trouble)
@@ -299,15 +294,17 @@ class NicholsPanel(Panel):
         self.sources.put("regions", xs=[column(c + x) for c in centres], ys=[y] * len(centres))
 
 
-def _thin_curves(nichols: Nichols) -> tuple[Column, Column]:
-    """Return phase and gain of the other plants as one line with gaps, thinned."""
-    if len(nichols.labels) < 2:
-        return column([]), column([])
-    at = thinned(nichols.phase.shape[1], _POINTS)
-    rows = thinned(len(nichols.phase) - 1, _PLANTS) + 1
-    phase = joined_curves(nichols.phase[rows][:, at])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return phase, joined_curves(20.0 * np.log10(nichols.magnitude[rows][:, at]))
+def _thin_curves(bode: Bode, rows: list[int]) -> tuple[Column, Column]:
+    """Return phase and gain of plants of the set as one line with gaps, thinned."""
+    at = thinned(len(bode.band_frequency), _POINTS)
+    some = np.array(rows, dtype=np.intp)[thinned(len(rows), _PLANTS)]
+    return joined_curves(bode.band_phase[some][:, at]), joined_curves(decibels(bode.band[some][:, at]))
+
+
+def _extremes(bode: Bode, *curves: Any) -> tuple[Column, ...]:
+    """Return the frequencies of the band, and the least and the largest of the set there of each of some curves."""
+    ends = [end(column(one), axis=0) for one in curves for end in (np.min, np.max)]
+    return finite(column(bode.band_frequency * HZ), *ends)
 
 
 # Of KS and PS: the curve, its words, and what is drawn below this share of the largest gain only when zoomed.
@@ -371,7 +368,7 @@ class ClosedLoopFigures:
         f = column(bode.frequency * HZ)
         S, T = _levels(bode.response)
         put("closed_loop", frequency=f, S=S, T=T)
-        band = self._band(picture)
+        band = _extremes(bode, *_levels(bode.band))
         put("closed_loop_band", **dict(zip(("frequency", "S_low", "S_high", "T_low", "T_high"), band, strict=True)))
         others = [(k, one.design, ys) for k, one in enumerate(bode.overlays) for ys in _levels(one.response)]
         self._panel.put_curves(
@@ -391,20 +388,9 @@ class ClosedLoopFigures:
         keys += [(f"|{name}|, {words}", role, (), 2.2) for name, words, role in _GAINS]
         return [*keys, *overlay_keys(bode.overlays), *self._show_limits(picture)]
 
-    def _band(self, picture: Drawing) -> tuple[Column, ...]:
-        """Return frequencies, and the least and largest |S| and |T| there of all plants of the set."""
-        nichols = picture.nichols
-        if len(nichols.labels) < 2:
-            return (column([]),) * 5
-        with np.errstate(all="ignore"):
-            L = nichols.magnitude * np.exp(1j * np.radians(nichols.phase))
-            S, T = _levels(np.asarray(L, dtype=np.complex128))
-            ends = S.min(axis=0), S.max(axis=0), T.min(axis=0), T.max(axis=0)
-        return finite(column(nichols.frequency * HZ), *ends)
-
     def _show_limits(self, picture: Drawing) -> list[Key]:
         """Shade where the job's limits on all channels leave no room for this one, and return what the lines are."""
-        alpha, bandwidth = picture.nichols.disk_margin, picture.bandwidth
+        alpha, bandwidth = picture.disk_margin, picture.bandwidth
         # |S - 1/2| <= 1/alpha, and T = 1 - S.
         bound = float(20.0 * np.log10(1.0 / alpha + 0.5)) if alpha else None
         self._bound(bound)
