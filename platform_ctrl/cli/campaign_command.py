@@ -193,7 +193,7 @@ _WORST = 3
 
 def show_campaign(summary: Summary) -> None:
     """Print every requirement with its probability and bounds, what drives them, the worst runs, and the verdict."""
-    from platform_ctrl.cli.terminal import screen, show_words
+    from platform_ctrl.cli.terminal import screen, show_verdict, show_words
     from platform_ctrl.report import campaign_tables as tables
 
     console = screen()
@@ -202,8 +202,7 @@ def show_campaign(summary: Summary) -> None:
     _show_drivers(console, summary)
     _show_worst(console, summary)
     first, *more = tables.verdict(summary), *tables.verdict_lines(summary)
-    word, style = ("PASSED", "green") if summary.passed else ("FAILED", "bold red")
-    show_words(console, f"{word}: {first}", style)
+    show_verdict(console, summary.passed, first)
     for line in more:
         show_words(console, line)
 

@@ -76,7 +76,12 @@ def show_result(result: JobResult, campaign: Summary | None = None) -> None:
     goals = [goal for outcome in result.loops for goal in outcome.closed.goals]
     show_requirements(console, [*result.requirements, *goals], result)
     _show_alternatives(console, result)
-    _show_verdict(console, result.requirements, added_words(result.job.platform) + result.assumptions, campaign)
+    words = summary_words(result.requirements, added_words(result.job.platform) + result.assumptions)
+    if campaign is not None:
+        from platform_ctrl.report.campaign_tables import campaign_words
+
+        words += f"; {campaign_words(campaign)}"
+    show_verdict(console, result.passed and (campaign is None or campaign.passed), words)
 
 
 def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
@@ -206,16 +211,9 @@ def show_requirements(
         show_words(console, f"also met, by 100 % or more: {'; '.join(names)}", "dim", indent="  ")
 
 
-def _show_verdict(
-    console: Console, results: Sequence[CheckResult], added: str, campaign: Summary | None = None
-) -> None:
-    passed, words = all(one.passed for one in results), summary_words(results, added)
-    if campaign is not None:
-        from platform_ctrl.report.campaign_tables import campaign_words
-
-        passed, words = passed and campaign.passed, f"{words}; {campaign_words(campaign)}"
-    verdict, style = ("PASSED", "green") if passed else ("FAILED", "bold red")
-    show_words(console, f"{verdict}: {words}", style)
+def show_verdict(console: Console, passed: bool, words: str) -> None:
+    """Print whether all is met, and what says so."""
+    show_words(console, f"{'PASSED' if passed else 'FAILED'}: {words}", "green" if passed else "bold red")
 
 
 def _show_alternatives(console: Console, result: JobResult) -> None:
