@@ -8,7 +8,7 @@ from platform_ctrl import read_platform, shipped_models
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.report import style
-from platform_ctrl.report.figures.axes_picture import axes_picture
+from platform_ctrl.report.figures.plant import axes_picture
 
 PICTURES = Path(__file__).parent / "pictures"
 RULES = (

@@ -32,7 +32,6 @@ from platform_ctrl.report.budget_page import budget_blocks
 from platform_ctrl.report.campaign_page import campaign_blocks
 from platform_ctrl.report.campaign_tables import campaign_words
 from platform_ctrl.report.captions import opening, sentences
-from platform_ctrl.report.figures.axes_picture import axes_picture
 from platform_ctrl.report.figures.job import (
     coupled_pole_figure,
     nutation_figure,
@@ -44,6 +43,7 @@ from platform_ctrl.report.figures.job import (
 )
 from platform_ctrl.report.figures.nichols import nichols_figure
 from platform_ctrl.report.figures.panels import paint
+from platform_ctrl.report.figures.plant import axes_picture
 from platform_ctrl.report.figures.runs import time_run
 from platform_ctrl.report.first_screen import (
     change_part,

@@ -15,7 +15,7 @@ from platform_ctrl import read_platform
 from platform_ctrl.common.text import greek
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import style
-from platform_ctrl.report.figures.axes_picture import axes_picture
+from platform_ctrl.report.figures.plant import axes_picture
 from tree_cases import platforms
 
 ROOT = Path(__file__).parents[2]

@@ -6,9 +6,8 @@ those of python-control; the others have the report's look. Figures of a report 
 within `style.settings`.
 """
 
-from platform_ctrl.report.figures.axes_picture import axes_picture
-from platform_ctrl.report.figures.campbell import campbell
 from platform_ctrl.report.figures.nichols import nichols
+from platform_ctrl.report.figures.plant import axes_picture, campbell
 from platform_ctrl.report.figures.root_locus import root_locus, root_locus_over_spin
 from platform_ctrl.report.figures.runs import campaign_histograms, time_run
 from platform_ctrl.report.figures.systems import bode, nyquist, singular_values

@@ -27,7 +27,7 @@ from platform_ctrl.plant.drawing import root_series, signal_series
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.report.captions import bandwidth_hz
 from platform_ctrl.report.curves import ShownLoop, damping_rays
-from platform_ctrl.report.figures.campbell import campbell
+from platform_ctrl.report.figures.plant import campbell
 from platform_ctrl.report.figures.root_locus import draw_locus, gain_locus
 from platform_ctrl.report.style import (
     BAND,
