@@ -109,33 +109,26 @@ class FaultKind(NamedTuple):
         return (*self.needed, *self.optional)
 
 
-_RUNS = (("time_constant",), ("share",))
-_LATE = "at a missed sample commands and controller states do not change"
+_RIPPLE = "L (1 + amplitude sin(2π frequency_hz (t − at)))"
+_LOST = "a lost sample is replaced by the one before"
+_MISSED = "at a missed sample commands and controller states do not change"
+_PUSH = "an impulse at the joint drives it towards its stop"
+_SPEED = (("time_constant",), ("share",))  # the numbers of a rotor that runs down or up
 FAULT_KINDS: dict[str, FaultKind] = {
     kind.name: kind
     for kind in (
-        FaultKind("rotor run-down", "rotor", "run-down", "L falls from nominal to share from at on", *_RUNS),
-        FaultKind("rotor run-up", "rotor", "run-up", "L is at share before at, then rises to nominal", *_RUNS),
-        FaultKind(
-            *("speed ripple", "rotor", "ripple", "L (1 + amplitude sin(2π frequency_hz (t − at)))"),
-            needed=("amplitude", "frequency_hz"),
-        ),
+        FaultKind("rotor run-down", "rotor", "run-down", "L falls from nominal to share from at on", *_SPEED),
+        FaultKind("rotor run-up", "rotor", "run-up", "L is at share before at, then rises to nominal", *_SPEED),
+        FaultKind("speed ripple", "rotor", "ripple", _RIPPLE, ("amplitude", "frequency_hz")),
         FaultKind("torquer dead", "torquer", "no torque", "no torque"),
         FaultKind("torquer stuck", "torquer", "constant torque", "the torque stays as it was at the time at"),
         FaultKind("torquer weak", "torquer", "share of torque", "share of the commanded torque", ("share",)),
         FaultKind("pick-off dead", "pick-off", "no reading", "reads 0"),
         FaultKind("pick-off stuck", "pick-off", "last reading", "the last reading before at stays"),
         FaultKind("pick-off drift", "pick-off", "drift", "reads rate (t − at) too much", ("rate",)),
-        FaultKind(
-            *("pick-off dropout", "pick-off", "lost readings", "a lost sample is replaced by the one before"),
-            needed=("probability",),
-        ),
-        FaultKind("controller overrun", None, "missed samples", _LATE, (), ("until", "probability")),
-        FaultKind(
-            *("stop contact", "gimbal", "impulse", "an impulse at the joint drives it towards its stop"),
-            needed=("impulse",),
-            optional=(),
-        ),
+        FaultKind("pick-off dropout", "pick-off", "lost readings", _LOST, ("probability",)),
+        FaultKind("controller overrun", None, "missed samples", _MISSED, (), ("until", "probability")),
+        FaultKind("stop contact", "gimbal", "impulse", _PUSH, ("impulse",), ()),
     )
 }
 

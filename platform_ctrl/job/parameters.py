@@ -231,9 +231,9 @@ def _place(parameter: RunParameter, scenario: Scenario) -> _Place | None:
             return ("platform", "root_inertia") if key == "inertia" else ("platform", key, k)
         case "unbalances":
             bodies = [one.body for one in scenario.platform.unbalances]
-            return (
-                ("platform", "unbalances", bodies.index(parameter.part), key, k) if parameter.part in bodies else None
-            )
+            if parameter.part not in bodies:
+                return None
+            return ("platform", "unbalances", bodies.index(parameter.part), key, k)
         case "sampling":
             return (key,)
         case "initial":
