@@ -15,7 +15,7 @@ import pytest
 import platform_ctrl as pc
 
 ROOT = Path(__file__).resolve().parent.parent
-SHIPPED = (".py", ".pyi", ".typed", ".toml", ".html", ".css", ".j2", ".js", ".svg", ".txt")
+SHIPPED = (".py", ".pyi", ".typed", ".toml", ".html", ".css", ".j2", ".js", ".mplstyle", ".svg", ".txt")
 
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> str:
