@@ -62,7 +62,7 @@ class System(NamedTuple):
             0.0 if dt is None else float(dt),
         )
         for name, item in zip("ABCD", out[:4], strict=True):
-            if not all_finite(item):
+            if not np.isfinite(item).all():
                 raise ArgumentError(f"{where}: {name} of the system is not finite; check how the system was made")
         return out
 
@@ -177,12 +177,6 @@ def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
 
 
-def all_finite(array: FloatArray) -> bool:
-    """Return whether all numbers are finite."""
-    # The sum of squares is faster, and finite unless it overflows.
-    return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
-
-
 def _distinct(names: Sequence[str]) -> list[str]:
     used: set[str] = set()
     out = []
@@ -199,7 +193,7 @@ def _distinct(names: Sequence[str]) -> list[str]:
 def frequencies(frequency: ArrayLike, where: str) -> FloatArray:
     """Return `frequency` as a vector of finite numbers >= 0, rad/s, or raise `ArgumentError`."""
     out = np.atleast_1d(real_numbers(f"{where}: frequency", frequency))
-    if out.ndim != 1 or not all_finite(out) or out.min(initial=0.0) < 0.0:
+    if out.ndim != 1 or not np.isfinite(out).all() or out.min(initial=0.0) < 0.0:
         raise ArgumentError(
             f"{where}: frequency must be a vector of finite numbers >= 0 in rad/s, got shape {np.shape(frequency)}"
         )

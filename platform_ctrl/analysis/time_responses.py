@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.response import StateSystem, is_rational, linear_arrays
 from platform_ctrl.analysis.sampling import held_input
-from platform_ctrl.analysis.system import System, all_finite, state_scaling
+from platform_ctrl.analysis.system import System, state_scaling
 from platform_ctrl.common.arguments import one_of, real_numbers
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -78,7 +78,7 @@ def time_response(
     times, step = _times(timepts, dt)
     u = real_numbers("time_response: inputs", inputs)
     u = u[None, :] if u.ndim == 1 else u
-    if u.shape != (B.shape[1], times.size) or not all_finite(u):
+    if u.shape != (B.shape[1], times.size) or not np.isfinite(u).all():
         raise ArgumentError(
             f"time_response: inputs must be finite, ({B.shape[1]}, {times.size}), got shape {np.shape(inputs)}"
         )
@@ -87,7 +87,7 @@ def time_response(
             "time_response: initial_state: a transfer function has no states of its own; convert it first"
         )
     x0 = np.zeros(len(A)) if initial_state is None else real_numbers("time_response: initial_state", initial_state)
-    if x0.shape != (len(A),) or not all_finite(x0):
+    if x0.shape != (len(A),) or not np.isfinite(x0).all():
         raise ArgumentError(f"time_response: initial_state must be finite, ({len(A)},), got shape {x0.shape}")
     one_of("time_response: hold", hold, ("foh", "zoh"))
     if not (squeeze is None or isinstance(squeeze, bool)):
@@ -120,7 +120,7 @@ def _outputs(system: System, step: float, u: FloatArray, x0: FloatArray, hold: H
 def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, float]:
     """Return the times and the step between them."""
     times = real_numbers("time_response: timepts", timepts)
-    if times.ndim != 1 or times.size < 2 or not all_finite(times):
+    if times.ndim != 1 or times.size < 2 or not np.isfinite(times).all():
         raise ArgumentError(f"time_response: timepts must be at least two finite times, got shape {times.shape}")
     steps = times[1:] - times[:-1]
     if steps.min() <= 0.0:
