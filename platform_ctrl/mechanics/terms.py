@@ -134,7 +134,6 @@ def terms(
     angles: ArrayLike | None = None,
     accelerations: ArrayLike | None = None,
     Omega_dot: ArrayLike | None = None,
-    specific_force: ArrayLike | None = None,
 ) -> TermTable:
     """Rank every term of every gimbal's equation about zero angles by its size at an operating point.
 
@@ -155,8 +154,6 @@ def terms(
         Amplitudes; default rates / frequency, rad, and rates × frequency, rad/s².
     Omega_dot : (3,)
         Derivative of the rate; default Omega × frequency, rad/s².
-    specific_force : (3,)
-        In root axes, m/s²; default the platform's own.
 
     Returns
     -------
@@ -183,8 +180,6 @@ def terms(
     deviation = motion / frequency if angles is None else np.abs(real_array("angles", angles, (n,)))
     fast = motion * frequency if accelerations is None else np.abs(real_array("accelerations", accelerations, (n,)))
     change = rate * frequency if Omega_dot is None else real_array("Omega_dot", Omega_dot, (3,))
-    if specific_force is not None:
-        platform = dataclasses.replace(platform, specific_force=real_array("specific_force", specific_force, (3,)))
     from platform_ctrl.mechanics.symbolic.derivation import derived
 
     found = derived(platform, 1, "exact")
