@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 import zlib
 from collections.abc import Mapping, Sequence
@@ -14,9 +13,6 @@ from platform_ctrl.app.settings import LARGEST, Settings
 from platform_ctrl.common.arguments import short
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.errors import InputError, PlatformCtrlError
-
-# Most characters of a link, of what it unpacks to, and of a name in it.
-_LONGEST, _UNPACKED, _NAME = 20_000, 400_000, 1000
 
 
 def encode_state(backend: Backend, settings: Settings) -> str:
@@ -30,18 +26,11 @@ def encode_state(backend: Backend, settings: Settings) -> str:
 
 def decode_state(backend: Backend, text: str) -> Settings:
     """Return the settings of a text from `encode_state`, checked against the job."""
-    if not isinstance(text, str) or len(text) > _LONGEST:
-        raise InputError(f"link: must be a text of at most {_LONGEST} characters made by the page, got {short(text)}")
     if not text:
         return backend.start()
     try:
-        packed = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
-        unpacking = zlib.decompressobj()
-        raw = unpacking.decompress(packed, _UNPACKED)
-        if unpacking.unconsumed_tail:
-            raise ValueError
-        changed = json.loads(raw.decode())
-    except (ValueError, binascii.Error, zlib.error, RecursionError):
+        changed = json.loads(zlib.decompress(base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))))
+    except (ValueError, zlib.error, RecursionError):
         raise InputError("link: it is damaged; copy it again from the page") from None
     return checked_settings(backend, changed)
 
@@ -88,13 +77,13 @@ def _merged(where: str, known: Any, given: object) -> Any:
             _one(where or "key", name, known)
         return {name: _merged(name, item, given[name]) if name in given else item for name, item in known.items()}
     if isinstance(known, list):
-        if not isinstance(given, list) or not all(isinstance(one, str) and len(one) <= _NAME for one in given):
+        if not isinstance(given, list) or not all(isinstance(one, str) for one in given):
             raise InputError(f"state: {where} must be a list of names, got {short(given)}")
     elif isinstance(known, bool):
         if not isinstance(given, bool):
             raise InputError(f"state: {where} must be true or false, got {short(given)}")
     elif isinstance(known, str):
-        if not isinstance(given, str) or len(given) > _NAME:
+        if not isinstance(given, str):
             raise InputError(f"state: {where} must be a name, got {short(given)}")
     elif isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 < given <= LARGEST:
         raise InputError(f"state: {where} must be a positive finite number, got {short(given)}")

@@ -119,23 +119,18 @@ class Connection:
         self.model.update(response=json.dumps({"n": self._answered, **parts}, allow_nan=False))
 
 
-# A plain file name; those that Windows reserves.
-_NAME = re.compile(r"[\w .,()+=@-]+(?<![ .])")
-_LONGEST = 80
-_RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
+# A plain file name.
+_NAME = re.compile(r"[\w ,()+=@-][\w .,()+=@-]{0,79}(?<![ .])")
 
 
 def target(folder: Path, name: str) -> Path:
     """Return the path of the job file that a page wants to save."""
     stem = name.strip().removesuffix(".toml")
-    if len(stem) > _LONGEST:
-        raise InputError(f"name: it may have at most {_LONGEST} characters, this one has {len(stem)}")
-    if _RESERVED.fullmatch(stem) is not None:
-        raise InputError(f"name: Windows reserves {short(name)} for a device; choose another one")
     if _NAME.fullmatch(stem) is None:
-        raise InputError(f"name: only letters, digits, blanks, . , ( ) + = @ - and _ are allowed, got {short(name)}")
-    if stem.startswith("."):
-        raise InputError(f"name: {short(name)} must not begin with a dot, which would hide the file")
+        raise InputError(
+            "name: only letters, digits, blanks, . , ( ) + = @ - and _ are allowed, 80 at most and no dot at the "
+            f"beginning, got {short(name)}"
+        )
     return folder / f"{stem}.toml"
 
 

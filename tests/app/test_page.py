@@ -575,16 +575,8 @@ def test_a_page_whose_server_ends_says_so_and_returns_with_its_state(
         page.close()
 
 
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        ("a" * 99, "has 99"),
-        (".hidden", "must not begin with a dot"),
-        *((name, "for a device") for name in ("nul", "COM1", "Con.old")),
-        *((name, "only letters") for name in ("", ".", "..", "../a", "a/b", "a\\b", "a\0", "a:b", "~", "a*")),
-    ],
-)
-def test_a_job_is_saved_under_a_plain_name_alone(tmp_path: Path, name: str, why: str) -> None:
+@pytest.mark.parametrize("name", ["a" * 99, ".hidden", "", ".", "..", "../a", "a/b", "a\\b", "a\0", "a:b", "~", "a*"])
+def test_a_job_is_saved_under_a_plain_name_alone(tmp_path: Path, name: str) -> None:
     assert target(tmp_path, "by hand") == target(tmp_path, " by hand.toml ") == tmp_path / "by hand.toml"
-    with pytest.raises(InputError, match=why):
+    with pytest.raises(InputError, match="only letters"):
         target(tmp_path, name)
