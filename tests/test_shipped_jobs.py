@@ -1,7 +1,6 @@
 """The jobs as shipped: every claim is proved; every design of the main one meets what is asked, and the whole does."""
 
 import dataclasses
-import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -9,8 +8,7 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl import analysis, design, read_job, simulation, verification
-from platform_ctrl.errors import InputError
+from platform_ctrl import design, read_job, simulation, verification
 
 MAIN = Path("examples/three_gyro_platform.toml")
 
@@ -132,21 +130,6 @@ def test_the_simultaneous_margin_is_python_controls(result):
     theirs = control.disk_margins(loop, np.linspace(0.9 * near, 1.1 * near, 41), skew=0.0)[0]
     assert result.coupled.simultaneous.lower <= theirs * (1 + 1e-6)
     assert result.coupled.simultaneous.lower == pytest.approx(theirs, rel=1e-4)
-
-
-def test_loops_broken_at_the_pick_offs_have_margins_too(result):
-    """Not asked for, but the five pick-offs could fail as well as the torquers."""
-    L = analysis.loop_transfer(result.coupled.plant, result.coupled.controller, at="output")
-    assert analysis.disk_margin(L).lower > 0.45
-
-
-def test_a_loop_that_cuts_through_a_subsystem_is_refused_before_any_design():
-    said = []
-    text = MAIN.read_text(encoding="utf-8")
-    cut = tomllib.loads(text.replace('gimbals = ["9", "10"]', 'gimbals = ["9"]'))
-    with pytest.raises(InputError, match=r"loop 'caging 9-10': gimbals: 9 and 10 are coupled"):
-        design.loops(cut, said.append)
-    assert said == []
 
 
 def attenuation(job, controllers, axis, hz, rate, share=1.0, elevation=0.0):

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import control
 import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from platform_ctrl.analysis.budget_records import BudgetResult, Density, RandomDisturbance, SampleNoise, SineDisturbance
+from platform_ctrl.analysis.budget_records import Density, RandomDisturbance, SampleNoise, SineDisturbance
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
-from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates, interconnected_by_sample
+from platform_ctrl.analysis.interconnection import interconnected_at_rates, interconnected_by_sample
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.sampling import held_input
 from platform_ctrl.analysis.system import System
@@ -119,13 +120,13 @@ def test_an_unseen_integral_is_no_instability_and_a_seen_one_is() -> None:
 
 
 @pytest.fixture(scope="module")
-def budget() -> BudgetResult:
+def budget() -> Any:
     sources = [noise(), noise("base", 1), SampleNoise(name="gyro", measured=0, rms=0.1)]
     sine = SineDisturbance(name="motor", inputs=(0,), frequency=6.0, amplitude=np.array([0.3]))
     return JitterBudget(oscillator(), [*sources, sine], (0.4, 3.0)).of(K, 1e-8)
 
 
-def test_the_cumulative_variance_rises_to_the_total(budget: BudgetResult) -> None:
+def test_the_cumulative_variance_rises_to_the_total(budget: Any) -> None:
     assert np.all(np.diff(budget.cumulative) >= 0.0)
     # The position's images beyond those that are kept are the only difference.
     assert budget.cumulative[..., -1] == pytest.approx(budget.rms**2, rel=1e-5)
@@ -136,14 +137,14 @@ def test_the_cumulative_variance_rises_to_the_total(budget: BudgetResult) -> Non
     assert 0.0 < motor[below] < 1e-2 * motor[below + 1]
 
 
-def test_displacement_smear_and_jitter_add_up_to_the_variance(budget: BudgetResult) -> None:
+def test_displacement_smear_and_jitter_add_up_to_the_variance(budget: Any) -> None:
     for window in budget.windows:
         parts = window.displacement**2 + window.smear**2 + window.jitter**2
         assert parts == pytest.approx(budget.total**2, rel=1e-9)
     assert np.all(budget.windows[0].jitter < budget.windows[1].jitter)
 
 
-def taking_turns(*controllers: control.StateSpace) -> tuple[list[System], MultiRate]:
+def taking_turns(*controllers: control.StateSpace) -> tuple[list[System], Any]:
     """Controllers from position and rate to the control at every sample of their cycle, and as one."""
     signals = ["position", "rate"], ["u"], PERIOD
     return interconnected_by_sample(controllers, *signals), interconnected_at_rates(controllers, *signals)

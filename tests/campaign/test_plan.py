@@ -16,9 +16,8 @@ from scipy import stats
 
 from platform_ctrl import read_job
 from platform_ctrl.campaign import plan
-from platform_ctrl.campaign.planning import Plan, chosen, quantiles, unit_points
+from platform_ctrl.campaign.planning import chosen, quantiles, unit_points
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import Job
 from platform_ctrl.job.parameters import parameters, varied_scenario
 from platform_ctrl.job.variation import Campaign, CampaignFault, CampaignManoeuvre, Vary
 from platform_ctrl.simulation import Scenario
@@ -53,7 +52,7 @@ def plant() -> dict[str, Any]:
 
 
 @cache
-def job() -> Job:
+def job() -> Any:
     """Return a job with everything that can be varied."""
     loop = {
         "name": "9-10",
@@ -108,7 +107,7 @@ def job() -> Job:
     )
 
 
-def planned(*vary: Vary, **keys: Any) -> Plan:
+def planned(*vary: Vary, **keys: Any) -> Any:
     campaign = Campaign(vary=vary, **{"runs": 256, "seed": 3, **keys})
     return plan(dataclasses.replace(job(), campaign=campaign), [])
 
@@ -301,7 +300,7 @@ MIXED = (
 )
 
 
-def mixed(**keys: Any) -> Plan:
+def mixed(**keys: Any) -> Any:
     return planned(
         *MIXED,
         manoeuvres=(CampaignManoeuvre(name="push"), CampaignManoeuvre(name="turn", weight=3.0)),

@@ -142,15 +142,6 @@ def test_correlations_and_p_values_are_those_of_scipy():
     assert one.p_value == pytest.approx(3 * stats.fisher_exact(counts)[1], rel=1e-9, abs=0.0)
 
 
-def test_what_sends_a_few_runs_beyond_the_limit_is_told_beside_what_drives_the_others():
-    table = table_of_runs(2000)
-    table["angle"] = 0.001 / table["rotor.11.spin"]
-    table["angle"][np.flatnonzero(table["dead torquer"])[:12]] = 0.5
-    own = [one for one in influences(judged(table), LIMITS) if (one.requirement, one.manoeuvre) == ("angle", None)]
-    assert [one.parameter for one in own if one.cause] == ["dead torquer"]
-    assert "rotor.11.spin" in [one.parameter for one in own if one.driver]
-
-
 # With and without
 
 

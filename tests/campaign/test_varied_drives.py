@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import control
 
 from driven_gimbal import COULOMB, FRICTION, driven_job
@@ -10,13 +12,13 @@ from platform_ctrl.campaign import plan
 from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.campaign.store import identity
 from platform_ctrl.common.values import replaced
-from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.simulation import simulate_batch
 
 K = control.ss([], [], [], [[-2.0, 2.0]], 0.001, inputs=["gyro", "gyro_command"], outputs=["Qouter"], name="K")
 
 
-def job(friction: float = COULOMB, step: float = 0.2) -> Job:
+def job(friction: float = COULOMB, step: float = 0.2) -> Any:
     vary = {"distribution": "uniform", "low": 0.7, "high": 1.3, "relative": True}
     own = {"parameter": "command.gyro.step", "distribution": "uniform", "low": 0.1, "high": 0.3}
     campaign = {"runs": 4, "vary": [{"parameter": "drive.Qouter.friction", **vary}, own]}

@@ -13,12 +13,6 @@ from platform_ctrl.cli import main
 PLANT = "three_gyro_platform"
 
 
-def test_options_reach_the_equations(capsys: pytest.CaptureFixture[str]) -> None:
-    for given, order in (("0", 0), ("exact", None)):
-        assert main(["equations", PLANT, "--order", given, "--terms", "exact", "--format", "latex"]) == 0
-        assert capsys.readouterr().out == equations(read_platform(PLANT), "latex", order=order, terms="exact")
-
-
 def test_json_is_alone_on_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["equations", PLANT, "--json"]) == 0
     captured = capsys.readouterr()

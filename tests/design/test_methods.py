@@ -13,7 +13,6 @@ import pytest
 
 from camera_job import camera_job
 from one_gyro_job import JOB as ONE
-from platform_ctrl import design
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.method import LoopProblem, Method, Option, designed
 from platform_ctrl.design.methods import METHODS, read_job
@@ -21,7 +20,6 @@ from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError, DesignError, InputError
 from platform_ctrl.job.methods import DesignSpec, register_method
 from platform_ctrl.mechanics.linearisation import linearise
-from report_jobs import caging, classical, job
 
 EVERY = pytest.mark.parametrize("key", METHODS)
 CAGING = pytest.mark.parametrize("key", [key for key, method in METHODS.items() if "stabilisation" not in method.kinds])
@@ -105,16 +103,3 @@ def test_a_method_is_known_to_the_reader_as_long_as_it_is_registered() -> None:
         del METHODS["mine"]
     with pytest.raises(InputError, match=r'method must be "classical" or .* or "platform-servo", got "mine"'):
         read_job(data)
-
-
-def test_a_design_that_fails_is_listed_and_the_others_are_made() -> None:
-    missing, unstable = classical("missing", spin_notch_hz=1500), classical("unstable", crossover_hz=400.0)
-    [outcome] = design.loops(job(loop=[caging(missing, unstable, classical("good"))]))
-    assert (outcome.closed.name, outcome.failure) == ("good", None)
-    # An unstable loop has its measures: what it looks like shows why.
-    assert [one.name for one in outcome.alternatives] == ["unstable"]
-    sentences = {one.name: one.sentence for one in outcome.failed}
-    assert "spin_notch_hz must be below half the sample rate" in sentences["missing"]
-    assert sentences["unstable"].startswith("the closed loop grows at")
-    with pytest.raises(DesignError, match=r"^caging 9-10, missing: .*spin_notch_hz"):
-        design.loops(job(loop=[caging(classical("good"), missing)]))

@@ -15,12 +15,11 @@ import pytest
 
 from generated_c import Machine, classical_entry, compiled, compiler, entry, flat, gyro_entry, state_space
 from platform_ctrl import simulation
-from platform_ctrl.analysis.interconnection import BackCalculation, back_calculation
+from platform_ctrl.analysis.interconnection import back_calculation
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
 from platform_ctrl.export import write_c
-from platform_ctrl.export.c99.code import WrittenController, controllers_of
-from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.simulation.closed_loop import Trajectory
+from platform_ctrl.export.c99.code import controllers_of
+from platform_ctrl.job.job import manoeuvre_scenario
 
 TYPES = {"double": ctypes.c_double, "float": ctypes.c_float}
 PREFIXES = ("caging_4_5_7", "caging_9_10", "stabilisation")
@@ -28,7 +27,7 @@ SHA = "0123456789abcdef" * 4
 
 
 @pytest.fixture(scope="module")
-def written(job: Job, entries: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
+def written(job: Any, entries: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
     folder = tmp_path_factory.mktemp("c")
     out = {}
     for number in TYPES:
@@ -46,16 +45,16 @@ def libraries(written: dict[str, list[Path]], tmp_path_factory: pytest.TempPathF
     return {number: compiled(files, folder / f"{number}.so") for number, files in written.items()}
 
 
-def machine(library: Path, K: WrittenController, prefix: str, number: str) -> Machine:
+def machine(library: Path, K: Any, prefix: str, number: str) -> Machine:
     outputs = [*K.outputs, *(f"{name}_commanded" for name in K.outputs)]
     return Machine(library, prefix, K.inputs, outputs, TYPES[number])
 
 
-def anti_windup(one: WrittenController) -> BackCalculation:
+def anti_windup(one: Any) -> Any:
     return back_calculation(one.arrays, np.isfinite(one.limits).tolist())
 
 
-def limited_run(one: WrittenController, readings: np.ndarray, windup: bool = True) -> tuple[np.ndarray, np.ndarray]:
+def limited_run(one: Any, readings: np.ndarray, windup: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Commands and limited commands of a controller with its anti-windup, in plain matrices."""
     K, E, limits = one.arrays, windup * anti_windup(one).gain, one.limits
     x = np.zeros(len(K.A))
@@ -69,7 +68,7 @@ def limited_run(one: WrittenController, readings: np.ndarray, windup: bool = Tru
     return np.array(commands), np.array(given)
 
 
-def noise(scheme: WrittenController, size: float, samples: int = 600) -> np.ndarray:
+def noise(scheme: Any, size: float, samples: int = 600) -> np.ndarray:
     """Readings that wander."""
     steps = np.random.default_rng(7).standard_normal((samples, len(scheme.inputs)))
     return size * (steps + np.cumsum(steps, axis=0) / 10.0)
@@ -84,7 +83,7 @@ def test_other_compilers_and_cpp_have_no_warning_either(
 
 
 def test_commands_are_those_of_the_simulated_controllers_sample_by_sample(
-    job: Job, entries: list[dict[str, Any]], recorded: Trajectory, libraries: dict[str, Path]
+    job: Any, entries: list[dict[str, Any]], recorded: Any, libraries: dict[str, Path]
 ) -> None:
     torquers = ["Q4", "Q5", "Q7", "Q9", "Q10", "M1", "M2", "M3"]
     command = recorded.command[:, [recorded.torquer_names.index(name) for name in torquers]]
@@ -103,7 +102,7 @@ def test_commands_are_those_of_the_simulated_controllers_sample_by_sample(
 
 
 def test_at_its_limits_too_it_is_the_simulated_controller(
-    job: Job, entries: list[dict[str, Any]], tmp_path: Path
+    job: Any, entries: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     files = write_c(job, entries[:2], tmp_path).files
     scenario = manoeuvre_scenario(job, job.manoeuvres[0])
@@ -134,7 +133,7 @@ def test_at_its_limits_too_it_is_the_simulated_controller(
 @pytest.mark.parametrize("number", ["double", "float"])
 @pytest.mark.parametrize("bad", [np.nan, -np.inf, 1e308])
 def test_an_input_that_is_not_finite_holds_everything(
-    bad: float, number: str, job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
+    bad: float, number: str, job: Any, entries: list[dict[str, Any]], libraries: dict[str, Path]
 ) -> None:
     scheme = controllers_of(job, entries)[0]
     controller = machine(libraries[number], scheme, "caging_4_5_7", number)
@@ -151,7 +150,7 @@ def test_an_input_that_is_not_finite_holds_everything(
     assert np.array_equal(after, whole[20:])
 
 
-def test_the_page_shows_what_is_written_and_code_that_compiles(job: Job, tmp_path: Path) -> None:
+def test_the_page_shows_what_is_written_and_code_that_compiles(job: Any, tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "generated-code.md").read_text()
     *shown, calls = re.findall(r"^```c\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
     files = write_c(job, [classical_entry(job, ("9", "10"))], tmp_path).files
@@ -227,7 +226,7 @@ def test_sanitizers_find_nothing(written: dict[str, list[Path]], tmp_path: Path)
     ids=["slow", "sharp"],
 )
 def test_poles_that_single_precision_moves_are_refused(
-    radius: float, angle: float, direct: float, job: Job, tmp_path: Path
+    radius: float, angle: float, direct: float, job: Any, tmp_path: Path
 ) -> None:
     A = np.array([[2.0 * radius * np.cos(angle), -(radius**2)], [1.0, 0.0]])
     controller = gyro_entry(job, A, 1e-5 * np.eye(2), np.eye(2), direct * np.eye(2))
@@ -236,7 +235,7 @@ def test_poles_that_single_precision_moves_are_refused(
     assert write_c(job, [controller], tmp_path).files
 
 
-def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> None:
+def test_numbers_that_no_float_holds_are_refused(job: Any, tmp_path: Path) -> None:
     tiny = gyro_entry(job, [], [], [], 1e-60 * np.eye(2))
     with pytest.raises(UnscalableError, match="the response changes by 1 of its size,"):
         write_c(job, [tiny], tmp_path, number="float")
@@ -249,7 +248,7 @@ def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> No
         write_c(job, [tiny], tmp_path / "file" / "x")
 
 
-def test_sections_that_are_not_the_matrices_are_left_out_with_a_note(job: Job, tmp_path: Path) -> None:
+def test_sections_that_are_not_the_matrices_are_left_out_with_a_note(job: Any, tmp_path: Path) -> None:
     e = classical_entry(job, ("9", "10"))
     e["D"][0][0] *= 1.0 + 1e-6
     [note] = write_c(job, [e], tmp_path).notes
@@ -265,7 +264,7 @@ def test_sections_that_are_not_the_matrices_are_left_out_with_a_note(job: Job, t
 
 
 @pytest.mark.parametrize("number", TYPES)
-def test_random_controllers_compiled_are_what_their_matrices_say(number: str, job: Job, tmp_path: Path) -> None:
+def test_random_controllers_compiled_are_what_their_matrices_say(number: str, job: Any, tmp_path: Path) -> None:
     rng = np.random.default_rng(11)
     for n in (0, 1, 4, 9):
         A = rng.standard_normal((n, n))
@@ -282,7 +281,7 @@ def test_random_controllers_compiled_are_what_their_matrices_say(number: str, jo
         assert error <= (1e-12 if number == "double" else 1e-4) * np.abs(expected).max()
 
 
-def test_controllers_of_one_name_do_not_overwrite_each_other(job: Job, tmp_path: Path) -> None:
+def test_controllers_of_one_name_do_not_overwrite_each_other(job: Any, tmp_path: Path) -> None:
     gains = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.eye(2)
     one, other = entry(job, "Gyro 9.", gains, ("9", "10")), entry(job, "gyro 9", gains, ("5", "7"))
     files = write_c(job, [one, other, other | {"outputs": ["Q4", "M1"]}], tmp_path).files
@@ -290,7 +289,7 @@ def test_controllers_of_one_name_do_not_overwrite_each_other(job: Job, tmp_path:
     compiled(files, tmp_path / "lib.so")
 
 
-def test_hostile_names_become_identifiers_and_comments(job: Job, tmp_path: Path) -> None:
+def test_hostile_names_become_identifiers_and_comments(job: Any, tmp_path: Path) -> None:
     """Identifiers of a job that are meant to break out of identifiers and comments; -ffast-math does not compile."""
     e = classical_entry(job, ("9", "10"))
     wild = ["*/ #error x /*", "int", "NULL", "??/", "limited Q9", "π/2", "9 lives", "while", "x\\"]
@@ -307,7 +306,7 @@ def test_hostile_names_become_identifiers_and_comments(job: Job, tmp_path: Path)
     assert "compile without" in done.stderr
 
 
-def test_integrals_that_no_limited_output_determines_have_a_note(job: Job, tmp_path: Path) -> None:
+def test_integrals_that_no_limited_output_determines_have_a_note(job: Any, tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     B, C, D = (rng.standard_normal(shape) for shape in ((3, 2), (2, 3), (2, 2)))
 

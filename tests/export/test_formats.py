@@ -20,24 +20,23 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_controllers
 from platform_ctrl.export.job_systems import controller_systems, job_responses, model_systems
 from platform_ctrl.export.systems import write_entries
-from platform_ctrl.job.job import Job
 from platform_ctrl.verification.controllers import read_controllers
 
 K = "caging_9_10_classical"
 
 
 @pytest.fixture(scope="module")
-def job() -> Job:
+def job() -> Any:
     return read_job(tomllib.loads(JOB))
 
 
 @pytest.fixture(scope="module")
-def controllers(job: Job) -> list[control.StateSpace]:
+def controllers(job: Any) -> list[control.StateSpace]:
     return [outcome.closed.controller for outcome in design.loops(job)]
 
 
 @pytest.fixture(scope="module")
-def systems(job: Job, controllers: list[control.StateSpace]) -> list[control.StateSpace]:
+def systems(job: Any, controllers: list[control.StateSpace]) -> list[control.StateSpace]:
     return [one.system for one in (*controller_systems(job, controllers), *model_systems(job))] + [static()]
 
 
@@ -55,7 +54,7 @@ def static(name: str = "gain") -> control.StateSpace:
 
 
 def test_json_keeps_every_bit_name_and_unit(
-    job: Job, controllers: list[control.StateSpace], systems: list[control.StateSpace], tmp_path: Path
+    job: Any, controllers: list[control.StateSpace], systems: list[control.StateSpace], tmp_path: Path
 ) -> None:
     path = export.write_systems(systems, tmp_path / "models.json", platform=job.platform)
     back = export.read_systems(path)
@@ -69,7 +68,7 @@ def test_json_keeps_every_bit_name_and_unit(
 
 
 def test_controllers_leave_in_the_form_that_check_reads(
-    job: Job, controllers: list[control.StateSpace], tmp_path: Path
+    job: Any, controllers: list[control.StateSpace], tmp_path: Path
 ) -> None:
     path = write_controllers(controllers, tmp_path / "k.json", delay=job.sampling.delay)
     [back] = read_controllers(path, job)
@@ -135,7 +134,7 @@ def test_mat_that_is_no_plain_linear_system_is_refused_in_one_line(tmp_path: Pat
 
 
 def test_responses_are_read_by_read_measurement_and_by_pandas(
-    job: Job, controllers: list[control.StateSpace], tmp_path: Path
+    job: Any, controllers: list[control.StateSpace], tmp_path: Path
 ) -> None:
     tables = job_responses(job, controllers)
     assert [table.name for table in tables] == [
@@ -159,7 +158,7 @@ def test_responses_are_read_by_read_measurement_and_by_pandas(
             assert len(frame) == len(back.omega)
 
 
-def test_the_loop_of_a_torquer_is_the_return_ratio(job: Job, controllers: list[control.StateSpace]) -> None:
+def test_the_loop_of_a_torquer_is_the_return_ratio(job: Any, controllers: list[control.StateSpace]) -> None:
     """L = -K P where the other torquer's loop is closed by hand."""
     plant, K, L = (one.response for one in job_responses(job, controllers)[:3])
     P, G = (np.moveaxis(np.asarray(one.frdata), -1, 0) for one in (plant, K))

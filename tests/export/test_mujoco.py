@@ -20,7 +20,7 @@ from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, read_job, shipped_models, simulation
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
-from platform_ctrl.job.job import Faults, Job, Uncertainty, manoeuvre_scenario
+from platform_ctrl.job.job import Faults, Uncertainty, manoeuvre_scenario
 from single_runs import simulated
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
@@ -130,7 +130,7 @@ def test_a_prescribed_root_turns_as_prescribed_whatever_reacts(name: str, tmp_pa
 
 
 @pytest.fixture(scope="module")
-def main_job() -> tuple[Job, list[control.StateSpace]]:
+def main_job() -> tuple[Any, list[control.StateSpace]]:
     """The main job with its classical controllers as they stand there."""
     job = read_job(MAIN_JOB)
     chosen = [next(d for d in loop.designs if d.method in ("classical", "platform-servo")) for loop in job.loops]
@@ -176,7 +176,7 @@ def closed_loop(
 
 
 def test_caging_controllers_run_on_mujocos_plant_as_on_ours(
-    main_job: tuple[Job, list[control.StateSpace]], tmp_path: Path
+    main_job: tuple[Any, list[control.StateSpace]], tmp_path: Path
 ) -> None:
     """1 rad/s about axis 1 through the root's angular acceleration; the difference goes with the square of the step."""
     job, controllers = main_job

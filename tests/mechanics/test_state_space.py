@@ -1,14 +1,11 @@
 """State-space models: signals, physics of section 4 of the paper, and agreement with the second-order equations."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camera_job import camera_plant
-from mechanics.test_forces import furnished
 from platform_ctrl import (
     element_forces,
     forward_dynamics,
@@ -21,7 +18,7 @@ from platform_ctrl import (
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.state_space import coupled_while_changing
 from small_trees import tree
-from tree_cases import platforms, with_torquers
+from tree_cases import platforms, with_elements, with_torquers
 
 L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4
 
@@ -82,13 +79,7 @@ def test_momentum_states_solve_the_second_order_equations(platform, seed, terms)
 def test_a_free_root_with_force_elements_moves_as_the_non_linear_equations_about_the_trim(platform, seed):
     """Angles, rates and specific force that the model gives for each input solve the differentiated equations."""
     rng = np.random.default_rng(seed)
-    platform = furnished(with_torquers(platform), seed)
-    # Dry friction and the edges of cages have no slope.
-    platform = dataclasses.replace(
-        platform,
-        frictions=tuple(dataclasses.replace(one, coulomb=(0.0, 0.0)) for one in platform.frictions),
-        cages=tuple(dataclasses.replace(one, clearance=0.0) for one in platform.cages),
-    )
+    platform = with_elements(with_torquers(platform), rng)
     n = len(platform.gimbals)
     q, Omega, f = rng.uniform(-1, 1, n), rng.normal(size=3), platform.specific_force
     trim = np.concatenate([Omega, np.zeros(n)])

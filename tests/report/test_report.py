@@ -217,26 +217,6 @@ def test_one_loop_without_servo_and_manoeuvres_has_a_page(lone_loop: JobResult, 
     assert not re.search(r"\b(nan|inf)\b", visible_text(lone_page), re.IGNORECASE)
 
 
-def test_an_unstable_given_controller_is_called_unstable(lone_loop: JobResult) -> None:
-    [outcome] = lone_loop.loops
-    K = outcome.closed.controller
-    import control
-
-    wrong = control.StateSpace(
-        K.A, K.B, -K.C, -K.D, K.dt, inputs=K.input_labels, outputs=K.output_labels, remove_useless_states=False
-    )
-    assert outcome.closed.plants is not None
-    design = measured(outcome.spec, "given", "given", wrong, outcome.closed.plants)
-    unstable = check_job(lone_loop.job, [dataclasses.replace(outcome, designs=(design,), use="given")])
-    page = page_html(unstable)
-    text = visible_text(page)
-    assert not unstable.coupled.stable
-    assert "Its closed loop is unstable" in text
-    assert "unstable" in {row.value for row in tables.requirement_rows(unstable)}
-    assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
-    assert "platform-ctrl check" in page
-
-
 def test_runs_that_diverged_are_drawn_as_far_as_they_went(result: JobResult) -> None:
     run = result.runs[0]
     lost = []

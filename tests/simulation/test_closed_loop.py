@@ -14,7 +14,6 @@ from platform_ctrl.analysis.interconnection import BackCalculation, back_calcula
 from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import PickOff, Torquer
-from platform_ctrl.simulation import HalfCosine
 from single_runs import simulated
 from small_trees import tree
 
@@ -30,18 +29,6 @@ def one_gimbal(inertia=J, root_inertia=1.0, stops=None, noise=0.0, quantisation=
         base="case",
         torquers=(Torquer(name="Qg", gimbal="g", **torquer), Torquer(name="M1", root_axis=1)),
         pickoffs=(PickOff(name="alpha", gimbal="g", noise_rms=noise, quantisation=quantisation),),
-    )
-
-
-def two_axis_gyro(J9=5e-4, J10=2e-4, **outer) -> Platform:
-    """Gimbal 9 about +3, housing 10 about +1, rotor 11 along +2."""
-    return tree(
-        0.1,
-        [("9", "case", 3, J9 - J10, "alpha9", outer), ("10", "9", 1, J10 - 7e-5, "beta10")],
-        [("11", "10", 2, C, 7e-5, L)],
-        base="case",
-        torquers=(Torquer(name="Q9", gimbal="9"), Torquer(name="Q10", gimbal="10")),
-        pickoffs=(PickOff(name="alpha9", gimbal="9"), PickOff(name="beta10", gimbal="10")),
     )
 
 
@@ -136,28 +123,6 @@ def test_controllers_are_evaluated_in_their_order_and_see_this_steps_outputs():
         integrand = x + 2.0 * reading
         assert command == pytest.approx([0.5 * x + 3.0 * reading, 7.0 * z + 0.25 * integrand], rel=1e-9, abs=1e-15)
         x, z = 0.3 * x + reading, z + PERIOD * integrand
-
-
-@pytest.mark.parametrize("axis", [1, 2, 3])
-def test_a_prescribed_manoeuvre_turns_the_platform_by_its_integral(axis):
-    profile = HalfCosine(axis=axis, rate=0.8, rise=0.05, hold=0.1)
-    out = run(two_axis_gyro(), profile=profile, duration=0.3)
-    expected = np.interp(out.t, [0.05, 0.15], [0.8, 0.8])
-    expected *= np.where(out.t < 0.05, np.sin(0.5 * np.pi * out.t / 0.05) ** 2, 1.0)
-    expected *= np.where(out.t > 0.15, np.cos(0.5 * np.pi * np.minimum(out.t - 0.15, 0.05) / 0.05) ** 2, 1.0)
-    others = [k for k in range(3) if k != axis - 1]
-    assert out.Omega[:, axis - 1] == pytest.approx(expected, abs=1e-12)
-    assert not out.Omega[:, others].any()
-    assert out.attitude_angles[-1, axis - 1] == pytest.approx(0.8 * 0.15, rel=1e-9)
-    assert np.linalg.norm(out.attitude, axis=1) == pytest.approx(1.0)
-
-
-def test_a_gyro_pushed_against_its_stop_loses_its_gyroscopic_stiffness():
-    # Held about alpha9, a torque about beta10 accelerates the housing instead of precessing it.
-    push = controller([[1e-3, 0.0]], inputs=["beta10", "alpha9"], outputs=["Q10"])
-    out = run(two_axis_gyro(stops=(0.0, 0.0)), [push], q=[0.0, 0.1], delay=0.0, duration=0.05)
-    assert np.abs(out.q[:, 0]).max() == 0.0
-    assert out.q[:, 1] == pytest.approx(0.1 * np.cosh(np.sqrt(1e-3 / 2e-4) * out.t), rel=1e-3)
 
 
 def test_a_run_that_diverges_ends_early_and_says_when():

@@ -14,7 +14,7 @@ from commanded_gimbal import INERTIA, RATE_HZ, commanded_job
 from platform_ctrl import read_job
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.simulation import simulate, simulate_batch
 
 PERIOD = 1.0 / RATE_HZ
@@ -25,7 +25,7 @@ COMMANDS: list[dict[str, Any]] = [
 ]
 
 
-def controllers(job: Job) -> list[Any]:
+def controllers(job: Any) -> list[Any]:
     return [one.closed.controller for one in loops(job)]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import control
 import numpy as np
@@ -11,7 +12,6 @@ import pytest
 
 from driven_gimbal import COULOMB, COULOMB_RATE, FRICTION, INERTIA, RATE_HZ, SECANT, VISCOUS, driven_job
 from platform_ctrl import read_job
-from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.simulation import Scenario, simulate, simulate_batch
 
@@ -28,7 +28,7 @@ def damping(gain: float) -> control.StateSpace:
     return control.ss([], [], [], [[-gain]], PERIOD, inputs=["gyro"], outputs=["Qouter"])
 
 
-def by_hand(law: DriveLaw, gain: float, samples: int, steps: int = 200) -> np.ndarray:
+def by_hand(law: Any, gain: float, samples: int, steps: int = 200) -> np.ndarray:
     """A rate w of the inertia with friction against a base that turns at Omega(t), by small steps of its own."""
     out, w = np.zeros(samples), 0.0
     whole = 2.0 * INERTIA  # both bodies turn about the axis
@@ -58,14 +58,6 @@ def test_an_inertia_with_fed_forward_friction_moves_as_by_hand(drive: dict[str, 
     expected = by_hand(scenario.drives[0], 1.0, len(run.t))
     body = run.rate[:, 0] + run.Omega[:, 2]
     np.testing.assert_allclose(body, expected, rtol=0.0, atol=2e-5 * np.abs(expected).max())
-
-
-def test_friction_that_is_known_hardly_moves_the_body() -> None:
-    still, moved = (
-        simulate(scenario_of(*drives), [damping(1.0)], period=PERIOD, noise=False).line_of_sight[:, 1].std()
-        for drives in ((FRICTION,), ())
-    )
-    assert still < 0.2 * moved
 
 
 def test_the_gain_is_the_secant_of_the_reading_up_to_its_limit() -> None:

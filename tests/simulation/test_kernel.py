@@ -66,14 +66,3 @@ def test_a_run_is_the_same_to_the_bit_whichever_stand_beside_it_and_wherever():
     for threads in (2, 3, 100):
         np.testing.assert_array_equal(ends(platform, q, velocity, force, threads=threads), together)
     np.testing.assert_array_equal(ends(platform, q, velocity, force, every=4), together)
-
-
-def test_a_run_that_diverges_leaves_those_beside_it_and_after_it_alone():
-    q, velocity, force = a_start(THREE, 24)
-    together = ends(THREE, q, velocity, force)
-    wild = velocity.copy()
-    wild[[2, 9]] = 1e200
-    beside = ends(THREE, q, wild, force, threads=1)
-    assert np.isnan(beside[[2, 9]]).all()
-    others = np.delete(np.arange(24), [2, 9])
-    np.testing.assert_array_equal(beside[others], together[others])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import Any
 
 import control
 import numba
@@ -15,7 +16,6 @@ import platform_ctrl as pc
 from platform_ctrl import simulation
 from platform_ctrl.plant.platform import PickOff
 from platform_ctrl.simulation import Scenario, TimeTable
-from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.simulation.kernel.devices import philox
 from signal_and_gimbal import PERIOD, RMS, J, fault, flown, gain, plant, scenario, within
 
@@ -63,14 +63,6 @@ def test_a_limited_torque_stays_at_its_limit_and_is_counted() -> None:
     out = flown(plant(limit=0.4), level=-0.5, slope=10.0)
     np.testing.assert_allclose(out.torque[:, 0], np.clip(10.0 * out.t - 0.5, -0.4, 0.4), rtol=0, atol=1e-13)
     assert out.saturated[0] == np.sum(np.abs(out.command) >= 0.4)
-
-
-def test_a_torque_whose_rate_is_limited_moves_along_a_ramp() -> None:
-    out = flown(plant(rate_limit=20.0))
-    risen = np.minimum(out.t, 0.05)
-    np.testing.assert_allclose(out.torque[:, 0], 20.0 * risen, rtol=0, atol=1e-13)
-    impulse = 10.0 * risen**2 + (out.t - risen)
-    np.testing.assert_allclose(J * out.rate[:, 1], impulse, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("step", [1e-3, 1e-4])
@@ -130,7 +122,7 @@ READINGS = ["signal", "signal_rate", "Omega2"]
 TURNING = TimeTable(t=np.array([0.0, 0.1]), values=np.array([[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]]))
 
 
-def truth(out: Trajectory) -> np.ndarray:
+def truth(out: Any) -> np.ndarray:
     return np.column_stack([out.q, out.rate[:, 0], out.Omega[:, 1]])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import control
 import numpy as np
@@ -16,7 +17,6 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.scenario import Sine
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.simulation import Fault, HalfCosine, Scenario, TimeTable, Vibration
-from platform_ctrl.simulation.batch import BatchResult
 
 PERIOD, STEP = 5e-4, 1e-4
 
@@ -124,11 +124,11 @@ def motley() -> tuple[Scenario, ...]:
     return tuple(out)
 
 
-def together(runs: Sequence[Scenario], threads: int = 1) -> BatchResult:
+def together(runs: Sequence[Scenario], threads: int = 1) -> Any:
     return simulation.simulate_batch(runs, [caging(model())], period=PERIOD, step=STEP, threads=threads)
 
 
-def rows(figures: BatchResult) -> np.ndarray:
+def rows(figures: Any) -> np.ndarray:
     names = ("angle", "attitude", "torque_share", "saturated", "stop_contacts", "samples", "requested")
     return np.column_stack([getattr(figures, name) for name in names])
 

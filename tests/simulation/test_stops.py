@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,14 +12,13 @@ import platform_ctrl as pc
 from platform_ctrl import Platform, simulation
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.simulation import Scenario
-from platform_ctrl.simulation.closed_loop import Trajectory
 from signal_and_gimbal import PERIOD, J, fault, flown, gain, plant, scenario, within
 from small_trees import tree
 
 # Stops.
 
 
-def bouncing(restitution: float, **more: object) -> Trajectory:
+def bouncing(restitution: float, **more: object) -> Any:
     platform = plant(stops=(-0.05, 0.05), restitution=restitution)
     one = scenario(platform, **({"rate": [0.0, 3.0], "level": 0.0} | more))
     return simulation.simulate(one, [gain()], period=PERIOD)
@@ -71,7 +71,7 @@ def free_gyro(restitution: float, control: str = "regulated") -> Platform:
     )
 
 
-def momentum_and_energy(platform: Platform, out: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+def momentum_and_energy(platform: Platform, out: Any) -> tuple[np.ndarray, np.ndarray]:
     """Angular momentum in inertial axes, and the energy that goes with rates: half of v'A*v."""
     rotor = platform.rotors[0]
     apart = dataclasses.replace(platform, rotors=(dataclasses.replace(rotor, control="free"),))

@@ -47,12 +47,6 @@ def put(mem: np.ndarray, slot: int, rows: np.ndarray) -> None:
     mem[slot : slot + rows.shape[1]] = columns.T
 
 
-def run(entry: Any, plant: Packed, mem: np.ndarray, lane: int | None, *rest: Any) -> None:
-    """Call an entry for all columns at once (`lane` None), or for those before `lane` one by one."""
-    for column in [None] if lane is None else range(lane):
-        entry(plant.links, mem, column, plant.at, *rest)
-
-
 def whole_state(platform: Platform, q: np.ndarray, v: np.ndarray, rotors: np.ndarray | tuple[()] = ()) -> np.ndarray:
     """Return the kernel's state; `rotors` are P and x of the servo rotors."""
     return np.concatenate([q, v, [1.0, 0.0, 0.0, 0.0], rotors])
@@ -64,8 +58,6 @@ def derivatives(
     force: np.ndarray,
     free: bool = True,
     held: Any = (),
-    lane: int | None = None,
-    bare: bool = False,
 ) -> np.ndarray:
     """Derivatives of states (k, size), k <= 8, under [M, Q] = `force`; the gimbals `held` are locked."""
     plant = pack(platform)
@@ -75,16 +67,16 @@ def derivatives(
     for k in held:
         mem[at.work + (k + 1) * WORK + LOCKED] = 1.0
     locking = len(tuple(held)) > 0
-    run(entries()[0], plant, mem, lane, free, locking, bare, at.state, at.surroundings, at.stages)
+    entries()[0](plant.links, mem, None, at, free, locking, False, at.state, at.surroundings, at.stages)
     return mem[at.stages : at.stages + at.size].T[: len(np.atleast_2d(states))].copy()
 
 
-def momenta(platform: Platform, states: np.ndarray, lane: int | None = None) -> np.ndarray:
+def momenta(platform: Platform, states: np.ndarray) -> np.ndarray:
     """Angular momentum about the fixed point in root axes and joint momenta (k, 3 + n) of states whose v is rates."""
     plant = pack(platform)
     at, mem = plant.at, space(plant)
     put(mem, at.state, states)
-    run(entries()[1], plant, mem, lane, at.state, at.surroundings, at.stages)
+    entries()[1](plant.links, mem, None, at, at.state, at.surroundings, at.stages)
     root = at.work + MOMENT
     out = np.concatenate([mem[root : root + 3], mem[at.stages : at.stages + at.n]])
     return out.T[: len(np.atleast_2d(states))].copy()

@@ -22,14 +22,13 @@ from platform_ctrl import linearise, read_job
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
-from platform_ctrl.design.loop import LoopOutcome
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_c
-from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import line_of_sight_budget
-from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
+from platform_ctrl.verification.coupled import coupled_check
 from platform_ctrl.verification.simulated import simulated_budget
 from platform_ctrl.verification.verdict import coupled_proofs
 
@@ -56,22 +55,22 @@ def tracking_job(slow: int | None = SLOW, inner: int = 1, **sensor: Any) -> dict
 
 
 @pytest.fixture(scope="module")
-def job() -> Job:
+def job() -> Any:
     return read_job(tracking_job())
 
 
 @pytest.fixture(scope="module")
-def made(job: Job) -> tuple[LoopOutcome, ...]:
+def made(job: Any) -> tuple[Any, ...]:
     return loops(job)
 
 
 @pytest.fixture(scope="module")
-def controllers(made: tuple[LoopOutcome, ...]) -> list[control.StateSpace]:
+def controllers(made: tuple[Any, ...]) -> list[control.StateSpace]:
     return [one.closed.controller for one in made]
 
 
 @pytest.fixture(scope="module")
-def check(job: Job, controllers: list[control.StateSpace]) -> CoupledCheck:
+def check(job: Any, controllers: list[control.StateSpace]) -> Any:
     return coupled_check(job, linearise(job.platform), controllers)
 
 
@@ -105,7 +104,7 @@ class Computer:
         self.x, self.u = list(parts[: len(self.x)]), list(parts[len(self.x) :])
 
 
-def over_a_cycle(job: Job, check: CoupledCheck, controllers: list[control.StateSpace], cycle: int) -> np.ndarray:
+def over_a_cycle(job: Any, check: Any, controllers: list[control.StateSpace], cycle: int) -> np.ndarray:
     """The transition of plant and computer over a cycle, column by column, by stepping."""
     plant = System.of(check.plant, "plant")
     names, torquers = list(check.plant.output_labels), list(check.plant.input_labels)
@@ -121,7 +120,7 @@ def over_a_cycle(job: Job, check: CoupledCheck, controllers: list[control.StateS
     return np.array(columns).T
 
 
-def test_the_slow_loop_is_what_the_run_does(made: tuple[LoopOutcome, ...], job: Job) -> None:
+def test_the_slow_loop_is_what_the_run_does(made: tuple[Any, ...], job: Any) -> None:
     """Of its plants and controller alone, at every 20th sample, follows what the kernel reads there, step for step."""
     tracking = made[0].closed
     assert tracking.plants is not None
@@ -141,7 +140,7 @@ def test_the_slow_loop_is_what_the_run_does(made: tuple[LoopOutcome, ...], job: 
 
 
 def test_poles_are_those_of_stepping_plant_and_computer_over_a_cycle(
-    job: Job, check: CoupledCheck, controllers: list[control.StateSpace]
+    job: Any, check: Any, controllers: list[control.StateSpace]
 ) -> None:
     assert check.period == pytest.approx(SLOW * T)
     assert check.controller is None
@@ -155,7 +154,7 @@ def test_poles_are_those_of_stepping_plant_and_computer_over_a_cycle(
     assert "over 20 samples" in check.results[0].evidence
 
 
-def test_stability_of_the_whole_is_proved(check: CoupledCheck, controllers: list[control.StateSpace]) -> None:
+def test_stability_of_the_whole_is_proved(check: Any, controllers: list[control.StateSpace]) -> None:
     proofs = coupled_proofs(check, controllers)
     (proof,) = proofs.claims
     assert proof.proved
@@ -181,9 +180,7 @@ def test_rates_that_do_not_divide_one_another_repeat_after_their_common_multiple
         x = K.A @ x + K.B @ y
 
 
-def test_no_gain_within_the_margin_destabilises(
-    job: Job, check: CoupledCheck, controllers: list[control.StateSpace]
-) -> None:
+def test_no_gain_within_the_margin_destabilises(job: Any, check: Any, controllers: list[control.StateSpace]) -> None:
     """Gains of the torque's loop that change from sample to sample at random, inside the disk."""
     plant = System.of(check.plant, "plant")
     seen, torquers = list(check.plant.output_labels), list(check.plant.input_labels)
@@ -287,7 +284,7 @@ def test_a_tracker_that_measures_when_it_is_read_is_not_held() -> None:
 
 
 def test_the_generated_code_is_the_simulated_computer(
-    job: Job, controllers: list[control.StateSpace], tmp_path: Path
+    job: Any, controllers: list[control.StateSpace], tmp_path: Path
 ) -> None:
     files = write_c(job, controllers, tmp_path).files
     library = compiled(files, tmp_path / "all.so")
@@ -338,7 +335,7 @@ def shaken_data(slow: int) -> dict[str, Any]:
     return data
 
 
-def shaken_job(slow: int) -> Job:
+def shaken_job(slow: int) -> Any:
     return read_job(shaken_data(slow))
 
 

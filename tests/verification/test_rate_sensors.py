@@ -82,17 +82,6 @@ def test_rate_noise_shakes_the_torque_as_an_autoregression_of_first_order():
     np.testing.assert_allclose(found.torque_noise, expected, rtol=1e-9)
 
 
-def test_a_gimbals_rate_closes_a_loop_on_the_carried_platform():
-    job = job_of(with_arm())
-    damper = gains([[-2.0, -0.1]], ["q_a", "q_a_rate"], ["Qa"])
-    found = coupled_check(job, linearise(job.platform), [damper])
-    assert not found.free
-    T = PERIOD
-    A, B = np.array([[1, T], [0, 1]]), np.array([[T**2 / 2], [T]]) / ARM
-    expected = np.linalg.eigvals(A + B @ [[-2.0, -0.1]])
-    np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(expected), atol=1e-9)
-
-
 def test_a_given_rate_of_the_platform_closes_no_loop():
     """Omega is known on the carried platform: what is fed forward moves no pole and no margin."""
     job = job_of(with_arm())
