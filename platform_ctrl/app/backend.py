@@ -338,8 +338,10 @@ class Backend:
         if not free:
             raise DesignError(f"{spec.name}, {design.name}: no slider is free to be tuned; free at least one")
         task = Tuning(
+            job=self.job(settings),
             spec=spec,
             design=design,
+            model=self._loops.plants.model,
             plants=self._loops.plants_of(settings, spec, design),
             directions=self._loops.directions(settings, spec, design),
             options=self._loops.options.used(settings, spec, design),

@@ -14,9 +14,6 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-import numpy as np
-
-from platform_ctrl.analysis.system import System
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import DesignError, PlatformCtrlError
@@ -29,6 +26,7 @@ if TYPE_CHECKING:
     from platform_ctrl.analysis.plant_set import PlantSet
     from platform_ctrl.design.loop import Design
     from platform_ctrl.design.partition import Channels
+    from platform_ctrl.mechanics.linearisation import LinearModel
     from platform_ctrl.simulation.closed_loop import Trajectory
 
 IsCancelled = Callable[[], bool]
@@ -282,8 +280,10 @@ class Tuning:
     `plants` and `directions` are those of the settings, `options` all that the design uses.
     """
 
+    job: Job
     spec: LoopSpec
     design: DesignSpec
+    model: LinearModel
     plants: PlantSet
     directions: Channels
     options: dict[str, float]
@@ -291,32 +291,31 @@ class Tuning:
 
     def run(self, progress: Progress) -> dict[str, float]:
         """Return the tuned options."""
-        from platform_ctrl.design.method import TunedMethod, shaped
+        from platform_ctrl.design.method import LoopProblem, TunedMethod, tuned
         from platform_ctrl.design.methods import METHODS
-        from platform_ctrl.design.tuning import Tuner, over_decades
+        from platform_ctrl.design.tuning import over_decades
 
-        plants, channel, design = self.plants, self.directions, self.design
-        method = METHODS[design.method]
+        method = METHODS[self.design.method]
         assert isinstance(method, TunedMethod), "the app tunes what is built from its options"
-
-        sense = np.eye(len(plants.angles)) if channel.sense is None else channel.sense
-        seen = method.seen(plants if channel.sense is None else plants.in_directions(sense))
-
-        def controller(trial: dict[str, float]) -> System:
-            K = method.controller(trial, channel, seen)
-            K = K._replace(B=K.B @ sense, D=K.D @ sense)
-            return K if design.command is None else shaped(K, design.command, channel, sense)
-
-        tuner = Tuner(
-            movable=self.movable,
-            build=controller,
-            plants=plants,
-            requirements=self.spec.requirements,
-            upper=method.upper_bounds(plants.period),
-            progress=lambda _, limiting: progress(limiting),
+        problem = LoopProblem(
+            job=self.job,
+            spec=self.spec,
+            design=self.design,
+            model=self.model,
+            plant_set=self.plants,
+            directions=self.directions,
+            progress=progress,
         )
+        seen, period = method.seen(problem.plants), self.plants.period
         together = [name for name in method.rates if name in self.movable]
-        return tuner.run(self.options, over_decades(self.options, together, plants.period))
+        return tuned(
+            problem,
+            self.options,
+            self.movable,
+            lambda trial: method.controller(trial, self.directions, seen),
+            upper=method.upper_bounds(period),
+            starts=over_decades(self.options, together, period),
+        )
 
 
 @value

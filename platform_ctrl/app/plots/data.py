@@ -12,7 +12,6 @@ from bokeh.models import ColumnDataSource, Range1d
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis import curves
-from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.palette import PALETTE
 from platform_ctrl.common.values import FloatArray
 
@@ -100,30 +99,11 @@ def positive(gain: FloatArray) -> FloatArray:
         return np.asarray(np.where(gain > 0.0, gain, np.nan))
 
 
-def joined_curves(rows: Any, kept: NDArray[np.bool_] | None = None) -> Column:
-    """Return the rows of an array (N, F) one after the other with a gap after each: many curves as one line.
-
-    Of each row the points that are `kept` (N, F), default all.
-    """
+def joined_curves(rows: Any) -> Column:
+    """Return the rows of an array (N, F) one after the other with a gap after each: many curves as one line."""
     out = column(rows)
     out = out.reshape(len(out), -1) if out.size else np.zeros((0, 0), np.float32)
-    joined = np.hstack([out, np.full((len(out), 1), np.nan, np.float32)])
-    return joined.ravel() if kept is None else joined[np.hstack([kept, np.ones((len(kept), 1), np.bool_)])]
-
-
-def spaced(rows: ComplexArray, distance: FloatArray) -> NDArray[np.bool_]:
-    """Return which points of curves in the plane (N, F) are drawn: both ends, and others about `distance` (N,) apart.
-
-    What is not finite is kept: it is a gap.
-    """
-    fine = np.isfinite(rows)
-    steps = np.abs(np.diff(np.where(fine, rows, 0.0), axis=1))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        passed = np.floor(np.nan_to_num(np.cumsum(steps, axis=1) / distance[:, None]))
-    kept = ~fine
-    kept[:, 1:] |= np.diff(passed, axis=1, prepend=0.0) > 0.0
-    kept[:, :1] = kept[:, -1:] = True
-    return kept
+    return np.hstack([out, np.full((len(out), 1), np.nan, np.float32)]).ravel()
 
 
 def finite(*columns: Column) -> tuple[Column, ...]:

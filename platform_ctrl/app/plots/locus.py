@@ -16,7 +16,6 @@ from platform_ctrl.app.plots.data import (
     column,
     joined_curves,
     series,
-    spaced,
     thinned,
 )
 from platform_ctrl.app.plots.panel import Key, Panel, Theme, limit_key, set_message
@@ -33,8 +32,6 @@ _HYSTERESIS = 1.35
 # Least distance between the labels of the rays as a share of the view.
 _APART = 0.17
 _ROUND = np.array([1.0, 2.0, 5.0])
-# Distance of points along a branch, as a share of its farthest point or of the view.
-_SPACING = 2e-3
 _BRANCH = ("re", "im", "gain")
 
 
@@ -100,10 +97,8 @@ class LocusPanel(Panel):
         """Follow a picture."""
         locus, overlays, put = picture.locus, picture.bode.overlays, self.sources.put
         factors, branches, reach = locus.values, locus.s.T, locus.view.reach
-        size = np.abs(branches).max(axis=1, where=np.isfinite(branches), initial=0.0)
-        kept = spaced(branches, _SPACING * np.minimum(size, reach))
         columns = branches.real, branches.imag, np.broadcast_to(factors, branches.shape)
-        put("branches", **{name: joined_curves(one, kept) for name, one in zip(_BRANCH, columns, strict=True)})
+        put("branches", **{name: joined_curves(one) for name, one in zip(_BRANCH, columns, strict=True)})
         first = branches[:, 0] if branches.size else np.zeros(0, np.complex128)
         others = picture.other_poles[thinned(len(picture.other_poles), _OTHERS)]
         for name, poles in (("open_poles", first), ("other_poles", others)):
