@@ -214,17 +214,11 @@ def met_words(results: Sequence[CheckResult]) -> str:
 
 def added_words(platform: Platform) -> str:
     """Return which torquers and pick-offs the device itself does not have, to go with a verdict; or nothing."""
-    from platform_ctrl.plant.platform import Torquer
-    from platform_ctrl.plant.sensors import PickOff, Sensor
-
     named = []
-    for word, kind in (("torquer", Torquer), ("pick-off", PickOff)):
-        bodies = [part.gimbal or platform.root_name for part in platform.added if isinstance(part, kind)]
+    for word, parts in (("torquer", platform.torquers), ("pick-off", platform.pickoffs)):
+        bodies = [part.gimbal or platform.root_name for part in parts if part.added]
         if bodies:
             named.append(f"{f'a {word}' if len(bodies) == 1 else f'{word}s'} on {listed(bodies)}")
-    sensors = [part.name for part in platform.added if isinstance(part, Sensor) and not isinstance(part, PickOff)]
-    if sensors:
-        named.append(f"{'the sensor' if len(sensors) == 1 else 'the sensors'} {listed(sensors)}")
     return f", with {listed(named)} added that the device does not have" if named else ""
 
 
