@@ -255,7 +255,10 @@ class AxisResponse:
             singular = np.linalg.slogdet(M)[0] == 0.0
             M[singular] = eye
             X = np.linalg.solve(M, B)
-        X += np.linalg.solve(M, (B - (every * X - self._exact @ X)).astype(np.complex128))
+        grown = np.linalg.norm(X, axis=1) * np.linalg.norm(self._A) > _GROWN * np.linalg.norm(B, axis=0)
+        far = np.flatnonzero(grown.any(axis=1))
+        if far.size:
+            X[far] += np.linalg.solve(M[far], (B - (every[far] * X[far] - self._exact @ X[far])).astype(np.complex128))
         X[singular] = np.inf
         return np.asarray(X, dtype=np.complex128)
 
