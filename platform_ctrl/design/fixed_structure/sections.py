@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, input_value, value
 from platform_ctrl.design.fixed_structure.structures import (
-    Given,
     Mask,
     Parameter,
     Structure,
@@ -39,22 +38,13 @@ class Series(Structure):
 
     blocks: Sequence[Structure]
 
-    @property
-    def given(self) -> Given:
-        """Everything that was given by name here or in a block; here overrides the block."""
-        start, bounds, fixed = dict(self.start), dict(self.bounds), dict(self.fixed)
-        for one in self.blocks:
-            inner = one.given
-            start, bounds, fixed = inner.start | start, inner.bounds | bounds, inner.fixed | fixed
-        return Given(start, bounds, fixed)
-
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return those of all blocks."""
         if not self.blocks:
             raise ArgumentError("Series: there must be at least one block, got none")
         out: list[Parameter] = []
         for k, one in enumerate(self.blocks):
-            out += one.parameters(nmeas, ncon if k == len(self.blocks) - 1 else nmeas, units)
+            out += one.settled(nmeas, ncon if k == len(self.blocks) - 1 else nmeas, units)
         names = [one.name for one in out]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
@@ -90,14 +80,9 @@ class Sampled(Structure):
     # Tustin's states are those of the trapezium rule.
     forward: bool = False
 
-    @property
-    def given(self) -> Given:
-        """Everything that was given for the structure inside."""
-        return self.inner.given
-
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return those of the structure inside."""
-        return self.inner.parameters(nmeas, ncon, units)
+        return self.inner.settled(nmeas, ncon, units)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the sampled block."""

@@ -7,8 +7,8 @@ is u = K y (positive feedback).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
-from typing import Any, NamedTuple
+from dataclasses import field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,8 @@ class Parameter:
         Whether it is searched for by its logarithm.
     lower, upper
         Bounds, in the units of the parameter.
+    fixed
+        Whether it stays at `start`.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Parameter:
     positive: bool = False
     lower: float = -np.inf
     upper: float = np.inf
+    fixed: bool = False
 
 
 @value
@@ -60,14 +63,6 @@ class Units:
     gain: FloatArray
     rate: float
     integral: float | None = None
-
-
-class Given(NamedTuple):
-    """What a user gave for parameters by name: see `Structure`."""
-
-    start: dict[str, float]
-    bounds: dict[str, tuple[float, float]]
-    fixed: dict[str, float]
 
 
 @value
@@ -161,10 +156,30 @@ class Structure:
         p = np.array([one.start for one in self.parameters(nmeas, ncon, units)])
         return len(self.block(p, nmeas, ncon).A)
 
-    @property
-    def given(self) -> Given:
-        """Everything that was given by name, for its parts too."""
-        return Given(dict(self.start), dict(self.bounds), dict(self.fixed))
+    def settled(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
+        """Return the `parameters` with what was given for them by name.
+
+        Raises
+        ------
+        ArgumentError
+            A name or a number that was given makes no sense.
+        """
+        kind, everything = type(self).__name__, self.parameters(nmeas, ncon, units)
+        for what in ("start", "bounds", "fixed"):
+            for name in getattr(self, what):
+                known_name(f"{kind}: {what}", name, tuple(one.name for one in everything))
+        return tuple(self._as_given(one, f"{kind}: {one.name}") for one in everything)
+
+    def _as_given(self, one: Parameter, where: str) -> Parameter:
+        low, high = _pair(self.bounds.get(one.name, (one.lower, one.upper)), where)
+        if one.positive and low < 0.0:
+            raise ArgumentError(f"{where}: bounds must not be negative, got {low:g} to {high:g}")
+        number = self.fixed.get(one.name, one.start if one.fixed else self.start.get(one.name, one.start))
+        if not np.isfinite(number) or (one.positive and not number > 0.0):
+            raise ArgumentError(f"{where}: must be a {'positive' if one.positive else 'finite'} number, got {number!r}")
+        fixed = one.fixed or one.name in self.fixed
+        start = float(number if fixed else min(max(number, low), high))
+        return replace(one, start=start, lower=low, upper=high, fixed=fixed)
 
 
 def joined(system: System) -> FloatArray:
@@ -289,16 +304,12 @@ class Parametrised:
 
     def __init__(self, structure: Structure, nmeas: int, ncon: int, units: Units) -> None:
         self.structure, self.nmeas, self.ncon = structure, nmeas, ncon
-        given, kind = structure.given, type(structure).__name__
-        everything = [_given(one, given, kind) for one in structure.parameters(nmeas, ncon, units)]
+        everything = structure.settled(nmeas, ncon, units)
         self.names = tuple(one.name for one in everything)
-        for what in ("start", "bounds", "fixed"):
-            for name in getattr(given, what):
-                known_name(f"{kind}: {what}", name, self.names)
-        self._fixed = np.array([float(given.fixed.get(name, 0.0)) for name in self.names])
-        self._free = np.array([k for k, name in enumerate(self.names) if name not in given.fixed], dtype=np.intp)
+        self._fixed = np.array([one.start if one.fixed else 0.0 for one in everything])
+        self._free = np.array([k for k, one in enumerate(everything) if not one.fixed], dtype=np.intp)
         if not len(self._free):
-            raise ArgumentError(f"{kind}: every parameter is fixed; leave at least one free")
+            raise ArgumentError(f"{type(structure).__name__}: every parameter is fixed; leave at least one free")
         free = [everything[k] for k in self._free]
         self._size = np.array([one.size for one in free])
         self.positive = np.array([one.positive for one in free], dtype=bool)
@@ -335,25 +346,6 @@ class Parametrised:
         slopes = self.structure.slopes(self.parameters(x), self.nmeas, self.ncon)
         size = np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), self._size)
         return np.asarray(slopes[..., self._free] * size)
-
-
-def _given(one: Parameter, by_name: Given, kind: str) -> Parameter:
-    """Return the parameter with what the user gave for it."""
-    where = f"{kind}: {one.name}"
-    low, high = _pair(by_name.bounds.get(one.name, (one.lower, one.upper)), where)
-    if one.positive and low < 0.0:
-        raise ArgumentError(f"{where}: bounds must not be negative, got {low:g} to {high:g}")
-    given = by_name.fixed.get(one.name, by_name.start.get(one.name, one.start))
-    if not np.isfinite(given) or (one.positive and not given > 0.0):
-        raise ArgumentError(f"{where}: must be a {'positive' if one.positive else 'finite'} number, got {given!r}")
-    return Parameter(
-        name=one.name,
-        start=float(min(max(given, low), high)),
-        size=one.size,
-        positive=one.positive,
-        lower=low,
-        upper=high,
-    )
 
 
 def _pair(bounds: Any, where: str) -> tuple[float, float]:
