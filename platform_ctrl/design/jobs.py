@@ -85,28 +85,24 @@ def attempted_loops(
     Designs are made side by side in up to so many processes.
     """
     job = job if isinstance(job, Job) else read_job(job)
-    with shown(progress) as say:
-        return _loops(job, say, processes)
-
-
-def _loops(job: Job, progress: Progress, processes: int) -> tuple[LoopOutcome, ...]:
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plants_of_all = {spec.name: _plants_of_designs(job, spec) for spec in job.loops}
     specs, made = {spec.name: spec for spec in job.loops}, dict[str, LoopOutcome]()
-    # A tracking loop has the rate loop that it commands in its plants.
-    for tracking in (False, True):
-        problems: dict[str, list[LoopProblem]] = {}
-        for name, spec in specs.items():
-            inner = made[str(spec.around)] if tracking and spec.kind == "tracking" else None
-            if inner is not None and inner.failure is not None:
-                made[name] = _without_inner(spec, inner.failure)
-            elif (spec.kind == "tracking") is tracking:
-                around = None if inner is None else inner.closed
-                problems[name] = _problems(job, spec, model, plants_of_all[name], around, progress)
-        found = iter(_made_of([one for own in problems.values() for one in own], processes, progress))
-        for name, own in problems.items():
-            made[name] = _outcome(specs[name], [(problem.design, next(found)) for problem in own])
+    with shown(progress) as say:
+        # A tracking loop has the rate loop that it commands in its plants.
+        for tracking in (False, True):
+            problems: dict[str, list[LoopProblem]] = {}
+            for name, spec in specs.items():
+                inner = made[str(spec.around)] if tracking and spec.kind == "tracking" else None
+                if inner is not None and inner.failure is not None:
+                    made[name] = _without_inner(spec, inner.failure)
+                elif (spec.kind == "tracking") is tracking:
+                    around = None if inner is None else inner.closed
+                    problems[name] = _problems(job, spec, model, plants_of_all[name], around, say)
+            found = iter(_made_of([one for own in problems.values() for one in own], processes, say))
+            for name, own in problems.items():
+                made[name] = _outcome(specs[name], [(problem.design, next(found)) for problem in own])
     return in_order(job, list(map(made.__getitem__, specs)))
 
 
@@ -239,12 +235,6 @@ def _plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
     return out
 
 
-def _commanded(job: Job, design: Design, around: bool) -> Design:
-    """Return a design with commands where a loop around it or a manoeuvre commands what it reads."""
-    plants = design.plants
-    return commanded(design) if plants is not None and (around or job.commanded & set(plants.angles)) else design
-
-
 def in_order(job: Job, outcomes: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ...]:
     """Return loops in the order in which their controllers are computed: a tracking loop before the one it commands.
 
@@ -253,7 +243,12 @@ def in_order(job: Job, outcomes: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ..
     around = {one.spec.around for one in outcomes}
     out = []
     for one in outcomes:
-        designs = tuple(_commanded(job, design, one.spec.name in around) for design in one.designs)
+        designs = tuple(
+            commanded(design)
+            if design.plants is not None and (one.spec.name in around or job.commanded & set(design.plants.angles))
+            else design
+            for design in one.designs
+        )
         out.append(dataclasses.replace(one, designs=designs))
     for tracking in [one for one in out if one.spec.kind == "tracking"]:
         out.remove(tracking)
