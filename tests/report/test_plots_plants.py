@@ -166,6 +166,8 @@ def test_pyplot_knows_the_plots_of_scripts_and_those_of_pages_not(gyro):
     assert pyplot.get_fignums() == []
     loop = figures.nichols(control.tf([1.0], [1.0, 1.0])).figure
     assert [pyplot.figure(number) for number in pyplot.get_fignums()] == [loop]
+    bode = figures.bode(control.tf([1.0], [1.0, 1.0])).figure
+    assert bode is not loop
     with style.settings():
         figures.campbell(gyro)
-    assert len(pyplot.get_fignums()) == 1
+    assert len(pyplot.get_fignums()) == 2

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -35,8 +35,6 @@ _ON, _CLOSEST = 1e-10, 1e-6
 _LAST = 0.9995
 # Points of the plain grid, before poles add theirs; degrees from one point to the next.
 _POINTS, _TURN = 400, 2.0
-# In place of the titles of python-control, which repeat the names in the legend.
-_UNTITLED = {"title": ""}
 
 
 @value
@@ -195,7 +193,7 @@ def bode(systems: Systems, frequency: ArrayLike | None = None, **options: Any) -
     import control
 
     drawn = [one.frd() for one in drawn_systems("bode", systems, frequency)]
-    return control.bode_plot(drawn, **_UNTITLED | options)
+    return _plotted(control.bode_plot, drawn, options)
 
 
 def singular_values(systems: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
@@ -222,9 +220,8 @@ def singular_values(systems: Systems, frequency: ArrayLike | None = None, **opti
 
     drawn = drawn_systems("singular_values", systems, frequency)
     # Of a response `control.singular_values_plot` would draw the entries.
-    return control.singular_values_plot(
-        [control.singular_values_response(one.frd()) for one in drawn], **_UNTITLED | options
-    )
+    responses = [control.singular_values_response(one.frd()) for one in drawn]
+    return _plotted(control.singular_values_plot, responses, options)
 
 
 def nyquist(loops: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
@@ -256,4 +253,13 @@ def nyquist(loops: Systems, frequency: ArrayLike | None = None, **options: Any) 
         for one in drawn_systems("nyquist", loops, frequency, loops=True)
         for name, channel in zip(one.inputs, channels(one.response), strict=True)
     ]
-    return control.nyquist_plot(parts, **_UNTITLED | options)
+    return _plotted(control.nyquist_plot, parts, options)
+
+
+def _plotted(plot: Callable[..., Any], drawn: Sequence[Any], options: Mapping[str, Any]) -> control.ControlPlot:
+    """Draw on a new figure, where python-control takes pyplot's current one; its titles repeat the legend."""
+    from matplotlib import pyplot
+
+    if "ax" not in options:
+        pyplot.figure()
+    return plot(drawn, **{"title": ""} | dict(options))
