@@ -185,10 +185,13 @@ class RootLocus:
         return [(ends[k], ends[k + 1]) for k in range(0 if first else 1, len(ends) - 1, 2)]
 
 
-def traced_locus(values: FloatArray, poles: Poles, dt: float, *, quick: bool = False) -> RootLocus:
+def traced_locus(
+    values: FloatArray, poles: Poles, dt: float, *, quick: bool = False, reach: float | None = None
+) -> RootLocus:
     """Follow the poles through `values`, finer where they run, and find where stability begins and ends.
 
-    `quick`: in longer steps, and without the edges of stability, which cost more than the rest.
+    `quick`: in longer steps, and without the edges of stability, which cost more than the rest. `reach` is how much of
+    the s-plane is shown, rad/s, where that does not follow from the poles.
     """
     nominal = poles(np.ones(1))[0]
     nyquist = np.pi / dt if dt else np.inf
@@ -197,6 +200,7 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float, *, quick: bool = F
     first = poles(coarse)
     ends = np.concatenate([first[[0, -1]].ravel(), nominal])
     view = view_of(continuous_poles(ends, dt), continuous_poles(first.ravel(), dt), nyquist)
+    view = view if reach is None else PlaneView(reach=reach)
     step = (_QUICK_STEP if quick else _STEP) * view.reach
 
     def moved(z: ComplexArray) -> FloatArray:

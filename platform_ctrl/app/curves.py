@@ -194,6 +194,11 @@ class LoopCurves(ABC):
         """Which torques have the factor of the root locus."""
         return [True] * len(self.torquers)
 
+    @property
+    def reach(self) -> float | None:
+        """How much of the s-plane the root locus shows, rad/s; None: as its poles ask for it."""
+        return None
+
     def locus(self) -> RootLocus:
         """Return the root locus over a factor on the `moving` torques."""
         moving, K = np.array(self.moving)[:, None], self.controller
@@ -203,7 +208,7 @@ class LoopCurves(ABC):
             A = self.plant.feedback(K._replace(C=f * K.C, D=f * K.D)).A
             return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
-        return traced_locus(_GAINS, closed, self.plant.dt, quick=True)
+        return traced_locus(_GAINS, closed, self.plant.dt, quick=True, reach=self.reach)
 
     def transfers(self, frequency: FloatArray) -> LoopTransfers:
         """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""

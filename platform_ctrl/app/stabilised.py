@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.classical_margins import bandwidth_of_response
-from platform_ctrl.analysis.curves import PlaneView, RootLocus
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.interconnection import interconnected
 from platform_ctrl.analysis.norms import peak
@@ -201,11 +199,11 @@ class StabilisedCurves(LoopCurves):
         """Which torques the servo's gain moves; the caging loops stay closed as they are."""
         return [name in self.roots for name in self.torquers]
 
-    def locus(self) -> RootLocus:
-        """Return the root locus; what is shown goes by the servo, which is far slower than the gyros."""
+    @property
+    def reach(self) -> float:
+        """How much of the s-plane is shown, rad/s: it goes by the servo, which is far slower than the gyros."""
         crossover = gain_crossings(self.frequency, channel_response(self.own.S, self.index))[0].max(initial=1.0)
-        view = PlaneView(reach=min(8.0 * float(crossover), math.pi / self.plant.dt))
-        return dataclasses.replace(super().locus(), view=view)
+        return min(8.0 * float(crossover), math.pi / self.plant.dt)
 
     def measured(self, bode: Bode, check: CoupledCheck) -> Measured:
         """Return margins and requirements; `check` is of all loops closed around the nominal plant."""
