@@ -52,6 +52,13 @@ def test_the_compiler_and_what_is_optional_are_loaded_by_what_uses_them_alone() 
     assert not set(json.loads(python(code))) & {"numba", "pyarrow", "pandas", "dask", "distributed", "matplotlib"}
 
 
+def test_help_and_the_list_of_models_load_nothing_heavy() -> None:
+    code = "import sys, json; from platform_ctrl.cli import main; main(['--help']); main(['models'])"
+    loaded = json.loads(python(f"{code}; print(); print(json.dumps(list(sys.modules)))").splitlines()[-1])
+    heavy = {"control", "cvxpy", "matplotlib", "numba", "scipy"}
+    assert not {name.partition(".")[0] for name in loaded} & heavy
+
+
 @pytest.mark.parametrize("name", pc.__all__)
 def test_every_public_name_is_there_and_listed(name: str) -> None:
     assert getattr(pc, name) is not None

@@ -201,23 +201,6 @@ def test_wrong_input_is_one_line_and_ends_with_two(
     assert words in refused(capsys, *arguments)
 
 
-def test_help_and_models_load_nothing_heavy() -> None:
-    code = (
-        "import sys; from platform_ctrl.cli import main; main(sys.argv[1:]);"
-        "print(*{'control', 'cvxpy', 'matplotlib', 'numba', 'scipy'} & {m.partition('.')[0] for m in sys.modules},"
-        " file=sys.stderr)"
-    )
-    for argument in ("--help", "models"):
-        done = subprocess.run(
-            [sys.executable, "-c", code, argument],
-            env=process_environment(),
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert done.stderr.split() == []
-
-
 @pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")
 def test_ctrl_c_ends_with_one_line_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     (tmp_path / "job.toml").write_text(JOB.replace("duration = 0.02", "duration = 200.0"), encoding="utf-8")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from platform_ctrl import linearise, precession, read_platform, state_space
 from platform_ctrl.errors import MechanicsError
-from platform_ctrl.plant.force_elements import Erection, Friction, Spring
+from platform_ctrl.plant.force_elements import Erection, Friction
 from tree_cases import platforms, with_torquers
 
 L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4
@@ -152,21 +152,6 @@ def test_slow_poles_of_4_5_7_on_a_turning_platform_come_out_right_with_one_momen
     assert largest_gap(part.precession_roots, poles) < 1e-6
 
 
-def test_equal_rotors_on_a_platform_that_rolls_leave_slow_poles_to_the_dropped_terms(platform):
-    """With L6 = L8 and Omega1 the paper's terms leave s⁴ = 0; with inertia it is s² (s² − 2 Omega1²)."""
-    Omega1 = 0.3
-    model = linearise(platform, Omega=(Omega1, 0, 0), terms="paper")
-    part = precession(model, gimbals=("4", "5", "7")).parts[0]
-    np.testing.assert_array_equal(part.precession_roots, 0)
-    assert part.multiple_roots
-    assert part.root_error == pytest.approx(np.sqrt(2) * Omega1, rel=1e-4)
-    # Far above Omega1 it does not matter: one momentum state still serves a loop there, and the error says so.
-    assert part.momentum_directions.shape == (3, 1)
-    frequency = np.array([3.0, 6.0])
-    assert part.error(frequency, momentum_states=True) == pytest.approx(2 * (Omega1 / frequency) ** 2, rel=0.05)
-    assert precession(model, ("4", "5", "7"), loop_frequency=0.5).parts[0].momentum_directions.shape == (3, 3)
-
-
 # The rule itself.
 
 
@@ -265,19 +250,6 @@ def test_the_loop_has_to_stay_below_a_third_of_nutation(platform):
     cured = precession(model, ("9", "10"), loop_frequency=300.0).state_space(momentum_states=True)
     full = state_space(model, gimbals=("9", "10"))
     np.testing.assert_allclose(np.asarray(cured(200j)), np.asarray(full(200j)), rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize(("stiffness", "admissible"), [(0.3, True), (300.0, False)])
-def test_a_spring_about_one_axis_leaves_a_double_root_that_inertia_does_not_split(platform, stiffness, admissible):
-    """s² (J9 J10 s² + L² + c J10): the root is shared; the error is c J10/L² as ω → 0, small for a soft spring."""
-    model = linearise(dataclasses.replace(platform, springs=(Spring(gimbal="9", stiffness=stiffness),)))
-    part = precession(model, ("9", "10")).parts[0]
-    np.testing.assert_array_equal(part.precession_roots, 0)
-    assert not part.multiple_roots
-    assert part.error([1e-3])[0] == pytest.approx(stiffness * J10 / L**2, rel=1e-2)
-    assert part.admissible == admissible
-    if not admissible:
-        assert "stiffness drives" in part.reasons[0]
 
 
 @pytest.mark.parametrize("gain", [1e-3, 0.5])

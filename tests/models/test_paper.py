@@ -1,4 +1,4 @@
-"""The shipped models say where every number comes from, and those of the paper's devices do what theory says."""
+"""The shipped models read, and those of the paper's devices do what theory says."""
 
 from __future__ import annotations
 
@@ -23,45 +23,6 @@ MODEL = pytest.mark.parametrize("name", MODELS)
 
 
 # ---------------------------------------------------------------------------------------------------- every model
-
-
-def statements(text: str) -> list[list[tuple[str, str]]]:
-    """Lines (code, comment) of every ``key = value``, several for an array that goes on."""
-    found, open_brackets = [], 0
-    for line in text.splitlines():
-        code = re.match(r"""(?:[^#"]|"[^"]*")*""", line)[0]  # type: ignore[index]
-        comment = line[len(code) :]
-        if open_brackets:
-            found[-1].append((code, comment))
-        elif re.match(r"\s*[\w.-]+\s*=", code):
-            found.append([(code, comment)])
-        else:
-            continue
-        bare = re.sub(r'"[^"]*"', "", code)
-        open_brackets += bare.count("[") - bare.count("]")
-    return found
-
-
-def holds_number(code: str) -> bool:
-    return bool(re.search(r"\d", re.sub(r'"[^"]*"', "", re.sub(r"^\s*[\w.-]+\s*=", "", code))))
-
-
-def unmarked(text: str) -> list[str]:
-    """Statements with a number that do not say P or A: on their last line, or on every line with a number."""
-    out = []
-    for lines in statements(text):
-        numbers = [comment for code, comment in lines if holds_number(code)]
-        if not numbers or re.match(r"schema\s*=", lines[0][0]):
-            continue
-        marked = [bool(re.match(r"#\s*(P|A|P [A-Z\d]+)(:\s*\S|\s*$)", comment)) for comment in (*numbers, lines[-1][1])]
-        if not (marked[-1] or all(marked[:-1])):
-            out.append(lines[0][0].strip())
-    return out
-
-
-@MODEL
-def test_every_number_of_a_model_says_whether_it_is_published_or_assumed(name: str) -> None:
-    assert unmarked(platform_source(name)) == []
 
 
 @MODEL
