@@ -28,7 +28,7 @@ def python(code: str) -> str:
 
 
 def test_no_module_imports_itself_through_others() -> None:
-    graph = grimp.build_graph("platform_ctrl", exclude_type_checking_imports=True)
+    graph = grimp.build_graph("platform_ctrl")
     modules = sorted(graph.modules)
     links = lil_array((len(modules), len(modules)))
     for k, name in enumerate(modules):
