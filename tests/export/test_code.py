@@ -9,7 +9,6 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import control
 import numpy as np
 import pytest
 
@@ -261,24 +260,6 @@ def test_sections_that_are_not_the_matrices_are_left_out_with_a_note(job: Any, t
     e["sections"][1]["outputs"] = ["direction_1"]
     with pytest.raises(InputError, match="exists already; rename it"):
         write_c(job, [e], tmp_path)
-
-
-@pytest.mark.parametrize("number", TYPES)
-def test_random_controllers_compiled_are_what_their_matrices_say(number: str, job: Any, tmp_path: Path) -> None:
-    rng = np.random.default_rng(11)
-    for n in (0, 1, 4, 9):
-        A = rng.standard_normal((n, n))
-        A *= 0.97 / np.abs(np.linalg.eigvals(A)).max(initial=1e-9)
-        B, C, D = (rng.standard_normal(shape) for shape in ((n, 2), (2, n), (2, 2)))
-        e = gyro_entry(job, A, B, C, 10.0 * D)
-        files = write_c(job, [e], tmp_path / str(n), number=number).files  # type: ignore[arg-type]
-        library = compiled(files, tmp_path / f"{n}.so")
-        fields = ["Q9", "Q10", "Q9_commanded", "Q10_commanded"]
-        made = Machine(library, "caging_9_10", ["alpha9", "beta10"], fields, TYPES[number])
-        readings = 1e-3 * rng.standard_normal((200, 2))
-        expected = control.forced_response(state_space(e), inputs=readings.T).outputs.T
-        error = np.abs(made.run(readings)[0][:, 2:] - expected).max()
-        assert error <= (1e-12 if number == "double" else 1e-4) * np.abs(expected).max()
 
 
 def test_controllers_of_one_name_do_not_overwrite_each_other(job: Any, tmp_path: Path) -> None:

@@ -89,26 +89,6 @@ def test_what_cannot_be_flown_is_refused_in_one_line(other: dict, message: str) 
         assert str(caught.value).isprintable()
 
 
-@pytest.mark.parametrize(
-    ("refused", "message"),
-    [
-        (lambda: simulate(3, [], period=PERIOD), "scenario must be a Scenario, got 3"),
-        (
-            lambda: simulate_batch(scenario(), [], period=PERIOD),
-            "scenarios must be a sequence, got one Scenario",
-        ),
-        (
-            lambda: simulate_batch([scenario()], [3], period=PERIOD),
-            "controllers must be a sequence, each a control.StateSpace, got 3 among them",
-        ),
-        (lambda: simulate(scenario(), [], period=0.0), "period must be a finite number > 0, got 0.0"),
-    ],
-)
-def test_arguments_that_mean_nothing_are_refused(refused, message: str) -> None:
-    with pytest.raises(ArgumentError, match=message):
-        refused()
-
-
 def test_a_vibration_scaled_to_nothing_moves_nothing() -> None:
     still = replaced(vibration(), {"densities": np.zeros(2)})  # as a drawn scale of 0 makes it
     omega, amplitude = still.amplitudes
