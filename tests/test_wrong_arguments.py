@@ -17,6 +17,7 @@ MODEL = pc.linearise(PLATFORM)
 SYS = pc.state_space(MODEL, gimbals=("9", "10"))[["alpha9", "beta10"], ["Q9", "Q10"]]
 P = control.ss(-np.eye(2), np.ones((2, 3)), np.ones((3, 2)), np.zeros((3, 3)))
 Q, V = np.zeros((4, 5)), np.zeros((4, 8))
+STILL = simulation.Scenario(platform=PLATFORM, mode="caged", duration=0.0, delay=0.0)
 
 WRONG: dict[str, tuple[Callable[[], Any], str]] = {
     "a model that is not shipped": (lambda: pc.read_platform("three_gyros"), "three_gyro"),
@@ -40,6 +41,11 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
     "a margin of a loop that is not square": (lambda: analysis.disk_margin(P[[0, 1], [0]]), "disk_margin"),
     "a skew beyond its range": (lambda: analysis.disk_margin(SYS, skew=np.nan), "skew"),
     "inputs of another length": (lambda: analysis.time_response(SYS, np.arange(3.0), np.ones((2, 4))), "time_response"),
+    "times that do not increase": (lambda: analysis.time_response(SYS, [0.0, 3.0, 1.0], np.ones((2, 3))), "increase"),
+    "gimbals of a free root": (lambda: pc.state_space(MODEL, root="free", gimbals=("9", "10")), "leave it out"),
+    "a gimbal apart from the one it is coupled to": (lambda: pc.state_space(MODEL, gimbals=("9",)), "coupled"),
+    "a period of zero": (lambda: simulation.simulate(STILL, [], period=0.0), "period"),
+    "a scenario that is none": (lambda: simulation.simulate(3, [], period=1e-3), "Scenario"),
     "a time step below zero": (lambda: simulation.rollout(PLATFORM, Q, V, step=-1e-3, steps=1), "step"),
     "half a step": (lambda: simulation.rollout(PLATFORM, Q, V, step=1e-3, steps=0.5), "steps"),
     "runs of different numbers": (lambda: simulation.rollout(PLATFORM, Q[:2], V, step=1e-3, steps=1), "velocity"),

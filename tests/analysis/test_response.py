@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import control
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl import analysis
 from platform_ctrl.analysis.system import System
 
 seeds = st.integers(0, 2**31 - 1)
@@ -55,17 +54,3 @@ def test_time_response_of_a_discrete_system_is_its_recurrence(seed: int) -> None
     out = analysis.time_response(control.ss(A, B, C, D, 0.1), 0.1 * np.arange(u.size), u)
     expected = np.hstack(reference)
     np.testing.assert_allclose(out, expected, atol=1e-11 * max(1.0, np.abs(expected).max()))
-
-
-@pytest.mark.parametrize(
-    ("timepts", "inputs", "says"),
-    [
-        ([0.0, 3.0, 1.0], np.ones(3), "must increase"),
-        ([0.0], np.ones(1), "at least two"),
-        ([0.0, 1.0], np.ones((2, 2)), r"must be finite, \(1, 2\)"),
-        ([0.0, 1.0], [np.nan, 0.0], "inputs must be finite"),
-    ],
-)
-def test_time_response_says_what_does_not_fit(timepts: list[float], inputs: np.ndarray, says: str) -> None:
-    with pytest.raises(PlatformCtrlError, match=says):
-        analysis.time_response(control.ss([[-1.0]], [[1.0]], [[1.0]], 0), timepts, inputs)

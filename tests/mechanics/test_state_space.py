@@ -107,22 +107,6 @@ def test_a_free_root_with_force_elements_moves_as_the_non_linear_equations_about
     np.testing.assert_allclose(slope @ motion, s * np.vstack([rates, s * angles]), atol=1e-7 * scale)
 
 
-def test_wrong_questions_get_one_line(platform):
-    model = linearise(platform)
-    with pytest.raises(ArgumentError, match="coupled"):
-        state_space(model, gimbals=("9",))
-    with pytest.raises(ArgumentError, match="did you mean"):
-        state_space(model, gimbals=("9", "100"))
-    with pytest.raises(ArgumentError, match="'prescribed' or 'free'"):
-        state_space(model, root="fixed")
-    with pytest.raises(ArgumentError, match="leave it out"):
-        state_space(model, root="free", gimbals=("9", "10"))
-    with pytest.raises(ArgumentError, match="terms must be 'exact' or 'paper', got 'both'"):
-        linearise(platform, terms="both")
-    with pytest.raises(ArgumentError, match=r"Omega must have shape \(3,\), got \(2,\)"):
-        linearise(platform, Omega=(0, 1))
-
-
 def test_yaw_and_pitch_of_a_balanced_gimbal_act_on_one_another_only_while_the_platform_rate_changes():
     """M_Omega_q: azimuth feels the derivative of the roll rate times the elevation angle."""
     model = linearise(read_platform(camera_plant()))
