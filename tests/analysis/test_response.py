@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis.system import System
 
 seeds = st.integers(0, 2**31 - 1)
 
@@ -19,18 +18,6 @@ def test_a_double_integrator_sampled_fast_keeps_its_digits_at_low_frequency() ->
     z_minus_1 = np.expm1(1j * w * period)
     truth = 0.5 * period**2 * (z_minus_1 + 2.0) / z_minus_1**2
     np.testing.assert_allclose(analysis.frequency_response(plant, w)[0, 0], truth, rtol=1e-9)
-
-
-def test_a_stack_gives_what_its_systems_give_one_by_one() -> None:
-    rng = np.random.default_rng(7)
-    A, B = rng.normal(size=(2, 3, 5, 5)), rng.normal(size=(5, 2))
-    C, D = rng.normal(size=(3, 2, 5)), rng.normal(size=(2, 2))
-    w = np.geomspace(0.1, 10.0, 700)
-    out = analysis.frequency_response(System(A, B, C, D, 0.0), w, axis=-3)
-    assert out.shape == (2, 3, 700, 2, 2)
-    z = 1j * w
-    truth = C[:, None] @ np.linalg.solve(z[:, None, None] * np.eye(5) - A[:, :, None], B + 0j) + D
-    np.testing.assert_allclose(out, truth, rtol=1e-9, atol=1e-11)
 
 
 def test_undamped_oscillation_keeps_its_phase_over_thousands_of_samples() -> None:

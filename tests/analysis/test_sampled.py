@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis.system import System
 
 
 def random_plant(seed: int) -> control.StateSpace:
@@ -58,16 +57,6 @@ def test_a_delayed_integrator_splits_its_step_between_two_samples() -> None:
     system = analysis.sampled(control.ss([[0.0]], [[1.0]], [[1.0]], 0), 1.0, delay=0.25)
     out = analysis.time_response(system, np.arange(5.0), [1.0, 0.0, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(out, [0.0, 0.75, 1.0, 1.0, 1.0], atol=1e-14)
-
-
-def test_a_stack_gives_what_its_plants_give_one_by_one() -> None:
-    plants = [random_plant(seed) for seed in range(3)]
-    A, B, C, D = (np.stack([getattr(plant, name) for plant in plants]) for name in "ABCD")
-    stacked = analysis.sampled(System(A, B, C, D, 0.0), 0.1, delay=0.14, lag=0.02)
-    for i, plant in enumerate(plants):
-        single = analysis.sampled(plant, 0.1, delay=0.14, lag=0.02)
-        for array, name in zip(stacked[:4], "ABCD", strict=True):
-            np.testing.assert_allclose(array[i], getattr(single, name), atol=1e-11)
 
 
 def test_widely_spread_poles_keep_their_digits() -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation import Fault, HalfCosine, Scenario, TimeTable, Vibration, simulate, simulate_batch
 
@@ -87,10 +86,3 @@ def test_what_cannot_be_flown_is_refused_in_one_line(other: dict, message: str) 
         with pytest.raises(ArgumentError, match=message) as caught:
             refused()
         assert str(caught.value).isprintable()
-
-
-def test_a_vibration_scaled_to_nothing_moves_nothing() -> None:
-    still = replaced(vibration(), {"densities": np.zeros(2)})  # as a drawn scale of 0 makes it
-    omega, amplitude = still.amplitudes
-    assert np.all(omega > 0.0)
-    assert not amplitude.any()
