@@ -82,8 +82,8 @@ const follow = (there, given) => {
 
 const dress = (there, given) => {
   for (const { name, value } of given.attributes) if (there.getAttribute(name) !== value) there.setAttribute(name, value);
-  // Whether details are open is up to the user.
-  for (const { name } of [...there.attributes]) if (!given.hasAttribute(name) && name !== "open") there.removeAttribute(name);
+  // Whether details are open, and what is being typed, is up to the user.
+  for (const { name } of [...there.attributes]) if (!given.hasAttribute(name) && name !== "open" && name !== "data-typing") there.removeAttribute(name);
   if (chosen.get(there.closest("select, fieldset") ?? there) > answering) return;
   if (there instanceof HTMLOptionElement) there.selected = given.selected;
   else if (there instanceof HTMLInputElement && !(there.dataset.typing && there === document.activeElement)) {
