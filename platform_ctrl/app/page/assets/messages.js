@@ -86,7 +86,7 @@ const dress = (there, given) => {
   for (const { name } of [...there.attributes]) if (!given.hasAttribute(name) && name !== "open" && name !== "data-typing") there.removeAttribute(name);
   if (chosen.get(there.closest("select, fieldset") ?? there) > answering) return;
   if (there instanceof HTMLOptionElement) there.selected = given.selected;
-  else if (there instanceof HTMLInputElement && !(there.dataset.typing && there === document.activeElement)) {
+  else if (there instanceof HTMLInputElement && !(there.type === "text" && there === document.activeElement)) {
     there.checked = given.checked;
     if (there.type !== "radio" && there.type !== "checkbox" && there.value !== given.value) there.value = given.value;
   }
