@@ -67,9 +67,6 @@ class PrecessionPart:
         Roots of the model, complex, rad/s, slowest first.
     root_error
         Largest distance between the roots and the slow poles of the full equations, rad/s.
-    multiple_roots
-        Whether the roots contain a multiple one that dropped terms may split. A root 0 with complete eigenvectors, or
-        with chains no longer than two, is the same with and without inertia.
     separation
         Ratio of the lowest nutation frequency to the loop frequency or the fastest precession, whichever is higher.
         Precession is as fast as stiffness drives it in any direction, ‖G⁻¹ K‖ in coordinates of unit inertia: roots
@@ -94,7 +91,6 @@ class PrecessionPart:
     nutation: FloatArray
     precession_roots: ComplexArray
     root_error: float
-    multiple_roots: bool
     separation: float
 
     @property
@@ -388,7 +384,6 @@ def _tested(model: LinearModel, rows: list[int], loop_frequency: float | None, r
         nutation=np.abs(dropped[dropped.imag >= 0.0]),
         precession_roots=roots,
         root_error=root_error,
-        multiple_roots=multiple is not None,
         separation=lowest / highest if highest > 0.0 else np.inf,
     )
 
