@@ -101,7 +101,7 @@ def edges_around(s: ComplexArray) -> FloatArray:
     return out[out > 0.0]
 
 
-class Prepared(NamedTuple):
+class NodeResponses(NamedTuple):
     """Responses at the nodes of some panels, weighted by the roots of the densities; images with sources are `inside`.
 
     theta (N,), frequency (N, F), direct (N, I, q, c), measured (N, I, p, c), held (N, I, q, m), outer (N, F, q, m²),
@@ -119,22 +119,22 @@ class Prepared(NamedTuple):
     sampled: ComplexArray
     weights: FloatArray
 
-    def rows(self, rows: slice) -> Prepared:
+    def rows(self, rows: slice) -> NodeResponses:
         """Return those at some of the nodes."""
         return self._replace(**{name: getattr(self, name)[rows] for name in _BY_NODE}, weights=self.weights[:, rows])
 
 
 # What has the nodes first.
-_BY_NODE = tuple(name for name in Prepared._fields if name not in ("inside", "weights"))
+_BY_NODE = tuple(name for name in NodeResponses._fields if name not in ("inside", "weights"))
 
 
-def joined(blocks: list[Prepared]) -> Prepared:
+def joined(blocks: list[NodeResponses]) -> NodeResponses:
     """Return the responses at the nodes of all blocks."""
     if len(blocks) == 1:
         return blocks[0]
     fields = {name: np.concatenate([getattr(one, name) for one in blocks]) for name in _BY_NODE}
     weights = np.concatenate([one.weights for one in blocks], axis=1)
-    return Prepared(**fields, inside=blocks[0].inside, weights=weights)
+    return NodeResponses(**fields, inside=blocks[0].inside, weights=weights)
 
 
 # Edges of cumulative variances that are nearer to each other than this, relative, are one where there are many images.

@@ -26,8 +26,8 @@ from platform_ctrl.analysis.budget_integrals import (
     KRONROD,
     WIDE,
     Contribution,
+    NodeResponses,
     Panel,
-    Prepared,
     aliased,
     alike,
     assembled,
@@ -115,7 +115,7 @@ class JitterBudget:
                 f"jitter budget: a source reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
                 f"at most {MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
             )
-        self._known: dict[Panel, Prepared] = {}
+        self._known: dict[Panel, NodeResponses] = {}
         self._kept = 0
 
     def of(
@@ -239,9 +239,9 @@ class JitterBudget:
         sources, packed = len(self._random) + len(self._noise), self.plant.controls**2
         return (2 * self._images + 1) * (self.plant.outputs + packed) * (sources + packed)
 
-    def _prepared(self, panels: list[Panel]) -> Prepared:
+    def _prepared(self, panels: list[Panel]) -> NodeResponses:
         new = [one for one in panels if one not in self._known]
-        made: dict[Panel, Prepared] = {}
+        made: dict[Panel, NodeResponses] = {}
         if new:
             points = nodes(new)[0].ravel()
             size = self.open_loop.size + 2 * self.plant.outputs * self.plant.controls**2
@@ -255,7 +255,7 @@ class JitterBudget:
                 self._kept += size
         return joined([made[one] if one in made else self._known[one] for one in panels])
 
-    def _evaluated(self, theta: FloatArray) -> Prepared:
+    def _evaluated(self, theta: FloatArray) -> NodeResponses:
         plant, count = self.plant, self._images
         images = np.arange(-count, count + 1)
         family = self.open_loop.family(theta, images)
@@ -275,7 +275,7 @@ class JitterBudget:
         )
         columns = columns[:, list(inside)]
         measured, held = family.measured[:, list(inside)] @ columns, family.held * family.integral
-        return Prepared(
+        return NodeResponses(
             theta,
             family.frequency,
             inside,
@@ -297,7 +297,7 @@ class JitterBudget:
             out += [shares.displacement * above, shares.smear, shares.jitter]
         return np.stack(out)
 
-    def _densities(self, at: Prepared, controller: MultiRate) -> tuple[FloatArray, FloatArray]:
+    def _densities(self, at: NodeResponses, controller: MultiRate) -> tuple[FloatArray, FloatArray]:
         """Return one-sided densities of the outputs (N, F, G, q) and what the images beyond add (N, G, q)."""
         M = self.open_loop.modulator(controller, at.theta, at.sampled)
         N, F, q, packed = at.outer.shape
@@ -316,7 +316,7 @@ class JitterBudget:
         rest = at.rest.swapaxes(1, 2).reshape(N, q, -1) @ moved.swapaxes(1, 2).reshape(N, R * packed, -1)
         return density, rest.swapaxes(-1, -2)
 
-    def _moved(self, at: Prepared, M: Modulator, component: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    def _moved(self, at: NodeResponses, M: Modulator, component: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
         """Return what random sources do to controls (N, m², R, G), and the densities (N, I, G, q) at images inside.
 
         `component` (I,) are those of the images inside.
@@ -349,7 +349,7 @@ class JitterBudget:
         rows, columns = rows[order], columns[order]
         return out, self._where_sources_are(at, u[:, rows, columns], others[:, :, rows, columns])
 
-    def _where_sources_are(self, at: Prepared, u: ComplexArray, others: FloatArray) -> FloatArray:
+    def _where_sources_are(self, at: NodeResponses, u: ComplexArray, others: FloatArray) -> FloatArray:
         """Return the densities (N, I, G, q) at images that have sources of their own.
 
         Of controls u (N, I, m, c) that an image's own disturbance moves, and of what the `others` (N, m², I, G) move.
