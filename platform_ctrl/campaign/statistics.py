@@ -20,27 +20,28 @@ from platform_ctrl.campaign.store import (
     read_columns,
     was_simulated,
 )
-from platform_ctrl.common.arguments import positive, whole
+from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
 CONFIDENCE = 0.95
 # An input is called a driver or a cause if chance would look like it in fewer than this share of campaigns.
 SIGNIFICANCE = 0.01
+# So many of the worst runs are named for each requirement.
+_WORST_RUNS = 10
 
 
 @value
 class Probability:
     """How often something happened: `events` of `runs`, with Clopper and Pearson's bounds (Biometrika 26, 1934).
 
-    The share of all runs that could be drawn lies between `low` and `high` at least with probability `confidence`.
+    The share of all runs that could be drawn lies between `low` and `high` at least with probability `CONFIDENCE`.
     """
 
     events: int
     runs: int
     low: float
     high: float
-    confidence: float
 
     @property
     def estimate(self) -> float:
@@ -48,26 +49,24 @@ class Probability:
         return self.events / self.runs if self.runs else float("nan")
 
 
-def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> Probability:
+def clopper_pearson(events: int, runs: int) -> Probability:
     """Return the probability of an event seen `events` times in `runs` independent runs.
 
     With no event the upper bound is 1 − (α/2)^(1/runs), about 3.7/runs at 95 %: two-sided throughout, also where the
     lower bound can only be zero. Exact for independent runs. Points of a Sobol sequence or a Latin hypercube fill the
     space more evenly: the estimate scatters less, the bounds are too wide as a rule, but nobody guarantees it.
-    ArgumentError: more events than runs, or a confidence that is not between 0 and 1.
+    ArgumentError: more events than runs.
     """
     if whole("events", events, 0) > whole("runs", runs, 0):
         raise ArgumentError(f"events must be at most runs, got {events} of {runs}")
-    if not 0.0 < positive("confidence", confidence) < 1.0:
-        raise ArgumentError(f"confidence must be between 0 and 1, got {confidence}")
     low, high = 0.0, 1.0
     if runs:
         from scipy import stats
 
-        tail = 0.5 * (1.0 - confidence)
+        tail = 0.5 * (1.0 - CONFIDENCE)
         low = float(stats.beta.ppf(tail, events, runs - events + 1)) if events else 0.0
         high = float(stats.beta.isf(tail, events + 1, runs - events)) if events < runs else 1.0
-    return Probability(events=events, runs=runs, low=low, high=high, confidence=confidence)
+    return Probability(events=events, runs=runs, low=low, high=high)
 
 
 def holm(p_values: Sequence[float]) -> FloatArray:
@@ -187,7 +186,7 @@ class CampaignStatistics:
         )
 
 
-def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, worst: int = 10) -> CampaignStatistics:
+def statistics(table: Table, limits: Limits) -> CampaignStatistics:
     """Return what a campaign's table says about each requirement.
 
     Parameters
@@ -197,10 +196,6 @@ def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, 
         each its `..._passed` (null where the manoeuvre has no such limit), `passed` and `ended`.
     limits
         Limits of each manoeuvre by metric: `Manoeuvre.limits` by name, SI units.
-    confidence
-        Probability of the two-sided Clopper-Pearson bounds.
-    worst
-        How many of the worst runs to name for each requirement.
 
     Raises
     ------
@@ -227,7 +222,7 @@ def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, 
             answer = data[answers[requirement]][here] if requirement in answers else np.zeros(0)
             if not (answer >= 0).any():
                 continue
-            violation = clopper_pearson(int((answer == 0).sum()), int((answer >= 0).sum()), confidence)
+            violation = clopper_pearson(int((answer == 0).sum()), int((answer >= 0).sum()))
             limit, values = None, np.zeros(0)
             if requirement in metrics:
                 # Over all manoeuvres relative to each limit: without one a metric means something else, as the
@@ -243,7 +238,7 @@ def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, 
                 quantiles={share: quantile(values, share) for share in QUANTILES} if values.size else {},
                 largest=float(values[-1]) if values.size else float("nan"),
                 values=values,
-                worst=_worst(data, metrics, compared, here, requirement, worst),
+                worst=_worst(data, metrics, compared, here, requirement),
             )
             found.append(one)
     whole = next((one for one in found if (one.requirement, one.manoeuvre) == (PASSED, None)), None)
@@ -252,10 +247,10 @@ def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, 
         simulated=int(rows.sum()),
         diverged=endings.get(DIVERGED, 0),
         endings=dict(sorted(endings.items(), key=lambda item: -item[1])),
-        violation=clopper_pearson(0, 0, confidence) if whole is None else whole.violation,
+        violation=clopper_pearson(0, 0) if whole is None else whole.violation,
         requirements=tuple(found),
         worst=() if whole is None else whole.worst,
-        confidence=confidence,
+        confidence=CONFIDENCE,
     )
 
 
@@ -282,7 +277,6 @@ def _worst(
     compared: FloatArray,
     here: NDArray[np.bool_],
     requirement: str,
-    keep: int,
 ) -> tuple[WorstRun, ...]:
     """Return the runs with the largest ratios of a metric, or of any; ties go to the lower run."""
     if not metrics:
@@ -290,7 +284,7 @@ def _worst(
     which = compared[:, 2].argmax(axis=0) if requirement == PASSED else np.full(len(here), metrics.index(requirement))
     value, limit, ratio = compared[which, :, np.arange(len(which))].T
     rows = np.flatnonzero(here & (ratio > -np.inf))
-    rows = rows[np.lexsort((data[RUN][rows], -ratio[rows]))[:keep]]
+    rows = rows[np.lexsort((data[RUN][rows], -ratio[rows]))[:_WORST_RUNS]]
     return tuple(
         WorstRun(
             run=int(data[RUN][k]),

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.statistics import (
-    CONFIDENCE,
     SIGNIFICANCE,
     CampaignStatistics,
     Limits,
@@ -100,9 +99,7 @@ class Influence:
         return self.present.events > 0 and self.absent.events == 0
 
 
-def influences(
-    table: Table, limits: Limits, *, inputs: Sequence[str] | None = None, confidence: float = CONFIDENCE
-) -> tuple[Influence, ...]:
+def influences(table: Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Influence, ...]:
     """Return what every input has to do with every requirement, the most telling input first.
 
     Every requirement over all manoeuvres comes first, then within each manoeuvre. An input that is the same in all runs
@@ -125,7 +122,7 @@ def influences(
             rows = here & (data[column] >= 0)
             given = {name: data[name][rows] for name in names if _varies(data[name][rows])}
             violated = data[column][rows] == 0
-            out += _of_one((requirement, manoeuvre), given, violated, ratios[requirement][rows], confidence)
+            out += _of_one((requirement, manoeuvre), given, violated, ratios[requirement][rows])
     return tuple(out)
 
 
@@ -138,7 +135,6 @@ def _of_one(
     inputs: Mapping[str, Array],
     violated: NDArray[np.bool_],
     ratio: FloatArray,
-    confidence: float,
 ) -> list[Influence]:
     """Return the influences on one requirement, within one manoeuvre or over all."""
     from scipy import stats
@@ -149,7 +145,7 @@ def _of_one(
     for name, column in inputs.items():
         for level, rows in _levels(column):
             own = np.array([violated[rows].sum(), rows.sum()])
-            sides = [clopper_pearson(int(events), int(runs), confidence) for events, runs in (own, whole - own)]
+            sides = [clopper_pearson(int(events), int(runs)) for events, runs in (own, whole - own)]
             p = float(stats.fisher_exact([(side.events, side.runs - side.events) for side in sides])[1])
             tests.append((name, level, sides, p))
         x, y = column[:_RANKED], ratio[:_RANKED]
@@ -230,7 +226,7 @@ class Summary:
         return {name: column[0].item() for name, column in self.plan.inputs(run, run + 1).items()}
 
 
-def summarise(plan: Plan, table: Table, *, confidence: float = CONFIDENCE) -> Summary:
+def summarise(plan: Plan, table: Table) -> Summary:
     """Return what a campaign's table says.
 
     Parameters
@@ -239,8 +235,6 @@ def summarise(plan: Plan, table: Table, *, confidence: float = CONFIDENCE) -> Su
         What was simulated.
     table
         The runs: Parquet files or columns.
-    confidence
-        Probability of the bounds.
 
     Returns
     -------
@@ -257,8 +251,8 @@ def summarise(plan: Plan, table: Table, *, confidence: float = CONFIDENCE) -> Su
     limits = {manoeuvre.name: manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres}
     return Summary(
         plan=plan,
-        statistics=statistics(table, limits, confidence=confidence),
-        influences=influences(table, limits, inputs=plan.input_names, confidence=confidence),
+        statistics=statistics(table, limits),
+        influences=influences(table, limits, inputs=plan.input_names),
     )
 
 

@@ -113,7 +113,6 @@ class TimeTable:
         *,
         time: str = "time",
         factor: float | None = None,
-        smooth: bool = False,
     ) -> TimeTable:
         """Return a recorded log as a table that begins at t = 0.
 
@@ -128,8 +127,6 @@ class TimeTable:
             column ``time``, the one column of this name with a unit.
         factor
             SI units in a unit of the log; None: 1, or as the names of the columns state (``gyro_z_dps``).
-        smooth
-            As in `TimeTable`.
 
         Returns
         -------
@@ -155,7 +152,7 @@ class TimeTable:
         scales = _scales(log.label, columns, None if factor is None else number("TimeTable.from_log: factor", factor))
         zero = np.zeros(len(log.time))
         values = [zero if name is None else scales[name] * log.signals[name] for name in columns]
-        return cls(t=log.time - log.time[0], values=np.stack(values, axis=1), smooth=smooth)
+        return cls(t=log.time - log.time[0], values=np.stack(values, axis=1))
 
     @property
     def pieces(self) -> FloatArray:

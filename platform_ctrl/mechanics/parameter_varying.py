@@ -290,7 +290,6 @@ def parameter_varying(
     q: ArrayLike | None = None,
     terms: Terms = "exact",
     form: Form = "rates",
-    rate_amplitude: ArrayLike | None = None,
 ) -> ParameterVaryingModel:
     """Linearise in gimbal angles alone and keep Omega(t): eq. (27).
 
@@ -308,8 +307,6 @@ def parameter_varying(
         What the states p of the state-space form are. ``"rates"``: p = M q̇; the parameters are monomials of Omega and
         Omega'. ``"momenta"``: p = M q̇ + (∂A*/∂q Omega) (q − q0) + M_Omega Omega; Omega' drops out, without
         approximation, and fewer parameters are left.
-    rate_amplitude : (n,)
-        For dry friction, see `linearise`, rad/s.
 
     Returns
     -------
@@ -339,7 +336,7 @@ def parameter_varying(
     """
     one_of("form", form, get_args(Form))
     # All but the gyroscopic action vanishes at Omega = 0: what is left there is that of the force elements.
-    rest = linearise(platform, terms=terms, q=q, rate_amplitude=rate_amplitude)
+    rest = linearise(platform, terms=terms, q=q)
     rows, n = _rows(platform, gimbals), len(platform.gimbals)
     G, K, Q0 = row_polynomials(platform, rest.q0, terms)
     G = total(G, polynomial({"1": -rest.Q_rate}, (n, n))).part(rows, rows)

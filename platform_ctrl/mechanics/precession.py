@@ -53,8 +53,6 @@ class PrecessionPart:
         frequencies. Small against the loop is what counts, not small in N m s.
     null_directions : (n, k)
         Columns: motions q̇ that G does nothing about, in as few angles each as possible; dimensionless.
-    direction_names
-        The same in words: "beta5 - beta7" is a motion of β5 against β7.
     momentum_directions : (n, k)
         Motions whose momenta the model with momentum states keeps, dimensionless: the null directions, or all where
         with these alone it is not admissible either.
@@ -84,7 +82,6 @@ class PrecessionPart:
     loop_frequency: float
     singular_values: FloatArray
     null_directions: FloatArray
-    direction_names: tuple[str, ...]
     momentum_directions: FloatArray
     reasons: tuple[str, ...]
     cures: tuple[str, ...]
@@ -321,8 +318,10 @@ def precession(
     --------
     >>> import platform_ctrl as pc
     >>> slow = pc.precession(pc.linearise(pc.read_platform("three_gyro_platform")))
-    >>> slow.admissible, slow.part("4").direction_names, slow.momentum_states
-    (False, ('beta5 - beta7',), 1)
+    >>> slow.admissible, slow.momentum_states
+    (False, 1)
+    >>> slow.part("4").reasons
+    ('4-5-7: G_R is 3 x 3 and skew, so its determinant is 0: beta5 - beta7 has no gyroscopic stiffness',)
     """
     frequency = None if loop_frequency is None else positive("loop_frequency", loop_frequency)
     required = positive("separation", separation)
@@ -377,7 +376,6 @@ def _tested(model: LinearModel, rows: list[int], loop_frequency: float | None, r
         loop_frequency=loop,
         singular_values=gyro,
         null_directions=null,
-        direction_names=names,
         momentum_directions=kept,
         reasons=tuple(f"{'-'.join(gimbals)}: {reason}" for reason, _ in findings),
         cures=tuple(cures if findings else ()),
@@ -389,7 +387,10 @@ def _tested(model: LinearModel, rows: list[int], loop_frequency: float | None, r
 
 
 def _multiple(roots: ComplexArray, chain: int, fastest: float) -> complex | None:
-    """Return a multiple root that what is dropped may split, or None."""
+    """Return a multiple root that dropped terms may split, or None.
+
+    A root 0 with complete eigenvectors, or with chains no longer than two, is the same with and without inertia.
+    """
     if chain > 2:
         return 0j
     found = roots[roots != 0.0]

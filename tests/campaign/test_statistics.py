@@ -50,7 +50,7 @@ def judged(table):
 
 @pytest.mark.parametrize(("events", "runs"), [(0, 10), (0, 10_000), (3, 50), (50, 50), (311, 10_000)])
 def test_bounds_are_those_that_scipy_calls_exact(events, runs):
-    found = clopper_pearson(events, runs, 0.95)
+    found = clopper_pearson(events, runs)
     exact = stats.binomtest(events, runs).proportion_ci(0.95, method="exact")
     assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-9, abs=1e-15)
     assert found.estimate == events / runs

@@ -32,10 +32,11 @@ MODELS = shipped_models()
 class Run:
     """A model that has been written, with rates and angles by the plant's names."""
 
-    def __init__(self, platform: pc.Platform, folder: Path, **options: Any) -> None:
+    def __init__(self, platform: pc.Platform, folder: Path, step: float = 1e-4, root: str = "free") -> None:
         self.platform = platform
-        self.notes = write_mjcf(platform, folder / "plant.xml", **options)
+        self.notes = write_mjcf(platform, folder / "plant.xml", root=root)
         self.model = mujoco.MjModel.from_xml_path(str(folder / "plant.xml"))
+        self.model.opt.timestep = step
         self.data = mujoco.MjData(self.model)
         mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
         hinges = [self.model.joint(name) for name in platform.angle_names]

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from platform_ctrl.common.arguments import instance, one_of, positive, short
+from platform_ctrl.common.arguments import instance, one_of, short
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -25,12 +25,11 @@ Root = Literal["free", "prescribed", "fixed"]
 # give way by so much less.
 REGULATED = 1e11
 PRESCRIBED = 1e11
+_STEP = 1e-4  # s
 
 
-def write_mjcf(
-    platform: Platform, path: str | os.PathLike[str], *, root: Root = "free", step: float = 1e-4
-) -> tuple[str, ...]:
-    """Write a platform as a MuJoCo model, whole or not at all.
+def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root = "free") -> tuple[str, ...]:
+    """Write a platform as a MuJoCo model, whole or not at all: RK4 with steps of 1e-4 s.
 
     Parameters
     ----------
@@ -42,8 +41,6 @@ def write_mjcf(
         ``"free"``: it turns about the fixed point as torques make it; ``"prescribed"``: the controls ``Omega1_dot`` to
         ``Omega3_dot`` are its angular acceleration, rad/s², in its own axes, whatever reacts on it; ``"fixed"``: it
         does not move.
-    step
-        Time step in the file, s; the integrator is RK4.
 
     Returns
     -------
@@ -53,13 +50,12 @@ def write_mjcf(
     Raises
     ------
     ArgumentError
-        `platform` is none, another `root`, a step that is not above zero, or a name that MuJoCo has for something else.
+        `platform` is none, another `root`, or a name that MuJoCo has for something else.
     InputError
         The file cannot be written there.
     """
     instance("platform", platform, Platform)
     one_of("write_mjcf: root", root, get_args(Root))
-    step = positive("write_mjcf: step", step)
     _check_names(platform)
     notes = _notes(platform, root)
     top = Element("mujoco", model=_line(platform.name))
@@ -68,13 +64,13 @@ def write_mjcf(
             top.append(Comment(f" {re.sub('-(?=-)', '- ', _line(line))} "))
     SubElement(top, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     option = SubElement(
-        top, "option", timestep=repr(step), integrator="RK4", gravity=text(0.0 - platform.specific_force)
+        top, "option", timestep=repr(_STEP), integrator="RK4", gravity=text(0.0 - platform.specific_force)
     )
     SubElement(option, "flag", contact="disable")
     bodies = placed(platform)
     SubElement(SubElement(top, "default"), "geom", contype="0", conaffinity="0", group="1")
     world = SubElement(top, "worldbody")
-    hinges = _add_root(world, platform, bodies, root, step)
+    hinges = _add_root(world, platform, bodies, root)
     controls = _add_actuators(top, platform, root)
     _add_sensors(top, platform, root)
     still = root == "fixed"
@@ -99,7 +95,7 @@ def _check_names(platform: Platform) -> None:
                 )
 
 
-def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Root, step: float) -> list[float]:
+def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Root) -> list[float]:
     """Add all bodies; return the rates of the hinges as the model begins, in MuJoCo's order."""
     element = SubElement(world, "body", name=_line(platform.root_name))
     if root != "fixed":
@@ -111,29 +107,27 @@ def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Ro
     radius = bodies[0].radius
     size, below = text([0.95 * radius, 0.03 * radius]), text([0.0, 0.0, -1.12 * radius])
     SubElement(element, "geom", type="cylinder", rgba=_ROOT, size=size, pos=below)
-    return _add_carried(element, platform, bodies, 0, 0, step)
+    return _add_carried(element, platform, bodies, 0, 0)
 
 
-def _add_carried(
-    element: Element, platform: Platform, bodies: list[Placed], body: int, depth: int, step: float
-) -> list[float]:
+def _add_carried(element: Element, platform: Platform, bodies: list[Placed], body: int, depth: int) -> list[float]:
     carriers = zip(platform.rotors, platform.carriers, strict=True)
     rates = [_add_rotor(element, rotor) for rotor, carrier in carriers if carrier == body - 1]
     for child in children(platform, body):
         gimbal = platform.gimbals[child - 1]
         inner = SubElement(element, "body", name=_line(gimbal.name))
         joint = SubElement(inner, "joint", name=_line(gimbal.angle), type="hinge", axis=text(gimbal.axis))
-        for key, item in _joint(platform, child - 1, step).items():
+        for key, item in _joint(platform, child - 1).items():
             joint.set(key, item)
         _add_inertia(inner, bodies[child])
         if gimbal.name in inertial_bodies(platform):
             SubElement(inner, "site", name=_line(gimbal.name), pos="0 0 0", size="0.001", group="4")
         add_gimbal(inner, gimbal.axis, bodies[child].radius, depth + 1)
-        rates += [0.0, *_add_carried(inner, platform, bodies, child, depth + 1, step)]
+        rates += [0.0, *_add_carried(inner, platform, bodies, child, depth + 1)]
     return rates
 
 
-def _joint(platform: Platform, k: int, step: float) -> dict[str, str]:
+def _joint(platform: Platform, k: int) -> dict[str, str]:
     """Return what acts in a gimbal's bearing, as attributes of its joint."""
     gimbal = platform.gimbals[k]
     out: dict[str, str] = {}
@@ -153,7 +147,7 @@ def _joint(platform: Platform, k: int, step: float) -> dict[str, str]:
         # A stop is a contact that gives a little: four steps to settle, the rate given back by its damping.
         away = np.log(max(gimbal.restitution, 1e-3))
         ratio = 1.0 if gimbal.restitution == 0.0 else float(-away / np.hypot(np.pi, away))
-        out |= {"range": text(gimbal.stops), "solreflimit": text([4.0 * step, ratio])}
+        out |= {"range": text(gimbal.stops), "solreflimit": text([4.0 * _STEP, ratio])}
     return out
 
 

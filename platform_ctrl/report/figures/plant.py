@@ -21,7 +21,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, RPM, plain
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.modes import poles_and_kinds, rotors_at_rest
-from platform_ctrl.mechanics.state_space import state_space, subsystems, whole_subsystems
+from platform_ctrl.mechanics.state_space import state_space, subsystems
 from platform_ctrl.plant.drawing import Outline, bodies, camera, disc_axis, levels
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.figures.panels import LabelPlacer
@@ -275,10 +275,8 @@ class SpinMode:
 def campbell(
     platform: Platform,
     *,
-    gimbals: Sequence[str] | None = None,
     spins: ArrayLike | None = None,
     orders: ArrayLike = (1.0, 2.0),
-    Omega: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Figure:
     """Natural frequencies of the uncontrolled gimbals over the speed of the rotors, with multiples of that speed.
 
@@ -290,15 +288,11 @@ def campbell(
     ----------
     platform
         The plant, linearised about zero angles.
-    gimbals
-        Names of the gimbals of one or several subsystems; default all.
     spins : (k,), optional
         Increasing factors on the speeds of all rotors, >= 0, at least two: the range. Default 0 to 1.5. Rotors of
         different speeds have an axis in shares of the nominal speed.
     orders : (j,)
         Factors on the speed at which rotors excite.
-    Omega : (3,)
-        Constant platform rate, rad/s.
 
     Returns
     -------
@@ -308,7 +302,7 @@ def campbell(
     Raises
     ------
     ArgumentError
-        Names that do not exist, no rotor that spins, or numbers that make no sense.
+        No rotor that spins, or numbers that make no sense.
 
     References
     ----------
@@ -325,10 +319,9 @@ def campbell(
     stopped = rotors_at_rest(spinning(platform))
     spin = sorted({round(abs(r.spin), 9) for r in platform.rotors if r.angular_momentum != 0.0})
     unit = RPM * spin[0] if len(spin) == 1 else 1.0
-    model, still = linearise(platform, Omega=Omega), linearise(stopped, Omega=Omega)
-    chosen = {model.gimbal_names[k] for k in whole_subsystems(model, gimbals)}
+    model, still = linearise(platform), linearise(stopped)
     speed = np.union1d(factors, np.linspace(factors[0], factors[-1], _SPEEDS))
-    modes = [m for group in subsystems(model) if set(group) <= chosen for m in _modes(model, still, group, speed)]
+    modes = [m for group in subsystems(model) for m in _modes(model, still, group, speed)]
 
     labels = [f"{m.label}: {plain(m.nominal * HZ, 3)} Hz at nominal speed" for m in modes]
     figure, [[axes]] = panels(1, 1, _HEIGHT, labels, titles=False)

@@ -96,11 +96,10 @@ def root_locus_over_spin(
     *,
     spins: ArrayLike | None = None,
     delay: float = 0.0,
-    Omega: ArrayLike = (0.0, 0.0, 0.0),
 ) -> control.ControlPlot:
     """Poles of the closed loop while rotors run slower and faster and the controller stays as it is.
 
-    Drawn as `root_locus`. The plant is linearised about zero angles and `Omega`, with the lags of its torquers.
+    Drawn as `root_locus`. The plant is linearised about zero angles, with the lags of its torquers.
 
     Parameters
     ----------
@@ -114,8 +113,6 @@ def root_locus_over_spin(
         Increasing factors on all rotors' angular momenta, at least two: the range. Default 0.2 to 1.8.
     delay
         Of a sampled loop from sample to torque, s.
-    Omega : (3,)
-        Constant platform rate, rad/s.
 
     Returns
     -------
@@ -139,7 +136,7 @@ def root_locus_over_spin(
     if late and not K.dt:
         raise ArgumentError(f"root_locus_over_spin: a delay of {delay!r} s needs a controller with a sample period")
     # The linear model is affine in the rotors' momenta.
-    models = [linearise(one, Omega=Omega) for one in (rotors_at_rest(spinning(platform)), platform)]
+    models = [linearise(one) for one in (rotors_at_rest(spinning(platform)), platform)]
     # At rest there may be more subsystems, never fewer.
     still, full = (state_space(model, gimbals=gimbals) for model in models)
     angles, torques = list(controller.input_labels), list(controller.output_labels)
