@@ -312,7 +312,7 @@ class Loop:
                 return np.inf, 0.0
         return refined_peak(lambda at: self.gain_at(parts, at, k), w)
 
-    def gain_at(self, parts: Parts, frequency: FloatArray, k: int = 0) -> FloatArray:
+    def gain_at(self, parts: Parts, frequency: FloatArray, k: int) -> FloatArray:
         """Return the largest gain (F,) of parts of the closed loop with plant `k` at any frequencies (F,), rad/s."""
         continuous = [one for one in parts if self.between(one)]
         sampled = tuple(one for one in parts if not self.between(one))

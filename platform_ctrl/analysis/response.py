@@ -80,7 +80,7 @@ def _period(system: Any, where: str) -> float:
     return 0.0 if system.dt is None else float(system.dt)
 
 
-def _entries(system: Any, where: str = "transfer function") -> list[tuple[int, int, FloatArray, FloatArray]]:
+def _entries(system: Any, where: str) -> list[tuple[int, int, FloatArray, FloatArray]]:
     """Return outputs, inputs, numerators (empty: zero) and denominators without leading zeros."""
     out = []
     for i, j in np.ndindex(system.noutputs, system.ninputs):

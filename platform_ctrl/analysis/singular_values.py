@@ -227,9 +227,7 @@ _DOUBTFUL = 1e4
 _GRANTED = 8.0
 
 
-def boundary_poles(
-    A: FloatArray, dt: float, known: ComplexArray | None = None
-) -> tuple[ComplexArray, NDArray[np.bool_]]:
+def boundary_poles(A: FloatArray, dt: float, known: ComplexArray | None) -> tuple[ComplexArray, NDArray[np.bool_]]:
     """Return the continuous(-equivalent) poles of one balanced system, and which of them lie on the boundary, (n,).
 
     A pole lies on it if a change of A in its last digits could bring it there. `known` are its poles, if they are.

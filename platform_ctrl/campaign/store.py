@@ -225,7 +225,7 @@ class Store:
         about: Mapping[str, Any],
         runs: int,
         kinds: Mapping[str, Kind],
-        restart: bool = False,
+        restart: bool,
     ) -> None:
         pa = arrow()
         types = {"whole": pa.int64(), "number": pa.float64(), "answer": pa.bool_(), "word": pa.string()}

@@ -213,7 +213,7 @@ def _check_targets(inputs: list[Path], targets: Mapping[Form, Path]) -> None:
 RECORD = "export.json"
 
 
-def expect_own(unfinished: Path, folder: Path, own: Mapping[str, str] | None = None) -> None:
+def expect_own(unfinished: Path, folder: Path, own: Mapping[str, str] | None) -> None:
     """Make sure that the files of an unfinished folder can take their places in `folder`.
 
     With `own`, the files of an earlier export, no others may be there.

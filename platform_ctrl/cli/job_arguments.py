@@ -225,7 +225,7 @@ def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
             raise InputError(f"-o {folder}: {name} is a folder there, but must be a file or not exist")
 
 
-def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> None:
+def writable(option: str, file: Path, others: Iterable[Path | None]) -> None:
     """Make the folder of a file and try to write there: before the work, not after it.
 
     None of `others` may be that file: the command reads or writes them.

@@ -45,7 +45,7 @@ _LEAK = 0.2
 _ROUNDING = 1e-9
 
 
-def design_plants(job: Job, spec: LoopSpec, design: DesignSpec, known: PlantSet | None = None) -> PlantSet | None:
+def design_plants(job: Job, spec: LoopSpec, design: DesignSpec, known: PlantSet | None) -> PlantSet | None:
     """Return the plants of a design of a loop, its feedforward in them; None where the loop has none of its own.
 
     `known` are those of a design with the same sensors and no feedforward.

@@ -118,7 +118,7 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
 
 
 def sampled_plants(
-    linear: LinearPlants, sampling: Sampling, Omega: FloatArray, every: int = 1, used: Mapping[str, int] | None = None
+    linear: LinearPlants, sampling: Sampling, Omega: FloatArray, every: int, used: Mapping[str, int] | None
 ) -> PlantSet:
     """Sample linear plants; `Omega` is the largest platform rate about each axis, rad/s.
 

@@ -242,7 +242,7 @@ def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
     return weakest
 
 
-def require_stabilisable(plant: Partition, P: StateSpace, where: str = "hinf") -> None:
+def require_stabilisable(plant: Partition, P: StateSpace, where: str) -> None:
     """Raise a NotStabilisableError that names a mode which u cannot stabilise from y."""
     sigma, word, pole = weakest_mode(autoscaled_with_gain(plant))
     if word and sigma < RANK_LOSS:

@@ -285,7 +285,7 @@ def varied_scenario(
     drawn: Sequence[tuple[RunParameter, float, bool]],
     *,
     faults: tuple[Fault, ...] | None = None,
-    seed: int | None = None,
+    seed: int | None,
     run: int = 0,
 ) -> Scenario:
     """Return the run with drawn numbers in their places; `scenario` stays as it is.

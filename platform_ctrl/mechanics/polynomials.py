@@ -68,9 +68,7 @@ class MatrixPolynomial:
         return np.zeros(self.coefficients.shape[1:])
 
 
-def monomial_values(
-    monomials: Sequence[str], Omega: ArrayLike = (0.0, 0.0, 0.0), Omega_dot: ArrayLike | None = None
-) -> FloatArray:
+def monomial_values(monomials: Sequence[str], Omega: ArrayLike, Omega_dot: ArrayLike | None) -> FloatArray:
     """Return the values of named monomials at a rate, rad/s, and its derivative, rad/s², (monomials,).
 
     Names are such as ``"1"``, ``"Omega1^2"``, ``"Omega1*Omega2"``, ``"Omega1'"``.

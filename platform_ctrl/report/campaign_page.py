@@ -44,7 +44,7 @@ RERUN_COMMAND = "platform-ctrl simulate job.toml --run"
 
 
 def write_campaign_page(
-    summary: Summary, path: str | os.PathLike[str], *, command: str | None = None, again: str | None = None
+    summary: Summary, path: str | os.PathLike[str], *, command: str | None, again: str | None
 ) -> Path:
     """Write the page to `path`, the whole file or nothing: arguments as of `campaign_document`."""
     return write_whole(path, html(campaign_document(summary, command=command, again=again)))

@@ -152,7 +152,7 @@ def run(one: Run, platform: Platform) -> str:
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|\u00b0|m?rad|k?Hz|m?N m|1/s|s)\b|%)|(?<=[\u2264\u2265]) ")
 
 
-def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:
+def opening(result: JobResult, campaign: Summary | None) -> list[str]:
     """Return one to three sentences: what was designed, and what holds of all loops together."""
     found = [_designed(result)]
     if result.coupled is not None:

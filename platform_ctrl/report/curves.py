@@ -217,7 +217,7 @@ def _singular_values(responses: ComplexArray) -> FloatArray:
     return out
 
 
-def broken_loops(design: Design, k: int = 0) -> tuple[FloatArray, ComplexArray]:
+def broken_loops(design: Design, k: int) -> tuple[FloatArray, ComplexArray]:
     """Return frequencies (N,), rad/s, and the loop at every torquer with all others closed, (m, N), with plant `k`."""
     assert design.plants is not None
     plants, K = design.plants.only([k]), design.own_controller

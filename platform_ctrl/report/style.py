@@ -144,7 +144,7 @@ def signal_style(k: int) -> dict[str, Any]:
     return line_style(k) | {"linewidth": 1.0}
 
 
-def legend_rows(names: Sequence[str], width: float = FULL_WIDTH) -> int:
+def legend_rows(names: Sequence[str], width: float) -> int:
     """Return how many rows a legend of `names` needs in a figure of `width` inches."""
     size = float(mpl.rcParams["legend.fontsize"])
     longest = max((text_width(name, size) for name in names), default=0.0)
@@ -178,7 +178,7 @@ def log_axis(axis: Any) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def frequency_axes(axes: Axes, low: float, high: float, *, log_gain: bool = True, label: bool = True) -> None:
+def frequency_axes(axes: Axes, low: float, high: float, *, log_gain: bool, label: bool = True) -> None:
     """Make x a logarithmic frequency axis from `low` to `high` Hz, and y too with `log_gain`."""
     axes.set_xscale("log")
     axes.set_xlim(low, high)
@@ -195,7 +195,7 @@ def linear_axis(axis: Any, ticks: int = 5) -> None:
     axis.set_major_locator(MaxNLocator(ticks, steps=[1, 2, 2.5, 5, 10]))
 
 
-def gain_limits(axes: Axes, curves: Sequence[FloatArray], low: float | None = None, high: float | None = None) -> None:
+def gain_limits(axes: Axes, curves: Sequence[FloatArray], low: float | None, high: float | None) -> None:
     """Set whole decades around the finite positive values of `curves`, at most `low` to `high`."""
     values = np.concatenate([np.ravel(curve) for curve in curves]) if curves else np.ones(1)
     values = values[np.isfinite(values) & (values > 0.0)]

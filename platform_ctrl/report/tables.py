@@ -93,7 +93,7 @@ def _ordered(result: JobResult, results: Sequence[CheckResult]) -> tuple[Require
     return tuple(requirement_row(one, result) for one in sorted(results, key=place))
 
 
-def requirement_row(one: CheckResult, result: JobResult | None = None) -> RequirementRow:
+def requirement_row(one: CheckResult, result: JobResult | None) -> RequirementRow:
     """Return a requirement as the tables show it; `result` has the proofs of "certified properties"."""
     number, limit = compared(one)
     limit, margin = f"{BOUND[one.sense]} {limit}", percent(one.margin)

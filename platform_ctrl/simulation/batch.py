@@ -232,8 +232,8 @@ def merged_controller(
     controllers: Sequence[control.StateSpace],
     period: float,
     mode: Mode,
-    commanded: Sequence[str] = (),
-    drives: Sequence[DriveLaw] = (),
+    commanded: Sequence[str],
+    drives: Sequence[DriveLaw],
 ) -> ControllerRows:
     """Return one state space from all sensors, and commands of some readings, to all torquers, in the kernel's form.
 

@@ -46,7 +46,7 @@ _ENDINGS = ("_commanded", "_status")
 class Identifiers:
     """Unique identifiers for names, at most `longest` characters; the same name gets the same identifier."""
 
-    def __init__(self, longest: int = 48, taken: tuple[str, ...] = ()) -> None:
+    def __init__(self, longest: int, taken: tuple[str, ...] = ()) -> None:
         self._longest = longest
         # Compared without case: identifiers become file names and macros too.
         self._used = {name.lower() for name in taken}

@@ -232,7 +232,7 @@ def exclusion(alpha: float) -> ComplexArray:
     return np.asarray(-(1.0 - delta) / (1.0 + delta), dtype=np.complex128)
 
 
-def draw_region(panel: Axes, alpha: float, centres: Sequence[float], dashes: Any = "-") -> Any:
+def draw_region(panel: Axes, alpha: float, centres: Sequence[float], dashes: Any) -> Any:
     """Shade what a disk margin keeps free around critical points, degrees; return one of the patches."""
     L = exclusion(alpha)
     # Around -180 degrees the angle of -L has no jump.

@@ -70,7 +70,8 @@ def time_run(run: Run | Trajectory, platform: Platform, *, limits: Mapping[str, 
     Parameters
     ----------
     run
-        A manoeuvre that was checked (`verification.Run`, with its limits), or a `simulation.Trajectory`.
+        A manoeuvre that was checked (one of `runs` of `check_job`'s result, with its limits), or what `simulation.simulate`
+        returns.
     platform
         The plant that was run, with the torquers' limits.
     limits
@@ -318,7 +319,7 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     axes.annotate(words, (1.0, 1.0), (-3, -2), fontsize=7, color=colour, **look)
 
 
-def shade_beyond(axes: Axes, limit: float, reach: float = 0.0) -> None:
+def shade_beyond(axes: Axes, limit: float, reach: float) -> None:
     """Shade what lies to the right of a limit, up to `reach` at least."""
     axes.axvspan(limit, max(1e3 * limit, 2.0 * reach), color=BEYOND, linewidth=0, zorder=0)
     axes.axvline(limit, color=LIMIT, linewidth=0.9, linestyle=DASHED, zorder=1.5)
