@@ -70,8 +70,8 @@ def time_run(run: Run | Trajectory, platform: Platform, *, limits: Mapping[str, 
     Parameters
     ----------
     run
-        A manoeuvre that was checked (one of `runs` of `check_job`'s result, with its limits), or what `simulation.simulate`
-        returns.
+        A manoeuvre that was checked, with its limits (one of `runs` of what `check_job` returns), or the result of
+        `simulation.simulate`.
     platform
         The plant that was run, with the torquers' limits.
     limits
