@@ -430,7 +430,7 @@ PARTS = {
     "equations": Part(equations),
     "mechanics": Part(mechanics),
     # Where a maximum lies is found to the root of the rounding errors only.
-    "linear": Part(linear_systems, ((r"/peak$", 1e-6, 0.0),)),
+    "linear": Part(linear_systems, ((r"/peak$", 1e-7, 0.0),)),
     # An interior-point solver ends where its tolerance is met; a nearly cancelling response has fewer digits.
     "synthesis": Part(synthesis, ((r"^lmi", 1e-4, 0.0),)),
     "export": Part(export, ((r"^csv/", 1e-7, 0.0),)),

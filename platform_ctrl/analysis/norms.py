@@ -107,7 +107,7 @@ def _norm(
 def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band = WHOLE) -> tuple[float, float]:
     """Return the largest gain in a band of a system with poles `s`, none on the boundary there, and its frequency.
 
-    The gain at resonances is refined around its tops; then the eigenvalues of a Hamiltonian matrix show where it
+    The gain at resonances is climbed from the highest; then the eigenvalues of a Hamiltonian matrix show where it
     exceeds the best one (Bruinsma and Steinbuch).
     """
     top = min(band[1], axis.edge)
@@ -117,19 +117,54 @@ def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band
     def points(own: FloatArray) -> FloatArray:
         return np.concatenate([[band[0], top], own[(own > band[0]) & (own < top)]])
 
-    w = points(resonances(s))
-    best, frequency = axis.largest(w)
+    best, frequency = axis.largest(points(resonances(s)))
     for _ in range(_SEARCHES):
-        found, at = refined_peak(axis.gains, np.unique(w[np.isfinite(w)]), 0.01 * tolerance, _PARTS)
-        # The first of gains that are alike but for rounding.
-        best, frequency = (found, at) if found > best * (1.0 + 1e-14) else (best, frequency)
+        best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance, band)
         if not 0.0 < best < math.inf:
             break
-        w = points(level_frequencies(axis, best * (1.0 + tolerance)))
-        found, at = axis.largest(w)
+        found, at = axis.largest(points(level_frequencies(axis, best * (1.0 + tolerance))))
         if found <= best * (1.0 + tolerance):
             break
         best, frequency = found, at
+    return best, frequency
+
+
+# Where a climb looks around the best frequency, in widths.
+_FAN = np.linspace(-1.0, 1.0, 15)
+
+
+def _climbed(
+    axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float, slack: float, band: Band
+) -> tuple[float, float]:
+    """Return the local maximum near `frequency`: fans of frequencies that contract around the best.
+
+    Where states spread widely, crossings are too inexact for the last digits of a narrow peak.
+    """
+    if not (math.isfinite(frequency) and math.isfinite(best)) or frequency == 0.0:
+        return best, frequency
+    # The peak cannot be much narrower than the distance to the nearest pole.
+    width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
+    centre = frequency
+    for _ in range(12):
+        fan = np.abs(centre + width * _FAN)
+        fan = fan[(fan >= band[0]) & (fan <= min(band[1], axis.edge))]
+        if not fan.size:
+            break
+        sizes = axis.gains(fan)
+        i = int(np.argmax(sizes))
+        if sizes[i] > best:
+            best, frequency = float(sizes[i]), float(fan[i])
+        # The top lies between the neighbours of the highest: it cannot rise much above where these are as high.
+        three = sizes[max(i - 1, 0) : i + 2]
+        if best - float(three.min()) <= slack * best or width < 1e-15 * frequency:
+            break
+        centre = frequency
+        bend = three[0] + three[-1] - 2.0 * sizes[i] if len(three) == 3 else 0.0
+        if bend < 0.0 and 0 < i < len(fan) - 1:
+            centre += 0.25 * (three[0] - three[-1]) / bend * (fan[i + 1] - fan[i - 1])
+            width *= 0.07
+        else:
+            width *= 0.5
     return best, frequency
 
 
@@ -301,19 +336,15 @@ def exceeds(system: System, level: float, known: ComplexArray, band: Band = WHOL
     return low <= top and axis.largest(own)[0] > level
 
 
-# Times that a grid is refined, around how many tops at once, and into how many parts the steps beside a top are cut for
-# an exact peak.
-_REFINEMENTS, _TOPS, _PARTS = 40, 40, 12
+# Times that a grid is refined, around how many tops at once, and until neighbours are as high but for this share.
+_REFINEMENTS, _TOPS, _ALIKE = 20, 40, 1e-3
 
 
-def refined_peak(
-    gain: Callable[[FloatArray], FloatArray], w: FloatArray, alike: float = 1e-3, parts: int = 4
-) -> tuple[float, float]:
+def refined_peak(gain: Callable[[FloatArray], FloatArray], w: FloatArray) -> tuple[float, float]:
     """Return the largest value of a function on rising frequencies (F,), rad/s, refined around its tops, and where.
 
-    Tops that may be the highest are refined until their neighbours are as high but for a share, `alike`; the steps
-    beside them are cut into so many `parts`. What is narrower than the grid is not seen: it has to contain the
-    resonances.
+    Tops that may be the highest are refined until their neighbours are as high but for 0.1 %. What is narrower than the
+    grid is not seen: it has to contain the resonances.
     """
     y = gain(w)
     for _ in range(_REFINEMENTS):
@@ -321,13 +352,13 @@ def refined_peak(
         high = (y >= padded[:-2]) & (y >= padded[2:])
         beside = np.minimum(np.where(padded[:-2] < 0.0, y, padded[:-2]), np.where(padded[2:] < 0.0, y, padded[2:]))
         # Between points that differ much a top may be higher by about as much.
-        tops = np.flatnonzero(high & (2.0 * y - beside >= y.max()) & (beside < (1.0 - alike) * y))
+        tops = np.flatnonzero(high & (2.0 * y - beside >= y.max()) & (beside < (1.0 - _ALIKE) * y))
         if not tops.size:
             break
         # Of a gain that is the same everywhere rounding makes every other point a top.
         tops = tops[np.argsort(beside[tops] - 2.0 * y[tops])[:_TOPS]]
         ends = np.unique(np.concatenate([tops[tops > 0] - 1, tops[tops < len(w) - 1]]))
-        shares = np.arange(1, parts) / parts
+        shares = np.array([0.25, 0.5, 0.75])
         new = np.setdiff1d(w[ends, None] + (w[ends + 1] - w[ends])[:, None] * shares, w)
         if not new.size:
             break

@@ -1,11 +1,12 @@
 """Frequency responses of systems of every kind, and states of transfer functions.
 
 Of C (z I - A)^-1 B + D what does not depend on the point is computed once. In modal coordinates the response is a sum
-over the modes, one product of matrices for all points. Its errors are those of the largest entries of A everywhere:
-where those count (next to lightly damped poles, and slow motion of fast systems), and where the eigenvectors are too
-nearly dependent (delays, multiple poles), z I - A itself is factored, and the solution refined by residuals in the
-longest numbers of the processor. Where these are doubles, the error next to a pole of damping zeta is about
-1e-16 / zeta. Long chains of delays leave the equations: what is d samples late is z^-d times what it was.
+over the modes, one product of matrices for all points. Where the eigenvectors are too nearly dependent for that
+(delays, multiple poles), A is brought to complex Schur form and the triangular equations are solved for all points at
+once. Both have the errors of the largest entries of A everywhere: where those count (next to lightly damped poles, and
+slow motion of fast systems), z I - A itself is factored, and the solution refined by residuals in the longest numbers
+of the processor. Where these are doubles, the error next to a pole of damping zeta is about 1e-16 / zeta. Long chains
+of delays leave the equations: what is d samples late is z^-d times what it was.
 """
 
 from __future__ import annotations
@@ -121,9 +122,9 @@ def frequency_response(
     """Return the response of `system` on the imaginary axis or on the unit circle.
 
     States are balanced. The response is summed over the modes where the condition number of the eigenvectors is below
-    1e4; elsewhere, next to lightly damped poles and far below fast ones z I - A itself is factored. What rounding
-    changes is as if A were changed in its last digits. The error is relative to the products that C sums: where they
-    cancel, as in a steep roll-off between states that mix, the small rest has fewer digits.
+    1e4, else computed from the Schur form of A; z I - A itself is factored next to lightly damped poles and far below
+    fast ones. What rounding changes is as if A were changed in its last digits. The error is relative to the products
+    that C sums: where they cancel, as in a steep roll-off between states that mix, the small rest has fewer digits.
 
     Parameters
     ----------
@@ -144,6 +145,10 @@ def frequency_response(
     ------
     ArgumentError
         If `system` or `frequency` is not what is expected, or data have no value at one of the frequencies.
+
+    References
+    ----------
+    A. J. Laub, IEEE Trans. Automatic Control 26, 1981.
     """
     w = frequencies(frequency, "frequency_response")
     if not isinstance(axis, int) or axis not in (-1, -3):
@@ -153,10 +158,12 @@ def frequency_response(
     return np.moveaxis(state_response(linear_arrays(system, "frequency_response"), w), -1, axis)
 
 
-# Condition number of the eigenvectors from which on z I - A itself is factored.
+# Condition number of the eigenvectors from which on responses come from the Schur form.
 _MODAL = 1e4
-# |A| over the distance of the nearest pole, from which on it is, too.
+# |A| times a solution over the right-hand side, from which on z I - A itself is factored.
 _GROWN = 1e6
+# States from which on LAPACK's real Schur form, made complex afterwards, takes less time than its complex one.
+_REAL = 64
 # States that repeat another one a sample later, from which on they are taken out of the equations.
 _LATE = 48
 # Entries of the largest array at a time.
@@ -177,7 +184,7 @@ class AxisResponse:
         A = A.astype(np.longdouble)
         if self._dt > 0.0:
             A -= np.eye(len(A))
-        # The equations have as many right-hand sides as inputs: of more inputs than outputs, turned.
+        # The triangular equations have as many right-hand sides as inputs: of more inputs than outputs, turned.
         self._turned = C.shape[0] < B.shape[1]
         self._exact, self._B, self._C, self._D = (A.T, C.T, B.T, D.T) if self._turned else (A, B, C, D)
         self._A = self._exact.astype(np.float64)
@@ -192,13 +199,24 @@ class AxisResponse:
         if not (p and m and n):
             H[:] = self._D[..., None]
         else:
-            step = max(1, _TOGETHER // n)
+            step = max(1, _TOGETHER // (n * (1 if self._residues is not None else m)))
             with np.errstate(all="ignore"):
                 for k in range(0, len(z), step):
                     H[..., k : k + step] = self._strictly_proper(z[k : k + step])
                 H += self._D[..., None]
             H[~np.isfinite(H)] = np.inf
         return H.transpose(2, 1, 0) if self._turned else H.transpose(2, 0, 1)
+
+    @cached_property
+    def _schur(self) -> tuple[ComplexArray, ComplexArray]:
+        """T, upper triangular, and Q, unitary: A = Q T Q*."""
+        from scipy.linalg import rsf2csf, schur
+
+        if len(self._A) < _REAL:
+            T, Q = schur(self._A, output="complex", check_finite=False)
+        else:
+            T, Q = rsf2csf(*schur(self._A, output="real", check_finite=False), check_finite=False)
+        return T, Q
 
     @property
     def oldest(self) -> int:
@@ -208,41 +226,61 @@ class AxisResponse:
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles, in the plane of s or z."""
-        return np.asarray(self._modes[0] + (1.0 if self._dt > 0.0 else 0.0))
+        return np.asarray(np.diag(self._schur[0]) + (1.0 if self._dt > 0.0 else 0.0))
 
     @cached_property
-    def _modes(self) -> tuple[ComplexArray, ComplexArray | None]:
-        """Eigenvalues of A, and what each adds, (p m, n) over z less it; None where vectors are too nearly alike."""
-        own, vectors = (np.asarray(one, dtype=np.complex128) for one in np.linalg.eig(self._A))
-        try:
-            inverse = np.linalg.inv(vectors)
-        except np.linalg.LinAlgError:
-            return own, None
-        # Columns have length one: this is about the condition number.
-        if not np.sqrt(len(own)) * float(np.abs(inverse).max()) < _MODAL:
-            return own, None
-        residues = (self._C @ vectors)[:, None, :] * (inverse @ self._B).T
-        return own, np.asarray(residues.reshape(-1, len(own)), dtype=np.complex128)
+    def _residues(self) -> ComplexArray | None:
+        """What each mode contributes, (p m, n) over z less its pole; None where modes do not tell them apart."""
+        from scipy.linalg.lapack import ztrtri
+
+        T, Q = self._schur
+        own = np.diag(T)
+        vectors = np.eye(len(T), dtype=np.complex128)
+        with np.errstate(all="ignore"):
+            for i in range(len(T) - 2, -1, -1):
+                vectors[i, i + 1 :] = T[i, i + 1 :] @ vectors[i + 1 :, i + 1 :] / (own[i + 1 :] - own[i])
+            vectors /= np.sqrt(np.sum(vectors.real**2 + vectors.imag**2, axis=0))
+            if not np.isfinite(vectors).all():
+                return None
+            inverse, failed = ztrtri(vectors)
+            # Columns have length one: this is about the condition number.
+            if failed or not np.sqrt(len(T)) * float(np.abs(inverse).max()) < _MODAL:
+                return None
+        out = (self._C @ Q @ vectors)[:, None, :] * (inverse @ (Q.conj().T @ self._B)).T
+        return np.asarray(out.reshape(-1, len(T)), dtype=np.complex128)
 
     def _strictly_proper(self, exact: NDArray[np.clongdouble]) -> ComplexArray:
         """Return C (z I - A)^-1 B, (p, m, N)."""
         z, (p, m), size = exact.astype(np.complex128), self._D.shape, np.linalg.norm(self._A)
-        own, residues = self._modes
-        H, near = np.empty((p, m, len(z)), dtype=np.complex128), np.ones(len(z), dtype=np.bool_)
-        if residues is not None:
-            gap = z - own[:, None]
+        if self._residues is None:
+            X = self._by_schur(z)
+            H = (self._C @ X).reshape(p, m, len(z))
+            growth = (np.linalg.norm(X, axis=0) / np.repeat(np.linalg.norm(self._B, axis=0), len(z))).reshape(m, -1)
+            near = (size * growth > _GROWN).any(axis=0)
+        else:
+            gap = z - np.diag(self._schur[0])[:, None]
             square = gap.real**2 + gap.imag**2
             nearest = np.sqrt(square.min(axis=0))
             shares = gap.conj() * (1.0 / square)
             if not nearest.all():  # at a pole, which not every input may reach
-                shares[~residues.any(axis=0)] = 0.0
-            H = (residues @ shares).reshape(p, m, len(z))
+                shares[~self._residues.any(axis=0)] = 0.0
+            H = (self._residues @ shares).reshape(p, m, len(z))
             near = (nearest > 0.0) & (size > _GROWN * nearest)
         at, step = np.flatnonzero(near), max(1, _TOGETHER // len(self._A) ** 2)
         for k in range(0, len(at), step):
             some = at[k : k + step]
             H[..., some] = (self._C @ self._by_elimination(exact[some])).transpose(1, 2, 0)
         return np.asarray(H, dtype=np.complex128)
+
+    def _by_schur(self, z: ComplexArray) -> ComplexArray:
+        """Return (z I - A)^-1 B, (n, m N): for each input one column for each z."""
+        T, Q = self._schur
+        X, every = np.repeat(Q.conj().T @ self._B, len(z), axis=1), np.tile(z, self._B.shape[1])
+        for i in range(len(T) - 1, -1, -1):
+            if i + 1 < len(T):
+                X[i] += T[i, i + 1 :] @ X[i + 1 :]
+            X[i] /= every - T[i, i]
+        return np.asarray(Q @ X, dtype=np.complex128)
 
     def _by_elimination(self, exact: NDArray[np.clongdouble]) -> ComplexArray:
         """Return (z I - A)^-1 B, (N, n, m); inf where z is a pole."""
