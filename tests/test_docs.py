@@ -29,7 +29,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 
 
 def tables_within(table: Shape, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Shape]]:
-    """Walk a file's tables and those within them, with the keys that lead there."""
+    """Yield a file's tables and those within them, with the keys that lead there."""
     yield path, table
     for name, key in table.keys.items():
         if isinstance(key.holds, Shape):

@@ -41,7 +41,7 @@ from platform_ctrl.common.values import FloatArray, value
 # Points of Gauss's rule on each part of a period. The plant's own motions are slow against half a period, torquers
 # may settle within it: a lag of a tenth of a part has an error of 1 % of what it adds.
 _POINTS = 5
-# A part of the delay below this share of a period is none.
+# A part of the delay below this share of a period counts as zero.
 _SHORT = 1e-6
 # Components of a slow sequence that are followed: a hold passes of the others less than 1 % each.
 _MOST_COMPONENTS = 64
@@ -75,7 +75,7 @@ class DisturbanceResponses(Protocol):
         """Return responses of all plants at all frequencies w (F,), (N, F, ...), or of plants `of` (F,), (F, ...)."""
 
     def only(self, index: NDArray[np.intp]) -> DisturbanceResponses:
-        """Return those of some of the plants."""
+        """Return the responses of some of the plants."""
 
 
 def _response(system: System, w: FloatArray, of: Chosen) -> ComplexArray:
@@ -142,7 +142,7 @@ def rows_between(
 
 @value
 class PlantResponses:
-    """Those of plants whose torques are set at every sample, perhaps with a gain from readings that drives have.
+    """Responses of plants whose torques are set at every sample, perhaps with a gain from readings that drives have.
 
     Outputs are p readings, s signals of the line of sight and f readings of drives, in this order.
     """
@@ -190,14 +190,14 @@ class PlantResponses:
         return ReadAndSeen(read[..., :p, :], seen)
 
     def only(self, index: NDArray[np.intp]) -> PlantResponses:
-        """Return those of some of the plants."""
+        """Return the responses of some of the plants."""
         drives = None if self.drives is None else self.drives[index]
         return dataclasses.replace(self, smooth=self.smooth.at(index), stepped=self.stepped.at(index), drives=drives)
 
 
 @value
 class _Changed:
-    """Those of plants in which something is changed."""
+    """Responses that follow from those of simpler plants, `plain`."""
 
     plain: DisturbanceResponses
 
@@ -212,13 +212,13 @@ class _Changed:
         return self.plain.period
 
     def only(self, index: NDArray[np.intp]) -> Self:
-        """Return those of some of the plants."""
+        """Return the responses of some of the plants."""
         return dataclasses.replace(self, plain=self.plain.only(index))
 
 
 @value
 class SlowerResponses(_Changed):
-    """Those of plants whose inputs are set at every n-th sample only, and held meanwhile."""
+    """Responses of plants whose inputs are set at every n-th sample only, and held meanwhile."""
 
     every: int
 
@@ -250,9 +250,9 @@ class SlowerResponses(_Changed):
 
 @value
 class FedResponses(_Changed):
-    """Those of plants with feedforward F of the platform's rate: its sensors' readings through F add to the inputs.
+    """Responses of plants with feedforward F of the platform's rate.
 
-    Or to what is read.
+    The readings of its sensors through F add to the inputs, or to what is read.
     """
 
     feedforward: RateFeedforward
@@ -272,9 +272,9 @@ class FedResponses(_Changed):
 
 @value
 class ClosedResponses(_Changed):
-    """Those of plants around which a loop is closed: inputs are its commands, outputs what it does not read.
+    """Responses of plants around which a loop is closed, to its commands and to Omega1 to Omega3 alone.
 
-    Of disturbances Omega1 to Omega3 alone.
+    Outputs are the signals that the loop does not read.
     """
 
     controller: System  # u = K y + H r, from the first p readings and their p commands
@@ -298,7 +298,7 @@ class ClosedResponses(_Changed):
 
 @value
 class CombinedResponses(_Changed):
-    """Those of plants of which combinations of their readings are read."""
+    """Responses of plants of which combinations of the readings are read."""
 
     sense: FloatArray  # (q, p)
 

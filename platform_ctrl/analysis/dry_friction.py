@@ -101,7 +101,7 @@ DryTorque = Friction | FedFriction
 
 
 class Describing(NamedTuple):
-    """What stands for dry friction: its mean, N m, its viscous equivalent, N m s, and the rms of the rest, N m."""
+    """The replacement of dry friction: its mean, N m, its viscous equivalent, N m s, and the rms of the rest, N m."""
 
     mean: float
     viscous: float
@@ -109,7 +109,7 @@ class Describing(NamedTuple):
 
 
 def describing_function(friction: DryTorque, rms: float) -> Describing:
-    """Return what stands for the dry part of a friction at a Gaussian relative rate, of `rms` rad/s, without mean.
+    """Return the replacement of the dry part of a friction at a Gaussian relative rate, of `rms` rad/s, without mean.
 
     Smoothing by tanh and the Stribeck curve are taken into account by quadrature, right to about 1e-12; at rms 0 it is
     the slope at rest.
@@ -184,7 +184,7 @@ class FrictionBalance:
 
     @property
     def statement(self) -> tuple[str, ...]:
-        """One sentence for each bearing."""
+        """A sentence for each bearing."""
         rows = zip(self.frictions, self.drives, self.rate, self.sticking, self.remainder, strict=True)
         return tuple(_statement(one, drive, float(v), float(p), float(r)) for one, drive, v, p, r in rows)
 
@@ -368,7 +368,7 @@ def _powers(rho: FloatArray, products: FloatArray, whole: float) -> FloatArray:
     ends = _TERMS * _GROWTH ** np.arange(_GROUPS + 1)
     weights = ends[:-1] ** -0.5 - ends[1:] ** -0.5
     weights[-1] = ends[-2] ** -0.5
-    # High powers of small correlations are none.
+    # High powers of small correlations count as zero.
     large = np.flatnonzero(np.abs(rho) > 0.5)
     sign, logarithm = np.sign(rho[large]), np.log(np.abs(rho[large]))
     for n, weight in zip(np.sqrt(ends[1:] * ends[:-1]), weights / weights.sum(), strict=True):

@@ -251,7 +251,7 @@ def scaled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, Flo
 def seen_states(A: FloatArray, C: FloatArray) -> list[int]:
     """Return the states of systems (N, ...) on which an output depends in any of them, by what their matrices show.
 
-    The angle of a balanced gimbal whose rate alone is measured is none: it drifts, and nothing follows from it.
+    The angle of a balanced gimbal whose rate alone is measured is not among them: it drifts, and no output shows it.
     """
     links = (A != 0.0).any(axis=0)
     seen = (C != 0.0).any(axis=(0, 1))

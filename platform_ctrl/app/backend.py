@@ -70,7 +70,7 @@ class Backend:
         self._source = None if self.path is None else JobSource(self.path, self.read)
         if controllers is None and self.path is not None:
             beside = controllers_beside(self.path)
-            # Those of another plant or job are none of this one.
+            # Controllers of another plant or job are not used.
             controllers = beside if beside.exists() and not differing_origin(beside, self.read) else None
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
         self.read = self._loops.read

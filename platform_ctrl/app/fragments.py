@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _LEAST_GAIN = 5e-3
 # Changes of a ratio by a move of 5 %: one that has no arrow, and one that has the full colour.
 _LEAST, _MOST = 0.002, 0.1
-# Shares of a mean square that are none.
+# Shares of a mean square that count as zero.
 _ROUNDING = 1e-12
 # Steps of a slider's range, and how far to both sides of it limits are judged by slopes.
 STEPS, _FARTHEST = 4000, 0.3

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 IDLE = 350
 # Longest time that measuring waits for the drawing to be sent, s.
 _SENDING = 0.05
-# What the page shows: the plots of the loop, or the budget of the line of sight.
+# Views of the page: the plots of the loop, or the budget of the line of sight.
 VIEWS = ("loop", "budget")
 # Requests that change the settings: the method of `Backend` that does it, with what belongs to the request.
 CHANGES = {
@@ -74,10 +74,10 @@ class Session:
         self._view = VIEWS[0]
         self._gesture: object = None
         self._changes: LatestTasks[Task] = LatestTasks(self._work)
-        # What is drawn next.
+        # The curves to be drawn next.
         self._drawing: Drawing | None = None
         self._sent = threading.Event()
-        # What sliders do to requirements, and the settings that this is of; limits of the budget; rows of the table.
+        # Effects of the sliders on requirements, and their settings; results of the budget; order of the table's rows.
         self._effects: OptionEffects | None = None
         self._effects_of: Settings | None = None
         self._budget_results: tuple[CheckResult, ...] = ()
@@ -188,7 +188,7 @@ class Session:
         there = step()
         self.change("history", lambda settings: there, count=request.count, gesture="history")
 
-    # What comes of it.
+    # Answers to the page.
 
     def _designed(self) -> None:
         """Compute the picture again with a design that has become available; called in a thread."""
@@ -197,7 +197,7 @@ class Session:
     def _work(self, tasks: list[Task]) -> None:
         """Compute a picture for all tasks together; runs in a thread."""
         line, picture, awaits = None, None, False
-        # What waits for a design goes on from there.
+        # Changes go on from settings that wait for a design.
         settings = self.settings if self._awaited is None else self._awaited[0]
         # A design that has become available is not a separate step of a gesture.
         gesture = next((task.gesture for task in reversed(tasks) if task.gesture != "ready"), "ready")
@@ -219,7 +219,7 @@ class Session:
             line = error_text(error)
         self._awaited = (settings, gesture) if awaits else None
         if picture is not None:
-            # What the next tasks start from, before it is shown.
+            # The next tasks start from here, before it is shown.
             self.settings = settings
         count = max(task.count for task in tasks)
         self.connection.later(partial(self._show, settings, gesture, picture, line, awaits, count))
@@ -265,7 +265,7 @@ class Session:
     def _show(
         self, settings: Settings, gesture: object, picture: Picture | None, line: str | None, awaits: bool, count: int
     ) -> None:
-        """Show a picture, or the line of an error; what `awaits` is computed again once a design is available."""
+        """Show a picture, or the line of an error; with `awaits` it is computed again once a design is available."""
         line, self._line = self._line or line, None
         notes = () if picture is None else picture.notes
         kind = "error" if line and not awaits else "quiet"
@@ -339,7 +339,7 @@ class Session:
         """Return what is known of all parts of the job, for the settings as they are."""
         parts, settings = self.backend.job_parts, self.settings
         states = parts.states(parts.parts(settings))
-        # What is being measured keeps what it said, dimmed: nothing flickers while a slider moves.
+        # A chip that is being measured keeps its words, dimmed: nothing flickers while a slider moves.
         said = {one.chip.key: one for one in states if not one.measuring}
         self._said |= said
         return fragments.strip(states, self._said, settings.loop)

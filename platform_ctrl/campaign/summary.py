@@ -180,7 +180,7 @@ def _telling(one: Influence) -> tuple[bool, float]:
 
 
 def _levels(column: Array) -> Iterator[tuple[Level, NDArray[np.bool_]]]:
-    """Walk the values of an input with the runs that have them; thirds of the runs where there are many values."""
+    """Yield the values of an input with the runs that have them; thirds of the runs where there are many values."""
     if column.dtype == np.int8:  # that a fault does not happen is the other side of that it does
         yield True, column == 1
         return

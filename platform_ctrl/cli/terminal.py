@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # Columns of a pipe, which has no width: a statement is one line there.
 _PIPE_WIDTH = 10_000
-# From this relative distance on a value that must be small is none: +100 %.
+# From this relative distance on a value that must be small counts as zero: +100 %.
 _NOTHING = 0.995
 
 

@@ -24,7 +24,7 @@ def greek(name: str) -> str:
 
 
 def initial(name: str) -> tuple[str, str]:
-    """Return the letters at the head of a name (its first character where it is none), and the rest."""
+    """Return the letters at the head of a name (its first character where it begins with no letter), and the rest."""
     found = re.match(r"[^\W\d_]+", name)
     end = found.end() if found else 1
     return name[:end], name[end:]

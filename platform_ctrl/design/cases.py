@@ -144,7 +144,7 @@ def at_angles(platform: Platform, q: FloatArray) -> str:
 
 
 def _varied(job: Job, gimbals: tuple[str, ...]) -> Iterator[tuple[str, dict[str, dict[str, float]]]]:
-    """Walk the relative changes of J and L at the corners of the uncertainty, then at the samples inside it."""
+    """Yield the relative changes of J and L at the corners of the uncertainty, then at the samples inside it."""
     named = [("inertia", g, job.uncertainty.inertia) for g in gimbals]
     named += [("spin", name, job.uncertainty.spin) for name in carried(job.platform, gimbals)]
     named = [entry for entry in named if entry[2] > 0.0]

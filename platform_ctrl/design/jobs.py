@@ -107,7 +107,7 @@ def attempted_loops(
 
 
 def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, Design | Exception]]) -> LoopOutcome:
-    """Return the outcome of a loop of what its designs have come to."""
+    """Return the outcome of a loop from the results of its designs."""
     designs = tuple(one for _, one in found if isinstance(one, Design))
     errors = [(design, instability(one, design.tune) if isinstance(one, Design) else one) for design, one in found]
     names = [one.name for one in designs]
@@ -170,7 +170,7 @@ def _made_of(problems: Sequence[LoopProblem], workers: int, progress: Progress) 
 
 def _in_processes(problems: Sequence[LoopProblem], workers: int, progress: Progress) -> list[Made | None]:
     """Return the designs; None of those that were under way when a process was killed."""
-    # What the designs need is loaded once, before the processes are forked.
+    # python-control is loaded once, before the processes are forked.
     import control  # noqa: F401
 
     out: list[Made | None] = [None] * len(problems)
@@ -196,9 +196,9 @@ def _begin(problems: Sequence[LoopProblem]) -> None:
 
 
 def _made_in_process(k: int) -> Made:
-    # A thread of the other process may have held what a progress display waits for when this one was forked.
+    # A thread of the parent may have held the lock of a progress display when this process was forked.
     made = _made(dataclasses.replace(_given[k], progress=lambda line: None))
-    # The plants are known where it goes.
+    # The parent process has the plants: they are not sent.
     return dataclasses.replace(made, plants=None) if isinstance(made, Design) else made
 
 
@@ -238,7 +238,7 @@ def _plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
 def in_order(job: Job, outcomes: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ...]:
     """Return loops in the order in which their controllers are computed: a tracking loop before the one it commands.
 
-    Those that such a loop or a manoeuvre commands take commands then.
+    Loops that such a loop or a manoeuvre commands take commands then.
     """
     around = {one.spec.around for one in outcomes}
     out = []

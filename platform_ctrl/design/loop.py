@@ -61,7 +61,7 @@ class Design:
     sections
         The controller block by block, where its method makes it of blocks and nothing else is added to it.
     directions
-        Gyroscopic pairs and inertial directions in which its method saw the plants; None where none was told.
+        Gyroscopic pairs and inertial directions in which its method saw the plants; None where they are not known.
     """
 
     loop: str
@@ -163,7 +163,7 @@ def limits_and_goals(
 
 
 def filter_lag(hz: float) -> str:
-    """Say how late a reference filter makes a path that is not known ahead."""
+    """Return words about the lag of a reference filter on a path that is not known ahead."""
     return f"behind the reference filter (filter_hz = {hz:g}), which alone is {1.0 / (math.pi * hz):.3g} s late"
 
 
@@ -208,7 +208,7 @@ def with_commands(plants: PlantSet, controller: control.StateSpace) -> System:
     at = [names.index(name) for name in (*plants.angles, *commands)]
     of = [controller.output_labels.index(name) for name in plants.torques]
     p, K = len(plants.angles), given.part(of, at)
-    # What compares readings and commands alone is measured as what it is, K.
+    # A controller of the errors y − r alone is measured as K from the errors.
     error = np.array_equal(K.B[:, :p], -K.B[:, p:]) and np.array_equal(K.D[:, :p], -K.D[:, p:])
     return own if error else K
 
@@ -245,9 +245,9 @@ def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> Compl
 def with_largest_rates(design: Design) -> Design:
     """Return a caging design with the constant rates about the root axes at which a torquer comes to its limit, rad/s.
 
-    Those of the nominal plant, and where they are all stable the least over the plants of the parameter uncertainty.
-    They follow from the torques in the steady state; while Omega changes the torques may be larger. What does not exist
-    for a loop is left out: the rate of torquers without limits, of an axis that loads none, and of an unstable loop.
+    The rates are those of the nominal plant, and where all are stable the least over the plants of the parameter
+    uncertainty. They follow from the torques in the steady state; while Omega changes the torques may be larger. There
+    is no such rate for torquers without limits, for an axis that loads no torquer, and for an unstable loop.
     """
     plants, measures = design.plants, design.measures
     if plants is None or measures is None or not measures.decay[0] > 0.0:

@@ -41,7 +41,7 @@ class Option:
     Attributes
     ----------
     label, unit, group, tip
-        What the slider is called and says; `group` is the heading that it stands under.
+        Texts of the slider; `group` is the heading above it.
     low, high
         Ends of the slider; for frequencies `high` is a share of the sample rate.
     logarithmic, whole
@@ -74,7 +74,7 @@ class LoopProblem:
     design: DesignSpec
     model: LinearModel  # the platform linearised at rest
     plant_set: PlantSet | None = None  # the plants of the loop, the nominal one first; None for a stabilisation loop
-    # Those that `channel` has, where they do not follow from the loop alone, as of a loop around another one.
+    # `channel`, where it does not follow from the loop alone, as of a loop around another one.
     directions: Channels | None = None
     progress: Progress = lambda line: None  # called with a line during long work
 
@@ -96,7 +96,7 @@ class LoopProblem:
     def with_commands(self, K: System, sense: FloatArray | None = None) -> System:
         """Return a controller with its commands, if the design says what to do with them; else K.
 
-        It is one of `plants`, or with `sense` one of the readings that this leads to the directions.
+        K reads the outputs of `plants`, or with `sense` (directions, readings) the readings themselves.
         """
         if self.design.command is None:
             return K
@@ -257,7 +257,7 @@ def evaluated(problem: LoopProblem) -> Design:
         ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
         largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
         out = replace(out, claims=out.claims | largest)
-    # There are none where commands or feedforward are added to the method's controller.
+    # A controller to which commands or feedforward were added has no sections.
     if plants is None or tuple(out.controller.input_labels) == plants.angles:
         out = replace(out, sections=method.sections(problem, out.options))
     return method.judged(problem, out)

@@ -123,9 +123,9 @@ def _evaluated(equation: Equation, X: FloatArray) -> Solution:
 
 
 def stabilising(equation: Equation) -> FloatArray | None:
-    """Return the stabilising X of a continuous equation with a regular R of any sign, fast; None where there is none.
+    """Return the stabilising X of a continuous equation with a regular R of any sign, fast, or None.
 
-    There is none where eigenvalues of the Hamiltonian matrix lie on the imaginary axis.
+    It does not exist where eigenvalues of the Hamiltonian matrix lie on the imaginary axis.
     """
     from scipy.linalg import lapack
 

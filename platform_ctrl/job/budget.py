@@ -71,7 +71,7 @@ UNITS = tuple(unit for kind in SOURCE_KINDS.values() for unit in kind.units)
 
 
 def too_large(key: str, numbers: ArrayLike, kind: str, unit: str | None = None) -> Iterator[Misfit]:
-    """Walk numbers in SI units of a kind of source that are larger than can be meant; `unit` is that of the file."""
+    """Yield numbers in SI units of a kind of source that are larger than can be meant; `unit` is that of the file."""
     known = list(SOURCE_KINDS[kind].units)
     worst, most = float(np.abs(numbers).max(initial=0.0)), SOURCE_KINDS[kind].largest
     if worst > most:
@@ -336,7 +336,7 @@ def _gravity_in_g(source: Source, spectrum: LogSpectrum) -> str:
 
 
 def value_mistakes(budget: BudgetSpec) -> Iterator[Mistake]:
-    """Walk what the values show: sources outside of the band, coherences of no signals."""
+    """Yield what the values show: sources outside of the band, coherences of no signals."""
     for k, source in enumerate(budget.sources):
         path: Path = ("budget", "source", k)
         lead = next(key for key, kind in SPECTRA.items() if isinstance(source.spectrum, kind))
@@ -359,7 +359,7 @@ def value_mistakes(budget: BudgetSpec) -> Iterator[Mistake]:
 
 
 def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
-    """Walk what does not fit together in a budget, and with the plant."""
+    """Yield what does not fit together in a budget, and with the plant."""
     if platform.line_of_sight is None:
         words = "the plant has no line of sight to be limited; state its body and direction in [line_of_sight]"
         if any(getattr(budget.limits, name) is not None for name in budget.limits.__dataclass_fields__):

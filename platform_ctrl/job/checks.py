@@ -83,7 +83,7 @@ def locked_mistakes(locked: tuple[str, ...], loops: tuple[LoopSpec, ...], platfo
 
 
 def _operation(job: Job) -> Iterator[Misfit]:
-    """Walk what is wrong with the platform's rates and the gimbal angles at which the loops have to work."""
+    """Yield what is wrong with the platform's rates and the gimbal angles at which the loops have to work."""
     platform = job.platform
     yield from too_large("Omega", job.Omega, "base-rate")
     for name, values in job.angles.items():
@@ -113,7 +113,7 @@ def _delay(job: Job) -> Iterator[Misfit]:
 
 
 def _rates(job: Job) -> Iterator[Misfit]:
-    """Walk the rates of loops that are not computed at every sample."""
+    """Yield the rates of loops that are not computed at every sample."""
     every: dict[str, int] = {}
     cycle, rate = 1, 1.0 / job.sampling.period
     for k, loop in enumerate(job.loops):
@@ -162,7 +162,7 @@ def _loop(job: Job, k: int) -> Iterator[Misfit]:
 
 
 def _limits(job: Job, loop: LoopSpec, limits: Mapping[str, float]) -> Iterator[Misfit]:
-    """Walk limits or goals of a loop that the plant or the kind of the loop does not have."""
+    """Yield limits or goals of a loop that the plant or the kind of the loop does not have."""
     known = limit_keys()
     faulty = job.faults.slow_rotor is not None or job.faults.weak_torquer is not None
     for key in sorted(limits):
@@ -226,7 +226,7 @@ def _no_names(key: str, words: str, known: list[str]) -> Misfit:
 
 
 def _signals(platform: Platform, loop: LoopSpec) -> Iterator[Misfit]:
-    """Walk what is wrong with what a rate or pointing loop turns, reads and sets."""
+    """Yield what is wrong with what a rate or pointing loop turns, reads and sets."""
     if not loop.gimbals:
         yield _no_names("gimbals", "the gimbals that the loop turns", list(platform.gimbal_names))
     if not loop.sensors:
@@ -243,7 +243,7 @@ def _signals(platform: Platform, loop: LoopSpec) -> Iterator[Misfit]:
 
 
 def _sensors(platform: Platform, kind: str, names: tuple[str, ...]) -> Iterator[Misfit]:
-    """Walk sensors that a rate or pointing loop, or one of its designs, cannot read."""
+    """Yield sensors that a rate or pointing loop, or one of its designs, cannot read."""
     fitting, every = _fitting_sensors(platform, kind), [sensor.name for sensor in platform.sensors]
     other, wanted = ("an angle", "rates") if kind == "rate" else ("a rate", "angles")
     for name in names:
@@ -254,7 +254,7 @@ def _sensors(platform: Platform, kind: str, names: tuple[str, ...]) -> Iterator[
 
 
 def _tracking(job: Job, k: int) -> Iterator[Misfit]:
-    """Walk what is wrong with what a tracking loop reads, and with the rate loop that it commands."""
+    """Yield what is wrong with what a tracking loop reads, and with the rate loop that it commands."""
     loop, fitting = job.loops[k], _fitting_sensors(job.platform, "tracking")
     if not loop.sensors:
         yield _no_names("sensors", "what the loop reads", fitting)
@@ -319,7 +319,7 @@ def _carries(platform: Platform, gimbal: int, other: int) -> bool:
 
 
 def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[Misfit]:
-    """Walk what is wrong with friction that is fed forward: whether there is any, how much, and from which rate."""
+    """Yield what is wrong with friction that is fed forward: whether there is any, how much, and from which rate."""
     platform, name = job.platform, job.platform.gimbal_names[gimbal]
     there = max((max(*one.coulomb, *one.breakaway) for one in platform.frictions if one.gimbal == name), default=0.0)
     if there == 0.0:

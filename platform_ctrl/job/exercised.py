@@ -27,7 +27,7 @@ _OF_OMEGA = ("Omega rejection", "attenuation", "torque limit")
 
 
 def unexercised(job: Job) -> Iterator[Mistake]:
-    """Walk the limits of a job that nothing puts to the test."""
+    """Yield the limits of a job that nothing puts to the test."""
     for i, spec in enumerate(job.loops):
         for table, limits in (("limits", spec.limits), ("soft", spec.soft)):
             yield from at(("loop", i, table), _of_loop(job, spec, limits))
@@ -120,7 +120,7 @@ def _acts(table: TimeTable, duration: float, least: float = 0.0) -> bool:
 
 
 def _after_the_end(job: Job, manoeuvre: Manoeuvre) -> Iterator[Misfit]:
-    """Walk what would happen after the end of a run, or does nothing before it."""
+    """Yield what would happen after the end of a run, or does nothing before it."""
     duration, sample = manoeuvre.duration, job.sampling.period * (1.0 - ROUNDING)
     end = f"before the run ends, at {duration:.6g} s"
     sizes: dict[Path, float] = {("sine", k): one.amplitude for k, one in enumerate(manoeuvre.sines)}
@@ -177,7 +177,7 @@ def _harmless(fault: Fault, lasting: float, period: float) -> bool:
 
 
 def _window(job: Job, manoeuvre: Manoeuvre) -> Iterator[Misfit]:
-    """Walk means over too short a time, and sines that samples see at one phase alone."""
+    """Yield means over too short a time, and sines that samples see at one phase alone."""
     if not set(manoeuvre.limits) & {*_MEANS, "angle_following_error", "rate_following_error"}:
         return
     rate, left = 1.0 / job.sampling.period, manoeuvre.duration - manoeuvre.settle

@@ -63,7 +63,7 @@ _EVENTS = ("vibration", "sine", "command", "faults", "initial")
 
 
 def _motion(table: Mapping[str, Any]) -> Iterator[Misfit]:
-    """Walk what is wrong with the motion of a manoeuvre."""
+    """Yield what is wrong with the motion of a manoeuvre."""
     mode = table["mode"]
     keys, instead = MOTION[mode], _MOTION_TABLE[mode]
     needed = f"a {mode} manoeuvre needs {', '.join(keys)} and axis, or {instead}"

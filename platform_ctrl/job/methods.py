@@ -124,7 +124,7 @@ DESIGN_SIGNALS, WITH_SIGNALS = ("sensors", "feedforward"), ("rate", "pointing")
 
 
 def kind_misfits(design: Mapping[str, Any], kind: LoopKind) -> Iterator[tuple[str, str]]:
-    """Walk what a design has that does not go with the kind of its loop."""
+    """Yield what a design has that does not go with the kind of its loop."""
     if kind not in METHODS[design["method"]].kinds:
         expected = " or ".join(given(name) for name, one in METHODS.items() if kind in one.kinds)
         words = f"method must be one for a {kind} loop, {expected}, got {given(design['method'])}"

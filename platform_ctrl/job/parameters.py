@@ -161,7 +161,7 @@ def _of_manoeuvres(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
 
 
 def _of_drives(scenario: Scenario) -> Iterator[RunParameter]:
-    """Walk the numbers of drives: of friction where some is fed forward, of the gain where it follows an angle."""
+    """Yield the numbers of drives: of friction where some is fed forward, of the gain where it follows an angle."""
     for k, law in enumerate(scenario.drives):
         for key in _numbers(Drive):
             if law.secant_of is not None if key == "secant_limit" else law.friction:
@@ -170,7 +170,7 @@ def _of_drives(scenario: Scenario) -> Iterator[RunParameter]:
 
 
 def _of_commands(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
-    """Walk the numbers of commands, the k-th of its reading in every run that has it."""
+    """Yield the numbers of commands, the k-th of its reading in every run that has it."""
     for reading in dict.fromkeys(one.reading for scenario in scenarios for one in scenario.commands):
         most = max(len(_commands_of(scenario, reading)) for scenario in scenarios)
         for k in range(most):

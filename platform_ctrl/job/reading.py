@@ -107,7 +107,7 @@ def read_job(
 
 
 def _variation(job: Job) -> Iterator[Mistake]:
-    """Walk what a campaign varies although the job has no such number, or would not accept what may be drawn."""
+    """Yield what a campaign varies although the job has no such number, or would not accept what may be drawn."""
     if job.campaign is not None:
         scenarios = [manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres]
         for k, key, line in campaign_misfits(job.campaign.vary, scenarios, job.fault_events):

@@ -353,7 +353,7 @@ def limit_keys() -> dict[str, tuple[str, str]]:
 
 
 def limit_misfits(limits: Mapping[str, float]) -> Iterator[Misfit]:
-    """Walk what is wrong with the limits or the goals of a loop: keys, and edges of bands without their metric."""
+    """Yield what is wrong with the limits or the goals of a loop: keys, and edges of bands without their metric."""
     known = limit_keys()
     for key in sorted(limits):
         if key not in known:

@@ -197,7 +197,7 @@ _KINDS = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
 
 
 def _shaking(table: Mapping[str, Any]) -> Iterator[Misfit]:
-    """Walk what is wrong with a vibration or a sine."""
+    """Yield what is wrong with a vibration or a sine."""
     kind = table["kind"]
     needed, other = ("gimbal", "axis") if kind == "torque" else ("axis", "gimbal")
     if needed not in table:

@@ -37,14 +37,14 @@ _NUMBERS = Collected(
 # Standard deviations from the mean at which a truncated normal distribution has to start at the latest: beyond, there
 # is less than 1e-15 of it, and its quantiles are rounding.
 FARTHEST = 8.0
-# Standard deviation of a natural logarithm at most: of numbers that lie further apart, some are none any more.
+# Standard deviation of a natural logarithm at most: numbers that lie further apart overflow.
 WIDEST = 10.0
 # Centres: 1 unless given where the numbers multiply the nominal value.
 CENTRES = frozenset({"mean", "median", "peak"})
 
 
 def _spread(table: Mapping[str, Any], name: Distribution) -> Iterator[Misfit]:
-    """Walk numbers of a distribution that do not fit one another."""
+    """Yield numbers of a distribution that do not fit one another."""
     deviation = table.get("deviation", 0.0)
     if name == "log-normal" and deviation > WIDEST:
         far = f": one number in six would be e^{deviation:.6g} times the median or more"
@@ -199,7 +199,7 @@ class Campaign:
 def campaign_misfits(
     varied: Sequence[Vary], scenarios: Sequence[Scenario], faults: Sequence[Fault]
 ) -> Iterator[tuple[int, str, str]]:
-    """Walk what cannot be drawn.
+    """Yield what cannot be drawn.
 
     A value that a plant or job file would refuse is refused here if it can be drawn at all, however seldom.
 
@@ -280,7 +280,7 @@ def _fits(expected: Expected, low: float, high: float, continuous: bool) -> bool
 def _misfits_together(
     varied: dict[str, Vary], known: dict[str, RunParameter], scenario: Scenario, faults: Sequence[Fault]
 ) -> Iterator[tuple[str, str]]:
-    """Walk numbers of one part that could be drawn so that its record would refuse them together, by their path."""
+    """Yield numbers of one part that could be drawn so that its record would refuse them together, by their path."""
     parts: dict[tuple[str, int, str], dict[str, str]] = {}
     for path in varied:
         one = known[path]

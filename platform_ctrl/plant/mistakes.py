@@ -43,13 +43,13 @@ Misfit = tuple[str | Path, str]
 
 
 def at(path: Path, misfits: Iterable[Misfit]) -> Iterator[Mistake]:
-    """Walk what is wrong with the table at `path`."""
+    """Yield what is wrong with the table at `path`."""
     for keys, text in within(path, misfits):
         yield Mistake(keys, one_line(text))
 
 
 def within(path: Path, misfits: Iterable[Misfit]) -> Iterator[tuple[Path, str]]:
-    """Walk what is wrong with the table at `path`, by the keys that lead there and further in."""
+    """Yield what is wrong with the table at `path`, by the keys that lead there and further in."""
     for keys, text in misfits:
         yield (*path, *((keys,) if isinstance(keys, str) else keys)), text
 
@@ -75,14 +75,14 @@ def unknown(key: str, name: str, what: str, known: Iterable[str]) -> Misfit:
 
 
 def strange(key: str, names: Iterable[str | None], what: str, known: Collection[str]) -> Iterator[Misfit]:
-    """Walk names under a key, those that are given, that are no `what`."""
+    """Yield names under a key, those that are given, that are no `what`."""
     return (unknown(key, name, what, known) for name in names if name is not None and name not in known)
 
 
 def takes(
     table: Mapping[str, Any], of: str, needed: Iterable[str], others: Iterable[str], every: Iterable[str]
 ) -> Iterator[Misfit]:
-    """Walk keys that are `needed` and missing, and those of `every` that are neither needed nor among `others`."""
+    """Yield keys that are `needed` and missing, and those of `every` that are neither needed nor among `others`."""
     needed, allowed = list(needed), [*needed, *others]
     yield from (missing(key, f"{of} needs {', '.join(needed)}") for key in needed if key not in table)
     for key in every:
@@ -91,7 +91,7 @@ def takes(
 
 
 def of_length(table: Mapping[str, Any], key: str, beside: str) -> Iterator[Misfit]:
-    """Walk a list that has not as many elements as another one."""
+    """Yield a list that has not as many elements as another one."""
     if key in table and beside in table and len(table[key]) != len(table[beside]):
         words = f"{key} must have as many elements as {beside}, {len(table[beside])}, got {len(table[key])}"
         yield key, words

@@ -136,7 +136,7 @@ def _tree_mistakes(parts: Mapping[str, Any]) -> list[Mistake]:
 
 
 def _references(parts: Mapping[str, Any], root: str, gimbals: list[str]) -> Iterator[Mistake]:
-    """Walk the names of bodies that are not there."""
+    """Yield the names of bodies that are not there."""
     for table, of in shape(Platform).keys.items():
         if not isinstance(of.holds, Shape) or not isinstance(of.holds.make, type):
             continue
@@ -169,7 +169,7 @@ def _circles(root: str, gimbals: tuple[Gimbal, ...]) -> Iterator[Mistake]:
 
 
 def _relative_rates(platform: Platform) -> Iterator[Mistake]:
-    """Walk sensors of a body's rate against its parent that have no parent, or read nothing of it."""
+    """Yield sensors of a body's rate against its parent that have no parent, or read nothing of it."""
     for k, one in enumerate(platform.rate_sensors):
         if one.frame != "parent" or one.body is None or one.axis is None:
             continue
@@ -220,7 +220,7 @@ def _signals(platform: Platform) -> Iterator[Mistake]:
 
 
 def _signal_names(platform: Platform) -> Iterator[tuple[Path, str, str, str]]:
-    """Walk the path of each part, its key for the name, the name, and what it is by default."""
+    """Yield the path of each part, its key for the name, the name, and what it is by default."""
     for k, one in enumerate(platform.gimbals):
         yield ("gimbal", k), "angle", one.angle, default_angle(one.name)
     for k, torquer in enumerate(platform.torquers):

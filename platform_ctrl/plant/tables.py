@@ -366,7 +366,7 @@ def _item(key: Key, item: Any, path: Path, mistakes: list[Mistake]) -> Any:
 
 
 def _twice(key: str, tables: list[Any], path: Path) -> Iterator[Mistake]:
-    """Walk tables of an array that have the value of `key` in common with an earlier one."""
+    """Yield tables of an array that have the value of `key` in common with an earlier one."""
     taken: dict[str | int, int] = {}
     for k, table in enumerate(tables):
         name = table.get(key) if isinstance(table, dict) else None

@@ -37,7 +37,7 @@ from platform_ctrl.verification.budget_result import (
 )
 from platform_ctrl.verification.verdict import JobResult
 
-# Shares of the mean square that are none.
+# Shares of the mean square that count as zero.
 _ROUNDING = 1e-12
 _MICRO = 1e6
 # Sources that have a curve of their own.

@@ -29,7 +29,7 @@ from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings
 _OF_SCOPE = {"": (1, "dashed"), "worst_case": (2, "dotted"), "faults": (3, "dash-dotted")}
 # With more designs than this only the closed one shows all its singular values.
 _ALL_LINES = 2
-# A gain of this and less is none.
+# A gain of this and less counts as zero.
 _NOTHING = 1e-12
 # Sensitivity plot, from left to right: the metric whose curve a panel shows, and its title.
 SENSITIVITIES = {

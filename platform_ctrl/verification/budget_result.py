@@ -17,7 +17,7 @@ from platform_ctrl.plant.sensors import LOS_ANGLES
 
 # A step that is smaller than this share of the total is added to those of the others, so are those beyond so many.
 _SMALL, _STEPS = 1e-3, 8
-# Shares that are none: rounding, and what is left of two budgets that were integrated apart.
+# Shares that count as zero: rounding, and what is left of two budgets that were integrated apart.
 _ROUNDING, _COMMON = 1e-12, 1e-4
 # Of a picture: a limit whose mean square is more than so many times the total is left out; room at the right, and
 # between the numbers of the axis, in its length.

@@ -122,9 +122,9 @@ class _Trial(NamedTuple):
 
 
 def changes(result: JobResult) -> tuple[Change, ...]:
-    """Return at most five changes for missed requirements: what takes each to its limit, or nearer to it.
+    """Return at most five changes for missed requirements: each takes a requirement to its limit, or nearer to it.
 
-    There is none for a requirement of which no single change gains half of that, and none that only a new design or a
+    A requirement is left out if no single change gains half of that, and so are changes that only a new design or a
     simulated run could measure.
     """
     if result.passed:

@@ -95,8 +95,8 @@ def compare(result: Record, accepted: Record, tolerance: float) -> Comparison:
     result, accepted
         From `result_file.result_record` and `result_file.read_record`.
     tolerance
-        Share of the accepted value by which a value may be worse. A value that was a finite number and is none now is
-        worse whatever the tolerance.
+        Share of the accepted value by which a value may be worse. A value that is no longer finite is worse
+        whatever the tolerance.
     """
     before, now = _values(accepted), _values(result)
     changes = [_change(now[key], before.get(key), tolerance) for key in now]
@@ -130,7 +130,7 @@ def _values(record: Record) -> dict[tuple[str, str, str, str], Compared]:
 
 
 def _listed(record: Record) -> Iterator[Compared]:
-    """Walk the values of a result; what a requirement names comes first, what is listed besides may repeat it."""
+    """Yield the values of a result; those of requirements first, as other entries may repeat them."""
     for one in record["requirements"]:
         yield _of(one["subject"], one["name"], one["unit"], one["sense"], one["value"], one["limit"])
     for K in record["controllers"]:
@@ -163,7 +163,7 @@ def _of(subject: str, name: str, unit: str, sense: Sense, now: float | None, lim
 
 
 def _differing(result: Record, accepted: Record) -> Iterator[str]:
-    """Walk what two results do not have in common, as far as both say it."""
+    """Yield what two results do not have in common, as far as both say it."""
     for key, words in (("plant", "another plant"), ("job", "another job")):
         before, now = accepted["sha256"].get(key), result["sha256"].get(key)
         if before != now and not (key == "job" and accepted["sha256"].get("plant") != result["sha256"].get("plant")):

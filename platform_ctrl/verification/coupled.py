@@ -1,10 +1,10 @@
 """All loops closed on the coupled sampled model: poles, margins, and what the coupling costs.
 
-Every gimbal takes part, those too that no loop turns. What no controller sees and that does not act on what it sees
-cannot be stabilised by one: it must not grow by itself.
+Every gimbal takes part, those too that no loop turns. A motion that no controller sees, and that does not act on what
+they see, cannot be stabilised: it must not grow by itself.
 
 The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under
-the torques M alone and the gyros, caged, only measure. In the coupled model the platform feels the gyros' reactions.
+the torques M alone and the gyros, caged, only measure. In the coupled model the gyros react on the platform.
 In a job without a loop on the root the vehicle carries the platform: a sensor of its rate measures the given Omega, to
 which no loop is closed.
 """

@@ -388,7 +388,7 @@ class JSONTable:
         return out
 
     def tables(self, key: str, expected: str) -> Iterator[JSONTable]:
-        """Walk a list of tables."""
+        """Yield a list of tables."""
         item = self.item(key, expected)
         if not isinstance(item, list):
             raise self.must_be(key, expected, item)

@@ -168,7 +168,7 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
 
 
 def _not_found(outcomes: Sequence[LoopOutcome]) -> Iterator[CheckResult]:
-    """Walk a result that is missed for each design that a loop uses and that was not found."""
+    """Yield a result that is missed for each design that a loop uses and that was not found."""
     for outcome in outcomes:
         failure = outcome.failure
         if failure is not None and failure.name not in [one.name for one in outcome.designs]:

@@ -35,7 +35,7 @@ BASES: dict[tuple[str, str], Callable[[], dict[str, Any]]] = {
 
 
 def cases(kind: str, section: str) -> Iterator[tuple[dict[str, Any], list[str]]]:
-    """Walk a section of a table: the changes by the paths of keys, and what the line contains, in this order."""
+    """Yield a section of a table: the changes by the paths of keys, and what the line contains, in this order."""
     file = Path(__file__).parents[1] / "data" / "wrong" / f"{kind}.txt"
     text = file.read_text(encoding="utf-8").partition(f"\n[{section}]\n")[2].partition("\n\n[")[0]
     for line in text.splitlines():

@@ -48,7 +48,7 @@ _SLOW = 2.0
 _NEARLY = 0.1
 # Relative step in frequency for the slope of a singular value.
 _SLOPE_STEP = 1e-4
-# A gain below this is none: a balanced gimbal without friction transmits nothing.
+# A gain below this counts as zero: a balanced gimbal without friction transmits nothing.
 _NOTHING = 1e-200
 _UNDISTURBED = Disturbed(*(np.zeros((0, 0, 0), dtype=np.complex128),) * 3)
 # Resonances of less damping may hide between two points of the grid.

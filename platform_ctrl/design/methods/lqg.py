@@ -235,7 +235,7 @@ def _solved(
                 warnings.simplefilter("ignore", RuntimeWarning)  # of balancing in SciPy, before it finds no solution
                 gain, solution, poles = solve(method)
         except (ArithmeticError, RuntimeError, ValueError, UserWarning):
-            # Slycot's warnings are raised: a solution that may be inaccurate is none.
+            # Slycot's warnings are raised: a solution that may be inaccurate is rejected.
             continue
         if np.isfinite(gain).all() and np.abs(poles).max() < 1.0 - _ON_CIRCLE:
             return np.asarray(gain), np.asarray(solution)

@@ -32,7 +32,7 @@ from platform_ctrl.job.judging import STABLE
 from platform_ctrl.job.methods import DesignSpec, Structure
 from platform_ctrl.job.requirements import LoopRequirement, requirement
 
-# Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
+# Share of the integral rate that the slowest closed-loop pole keeps: slower integral action has no effect.
 _INTEGRAL_KEPT = 0.5
 # Least damping of the PID's filter: with less it gains phase by a resonance, which would lift the gain at frequencies
 # where gimbals and mountings bend.

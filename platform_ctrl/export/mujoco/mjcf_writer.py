@@ -50,7 +50,7 @@ def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root =
     Raises
     ------
     ArgumentError
-        `platform` is none, another `root`, or a name that MuJoCo has for something else.
+        `platform` is no `Platform`, `root` is another word, or MuJoCo uses a name for something else.
     InputError
         The file cannot be written there.
     """

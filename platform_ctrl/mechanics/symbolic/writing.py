@@ -74,7 +74,7 @@ def _entries(equations: Equations, section: _Section) -> list[tuple[int, int, Ex
 
 
 def _sides(equations: Equations, key: str, write: Write) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Walk the gimbals' names with the terms of both sides: coordinates on the left, Q and the root on the right."""
+    """Yield the gimbals' names with the terms of both sides: coordinates on the left, Q and the root on the right."""
     torques = list(equations.forces)[3:]
     for name, terms, torque in zip(equations.platform.gimbal_names, equations.rows[key], torques, strict=True):
         constants = [part for c, v in terms if v == 1 for part in sympy.Add.make_args(c)]

@@ -66,7 +66,7 @@ _SIGNS: dict[str, tuple[dict[str, Any], str]] = {
 }
 # Speeds at which the modes are computed, at least.
 _SPEEDS = 401
-# A frequency this small against the fastest is none: poles at zero come out that large.
+# A frequency this small against the fastest counts as zero: poles at zero are computed no more accurately.
 _ZERO = 1e-5
 # Intersections near the origin, where all lines begin, do not count: share of the largest speed.
 _CORNER = 0.005
