@@ -1,4 +1,4 @@
-"""What design and check both measure with: responses, sampling, closed loops, poles, norms, margins.
+"""Linear systems, as design and check both measure them: responses, sampling, closed loops, poles, norms, margins.
 
 Functions of systems take a `control.StateSpace` or a `control.TransferFunction`; inside the package also `System`,
 which may have leading batch axes in the functions that a tuner calls. Systems are continuous (dt = 0) or discrete

@@ -1,4 +1,4 @@
-"""What continuous disturbances do to sampled loops: responses at the samples and between them.
+"""Responses of sampled loops to continuous disturbances, at the samples and between them.
 
 The platform's rate and torques that act on gimbals are continuous; only the controller is sampled. A component
 w exp(jωt) moves the plant alone by G(jω) w exp(jωt), and the samples of that are readings like any others. All that a
@@ -320,7 +320,7 @@ def _with_inputs(found: ReadAndSeen, inputs: ComplexArray, m: int, d: int) -> Re
 
 
 class Disturbed(NamedTuple):
-    """What disturbances do, with as few rows as possible: columns as in `ReadAndSeen`.
+    """Responses to disturbances with as few rows as possible: columns as in `ReadAndSeen`.
 
     `read` (..., p, m + d); `angle` and `sight` (..., rows, m + d): the readings' own signals and the rates of the line
     of sight between samples.
@@ -431,5 +431,5 @@ class RateFeedforward:
         m = C.shape[-2]
         if self.into == "reading":
             return path.series(System(A, B[..., m:], C, D[..., m:], dt))
-        # What it adds to the torques, and what the controller adds against it.
+        # Its part of the torques, and the controller's part against it.
         return path.series(System(A, B[..., :m], C, D[..., :m] + np.eye(m), dt))

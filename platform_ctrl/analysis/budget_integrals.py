@@ -124,7 +124,7 @@ class NodeResponses(NamedTuple):
         return self._replace(**{name: getattr(self, name)[rows] for name in _BY_NODE}, weights=self.weights[:, rows])
 
 
-# What has the nodes first.
+# Fields whose first axis is that of the nodes.
 _BY_NODE = tuple(name for name in NodeResponses._fields if name not in ("inside", "weights"))
 
 
@@ -193,7 +193,7 @@ def assembled(
         rows = [names.index(name) for name in one.sines]
         variance[:, rows] += one.variance[0, :, :-1]
         rest[rows] += one.remaining[0, :-1]
-        # What the sum of the lines has beyond the sum of their squares.
+        # Cross terms: the square of the sum of the lines less the sum of their squares.
         coherent += one.variance[0, :, -1] - one.variance[0, :, :-1].sum(axis=1)
         more += one.remaining[0, -1] - one.remaining[0, :-1].sum(axis=0)
     highest = max([0.5 * plant.turn, *(float(one.panels[0, 0]) for one in lines)])

@@ -1,4 +1,4 @@
-"""What shakes a sampled loop, what of it counts within an exposure, and what the budget of the loop is.
+"""Disturbances of a sampled loop, the part of a motion that counts within an exposure, and the loop's budget.
 
 Spectra, sines and noise of samples: frequencies in rad/s, densities one-sided per hertz. Over a window of length T a
 motion x(t) is split by least squares into its mean (displacement), a linear trend (smear) and the rest (jitter). The

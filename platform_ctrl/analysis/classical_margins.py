@@ -146,7 +146,7 @@ def _crossings(
 ) -> ComplexArray:
     """Return L where a function of it changes its sign, and at `known` frequencies, rad/s.
 
-    It is followed between `near` and the middles of what is known, in which each crossing stands alone.
+    The function is followed between `near` and the midpoints of known frequencies: each interval has one crossing.
     """
     low = _FIRST * near[near > _ZERO * nyquist].min(initial=nyquist)
     w = np.unique(np.concatenate([known, near, np.geomspace(low, nyquist, _GRID)]))

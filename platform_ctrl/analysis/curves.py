@@ -52,7 +52,7 @@ class Level:
 
 @value
 class Curves:
-    """What one panel of a picture over frequency, Hz, shows."""
+    """Curves of a panel over frequency, Hz."""
 
     curves: tuple[Curve, ...]
     title: str = ""
@@ -102,7 +102,7 @@ def refined(
     moved: Callable[[ComplexArray], FloatArray],
     found: ComplexArray | None = None,
 ) -> tuple[FloatArray, ComplexArray]:
-    """Return rising `values` (N,) with more between them, and what they come to, (N, ...).
+    """Return rising `values` (N,) with more between them, and the results of each, (N, ...).
 
     `moved` says how far it is from each value to the next, (N - 1,): no more than 1 is left. `found` is what the values
     come to where that is known.

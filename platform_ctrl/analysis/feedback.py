@@ -276,7 +276,7 @@ def feedback_part(controller: System, measured: Sequence[int]) -> System:
     """Return K from some of a controller's inputs, without the states that only the other inputs reach."""
     A, B = controller.A, controller.B
     others = [k for k in range(B.shape[1]) if k not in measured]
-    # What an input reaches is what is seen of the transposed system.
+    # States that an input reaches are those that outputs of the transposed system see.
     reached, else_reached = (set(seen_states(A.T[None], B[:, at].T[None])) for at in (measured, others))
     kept = [k for k in range(len(A)) if k in reached or k not in else_reached]
     own = controller.part(slice(None), measured)

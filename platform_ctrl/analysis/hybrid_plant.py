@@ -54,7 +54,7 @@ _ROUNDING = 1e-13
 
 @value
 class HybridPlant:
-    """A continuous plant, inputs [u, w] and outputs [y, z], and what stands between y and u beside the controller."""
+    """A continuous plant, inputs [u, w] and outputs [y, z], with samplers, delays and lags between y and u."""
 
     # Continuous arrays; inputs: m controls u, then k disturbances w; outputs: p measured y, then q performance outputs
     # z, in SI units. y may have a direct path from w.
@@ -116,9 +116,9 @@ class Family(NamedTuple):
 
 
 class Modulator(NamedTuple):
-    """What sets the controls u of R components, from the readings y of each, at N frequencies.
+    """The map from the readings y of R components to the controls u of each, at N frequencies.
 
-    The slower loops have S components of what they hold; those of the h signals that component r sees are `place[r]`.
+    Signals that slower loops hold have S components; those of the h signals that component r sees are `place[r]`.
     """
 
     own: ComplexArray  # (N, R, m, p): from y of a component to u of the same one, by the loops at every sample
@@ -134,7 +134,7 @@ class Modulator(NamedTuple):
 
 
 class OpenLoop:
-    """What of a `HybridPlant` does not depend on the controller, computed once."""
+    """The part of a `HybridPlant` that does not depend on the controller, computed once."""
 
     def __init__(self, plant: HybridPlant) -> None:
         self.plant = plant
@@ -231,7 +231,7 @@ class OpenLoop:
             due = tuple(k % n == 0 for n in controller.every)
             if due not in loops:
                 one = sampled_plant.feedback(controller.at(k))
-                # What is measured as it is before it is late: of a reading on its way no more is a state than is used.
+                # Readings before their delay: of a delayed reading only the used part is a state.
                 torques = one.C[:m]
                 measured = self.sampled.D @ torques
                 measured[:, : len(self.sampled.A)] += self.sampled.C
@@ -312,7 +312,7 @@ def _at_several_rates(controller: MultiRate, R: int, w: FloatArray, P: ComplexAr
     right[..., n:, :p], right[..., n:, p:] = D[:m, :p] * late[..., None, :], D[:m, p:]
     found: ComplexArray = np.linalg.solve(loop, right).astype(np.complex128)
     u = found[..., n:, :]
-    # What the slower ones read, of y and of what is held; each component has a share of that.
+    # Inputs of the slower controllers from y and from held signals; each component has a share of them.
     e = C[m:] @ found[..., :n, :] + D[m:, :p] @ path @ u
     e[..., :p] += D[m:, :p] * late[..., None, :]
     e[..., p:] += D[m:, p:]
@@ -327,14 +327,14 @@ def _at_several_rates(controller: MultiRate, R: int, w: FloatArray, P: ComplexAr
 def _slower(controller: MultiRate, w: FloatArray, e: ComplexArray) -> tuple[ComplexArray, NDArray[np.intp]]:
     """Return what the slower loops hold, of y of each component (N, R, S, p), and the places (R, h) of each component.
 
-    They read e (N, R, read, p + h): components that a loop takes for one add up.
+    They read e (N, R, read, p + h): components that a slow loop cannot tell apart add up.
     """
     from scipy.linalg import block_diag
 
     N, R, _, width = e.shape
     h, read = controller.held, controller.read
     p = width - h
-    # A loop tells so many components apart: first those of one loop, then those of the next.
+    # Number of components that each loop can tell apart: first those of one loop, then those of the next.
     apart = [R // n for n in controller.every]
     own = [(*scaled(*K[:3]), K.D) for K in controller.slow]
     A, B, C, D = (

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 class MultiRate(NamedTuple):
     """Controllers at several rates as one, from p readings to m torques.
 
-    Those of the same rate as the samples are one system, `fast`; its inputs are the readings, then what the slower ones
-    hold, its outputs the torques, then what the slower ones read, both in their order.
+    Controllers computed at every sample are one system, `fast`; its inputs are the readings, then the signals that
+    slower ones hold, its outputs the torques, then the inputs of the slower ones, both in their order.
     """
 
     fast: System  # dt: the sample period, s
@@ -166,8 +166,8 @@ def _joined(
 ) -> System:
     """Join the matrices of controllers by the names of their signals.
 
-    Those that are kept `apart` have inputs for their outputs behind the others, and outputs for their inputs. Where any
-    outputs are `limited` the parts have inputs for their excesses.
+    For controllers that are kept `apart` the result has inputs for their outputs, behind the others, and outputs for
+    their inputs. Where any outputs are `limited` the parts have inputs for their excesses.
     """
     states = sum(len(K.A) for k, K in enumerate(parts) if k not in apart)
     given = states + len(inputs) + (len(outputs) if limited else 0)

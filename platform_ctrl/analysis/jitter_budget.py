@@ -1,4 +1,4 @@
-"""The budget of a sampled loop: what each disturbance does to each performance output, in continuous time.
+"""The budget of a sampled loop: the effect of each disturbance on each performance output, in continuous time.
 
 The frequencies between zero and half the sample frequency are divided into panels; a panel stands for itself and for
 all its images. Where a controller repeats itself after a cycle of N samples only, all this holds of the N-th part of
@@ -138,7 +138,7 @@ class JitterBudget:
             if out.remaining <= tolerance or self._images >= max(_MOST_IMAGES, 2 * self.plant.cycle):
                 return out
             self._images *= 2
-            # What was prepared has too few images.
+            # The prepared responses have too few images.
             self._known, self._kept = {}, 0
 
     def _edges(self, over_frequency: bool) -> FloatArray:
@@ -148,7 +148,7 @@ class JitterBudget:
         knots = [self.lowest, *(k for one in self._random for s in one.spectra for k in s.knots)]
         own = poles(plant.plant.A)
         if not dense:
-            # What is wider than the way of an image needs no panels of its own.
+            # Resonances wider than the distance of images need no panels of their own.
             own = own[(np.abs(own.real) < turn) | (np.abs(own) < turn)]
         found = np.concatenate([np.array(knots), edges_around(own)])
         folded = np.abs(found - turn * np.round(found / turn))
@@ -166,7 +166,7 @@ class JitterBudget:
         s = continuous_poles(z[np.abs(z) > 0.0], math.pi / half)
         fixed = self._edges(over_frequency)
         base = between(fixed, 0.0, half)
-        # What a slider hardly moves stays within the panels that are there: their responses are known.
+        # Poles that a slider hardly moves stay within existing panels, whose responses are known.
         ends = np.array([high for _, high in base])
         width = np.array([high - low for low, high in base])[
             np.minimum(np.searchsorted(ends, np.abs(s.imag)), len(ends) - 1)
@@ -302,7 +302,7 @@ class JitterBudget:
         M = self.open_loop.modulator(controller, at.theta, at.sampled)
         N, F, q, packed = at.outer.shape
         R, count = self.plant.cycle, len(self._random)
-        # What moves the controls of each component, and all its images.
+        # The controls of each component, and all its images.
         moved = np.zeros((N, packed, R, count + len(self._noise)))
         component = (np.arange(F) - F // 2) % R
         inside = np.array(at.inside, dtype=np.intp)
@@ -378,7 +378,7 @@ class JitterBudget:
         self, groups: list[list[SineDisturbance]], controller: MultiRate, over_frequency: bool
     ) -> list[Contribution]:
         plant, omega = self.plant, np.array([group[0].frequency for group in groups])
-        # One at a multiple of what the controller takes for zero has an image there, to the last bit.
+        # A line at a multiple of the controller's rate has an image at zero, to the last bit.
         still = plant.turn * np.round(omega / plant.turn)
         omega = np.where(np.abs(omega - still) <= _SAME * omega, still, omega)
         family = self.open_loop.family(omega, np.arange(-self._images, self._images + 1))

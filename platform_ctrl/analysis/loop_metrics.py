@@ -1,4 +1,4 @@
-"""What a controller makes of a plant set: the metrics of its closed loops."""
+"""The metrics of the closed loops of a controller and a plant set."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from platform_ctrl.errors import ArgumentError
 _BANDWIDTH = MetricRequest(kind="bandwidth")
 # Metrics that are kept for the nominal plant alone, and those that are kept for every plant.
 _OF_NOMINAL, _OF_ALL = ("bandwidth", "torque noise"), ("stability", "damping", "disk margin")
-# What `measure` always measures.
+# Metrics that `measure` always measures.
 ALWAYS_MEASURED = ("stability", "bandwidth", "disk margin", "damping", "torque noise")
 
 _FIRST = np.zeros(1, dtype=np.intp)
@@ -29,7 +29,7 @@ Key = tuple[str, tuple[str, ...], float, float | None]
 
 @value
 class LoopMetrics:
-    """What a controller does to a plant set, in SI units."""
+    """Metrics of a controller closed around a plant set, in SI units."""
 
     # Nominal: lowest frequency at which the largest singular value of S, at the input or the output, reaches 1/sqrt(2),
     # rad/s.

@@ -21,7 +21,7 @@ from platform_ctrl.common.values import FloatArray, value
 
 
 class RequestedMetric(Protocol):
-    """What is to be measured: a metric with its options."""
+    """A metric to be measured, with its options."""
 
     @property
     def kind(self) -> str:

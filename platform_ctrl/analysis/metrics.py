@@ -45,7 +45,7 @@ _NOTHING_LEFT = 1e20
 
 @value
 class Quantity:
-    """What can be measured, and so be required."""
+    """A quantity that can be measured, and so be required."""
 
     name: str  # in verdicts, tables and plots
     key: str = ""  # of its limit in a job file; empty: from Python alone

@@ -6,7 +6,7 @@ over the modes, one product of matrices for all points. Where the eigenvectors a
 once. Both have the errors of the largest entries of A everywhere: where those count (next to lightly damped poles, and
 slow motion of fast systems), z I - A itself is factored, and the solution refined by residuals in the longest numbers
 of the processor. Where these are doubles, the error next to a pole of damping zeta is about 1e-16 / zeta. Long chains
-of delays leave the equations: what is d samples late is z^-d times what it was.
+of delays leave the equations: a delay of d samples is a factor z^-d.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from platform_ctrl.errors import ArgumentError
 if TYPE_CHECKING:
     import control
 
-# What has named signals, what has states, and what has at least values.
+# Systems with named signals, with states, and with at least values.
 NamedSystem: TypeAlias = "control.StateSpace | control.TransferFunction"
 StateSystem: TypeAlias = "control.StateSpace | control.TransferFunction | System"
 LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData | System"
@@ -309,7 +309,7 @@ class _Late:
         core = np.flatnonzero(~late)
         place = np.cumsum(~late) - 1
         seen = np.flatnonzero(late & (np.any(A[core] != 0.0, axis=0) | np.any(C != 0.0, axis=0)))
-        # What a delay holds is `gain` times what another state was `age` samples before.
+        # A delayed state is `gain` times another state `age` samples before.
         gain, age, head = np.ones(len(seen)), np.zeros(len(seen), dtype=int), seen.copy()
         while (inside := late[head]).any():
             gain[inside] *= A[head[inside], source[head[inside]]]
@@ -338,7 +338,7 @@ class _Late:
         links = A != 0.0
         source = np.argmax(links, axis=1)
         late = (links.sum(axis=1) == 1) & ~np.any(B != 0.0, axis=1)
-        # Those that follow each other in a ring have nobody whom they follow.
+        # Delays that follow each other in a ring have no source.
         end = np.arange(len(A))
         for _ in range(len(A)):
             if not (inside := late[end]).any():

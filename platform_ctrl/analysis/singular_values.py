@@ -1,6 +1,6 @@
 """One system along its frequency axis: response, gain, and the frequencies where the gain may cross a level.
 
-What does not depend on the frequency or the level (balancing, modes, the map to the w-plane) is worked out once: norms
+Balancing, modes and the map to the w-plane, which depend neither on frequency nor level, are computed once: norms
 and margins ask many times. Behind long delays the gain is followed on a grid instead: their Hamiltonian has thousands
 of eigenvalues, which lie close together.
 """

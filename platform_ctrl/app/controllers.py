@@ -117,7 +117,7 @@ class DesignOptions:
                 return rate_options(dict(given), channel, nutation, period)
             complete = starting_values(given, channel, nutation, period)
         except DesignError as error:
-            # It may be another loop than the one that is worked on.
+            # It may be another loop than the one that is shown.
             raise DesignError(f"{spec.name}, {error}") from None
         return {name: x for name, x in complete.items() if acts(name, channel)}
 

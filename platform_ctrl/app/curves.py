@@ -45,7 +45,7 @@ def channel_response(S: ComplexArray, channel: int) -> ComplexArray:
 def degrees_beside(responses: ComplexArray, leading: ComplexArray, phase: FloatArray) -> FloatArray:
     """Return the phases (N, F) of responses like `leading` (F,), whose unwrapped `phase` is given, on its sheet.
 
-    What is unwrapped is the difference, which turns slowly where a grid is too coarse for the phase itself.
+    The difference of phases is unwrapped: it turns slowly where a grid is too coarse for the phase itself.
     """
     with np.errstate(all="ignore"):
         ratio = responses * np.conj(leading)
@@ -114,7 +114,7 @@ class LoopCurves(ABC):
     Parameters
     ----------
     job, settings
-        What the loop belongs to, and what is shown of it.
+        The job of the loop, and the settings of the page.
     plant, controller
         Of the plant shown, u = K y.
     readings, torquers
@@ -217,7 +217,7 @@ class LoopCurves(ABC):
 
     @cached_property
     def own(self) -> LoopTransfers:
-        """What the loop of the plant shown consists of at the frequencies of the Bode diagram."""
+        """Responses of plant and controller of the loop shown at the frequencies of the Bode diagram."""
         return self.transfers(self.frequency)
 
     def drawing(self, labels: tuple[str, ...]) -> Drawing:
@@ -256,7 +256,7 @@ class LoopCurves(ABC):
         )
 
     def _closed_loop(self) -> ClosedLoop:
-        """Return what noise and loads come to at the channel."""
+        """Return the gains from noise and loads at the channel."""
         units, torque = [self.units[name] for name in self.readings], self.units[self.channel]
         rows = [k for k, unit in enumerate(units) if unit == units[0]]
         P, K, S = self.own

@@ -1,4 +1,4 @@
-"""What is put into a loop over time, by a job's manoeuvres or as a step, and what comes of it sample by sample."""
+"""Inputs of a loop over time, by a job's manoeuvres or as a step, and its response sample by sample."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def sampled_responses(systems: System, inputs: FloatArray, every: int) -> FloatA
             driven = np.concatenate([power @ driven, driven], axis=-1)
             power = power @ power
         driven = driven[..., -every * m :]
-        # What comes to the state over each interval, (..., T - 1, n), and then the state after it.
+        # Change of the state by the inputs of each interval, (..., T - 1, n), and then the state after it.
         x = inputs[:, :-1].T.reshape(count - 1, every * m) @ driven.swapaxes(-1, -2)
         step = np.linalg.matrix_power(A, every).swapaxes(-1, -2)
         for k in range(1, count - 1):

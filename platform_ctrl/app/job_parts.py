@@ -49,7 +49,7 @@ class SightBudgets:
     def __init__(self, loops: ClosedLoops) -> None:
         self._loops = loops
         self._exact: Bounded[LineOfSightBudget] = Bounded(_BUDGETS)
-        # Prepared for the plants of the last exact one, and for those that sliders have come to since.
+        # Prepared for the plants of the last exact budget, and for those of slider positions since.
         self._prepared: tuple[Hashable, PreparedBudget] | None = None
         self._lock = threading.Lock()
 
@@ -201,7 +201,7 @@ _ROOM = 256
 
 @value
 class ChipState:
-    """What a chip says: of `count` limits `checked` are known for the settings as they are, `missed` of them violated.
+    """State of a chip: of `count` limits `checked` are known for the settings as they are, `missed` of them violated.
 
     `worst` is the result with the least margin, or None; `error` the line of what could not be measured. `on_request`:
     the rest is measured only on request.

@@ -1,4 +1,4 @@
-"""What the page draws: curves for its settings as frozen values, and the gimbal tree. Nothing here draws."""
+"""The curves of the page for its settings as frozen values, and the gimbal tree. Nothing is drawn here."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Bode:
 
 @value
 class ClosedLoop:
-    """What noise and loads come to in the closed loop at the torquer of the Bode diagram, at its frequencies (F,).
+    """Gains from noise and loads in the closed loop at the torquer of the Bode diagram, at its frequencies (F,).
 
     `KS` is the gain from noise of the readings to its torque, `PS` from a torque beside it to the readings: norms over
     all readings in the unit of the first. `units` are those of both.
@@ -157,7 +157,7 @@ class Margins:
 
 @value
 class Drawing:
-    """What the plots of a page draw for `settings`; `plants` are the labels of all plants that may be shown.
+    """The data of the plots of a page for `settings`; `plants` are the labels of all plants that may be shown.
 
     `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
     `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
@@ -210,7 +210,7 @@ class Picture(Drawing):
     notes: tuple[str, ...] = ()
 
 
-# What is drawn, from behind to the front; arrows of turns and signs at joints are left out.
+# Kinds of shapes, from behind to the front; arrows of turns and signs at joints are left out.
 _KINDS = ("mount", "bar", "plate", "shaft", "pin", "disc", "bearing", "axis", "spin")
 # Points of a disc's rim, distance between bodies of the root in radii of a disc, samples of a run.
 _RIM, _CLEAR, _SAMPLES = 36, 0.6, 400

@@ -166,7 +166,7 @@ def free_plants(
     D = np.concatenate([turned.D, np.zeros((N, len(sensors) + 3, 3))], axis=-1)
     turned = turned._replace(B=both, D=D)
     nyquist = np.pi / period
-    # What oscillates: the pole b/J of a damped axis says nothing about the loop.
+    # Oscillating poles alone: the pole b/J of a damped axis says nothing about the loop.
     fastest = float(np.abs(np.linalg.eigvals(A[0]).imag).max(initial=0.0)) or 0.1 * nyquist
     low = min(2e-3 * fastest, 0.01 * nyquist)
     grid = np.geomspace(low, 0.999 * nyquist, _BAND_POINTS) if band else np.zeros(0)
@@ -210,7 +210,7 @@ class JobPlants:
     def loading_axis(self, spec: LoopSpec, axis: int) -> int:
         """Return the axis about which a turn loads the gimbals of a loop: `axis` where it does, else that of most.
 
-        By its rate, or, where no rotor feels that, by the change of its rate.
+        By its rate, or, where it turns no rotor's momentum, by its acceleration.
         """
         if not spec.has_plants:
             return axis
@@ -273,7 +273,7 @@ class JobPlants:
     def gyros(self, spec: LoopSpec, design: DesignSpec) -> Channels:
         """Return the directions in which methods see a loop as a design reads it.
 
-        Those of a tracking loop are without the combination of its readings, which depends on the loop inside.
+        The directions of a tracking loop are without the combination of its readings, which depends on the inner loop.
         """
         if spec.around is not None:
             return commanded_channels(len(self.read.channels_of(spec)))

@@ -1,4 +1,4 @@
-"""What the page is set to: settings, limits and sliders as frozen values, and the history of settings."""
+"""The state of the page: settings, limits and sliders as frozen values, and the history of settings."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def number(x: float) -> float:
 def limits_of_rows(job: Job) -> dict[tuple[str, str], str]:
     """Return the names of the limits of results, by the results' subject and name.
 
-    What is not among them no job file states: that a loop has to be stable.
+    Requirements that no job file states are left out: that a loop has to be stable.
     """
     stated = stated_limits(job)
     return {row: name for row, name in _rows(job) if name in stated}
@@ -311,7 +311,7 @@ def option_sliders(
 def main_sliders(method: str, options: Sequence[Slider], start: Mapping[str, float]) -> list[Slider]:
     """Return the sliders for speed and robustness of a method that has them, from those of its options.
 
-    They stand where the options, from `start` on, come nearest to being moved by them alone.
+    Their values are those at which moving them alone, from `start` on, comes nearest to the options.
     """
     families = METHODS[method].families if METHODS[method].instant else {}
     own = {one.name: one.value for one in options}

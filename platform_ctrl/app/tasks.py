@@ -149,7 +149,7 @@ def error_text(error: Exception) -> str:
     return f"This could not be computed ({type(error).__name__}); the terminal says more."
 
 
-# What the page's line says while a task runs, and after it was cancelled.
+# Texts of the page's line while a task runs, and after it was cancelled.
 _RUNNING = {"tune": "Tuning is going on", "simulate": "A manoeuvre is being simulated"}
 _CANCELLED = {
     "tune": "Tuning was cancelled; nothing was changed.",
@@ -158,7 +158,7 @@ _CANCELLED = {
 
 
 class _Superseded(Exception):
-    """The page no longer shows what is being measured."""
+    """The page no longer shows the settings that are being measured."""
 
 
 @value
@@ -170,7 +170,7 @@ class _Running:
 
 
 class Page(Protocol):
-    """What tasks need of the page whose they are."""
+    """The parts of a page that its tasks use."""
 
     backend: Backend
     connection: Connection

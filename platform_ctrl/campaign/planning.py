@@ -1,4 +1,4 @@
-"""What every run of a campaign is: the same for the same run, whichever others are simulated and in which order."""
+"""The runs of a campaign: each is the same, whichever others are simulated and in which order."""
 
 from __future__ import annotations
 

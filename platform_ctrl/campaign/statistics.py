@@ -1,4 +1,4 @@
-"""What a campaign says: how often each requirement is violated, with exact bounds, quantiles and the worst runs."""
+"""Statistics of a campaign: how often each requirement is violated, with exact bounds, quantiles and the worst runs."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ QUANTILES = (0.5, 0.9, 0.99, 0.999)
 # Different endings that are counted separately; further ones are counted together.
 _MOST_ENDINGS = 20
 
-# What each manoeuvre allows each metric at most, SI units.
+# Limits of each manoeuvre by metric, SI units.
 Limits = Mapping[str, Mapping[str, float]]
 
 
@@ -102,7 +102,7 @@ class WorstRun:
 
 @value
 class RequirementStatistics:
-    """What the campaign says about one requirement.
+    """Statistics of a requirement.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class RequirementStatistics:
 
 @value
 class CampaignStatistics:
-    """What the runs of a campaign say together.
+    """Statistics of all runs of a campaign.
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.job.job import Job
 
-# What a run's row holds besides its inputs.
+# Columns of a run besides its inputs.
 RUN, MANOEUVRE, PASSED, ENDED = "run", "manoeuvre", "passed", "ended"
 # How a run ended begins with one of these words.
 COMPLETED, DIVERGED, NOT_SIMULATED = "completed", "diverged", "not simulated"

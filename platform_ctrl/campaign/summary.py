@@ -49,7 +49,7 @@ Level = bool | float | str
 
 @value
 class Influence:
-    """What one input has to do with one requirement.
+    """The influence of an input on a requirement.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Influence:
 
 
 def influences(table: Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Influence, ...]:
-    """Return what every input has to do with every requirement, the most telling input first.
+    """Return the influence of every input on every requirement, the largest first.
 
     Every requirement over all manoeuvres comes first, then within each manoeuvre. An input that is the same in all runs
     is left out. Arguments and errors are those of `statistics`; `inputs` are the columns of inputs, by default all that

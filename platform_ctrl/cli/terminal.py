@@ -1,4 +1,4 @@
-"""What people see while a command works, and when it is done. Colours and a spinner on a terminal alone."""
+"""Output of commands: progress while they work, and results. Colours and a spinner on a terminal alone."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _NOTHING = 0.995
 
 @contextmanager
 def progress(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
-    """Yield what a long piece of work calls with a line before each step.
+    """Yield a function that long work calls with a line before each step.
 
     On a terminal the line, at the start `first`, is shown with a spinner and the time since the start, and vanishes at
     the end; elsewhere every line but `first` is printed on standard error. `quiet` shows none. A Ctrl-C that a library

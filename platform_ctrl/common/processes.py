@@ -74,7 +74,7 @@ def interrupts_deferred() -> Iterator[None]:
 def collect_seldom() -> None:
     """Look for garbage seldom, and not again at the end: said first in a process that ends with its command.
 
-    What is loaded stays, and to look through it again and again takes a quarter of the time of loading it.
+    Loaded modules stay: to search them again and again takes a quarter of the time of loading them.
     """
     gc.set_threshold(50_000, 20, 100)
     atexit.register(gc.freeze)

@@ -1,4 +1,4 @@
-"""What long pieces of work say meanwhile: to a function of the caller, on a terminal, or in a cell of a notebook."""
+"""Progress of long work, line by line: to a function of the caller, on a terminal, or in a cell of a notebook."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Progress = Callable[[str], None]
 
 
 class Local:
-    """What is called with a line in this process, and says nothing in another one that it is sent to."""
+    """A progress function that is called in this process, and does nothing in another one that it is sent to."""
 
     def __init__(self, say: Progress) -> None:
         self.say = say

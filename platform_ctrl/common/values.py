@@ -1,4 +1,4 @@
-"""Frozen values: what one stage hands to the next, and nobody writes into."""
+"""Frozen values, which one stage hands to the next and nobody changes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 # Lines and columns of a value's repr at most, and numbers of a vector that it shows.
 _LINES, _COLUMNS, _NUMBERS = 20, 110, 6
-# What python-control makes anew with every StateSpace, for functions of that one system: neither copied nor pickled.
+# Functions that python-control makes anew for every StateSpace: neither copied nor pickled.
 _OWN = ("updfcn", "outfcn")
 
 

@@ -93,7 +93,7 @@ def friction_rate(job: Job) -> float:
 def with_friction(job: Job, torquers: Sequence[str], sensors: Sequence[str], plants: Sequence[Case]) -> list[Case]:
     """Return plants with dry friction as it acts on gimbals that turn at the largest rate of the platform.
 
-    What drives feed forward against it by the rate that `sensors` show acts as at a rate of that amplitude.
+    Feedforward of drives against it, by the rate that `sensors` show, acts as at a rate of that amplitude.
     """
     rate = friction_rate(job)
     if rate == 0.0:

@@ -1,6 +1,6 @@
 """Linear feedforward of the platform's rate, derived from the linear model at zero angles.
 
-What a loop has to keep at zero are rates T q̇ + c Omega; it does so where its gimbals turn at q̇ = W Omega, W = −T⁺ c.
+A loop has to keep the rates T q̇ + c Omega at zero; it does so where its gimbals turn at q̇ = W Omega, W = −T⁺ c.
 
 Into the torque: with W in the equations M q̈ + D q̇ + K q + M_Omega Omega' + G_Omega Omega = Q the gimbals need
 

@@ -195,7 +195,7 @@ def solve(problem: Any, where: str, cure: str, time_limit: float, tolerance: flo
 def hinf_lmi(
     plant: Partition, backoff: float, time_limit: float, P: StateSpace
 ) -> tuple[System, float, dict[str, float]]:
-    """Return the controller in the units of `plant`, the least gamma, and figures of merit (scaled)."""
+    """Return the controller in the units of `plant`, the least gamma, and further values (scaled) by name."""
 
     def minimised(p: Partition, tolerance: float) -> tuple[LinearLoop, float]:
         loop, gamma = LinearLoop(p, direct=True), cp.Variable()

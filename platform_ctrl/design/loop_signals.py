@@ -1,4 +1,4 @@
-"""What a loop turns, reads and sets, and the directions in which design methods see it."""
+"""The gimbals, sensors and torquers of a loop, and the directions in which design methods see it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MOVES = 1e-6
 
 @value
 class LoopSignals:
-    """What a loop turns, reads and sets."""
+    """The gimbals, sensors and torquers of a loop."""
 
     gimbals: tuple[str, ...]  # names, in the loop's order
     # torquers, sensors: of the loop.

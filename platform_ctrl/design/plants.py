@@ -122,8 +122,8 @@ def sampled_plants(
 ) -> PlantSet:
     """Sample linear plants; `Omega` is the largest platform rate about each axis, rad/s.
 
-    They are those of a loop that is computed at `every` how many samples; `used` says at every how many samples a
-    reading is, where that is not the same.
+    Their loop is computed at every `every`-th sample; `used` has the number of samples between uses of a reading where
+    that is another one.
     """
     signals = linear.signals
     torques, names = (tuple(one.name for one in part) for part in (signals.torquers, signals.sensors))
@@ -134,7 +134,7 @@ def sampled_plants(
     held = _held(linear, sampling, lags)
     states = sampled_states(linear.states, torques, lags, held.A.shape[-1])
     shown = [*signals.sensors, *(None for _ in signals.sight), *signals.fed]
-    # What drives feed back is computed at every sample.
+    # Feedback of drives is computed at every sample.
     often = dict.fromkeys(names, every) | {one.name: 1 for one in signals.fed} | dict(used or {})
     late = [0 if one is None else one.periods_late(sampling.period, often[one.name]) for one in shown]
     states += late_states(["" if one is None else one.name for one in shown], late)
@@ -293,7 +293,7 @@ def tracking_reference(job: Job, spec: LoopSpec, inside: float, period: float) -
 def loop_reference(linear: LinearPlants, period: float) -> float:
     """Return the frequency that grids and starting values go by: the fastest motion, as nutation.
 
-    That of caged gimbals and of those that carry rotors; without any, a tenth of Nyquist's.
+    Without held gimbals and rotors it is a tenth of the Nyquist frequency.
     """
     rotors = carried(linear.cases[0].platform, linear.signals.gimbals)
     angles = {gimbal.angle for gimbal in linear.cases[0].platform.gimbals}
@@ -310,7 +310,7 @@ def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
     signals = job_signals(job, loop)
     every = job.every(loop) if isinstance(loop, LoopSpec) else 1
     if signals.held:
-        # Its sensors have to show what they need to.
+        # An error says which gimbals its sensors do not show.
         loop_channels(linearise(platform), signals, every * job.sampling.period)
         expect_no_keyhole(job, signals)
     return _loop_plants(job, signals, every)
@@ -322,7 +322,7 @@ def job_signals(job: Job, loop: LoopSpec | tuple[str, ...]) -> LoopSignals:
     signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
     torquers = {torquer.name for torquer in signals.torquers}
     passive = _passive(job, signals)
-    # What turns with the root feeds nothing back: it takes from what friction brings in.
+    # A rate of the root feeds nothing back: fed forward, it takes off torque that friction brings in.
     moved = signals.held and friction_rate(job) > 0.0
     laws = [law for law in job.drive_laws if law.torquer in torquers and (law.feedback or moved)]
     read = {name for law in laws for name in law.weights}

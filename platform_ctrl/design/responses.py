@@ -281,7 +281,7 @@ def _pole(w: FloatArray, P: ComplexArray, k: int) -> complex:
         # P (s − p) = C0 + C1 s at four frequencies, linear in p, C0 and C1.
         s, H = 1j * w[near], P[near].reshape(4, -1)
         lines = np.stack([np.ones(4), s / s[0]], axis=1)
-        # What a straight line over s cannot explain, of s P and of P.
+        # The residual of a straight line over s, of s P and of P.
         rest = np.eye(4) - lines @ np.linalg.pinv(lines)
         moved, still = (rest @ (s[:, None] * H)).ravel(), (rest @ H).ravel()
         p = complex(np.vdot(still, moved) / np.vdot(still, still))

@@ -141,7 +141,7 @@ def stabilising(equation: Equation) -> FloatArray | None:
     d = np.exp2(np.round(0.5 * np.log2(scale[:n] / scale[n:])))
     both = np.concatenate([d, 1.0 / d])
     H = H / both[:, None] * both
-    # What is fast first: the QR algorithm then keeps the digits of what is slow.
+    # Fast states first: the QR algorithm then keeps the digits of the slow ones.
     order = np.argsort(-np.linalg.norm(H, axis=1), kind="stable")
     H = np.array(H[np.ix_(order, order)], order="F")
     _, stable, real, imaginary, U, _, failed = lapack.dgees(

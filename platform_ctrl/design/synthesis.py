@@ -49,7 +49,7 @@ CURE = "give a larger backoff, the other method, or weights with less spread bet
 # A direct term of a closed loop below this share of what it is the sum of is rounding.
 DIRECT_ROUNDING = 1e-9
 
-# What a route finds: the controller in the units of its plant, the least level, figures of merit.
+# Result of a route: the controller in the units of its plant, the least level, further values by name.
 Found = tuple[System, float, dict[str, float]]
 
 
@@ -231,7 +231,7 @@ def hinf(
     except (IllPosedError, UnscalableError, NotCertifiedError) as error:
         refused = error
     try:
-        # What is wrong, without what could be tried.
+        # The error without its advice.
         return by("lmi", str(refused).rpartition(";")[0])
     except DesignError as error:
         raise type(error)(f"{error} (the other route fails, too: {refused})", P) from None

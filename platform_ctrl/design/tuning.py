@@ -93,7 +93,7 @@ class Tuner:
 
     A simplex search over the logarithms (Nelder and Mead, adaptive), on the nominal plant and the worst few of the set,
     repeated until the plants in view are the worst of all. What meets the limits on the grid of frequencies is measured
-    exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid. Deterministic.
+    exactly; where that exceeds a limit, the frequencies at which the values are reached join the grid. Deterministic.
 
     Attributes
     ----------

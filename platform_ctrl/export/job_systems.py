@@ -1,4 +1,4 @@
-"""What a job can export: its controllers, its plants as linear systems, and frequency responses, also as CSV."""
+"""Systems of a job for export: its controllers, its plants as linear systems, and frequency responses, also as CSV."""
 
 from __future__ import annotations
 

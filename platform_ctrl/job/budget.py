@@ -1,4 +1,4 @@
-"""What disturbs the line of sight, as values of the job file: sources, their correlations, the band and the limits."""
+"""Disturbances of the line of sight as values of the job file: sources, their correlations, the band and the limits."""
 
 from __future__ import annotations
 

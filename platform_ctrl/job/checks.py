@@ -1,4 +1,4 @@
-"""What must fit together in a job: its loops, drives, runs, campaign and budget, with one another and with the plant.
+"""Rules over several tables of a job: loops, drives, runs, campaign and budget, with one another and with the plant.
 
 Each table alone has been checked by then: keys and values by the reader, what fits in one table by its record.
 """

@@ -1,4 +1,4 @@
-"""What the computer does besides the controllers: with commands, with the platform's rate, and before a torquer."""
+"""Computations besides the controllers: on commands, on the platform's rate, and before a torquer."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ _OF_OMEGA = ("Omega rejection", "attenuation", "torque limit")
 
 
 def unexercised(job: Job) -> Iterator[Mistake]:
-    """Yield the limits of a job that nothing puts to the test."""
+    """Yield the limits of a job that nothing in the job tests."""
     for i, spec in enumerate(job.loops):
         for table, limits in (("limits", spec.limits), ("soft", spec.soft)):
             yield from at(("loop", i, table), _of_loop(job, spec, limits))

@@ -1,4 +1,4 @@
-"""What has to be designed and checked: the job file as values. SI units; Hz only where a name says so."""
+"""A job to be designed and checked: the job file as values. SI units; Hz only where a name says so."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ class CoupledLimits:
 
 @input_value
 class Job:
-    """A job file: the plant, what it has to stand, the loops and the checks.
+    """A job file: the plant, its operation and uncertainty, the loops and the checks.
 
     Attributes
     ----------

@@ -25,25 +25,25 @@ class CheckResult:
     Attributes
     ----------
     name
-        What is asked, with the loop or run and the design it is asked of.
+        Name of the requirement, with the loop or run and the design that it is for.
     subject, design
         Loop or manoeuvre; name of the design, empty where all closed loops are meant.
     value, limit, unit, sense
-        As measured and as asked, both in `unit`.
+        Measured value and its limit, both in `unit`.
     ratio
         Dimensionless; at most 1 when met.
     passed
         Whether it is.
     stage
-        Where in the chain it was measured.
+        Stage of the check at which it was measured.
     evidence
-        What recomputes the value.
+        How the value can be recomputed.
     hard
         Whether the verdict rests on it; a goal that is missed is no failure.
     method
         How the value is found: ``"exact"``, ``"bound"``, ``"proved"``, ``"refined"``, ``"sampled"``, ``"simulated"``.
     reason
-        What keeps the value from being better, where that is known; the evidence has it too.
+        Why the value is not better, where that is known; the evidence has it too.
     """
 
     name: str
@@ -80,12 +80,12 @@ class CheckResult:
 
 @input_value
 class Requirement:
-    """A bound on one figure.
+    """A bound on one value.
 
     Attributes
     ----------
     name
-        The figure, in the field's words.
+        The value, in the field's words.
     limit, unit, sense
         The bound, > 0, in `unit`, and whether it is one from above or below.
     hard
@@ -119,7 +119,7 @@ class Requirement:
         design: str = "",
         method: Method = "sampled",
     ) -> CheckResult:
-        """Hold a measured figure against the bound: met where the ratio is at most 1."""
+        """Compare a measured value with the bound: met where the ratio is at most 1."""
         ratio = self.ratio(measured)
         return CheckResult(
             name=self.name,

@@ -1,4 +1,4 @@
-"""What a job file may say of design methods: a design of a loop, and the registry that the job reader asks.
+"""Design methods in a job file: a design of a loop, and the registry that the job reader asks.
 
 The methods themselves are `design.method.Method`, above the job; `design.methods` registers those of the package.
 """

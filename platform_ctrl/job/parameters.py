@@ -19,7 +19,7 @@ from platform_ctrl.plant.mistakes import suggestion
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor, Torquer
 from platform_ctrl.plant.tables import shape
 
-# What is expected of a number when it is drawn, by what a file expects of it: zeros and ends of ranges may be drawn.
+# Rules for drawn numbers, by the rules for numbers of a file: zeros and ends of ranges may be drawn.
 _DRAWN: dict[Any, Expected] = {
     get_args(kind)[1]: expected
     for kind, expected in (

@@ -137,7 +137,7 @@ def _plant(document: InputData, folder: Path) -> tuple[Platform | None, list[Mis
 def _with_responses(job: Job, folder: Path) -> tuple[Job, list[Mistake]]:
     """Return a job with the texts of its files of measured responses, and what is wrong with them.
 
-    What has more than one line is such a text already, as in a job that was written with all its inputs.
+    An entry of more than one line is such a text already, as in a job that was written with all its inputs.
     """
     mistakes: list[Mistake] = []
     loops = []
@@ -198,7 +198,7 @@ _NOT_DESIGNED = ("schema", "name", "plant", "coupled", "manoeuvre", "fault", "ca
 def job_hashes(job: Job) -> dict[str, str]:
     """Return SHA-256 hashes of the plant, of what else the controllers of a job are designed for, and of the whole job.
 
-    They follow from what was read: neither comments nor the names of files count, nor the titles of job and plant.
+    Comments, names of files and the titles of job and plant do not count.
     """
     data = job_data(job)
     plant = {key: item for key, item in data.pop("plant").items() if key not in ("name", "source")}

@@ -1,4 +1,4 @@
-"""One run of the non-linear plant as values: start, what moves the platform, what fails and when. SI units."""
+"""A run of the non-linear plant as values: start, motion of the platform, faults and their times. SI units."""
 
 from __future__ import annotations
 

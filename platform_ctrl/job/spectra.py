@@ -1,4 +1,4 @@
-"""What a disturbance is over frequency: a class for each way to describe it, listed in `SPECTRA`.
+"""Spectra of disturbances: a class for each way to describe one, listed in `SPECTRA`.
 
 Densities are one-sided and lines are sines, in the unit of the quantity u that they describe: u²/Hz and u. A new way
 is a subclass of `SourceSpectrum` and a line of `SPECTRA`; reader, writer and budget take it from there.
@@ -51,7 +51,7 @@ _NO_LINES = Lines(frequencies_hz=np.zeros(0), amplitudes=np.zeros(0))
 
 
 class SourceSpectrum:
-    """What all descriptions of a disturbance have in common."""
+    """The interface of all descriptions of a disturbance."""
 
     __slots__ = ()
 

@@ -125,7 +125,7 @@ def _moments(at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatAr
 
 @value
 class RotorMomenta:
-    """What all rotors do at one state, whichever of L and p their control holds.
+    """Momenta and rates of all rotors at one state, whichever of L and p their control holds.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What can be observed of a linear model: signals of the plant, readings of its sensors, the line of sight.
+"""Outputs of a linear model: signals of the plant, readings of its sensors, the line of sight.
 
 About angles q0 and a rate Omega0 a body's rate against inertial space, in its own axes, deviates by
 

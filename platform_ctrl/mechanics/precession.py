@@ -188,7 +188,7 @@ class Precession:
         Raises
         ------
         MechanicsError
-            Precession theory is not admissible and `momentum_states` is False; the first reason is told.
+            Precession theory is not admissible and `momentum_states` is False; the error says the first reason.
         ArgumentError
             Two signals would have the same name.
         """
@@ -255,7 +255,7 @@ class Precession:
         return np.max(of_parts, axis=0) if of_parts else np.zeros(np.size(frequency))
 
     def summary(self) -> str:
-        """Return a few lines of text: for each subsystem the verdict, its figures, the reasons and the cures.
+        """Return a few lines of text: for each subsystem the verdict, its values, the reasons and the cures.
 
         Returns
         -------

@@ -156,7 +156,7 @@ def state_space(
     model
         From `linearise`.
     root
-        ``"prescribed"``: Omega is an input, the platform feels no reaction. ``"free"``: the platform reacts.
+        ``"prescribed"``: Omega is an input, the gimbals do not react on the platform. ``"free"``: the platform reacts.
     gimbals
         Names of the gimbals of one or several subsystems; default all. Only with a prescribed root.
     specific_force

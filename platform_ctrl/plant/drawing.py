@@ -1,4 +1,4 @@
-"""What drawings of a platform share: its bodies as frames, discs and axes in space, and the colours of its signals.
+"""Parts of every drawing of a platform: its bodies as frames, discs and axes in space, and the colours of its signals.
 
 Lengths are in radii of a rotor's disc. In the model all axes go through one point; here every body keeps its axis's
 direction and is moved apart from its neighbours, which no equation notices.
@@ -294,8 +294,8 @@ def root_series(axis: int) -> int:
 def signal_series(platform: Platform) -> Mapping[str, int]:
     """Return which colour of the palette, from 0 on, each signal of a plant has in every plot, by its name.
 
-    What belongs to a gimbal shares one: its angle, rate and torque, and what sensors on bodies read that it turns; so
-    does what belongs to a root axis.
+    A gimbal's angle, rate and torque, and the readings of sensors on bodies that it turns, share a colour, and so do
+    the signals of a root axis.
     """
     out = {angle: k for k, angle in enumerate(platform.angle_names)}
     for axis in (1, 2, 3):

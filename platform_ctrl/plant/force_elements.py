@@ -1,4 +1,4 @@
-"""What acts in a platform besides torquers: springs, friction, cages, unbalance, erection. Values only; SI units.
+"""Forces in a platform besides torquers: springs, friction, cages, unbalance, erection. Values only; SI units.
 
 Their torques are part of Q in eq. (11); `platform_ctrl.mechanics.forces` evaluates them.
 """

@@ -24,7 +24,7 @@ NAMED = 3
 
 @dataclass(frozen=True)
 class Mistake:
-    """What is wrong (`text`), and where in the nested tables (`path`: keys, and indices of arrays).
+    """A mistake (`text`), and where it is in the nested tables (`path`: keys, and indices of arrays).
 
     A text that takes long to find may be a function: of many mistakes one is reported.
     """

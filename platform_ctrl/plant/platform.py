@@ -1,4 +1,4 @@
-"""What a platform is made of: its tree of gimbals, rotors, torquers, and what further parts it may have; SI units."""
+"""A platform: its tree of gimbals, rotors, torquers, and its further parts; SI units."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ class Platform(GimbalTree):
         Raises
         ------
         ArgumentError
-            It has what no plant file can say: a pick-off that is not called as its angle.
+            No plant file can say it: a pick-off is not called as its angle.
         """
         return toml(plant_data(self))
 
@@ -276,7 +276,7 @@ class Platform(GimbalTree):
         Raises
         ------
         ArgumentError
-            It has none.
+            The gimbal has no torquer.
         """
         return _on(gimbal, self.torquers, "torquer")
 
@@ -296,7 +296,7 @@ class Platform(GimbalTree):
         Raises
         ------
         ArgumentError
-            It has none.
+            The gimbal has no pick-off.
         """
         return _on(gimbal, self.pickoffs, "pick-off")
 
@@ -347,7 +347,7 @@ def plant_data(platform: Platform) -> dict[str, Any]:
     return data
 
 
-# What a part on a body is fixed to, by the fields of its class.
+# Where a part on a body is fixed, by the fields of its class.
 _BODIES = ("parent", "carrier", "body", "senses")
 
 

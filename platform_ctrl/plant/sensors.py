@@ -48,7 +48,7 @@ _DENSITY = Instead(
 
 @input_value
 class Sensor:
-    """What all kinds of sensors have in common: a name, and how well they measure.
+    """The fields of all kinds of sensors: a name, and how well they measure.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class Sensor:
         Raises
         ------
         ArgumentError
-            It is older than linear models with a state for every period can show.
+            The reading is older than linear models with a state for every period can show.
         """
         every = whole("periods_late: every", every, 1)
         held = self._held(period)

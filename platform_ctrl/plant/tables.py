@@ -119,7 +119,7 @@ def record_value(cls: type[T]) -> type[T]:
 
     def judged(self: Any) -> None:
         settled(self)
-        # What a record needs counts as given even where it is what the field has by default.
+        # Fields that a record needs count as given even where they have their default.
         table = written(self) | {name: getattr(self, name) for name in getattr(self, "_needed", ())}
         _, mistakes = read_table(shape(type(self)), table)
         for mistake in mistakes or at((), shape(type(self)).misfits(table)):

@@ -82,7 +82,7 @@ class Paragraph:
 
 @value
 class Missing(Paragraph):
-    """What stands in the place of a figure or a part of the page that could not be made: its name, and why."""
+    """A note in place of a figure or a part of the page that could not be made: its name, and why."""
 
 
 @value

@@ -1,4 +1,4 @@
-"""What the pictures of a job's loops show, computed once; nothing is drawn here."""
+"""Curves of the pictures of a job's loops, computed once; nothing is drawn here."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def shown_loop(outcome: LoopOutcome, palette: Mapping[str, bool] | None = None) 
 def _loops(design: Design, plants: PlantSet) -> tuple[Loop, Loop]:
     """Return the loop of a design with the nominal plant, and the one whose line of sight is shown.
 
-    That has dry friction, which brings of the platform's motion what a balanced gimbal would not transmit.
+    The second has dry friction: it transmits motion of the platform that a balanced gimbal without friction would not.
     """
     K = plants.joined(design.controller)
     loop = Loop(plants.only([0]), K)
@@ -402,7 +402,7 @@ def further(loop: ShownLoop, kinds: Sequence[str]) -> list[list[Curves]]:
     panels = []
     for kind in kinds:
         metric = METRICS[kind]
-        # What transmits nothing is drawn below everything else.
+        # Zero gains are drawn below everything else.
         values = [np.maximum(one.gains[kind] / metric.scale, _NOTHING) for one in loop.designs]
         words = of_readings(metric.name, loop.spec.kind), of_readings(metric.unit, loop.spec.kind) or "1"
         if kind == "attenuation":

@@ -86,7 +86,7 @@ def _ordered(result: JobResult, results: Sequence[CheckResult]) -> tuple[Require
     subjects = list(dict.fromkeys((one.subject, one.design) for one in results))
 
     def place(one: CheckResult) -> tuple[int, bool, float]:
-        # That everything is proved has no margin: it comes last.
+        # The row of complete proofs has no margin: it comes last.
         margin = np.inf if one.passed and one.name == PROVED.name else one.margin
         return subjects.index((one.subject, one.design)), one.passed, margin
 

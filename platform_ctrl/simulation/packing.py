@@ -1,6 +1,7 @@
 """A Platform in the form of the kernel: which slot of the memory holds what, and the numbers that go there.
 
-What plants of the same parts share is worked out once (`skeleton`), their numbers for all at a time (`numbers`).
+The layout that plants of the same parts share is worked out once (`skeleton`), their numbers for all of them at a time
+(`numbers`).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ Terms = tuple[tuple[int, float], ...]
 
 @value
 class Skeleton:
-    """What plants have in common that are made of the same parts in the same places.
+    """The layout of plants that are made of the same parts in the same places.
 
     Attributes
     ----------
@@ -271,7 +272,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
 def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray, FloatArray]:
     """Return the constants (N, at.work) and surroundings (N, at.block) of plants of one skeleton, as in `Packed`.
 
-    Those of a plant do not depend on which others there are.
+    The numbers of a plant do not depend on the other plants.
     """
     at, frames = shape.at, shape.frames
     N, n, m = len(platforms), at.n, len(shape.carriers)

@@ -1,4 +1,4 @@
-"""What a scenario has to be before it is simulated: the kernel trusts every number that it is given."""
+"""Checks of a scenario before it is simulated: the kernel trusts every number that it is given."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.packing import Packed, Skeleton, initial_spins, servo_rotors, with_rotor_states
 
-# What a run may take of memory and time.
+# Limits of memory and time of a run.
 _SAMPLES, _PERIODS, _SUBSTEPS = 1e8, 1e3, 1e8
 # A command that begins so little after a sample, s, begins there: times are rounded.
 _AT_ONCE = 1e-9

@@ -117,7 +117,7 @@ class LineOfSightBudget:
 
 @value
 class SimulatedBudget:
-    """What runs of the non-linear plant show of the line of sight, and the linear budget for the same.
+    """Jitter of the line of sight in runs of the non-linear plant, and the linear budget of the same sources.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What would take missed requirements of a checked job to their limits, and what that costs elsewhere.
+"""Changes that would take missed requirements of a checked job to their limits, and their price elsewhere.
 
 Nothing is designed again: options are moved of designs that are built from them directly, or another design of the loop
 is closed. A change is measured in its own loop, in a loop around it, in the coupled system and in the budget; simulated

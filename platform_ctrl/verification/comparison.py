@@ -1,4 +1,4 @@
-"""What has become worse since a result was accepted: two contents of result.json, value by value."""
+"""Comparison with an accepted result: two contents of result.json, value by value."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ ALL_LOOPS = "all loops closed"  # subject of what is required of the coupled sys
 
 @value
 class CoupledCheck:
-    """What the coupled system does.
+    """Poles, margins and noise of the coupled system.
 
     Attributes
     ----------

@@ -55,7 +55,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     kept, growth = list(range(whole.nstates)), 0.0
     uncontrolled: tuple[str, ...] = ()
     if not free and len(seen) < whole.nstates:
-        # What is not seen does not act on what is: it is judged by itself.
+        # States that no output sees do not act on those that are seen: they are judged by themselves.
         kept = seen
         rest = [k for k in range(whole.nstates) if k not in seen]
         growth = _growth(whole.A[np.ix_(rest, rest)])

@@ -94,7 +94,7 @@ class Claim:
 
 @value
 class Proofs:
-    """What is claimed of one design, or of the coupled system; `left_out` says why where nothing is."""
+    """Claims about a design, or about the coupled system; `left_out` says why there are none."""
 
     claims: tuple[Claim, ...] = ()
     left_out: str = ""

@@ -148,7 +148,7 @@ def largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str,
     settled = trajectory.t >= manoeuvre.settle - 1e-9 * trajectory.period
     shown = trajectory.line_of_sight[settled]
     base, jitter = trajectory.Omega[settled].std(axis=0), shown.std(axis=0)
-    # What a command turns is meant to turn; else the mean is an error like any other.
+    # Under a command the mean turns on purpose; without one it is an error like any other.
     sight = jitter if manoeuvre.commands else np.sqrt(np.mean(shown**2, axis=0))
     found = {
         "angle": _worst(np.abs(trajectory.q).max(axis=0), trajectory.angle_names, "no gimbal"),
@@ -225,7 +225,7 @@ def _filter_words(job: Job, reading: str) -> str:
 
 
 def _start(job: Job, manoeuvre: Manoeuvre) -> str:
-    """What a run in equilibrium rests on."""
+    """Return the assumptions of a run that begins in equilibrium."""
     if manoeuvre.start == "rest":
         return ""
     held = equilibrium_torques(manoeuvre_scenario(job, manoeuvre))

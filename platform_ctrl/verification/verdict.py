@@ -52,7 +52,7 @@ class JobResult:
     budget
         Of the line of sight, where the job limits it or simulates its sources.
     simulated_budget
-        What runs of the non-linear plant show of it, where the job's budget has `runs`.
+        The same from runs of the non-linear plant, where the job's budget has `runs`.
     failed
         Designs that were not found, or whose closed loop is unstable.
     """
@@ -76,7 +76,7 @@ class JobResult:
 
     @property
     def assumptions(self) -> str:
-        """What the verdict rests on, in words that go with it; empty where that is nothing."""
+        """Assumptions of the verdict, in words that are printed with it; empty where there are none."""
         coupled = self.coupled
         return assumed_words(self.job, *(() if coupled is None else (coupled.free_angles, coupled.uncontrolled)))
 

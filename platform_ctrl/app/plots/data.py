@@ -238,7 +238,7 @@ class View:
         if data is None or (self.logarithmic and data[0] <= 0.0):
             return
         bounds = self._bounds(*data)
-        # What the bounds cut off on purpose does not count.
+        # Data beyond the bounds is cut off on purpose and does not count.
         low, high = max(data[0], bounds[0]), min(data[1], bounds[1])
         left, right = self.rest
         inside = left <= low + 1e-9 * abs(low) and high - 1e-9 * abs(high) <= right

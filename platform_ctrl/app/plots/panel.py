@@ -103,9 +103,9 @@ class Panel:
     Attributes
     ----------
     title, detail, keys
-        What is written above the figures: what is drawn, what of, and what each curve is.
+        Texts above the figures: the quantity, the loop or plant, and a legend.
     other
-        What the panel can show instead, on a button; empty: nothing.
+        Text of the button for the panel's other content; empty: it has none.
     """
 
     other = ""
@@ -124,7 +124,7 @@ class Panel:
 
     @property
     def caption(self) -> str:
-        """What the panel shows, for a screen reader: what of, the axes, the curves, what is wrong."""
+        """A description for a screen reader: loop or plant, axes, curves, messages."""
         shown = [one for one in self._plots if one.visible]
         axes = [one for one in (shown[0].yaxis[0].axis_label, shown[-1].xaxis[0].axis_label) if one] if shown else []
         said = [one.text for one in self._messages if one.visible]
@@ -193,7 +193,7 @@ class Panel:
         for axes, pixels, each in ((plot.xaxis, width, 58.0), (plot.yaxis, height, 24.0)):
             for axis in axes:
                 if isinstance(axis, LinearAxis):
-                    # One number alone tells no scale.
+                    # A single tick label gives no scale.
                     axis.ticker.desired_num_ticks = max(3, min(9, round(pixels / each)))
 
     def _style_axis(self, axis: Any) -> None:

@@ -79,7 +79,7 @@ class _TimeFigure:
         self.used = bool(rows)
         at = thinned(len(response.t), _POINTS)
         t, values = column(response.t[at]), response.values[rows][:, at]
-        band = response.low.size > 0 and picture.stable  # the band of an unstable loop tells nothing
+        band = response.low.size > 0 and picture.stable  # the band of an unstable loop says nothing
         low, high = (response.low[rows][:, at], response.high[rows][:, at]) if band else (values, values)
         limit = limit if limit is not None and 0.0 < limit < math.inf else None
         responses = [(j, getattr(one, own)) for j, one in enumerate(picture.bode.overlays)]
@@ -87,7 +87,7 @@ class _TimeFigure:
         if picture.stable:
             seen = _view([values], [low, high, *(one.values[rows] for _, one in others)], limit)
         else:
-            # What grows without bound is shown where it begins.
+            # An unbounded response is shown at its beginning.
             seen = None if self._shown else _view([_UNSTABLE * values[:, : 1 + len(at) // 8]], [], limit)
         self._shown = self._shown or seen is not None
         self._unit.follow(unit, max(abs(seen[0]), abs(seen[1])) if seen is not None else math.nan)

@@ -46,7 +46,7 @@ from platform_ctrl.design.fixed_structure.minimax import Effort, Evaluation, min
 from platform_ctrl.design.fixed_structure.structures import Parametrised
 from platform_ctrl.job.requirements import LoopRequirement
 
-# What is not stable is worse than anything else.
+# An unstable loop is worse than anything else.
 _UNSTABLE = 1e6
 # Price of the largest excess of a hard piece.
 _PENALTY = 5.0
@@ -103,7 +103,7 @@ _LEVEL, _BELOW, _WANTED, _GROWTH, _LIMIT, _UNSEEN = -1, -2, -3, -4, -5, -6
 
 @dataclasses.dataclass
 class _State:
-    """What a search carries from one set of plants in view to the next."""
+    """State that a search carries from one set of plants to the next."""
 
     H: FloatArray
     radius: float

@@ -6,7 +6,7 @@ A step takes the inputs of one sample and gives the outputs of that sample:
     then:                x⁺ = A x + B (inputs and signals of this step)
     and where a limit cut an output off:   x⁺ += E (limited − commanded)
 
-Sections stand in result.json. A controller without them is one section: its matrices.
+Sections are those of result.json. A controller without them is one section: its matrices.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def controllers_of(
                 inputs=inputs,
                 outputs=outputs,
                 sections=sections,
-                # What commands another loop has no limit.
+                # A command to another loop has no limit.
                 limits=np.array([limits.get(name, np.inf) for name in outputs]),
                 delay=job.sampling.delay,
                 note=note,

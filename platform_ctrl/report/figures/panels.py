@@ -175,7 +175,7 @@ class LabelPlacer:
         self._low, self._high = (np.array(corner) * self._unit for corner in (box.min, box.max))
         own = [np.asarray(curve.get_xydata()) if isinstance(curve, Line2D) else curve for curve in curves]
         ink = np.concatenate([np.zeros((0, 2)), *(_dense(self.points(curve)) for curve in own)])
-        # What counts is how much of a curve is hidden, not how many points it has.
+        # The hidden length of a curve counts, not the number of its points.
         self._ink = np.unique(np.round(ink), axis=0)
         self._taken: list[tuple[FloatArray, FloatArray]] = []
         self._dots: list[FloatArray] = []

@@ -56,7 +56,7 @@ _ROTORS = {
     "free": (DASHED, "rotor, free-running"),
     "servo": (DASH_DOTTED, "rotor, speed loop"),
 }
-# What acts or measures at a joint: its marker, and what it is called.
+# Parts at a joint: marker, and name in the legend.
 _SIGNS: dict[str, tuple[dict[str, Any], str]] = {
     "torquer": ({"marker": "s", "markerfacecolor": _SIGN, "markersize": 5.5}, "torquer"),
     "pickoff": ({"marker": "o", "markerfacecolor": PAGE, "markersize": 5.5}, "pick-off"),
@@ -172,7 +172,7 @@ def _draw(axes: Axes, shape: Outline, at: FloatArray, rows: FloatArray, platform
         _arrow(axes, flat[0], flat[1], colour, order, f"{kind} {shape.body}")
     else:
         colour, thick = {"bar": (colour, 2.8), "pin": (colour, 1.7), "shaft": (_SPIN, 1.6)}.get(kind, (_ANGLE, 1.6))
-        # What lies behind a line is cut off on both sides of it, not so at its ends, where it joins others.
+        # A halo hides lines behind this one on both sides of it, but not at its ends, where it joins others.
         along = flat[-1] - flat[0]
         ends = 0.1 * along / max(float(np.hypot(*along)), 0.3)
         halo = np.array([flat[0] + ends, *flat[1:-1], flat[-1] - ends])

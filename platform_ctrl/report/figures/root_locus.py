@@ -224,7 +224,7 @@ def draw_locus(locus: RootLocus, word: str, quantity: str) -> control.ControlPlo
     handles += _edges(axes, places, locus, word)
     for text, at in marks:
         places.write(text, at.real, at.imag)
-    # Those of the plane where the others leave room.
+    # Labels of the plane go where the others leave room.
     for text, x, y, directions in labels:
         places.write(text, x, y, colour=MUTED, size=6.5, directions=directions)
     axes.set_title(_stable_words(locus, word))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.common.values import FloatArray
 
-# What the kernel can do to a part that fails. Actions on one part follow each other in this order.
+# Effects of a fault on a part. Actions on one part follow each other in this order.
 (
     RUN_DOWN,
     RUN_UP,
@@ -70,7 +70,7 @@ RISE, HOLD, SCALE, FADE, PROFILE = 3, 4, 5, 6, 7
 
 
 class Shared(NamedTuple):
-    """What is the same in every scenario of a batch."""
+    """The arrays that all scenarios of a batch share."""
 
     # (ny, 6), and behind the sensors the rates and angles of the line of sight. Every array of this tuple makes calls
     # of compiled functions slower by some percent of a run.

@@ -67,7 +67,7 @@ def _toward(wanted: Number, here: Number, reach: Number) -> Number:
 def new_torque(
     shared: Shared, mem: FloatArray, lane: int, layout: Layout, segment: int, source: int, t: Number
 ) -> None:
-    """What the torquers work towards from t on: the limited command of sample `source`, and what fails of it."""
+    """Set the torquers' targets from t on: the limited commands of sample `source`, with faults."""
     nu = shared.targets.shape[0]
     for i in range(nu):
         slot = layout.torquer + i * arrays.TORQUER

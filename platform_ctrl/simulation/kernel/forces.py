@@ -1,4 +1,4 @@
-"""What acts on the bodies: force elements, motors of servo rotors, and the surroundings with all that moves them."""
+"""Forces on the bodies: force elements, motors of servo rotors, and the surroundings with all that moves them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 
 @internal
 def joint_torque(mem: FloatArray, lane: int, at: At, joint: int, q: Number, rate: Number) -> Number:
-    """What springs, friction and a cage do at a joint."""
+    """Torque of springs, friction and a cage at a joint."""
     Q = load(mem, joint + arrays.PRELOAD, lane) - load(mem, joint + arrays.STIFFNESS, lane) * q
     Q = Q - load(mem, joint + arrays.VISCOUS, lane) * rate
     if at.dry != 0:
@@ -174,7 +174,7 @@ def _shares(shared: Shared, mem: FloatArray, lane: int, layout: Layout, t: Numbe
 def follow_rotors(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, t: Number, step: Number) -> None:
     """Fill all three blocks with the rotors' momenta during the step that ends at t.
 
-    They change evenly during a step: what the motors hand to the carriers is then exactly what the rotors lose,
+    They change linearly during a step: the carriers then get from the motors exactly the momentum that the rotors lose,
     wherever a fault begins or ends.
     """
     n = at.n

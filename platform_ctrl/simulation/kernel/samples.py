@@ -1,4 +1,4 @@
-"""What happens at a sample: the sensors and the line of sight, their lags, errors and faults; the metrics of a run."""
+"""Computations at a sample: the sensors and the line of sight, their lags, errors and faults; the metrics of a run."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def look(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout) -> 
 
 @internal
 def _lagging(mem: FloatArray, lane: int, slot: int, k: int, value: Number) -> Number:
-    """What the low-pass at a slot makes of a value that runs straight from sample to sample; settled at t = 0."""
+    """Output of the low-pass at a slot; its input runs straight from sample to sample and is settled at t = 0."""
     before = load(mem, slot + arrays.INPUT, lane)
     store(mem, slot + arrays.INPUT, lane, value)
     if k == 0:
@@ -99,7 +99,7 @@ def _lagging(mem: FloatArray, lane: int, slot: int, k: int, value: Number) -> Nu
 
 @internal
 def _late(mem: FloatArray, lane: int, slot: int, periods: int, k: int, value: Number) -> Number:
-    """What was seen `periods` samples ago, at first what was seen at t = 0; `slot` holds what has not been said yet."""
+    """The value of `periods` samples ago, at first that of t = 0; `slot` holds the values on their way."""
     if k == 0:
         for i in range(periods):
             store(mem, slot + i, lane, value)
@@ -112,7 +112,7 @@ def _late(mem: FloatArray, lane: int, slot: int, periods: int, k: int, value: Nu
 def _faulty(
     shared: Shared, keys: Keys, mem: FloatArray, lane: int, layout: Layout, i: int, k: int, t: float, value: Number
 ) -> Number:
-    """What a sensor that fails delivers in place of its reading."""
+    """The output of a failing sensor in place of its reading."""
     last = layout.sensor + i * arrays.SENSOR + arrays.LAST
     for f in range(shared.faults.shape[0]):
         failing = shared.faults[f, 0]
@@ -223,7 +223,7 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
     end = layout.states + nu + layout.drives + 1
     for j in range(layout.commands):
         slot, sensor = layout.following + j, layout.sensor + shared.first[end + j] * arrays.SENSOR
-        # What the sensor shows wrongly is no part of what the loop does.
+        # Errors of the sensor are no motion of the loop.
         scale = load(mem, sensor + arrays.SENSOR_SCALE, lane)
         scale = choose((scale < 0.0) | (scale > 0.0), scale, 0.0 * scale + 1.0)
         error = (load(mem, sensor + arrays.LAST, lane) - load(mem, sensor + arrays.BIAS, lane)) / scale
@@ -255,7 +255,7 @@ def _clear(mem: FloatArray, lane: int, sound: Mask, zero: Number, first: int, co
 
 @internal
 def judge(mem: FloatArray, lane: int, at: At, layout: Layout, shared: Shared) -> bool:
-    """Let go of scenarios that diverge: a number that is not finite, or a rate above one radian per substep.
+    """Stop scenarios that diverge: a number that is not finite, or a rate above one radian per substep.
 
     They start again from t = 0 so as not to compute with such numbers, and count no more. Returns whether any is left.
     """

@@ -34,7 +34,7 @@ def _at_rest(mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
 
 @internal
 def _response(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, k: int, dy: int) -> None:
-    """What a unit impulse at joint k does: rates of the joints into dy[:n], with a free root all rates behind."""
+    """Response to a unit impulse at joint k: rates of the joints into dy[:n], with a free root all rates behind."""
     n, state, block = at.n, layout.spare_state, layout.spare_block
     _at_rest(mem, lane, at, layout)
     zero = 0.0 * load(mem, at.state, lane)
@@ -191,13 +191,13 @@ def meet_stops(
 ) -> bool:
     """Put every gimbal that has gone past its stop back on it by an impact; return whether any lies on a stop.
 
-    One that touched its stop a step before does not bounce again: bounces shorter than a step have come to rest.
-    One that falls back within a few steps comes no faster than it went, although it is met late: else what it gains
-    in that time would keep it bouncing for ever. `contacts` are slots that count how often each gimbal came up against
+    A gimbal that touched its stop a step before does not bounce again: bounces shorter than a step have died out. A
+    gimbal that falls back within a few steps arrives no faster than it left: it is found late, and the speed gained
+    meanwhile would keep it bouncing for ever. `contacts` are slots that count how often each gimbal came up against
     a stop; t is the end of the step.
     """
     n, dy = at.n, at.stages
-    zero = 0.0 * load(mem, layout.alive, lane)  # which is a number even where the state is none any more
+    zero = 0.0 * load(mem, layout.alive, lane)  # which is finite even where the state is not
     hit, lying = zero, zero
     for k in range(n):
         stop = layout.stop + k * arrays.STOP
