@@ -161,24 +161,7 @@ def simulate_batch(
     threads = whole("threads", threads, 1)
     expect_several("scenarios", scenarios, Scenario)
     expect_several("controllers", controllers)
-    groups: dict[tuple[object, ...], list[int]] = {}
     members = [prepared(scenario, period, longest) for scenario in scenarios]
-    for place, member in enumerate(members):
-        groups.setdefault(member.key, []).append(place)
-    modes: dict[tuple[object, ...], ControllerRows] = {}
-
-    def put_together(places: list[int]) -> Batch:
-        own = [members[place] for place in places]
-        scenario = own[0].scenario
-        commanded = commanded_readings(scenario)
-        limited = tuple(torquer.limit is None for torquer in scenario.platform.torquers)
-        kind = scenario.mode, commanded, limited, tuple(tuple(one.weights.items()) for one in scenario.drives)
-        if kind not in modes:
-            modes[kind] = merged_controller(
-                scenario.platform, controllers, period, scenario.mode, commanded, scenario.drives
-            )
-        return batch(own, modes[kind], period, noise)
-
     if len({_kind(one.scenario.platform) for one in {member.skeleton: member for member in members}.values()}) > 1:
         raise ArgumentError(
             "scenarios: their plants differ in gimbals, torquers or sensors; simulate them one kind at a time"
@@ -189,7 +172,7 @@ def simulate_batch(
     rows, sensors = np.empty((len(members), sum(widths))), members[0].scenario.platform.sensors if members else ()
     errors, names = np.zeros((len(members), len(sensors))), [sensor.name for sensor in sensors]
     # All batches are put together, and with that checked, before the first one is computed.
-    for places, batched in [(places, put_together(places)) for places in groups.values()]:
+    for places, batched in _batches(members, controllers, period, noise):
         found = batch_metrics(batched, threads)
         commanded = [names.index(name) for name in commanded_readings(members[places[0]].scenario)]
         rows[places], errors[np.ix_(places, commanded)] = np.split(found, [sum(widths)], axis=1)
@@ -217,8 +200,32 @@ def simulate_batch(
     )
 
 
+def _batches(
+    members: Sequence[Prepared], controllers: Sequence[control.StateSpace], period: float, noise: bool
+) -> list[tuple[list[int], Batch]]:
+    """Return the batches of scenarios that are computed side by side, each with the places of its scenarios."""
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for place, member in enumerate(members):
+        groups.setdefault(member.key, []).append(place)
+    modes: dict[tuple[object, ...], ControllerRows] = {}
+
+    def put_together(places: list[int]) -> Batch:
+        own = [members[place] for place in places]
+        scenario = own[0].scenario
+        commanded = commanded_readings(scenario)
+        limited = tuple(torquer.limit is None for torquer in scenario.platform.torquers)
+        kind = scenario.mode, commanded, limited, tuple(tuple(one.weights.items()) for one in scenario.drives)
+        if kind not in modes:
+            modes[kind] = merged_controller(
+                scenario.platform, controllers, period, scenario.mode, commanded, scenario.drives
+            )
+        return batch(own, modes[kind], period, noise)
+
+    return [(places, put_together(places)) for places in groups.values()]
+
+
 def _kind(platform: Platform) -> tuple[object, ...]:
-    """What the columns of metrics and the signals of controllers are."""
+    """Return the names of all columns of metrics and signals of controllers."""
     return (
         platform.gimbal_names,
         tuple((t.name, t.gimbal, t.root_axis) for t in platform.torquers),
@@ -241,7 +248,7 @@ def merged_controller(
     inputs are the excesses of the torques over their limits, if there are limits.
     """
     roots = set(platform.root_torquers)
-    # What is no controller stays: `interconnected_by_sample` refuses it.
+    # Anything that is no controller stays: `interconnected_by_sample` refuses it.
     active = [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
     sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
     commands = [f"{name}{COMMAND}" for name in commanded]
@@ -375,7 +382,7 @@ def wait_for_compilation() -> None:
 def run_interruptibly(work: Callable[[], object]) -> None:
     """Do `work` beside the main thread, which waits for it and handles signals; what it raises is raised here.
 
-    After an interrupt nobody waits any more. Compiled code cannot be ended from outside: its thread goes on until it is
+    After an interrupt no caller waits. Compiled code cannot be ended from outside: its thread goes on until it is
     done or the process ends, which does not wait for it.
     """
     if threading.current_thread() is not threading.main_thread():
