@@ -53,11 +53,11 @@ class DesignError(PlatformCtrlError):
 
 
 class InfeasibleError(DesignError):
-    """No controller of the asked kind meets what is asked."""
+    """No controller of the given kind meets the requirements."""
 
 
 class NotFoundError(DesignError):
-    """A search from many starts found no controller that does what is asked, which does not show that there is none.
+    """A search from many starts found no controller that meets the requirements; one may exist nevertheless.
 
     Attributes
     ----------

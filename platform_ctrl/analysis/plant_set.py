@@ -78,7 +78,7 @@ class PlantSet:
     # held: names of gimbals that other loops turn and that are held here; dry_friction: whether the plant has any.
     held: tuple[str, ...] = ()
     dry_friction: bool = False
-    # Feedforward of the platform's rate that the plants have: see `fed_forward`; None where there is none.
+    # Feedforward of the platform's rate in the plants, or None: see `fed_forward`.
     feedforward: RateFeedforward | None = None
 
     @property
@@ -169,7 +169,7 @@ class PlantSet:
         )
 
     def with_disturbances(self) -> PlantSet:
-        """Return the set with what disturbances do on its grid, for those that ask for it again and again."""
+        """Return the set with the responses to disturbances on its grid, which searches need again and again."""
         return self if self.disturbed is not None else replaced(self, {"disturbed": self._disturbed_at(self.frequency)})
 
     def disturbed_on_grid(self) -> Disturbed:

@@ -1,8 +1,8 @@
 """One system along its frequency axis: response, gain, and the frequencies where the gain may cross a level.
 
 Balancing, modes and the map to the w-plane, which depend neither on frequency nor level, are computed once: norms
-and margins ask many times. Behind long delays the gain is followed on a grid instead: their Hamiltonian has thousands
-of eigenvalues, which lie close together.
+and margins need them many times. Behind long delays the gain is followed on a grid instead: their Hamiltonian has
+thousands of eigenvalues, which lie close together.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ def _outputs(system: System, step: float, u: FloatArray, x0: FloatArray, hold: H
     A, B, C, D, dt = system
     if not len(A):
         return np.asarray(D @ u)
-    # In balanced states none is lost in a product beside larger ones.
+    # In balanced states no small state is lost beside large ones.
     s = state_scaling(A, B, C)
     A, B, C, x0 = A * s / s[:, None], B / s[:, None], C * s, x0 / s
     if dt > 0.0:

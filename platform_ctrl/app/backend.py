@@ -133,7 +133,7 @@ class Backend:
         if settings.plant not in labels:
             raise ArgumentError(f"plant: {short(settings.plant)} is none of the {len(labels)} plants of the loop")
         known_name("channel", settings.channel, self._loops.plants.read.channels_of(spec))
-        # Those of other loops and of parts that are off stay fixed.
+        # Sliders of other loops and of parts that are off stay fixed.
         methods = sorted({one.method for loop in self.read.loops for one in loop.designs})
         sliders = tuple(dict.fromkeys(option for method in methods for option in METHODS[method].options))
         for name in sorted(settings.fixed):
@@ -247,8 +247,8 @@ class Backend:
     ) -> Picture:
         """Return the curves and the results for the settings.
 
-        `on_drawn` is called with what is drawn before it is measured, which takes as long again. Requirements are as
-        `check` measures them.
+        `on_drawn` is called with what is drawn before it is measured, which takes as long again. Requirements are
+        those of `check`.
         """
         begun = time.perf_counter()
         whole("axis", settings.axis, 1, 3)
@@ -297,7 +297,7 @@ class Backend:
         return self.sight.quick_results(settings)
 
     def influence(self, settings: Settings, before_each: Callable[[], None] = lambda: None) -> OptionEffects:
-        """Return what each slider does to each requirement, those of the budget behind the loop's.
+        """Return the effect of each slider on each requirement, those of the budget behind the loop's.
 
         `before_each` is called before each slider; what it raises ends the computation.
         """
@@ -308,7 +308,7 @@ class Backend:
 
         def with_slider(slider: Slider, ratios: Ratios) -> FloatArray:
             before_each()
-            # One at zero is moved by a share of its range.
+            # A slider at zero is moved by a share of its range.
             step = SHARE * (slider.value or (slider.high - slider.low) / 2.0)
             return ratios(self.moved(settings, slider.name, slider.value + step))
 

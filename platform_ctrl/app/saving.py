@@ -47,7 +47,7 @@ class ClosedController:
 
 @value
 class Saved:
-    """Paths of the files that were written, and lines about what is not as it was though nobody changed it.
+    """Paths of the files that were written, and a line for every value that differs without a change on the page.
 
     `controllers` is None where nothing was changed and the page has not all controllers of the job.
     """
@@ -262,7 +262,7 @@ def _put(design: Any, wanted: Mapping[str, float], written: Mapping[str, float])
 
 
 def _unasked(before: str, after: str, settings: Settings, start: Settings) -> tuple[str, ...]:
-    """Return a line for all that is not as it was in the job's text and that nobody has changed on the page."""
+    """Return a line for every value that differs from the job's text without a change on the page."""
     old, new = tomllib.loads(before), tomllib.loads(after)
     lines = []
     for was, now in zip(old["loop"], new["loop"], strict=True):

@@ -56,7 +56,7 @@ PATIENCE = 30.0
 LINGER = 5_000
 LOOK = 1_000
 _JOINING = ("bokeh-session-id", "bokeh-token")
-# What keeps a response to itself; the page's template says which scripts run in it.
+# Headers of every response; the page's template says which scripts run in it.
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -187,12 +187,12 @@ class Guard(AuthProvider):
 
     @property
     def get_user_async(self) -> Any:
-        """What Bokeh calls before a page or its websocket is made."""
+        """The check that Bokeh calls before it makes a page or its websocket."""
         return self._user
 
     @property
     def get_login_url(self) -> Any:
-        """Where nobody is sent: a refused request is answered at once."""
+        """No login page: a refused request is answered at once."""
         return lambda handler: "/"
 
     async def _user(self, handler: Any) -> str:

@@ -65,7 +65,7 @@ def run_campaign(
 ) -> CampaignResult:
     """Simulate all runs of a plan that are not in `folder` yet.
 
-    Killed at any moment and started again it goes on; the table is that of a campaign that nobody disturbed, whatever
+    Killed at any moment and started again it goes on; the table is that of a campaign without interruption, whatever
     the number of workers. Runs that cannot be simulated have a row that says why.
 
     Parameters
@@ -127,7 +127,7 @@ _PARTS = 256
 _DIVIDED = 8
 # Parts for each worker: one that is simulated, one that waits there already.
 _AHEAD = 2
-# Workers that die without a part finished in between: not the runs' fault.
+# Workers that die without a part finished in between: their machine is the cause, not the runs.
 _MOST_DEATHS = 24
 DIED = "worker died"
 _TIMEOUT = 10.0

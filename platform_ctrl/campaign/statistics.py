@@ -54,7 +54,7 @@ def clopper_pearson(events: int, runs: int) -> Probability:
 
     With no event the upper bound is 1 − (α/2)^(1/runs), about 3.7/runs at 95 %: two-sided throughout, also where the
     lower bound can only be zero. Exact for independent runs. Points of a Sobol sequence or a Latin hypercube fill the
-    space more evenly: the estimate scatters less, the bounds are too wide as a rule, but nobody guarantees it.
+    space more evenly: the estimate scatters less, the bounds are too wide as a rule, without a guarantee.
     ArgumentError: more events than runs.
     """
     if whole("events", events, 0) > whole("runs", runs, 0):

@@ -191,7 +191,7 @@ def differences(there: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 RECORD, TABLE = "campaign.json", "campaign.parquet"
 SCHEMA = 2
-# Reasons for which runs were not simulated that the record tells.
+# Number of reasons in the record for which runs were not simulated.
 _REASONS = 20
 _PART = re.compile(r"(\d{12})-(\d{12})\.parquet")
 _CURE = "name another folder with -o, or start again with --restart"

@@ -1,4 +1,4 @@
-"""Files, written whole or not at all: first in a folder of a random name, where nobody can have put a link; JSON, TOML.
+"""Files, written whole or not at all: first in a folder of a random name, where no link can wait; JSON, TOML.
 
 JSON has plain types, a key a line and a row of a matrix a line, so that files can be read and compared.
 """

@@ -44,7 +44,7 @@ def _freeze_arrays(self: Any) -> None:
 
 
 def _freeze_within(item: Any) -> None:
-    """Make arrays read-only that a copied value holds in tuples, lists and dictionaries: nobody else has them."""
+    """Make arrays read-only that a copied value holds in tuples, lists and dictionaries: no other value has them."""
     if isinstance(item, np.ndarray):
         item.flags.writeable = False
     elif isinstance(item, tuple | list):

@@ -1,4 +1,4 @@
-"""The numbers of a run by their paths: which there are, where they stand, what they may be, and what they are now."""
+"""The numbers of a run by their paths: their places, allowed values and present values."""
 
 from __future__ import annotations
 

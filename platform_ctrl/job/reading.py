@@ -167,7 +167,7 @@ def job_data(job: Job) -> dict[str, Any]:
     # The plant has no gimbal any more that is locked.
     data["operation"] = {key: item for key, item in data["operation"].items() if key != "locked"}
     for own, manoeuvre in zip(data.get("manoeuvre", ()), job.manoeuvres, strict=True):
-        # The keys of a motion stand in the file together or not at all.
+        # The keys of a motion are written together or not at all.
         keys = MOTION[manoeuvre.mode]
         moved = keys[0] in own
         for key in (*keys, "axis"):

@@ -95,7 +95,7 @@ class TimeTable:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        """Judge the points, and keep them where nobody writes."""
+        """Check the points, and keep them read-only."""
         points = np.size(self.t)
         for name, shape in (("t", (points,)), ("values", (points, 3))):
             given = real_array(f"TimeTable: {name}", getattr(self, name), shape)
@@ -280,7 +280,7 @@ class Sine:
     _misfits = staticmethod(_shaking)
 
 
-# The keys that make a command: each with what it needs beside it, and what may stand there too.
+# The keys that make a command: each with the keys that it needs, and those that it may have.
 COMMANDS: dict[str, tuple[str, ...]] = {"step": (), "ramp": (), "amplitude": ("frequency_hz",), "value": ("t",)}
 _BESIDE = {
     "at": ("step", "ramp"),

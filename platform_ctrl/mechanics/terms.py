@@ -221,7 +221,7 @@ def _row(equations: Equations, gimbal: str, turning: FloatArray, amplitudes: tup
             parts: dict[str, list[object]] = {}
             for part in sympy.Add.make_args(form.as_expr() if hasattr(form, "as_expr") else form):
                 symbol = next(iter(part.free_symbols))
-                # C stands apart from the other inertias where the paper keeps it.
+                # C is apart from the other inertias where the paper keeps it.
                 apart = kinds[symbol] != "axial inertia" or (derivative == 0 and sum(powers[3:]) == 1)
                 parts.setdefault(kinds[symbol] if apart else "inertia", []).append(part)
             for of, some in parts.items():

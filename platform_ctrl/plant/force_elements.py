@@ -104,7 +104,7 @@ class Friction:
 
     @property
     def steepest_slope(self) -> float:
-        """The largest |∂Q/∂q̇| at any rate, N m s, or a bound a little above it: what a step of integration must stand.
+        """The largest |∂Q/∂q̇| at any rate, N m s, or a bound a little above it: it limits the step of integration.
 
         Dry friction rises most steeply where sliding begins, with breakaway / coulomb_rate. Where the Stribeck curve
         falls, it does so by (breakaway − coulomb) √(2/e) / stribeck_rate at most, against the viscous friction.

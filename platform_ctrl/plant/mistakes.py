@@ -104,7 +104,7 @@ def _stands(table: object, key: str) -> str:
 
 
 def given(item: object, depth: int = 0) -> str:
-    """Show a value as it would stand in a TOML file, shortened."""
+    """Return a value as a TOML file would have it, shortened."""
     match item:
         case bool():
             text = "true" if item else "false"
@@ -174,7 +174,7 @@ def _place(data: Any, path: Path) -> str:
 def _position(data: Any, path: Path, places: dict[int, dict[str, int]]) -> tuple[int, ...]:
     """Return the position of `path` in the file; that of a missing key is the head of its table.
 
-    `places` keeps where the keys of each table stand, for the next mistake.
+    `places` keeps the lines of the keys of each table, for the next mistake.
     """
     position = []
     for step in path:

@@ -151,7 +151,7 @@ class Torquer:
 class Platform(GimbalTree):
     """A root body that carries a tree of gimbals with rotors.
 
-    Coordinates q stand in the order of `gimbals`; generalised velocities are [Omega, q̇].
+    Coordinates q are in the order of `gimbals`; generalised velocities are [Omega, q̇].
     All bodies turn about one fixed point, in which all centres of mass lie that no unbalance moves elsewhere.
 
     Attributes

@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Array:
-    """Mark of a field that holds records: they stand under `key`, each in a table with the header ``[[key]]``."""
+    """Mark of a field that holds records: they are under `key`, each in a table with the header ``[[key]]``."""
 
     key: str
     least: int = 0
@@ -45,7 +45,7 @@ class InTable:
 
 @dataclass(frozen=True, eq=False)
 class Instead:
-    """Mark of a field that another key may stand for: `value` makes it of that key's value and of the other fields.
+    """Mark of a field that another key may replace: `value` makes it of that key's value and of the other fields.
 
     A field that is no key itself is written by `back`.
     """
@@ -66,7 +66,7 @@ class Collected:
 
 @dataclass(frozen=True, eq=False)
 class OneOf:
-    """Mark of a field that is one of several records, whose keys stand in the same table: exactly one is given.
+    """Mark of a field that is one of several records, whose keys are in the same table: exactly one is given.
 
     `records`: by the key that says which it is.
     """
@@ -276,7 +276,7 @@ def _written(table: Shape, record: Any) -> dict[str, Any]:
 
 
 def _item_of(key: Key, item: Any) -> Any:
-    """Return what stands under a key for a field's value."""
+    """Return the content of a key for a field's value."""
     if item is None or item is dataclasses.MISSING:
         return item
     if key.instead is not None and key.instead.back is not None:
@@ -413,7 +413,7 @@ def either(one: str, other: str, both: bool) -> str:
 
 
 def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
-    """Return the mistake of a key or table that nobody knows."""
+    """Return the mistake of an unknown key or table."""
 
     def words() -> str:
         is_table = isinstance(item, Mapping) or (isinstance(item, list) and any(isinstance(x, Mapping) for x in item))

@@ -341,7 +341,7 @@ def _or_infinite(limit: float | None) -> float:
     return math.inf if limit is None else limit
 
 
-# The states of m servo rotors stand behind those of the bodies: the axial momenta P = C (φ̇ + B u), eq. (4), and the
+# The states of m servo rotors are behind those of the bodies: the axial momenta P = C (φ̇ + B u), eq. (4), and the
 # integrals x = ∫(φ̇ − spin) dt. P' = τ = clamp(−speed_gain (φ̇ − spin) − speed_integral x, ± torque_limit) and
 # x' = φ̇ − spin, but x' = 0 while the torque is at its limit and the error would drive it further in.
 

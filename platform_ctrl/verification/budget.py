@@ -225,7 +225,7 @@ _WITH_SPECTRA = 3
 
 
 class Balanced(NamedTuple):
-    """Gimbal angles (n,), and what stands for dry friction there: damping, feedforward, and the noise of the rest."""
+    """Gimbal angles (n,), and the replacement of dry friction there: damping, feedforward, noise of the rest."""
 
     q: FloatArray
     friction: FrictionBalance | None
@@ -243,7 +243,7 @@ class Balanced(NamedTuple):
 
 
 def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = None) -> Balanced:
-    """Return what stands for dry friction at gimbal angles (n,); `near` is the balance at others."""
+    """Return the replacement of dry friction at gimbal angles (n,); `near` is the balance at others."""
     if not loop.dry:
         return Balanced(q, None, ())
     bearings = [len(LOS_RATES) + loop.job.platform.gimbal(one.gimbal) for one in loop.dry]

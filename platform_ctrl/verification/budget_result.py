@@ -281,7 +281,7 @@ def assumption(friction: FrictionBalance | None, where: str) -> str:
 
 
 def balance_holds(friction: FrictionBalance | None) -> bool:
-    """Return whether what stands for dry friction in a linear budget is valid."""
+    """Return whether the replacement of dry friction in a linear budget is valid."""
     return friction is None or bool(np.all(friction.valid))
 
 

@@ -246,7 +246,7 @@ def _norm_below(loop: tuple[Balls, Balls, Balls, Balls], level: Balls) -> bool:
         return False
     eye = _balls(np.eye(A.nrows()))
     inverse = (A + eye).inv()
-    # The factors sqrt(2) of B and C stand both with B.
+    # B has the factors sqrt(2) of B and C.
     A, B, C, D = inverse * (A - eye), 2 * inverse * B, C * inverse, D - C * inverse * B
     R = level * level * _balls(np.eye(D.ncols())) - D.transpose() * D
     if not all(c > 0 for c in (-1 * R).charpoly().coeffs()):
@@ -281,8 +281,8 @@ def _no_positive_root(p: list[Balls]) -> bool:
 def _side_by_side(plant: control.StateSpace, controllers: Sequence[control.StateSpace]) -> tuple[System, System]:
     """Return plant and controllers such that closing them rounds nothing.
 
-    Controllers stand side by side. What one takes from an earlier one is fed through the plant, whose measurement
-    then contains that control itself.
+    Controllers are side by side. Signals that one takes from an earlier one are fed through the plant, whose
+    measurement then contains that control itself.
     """
     P = System.of(plant, "coupled plant")
     made = [name for K in controllers for name in K.output_labels]

@@ -156,7 +156,7 @@ def run_record(job: Job, run: Run) -> Record:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of everything that the figures depend on."""
+    """Return the versions of everything that the values depend on."""
     own = {"platform_ctrl": __version__, "python": interpreter.python_version()}
     used = ("numpy", "scipy", "control", "cvxpy", "clarabel", "numba")
     return own | {name: metadata.version(name) for name in used}

@@ -56,7 +56,7 @@ _FLOOR, _RANKED = 0.8, 0.5
 _FIRST, _MORE, _STEPS = 6, 3, 25
 # Share of the reserve that has to be there in the end: plants out of view, and tops between grid points, may take some.
 _SPARED = 0.8
-# How often a search that has come to an end is tried again, and how often on a finer grid.
+# How often a search that has ended is tried again, and how often on a finer grid.
 _TRIES, _FINER = 3, 10
 # How often a search whose goals are missed starts again from about its best point, and how far from it: a search may
 # end at a kink from which no quadratic program leads on, and which kink that is depends on rounding.

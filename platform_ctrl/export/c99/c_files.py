@@ -81,7 +81,7 @@ def write_c(
     InputError
         A controller does not fit the job, or the folder cannot be written to.
     ArgumentError
-        An option is none of those above.
+        `number` is another word.
     DesignError
         A controller cannot be written in this number type.
     """

@@ -1,6 +1,6 @@
 """The equations in symbols, the paper's number by number. SymPy is loaded when they are derived.
 
-Forms, terms and orders stand here, without NumPy: the command line reads them at every start.
+Forms, terms and orders are defined here, without NumPy: the command line reads them at every start.
 """
 
 from __future__ import annotations
