@@ -386,7 +386,7 @@ def test_captions_have_peaks_that_every_grid_misses() -> None:
 
 
 def test_a_gimbal_without_a_loop_that_is_coupled_is_on_the_page() -> None:
-    result = checked(passive_job("products of inertia"))
+    result = checked(passive_job())
     assert result.subsystems == (("yoke", "camera"),)
     text = visible_text(page_html(result))
     assert "Loop transfer" in text

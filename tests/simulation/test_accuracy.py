@@ -32,7 +32,7 @@ def kept(platform: Platform, out: Any) -> tuple[np.ndarray, np.ndarray]:
     """T2 (runs, S) and the inertial angular momentum (runs, S, 3) along runs."""
     energies, momentum = [], []
     for q, velocity, attitude in zip(out.q_history, out.velocity_history, out.attitude_history, strict=True):
-        states = [whole_state(platform, *state) for state in zip(q, velocity, strict=True)]
+        states = [whole_state(*state) for state in zip(q, velocity, strict=True)]
         carried = np.concatenate([momenta(platform, np.array(states[k : k + 8])) for k in range(0, len(states), 8)])
         energies.append([0.5 * u @ matrices(platform, at).A_star @ u for at, u in zip(q, velocity, strict=True)])
         momentum.append([rotation(e) @ H[:3] for e, H in zip(attitude, carried, strict=True)])

@@ -32,7 +32,7 @@ def some_free(platform: Platform) -> Platform:
 
 def momentum(platform, q, velocity):
     """[H, p] = A* u + BᵀL."""
-    return momenta(platform, whole_state(platform, q, velocity))[0]
+    return momenta(platform, whole_state(q, velocity))[0]
 
 
 def joint_momenta(platform, q, velocity):

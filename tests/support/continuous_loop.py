@@ -105,13 +105,10 @@ class ContinuousLoop:
         y = y * np.exp(-1j * np.outer(w, self.late) * self.period)[..., None]
         return np.linalg.solve(np.eye(K.shape[1]) - K @ P, K @ y)
 
-    def gain(self, w, added=None):
-        """The largest root mean square of z over the amplitude of w, (F,); `added` (F, m, k) are further torques."""
+    def gain(self, w):
+        """The largest root mean square of z over the amplitude of w, (F,)."""
         w = np.atleast_1d(np.asarray(w, dtype=float))
         u = self.torques(w)
-        if added is not None:
-            K, P = self.controller(w), self.sampled_plant(w)
-            u = u + np.linalg.solve(np.eye(K.shape[1]) - K @ P, added)
         total = 0.0
         for n in range(-IMAGES, IMAGES + 1):
             at = w + 2.0 * np.pi * n / self.period

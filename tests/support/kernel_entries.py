@@ -47,7 +47,7 @@ def put(mem: np.ndarray, slot: int, rows: np.ndarray) -> None:
     mem[slot : slot + rows.shape[1]] = columns.T
 
 
-def whole_state(platform: Platform, q: np.ndarray, v: np.ndarray, rotors: np.ndarray | tuple[()] = ()) -> np.ndarray:
+def whole_state(q: np.ndarray, v: np.ndarray, rotors: np.ndarray | tuple[()] = ()) -> np.ndarray:
     """Return the kernel's state; `rotors` are P and x of the servo rotors."""
     return np.concatenate([q, v, [1.0, 0.0, 0.0, 0.0], rotors])
 
@@ -85,5 +85,5 @@ def momenta(platform: Platform, states: np.ndarray) -> np.ndarray:
 def state_derivative(platform: Platform, q: Any, v: Any, force: Any, free: bool = True, held: Any = ()) -> Any:
     """Return q' and v' of one state."""
     n = len(platform.gimbals)
-    dy = derivatives(platform, whole_state(platform, q, v), force, free=free, held=held)[0]
+    dy = derivatives(platform, whole_state(q, v), force, free=free, held=held)[0]
     return dy[:n], dy[n : 2 * n + 3]

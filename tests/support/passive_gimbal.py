@@ -1,4 +1,4 @@
-"""A camera with a rate loop on a yoke without a torquer, held by a spring of 85 Hz, coupled with it as chosen."""
+"""A camera with a rate loop on a yoke without torquer, on a spring of 85 Hz and coupled by a product of inertia."""
 
 from __future__ import annotations
 
@@ -7,21 +7,18 @@ from typing import Any
 
 from camera_job import camera_job
 
-J_YOKE, J_CAMERA = 0.01, 0.02
-# Axis of the yoke, and product of inertia of the camera: parallel axes, or axes across one another.
-COUPLINGS = {"parallel axes": ((0, 1, 0), 0.0), "products of inertia": ((1, 0, 0), 0.004)}
+J_YOKE, J_CAMERA, PRODUCT = 0.01, 0.02, 0.004  # kg m²
 
 
-def passive_job(coupling: str = "parallel axes", **changes: Any) -> dict[str, Any]:
+def passive_job() -> dict[str, Any]:
     """Return the job; its loop turns the camera alone."""
-    axis, product = COUPLINGS[coupling]
-    camera = [[J_CAMERA, product, 0.0], [product, J_CAMERA, 0.0], [0.0, 0.0, J_CAMERA]]
+    camera = [[J_CAMERA, PRODUCT, 0.0], [PRODUCT, J_CAMERA, 0.0], [0.0, 0.0, J_CAMERA]]
     plant = {
         "schema": 1,
         "name": "camera on a flexible yoke",
         "root": {"name": "vehicle", "inertia": [5.0, 6.0, 7.0]},
         "gimbal": [
-            {"name": "yoke", "parent": "vehicle", "axis": list(axis), "inertia": [J_YOKE] * 3},
+            {"name": "yoke", "parent": "vehicle", "axis": [1, 0, 0], "inertia": [J_YOKE] * 3},
             {"name": "camera", "parent": "yoke", "axis": [0, 1, 0], "inertia": camera},
         ],
         "spring": [{"gimbal": "yoke", "stiffness": (math.tau * 85.0) ** 2 * J_YOKE}],
@@ -40,4 +37,4 @@ def passive_job(coupling: str = "parallel axes", **changes: Any) -> dict[str, An
         "limits": {"disk_margin": 0.2},
         "design": [{"name": "pi", "method": "pi", "crossover_hz": 15, "integral_hz": 1.5}],
     }
-    return camera_job(plant=plant, loop=[loop]) | changes
+    return camera_job(plant=plant, loop=[loop])
