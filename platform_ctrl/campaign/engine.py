@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.campaign import single_run
 from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, kinds_of, row_not_simulated
-from platform_ctrl.campaign.store import DIVERGED, ENDED, NOT_SIMULATED, Columns, Record, Store, identity, versions
+from platform_ctrl.campaign.store import DIVERGED, ENDED, NOT_SIMULATED, Columns, Record, Store, identity, run_versions
 from platform_ctrl.common.processes import processes, processors
 from platform_ctrl.common.progress import shown_runs
 from platform_ctrl.common.values import value
@@ -156,7 +156,7 @@ def simulated(
     alone: it is recorded as not simulated.
     """
     waiting, suspects = deque(parts), deque[range]()
-    expected, deaths, warm = versions(), 0, False
+    expected, deaths, warm = run_versions(), 0, False
     while waiting or suspects:
         with pool() as (executor, workers, lost):
             under_way: dict[Future[Columns], range] = {}
@@ -190,7 +190,7 @@ def simulated(
 
 def _columns(plan: Plan, part: range, simulate: SimulateRuns, expected: Mapping[str, str]) -> Columns:
     """Return the columns of a part; in a worker."""
-    for name, version in versions().items():
+    for name, version in run_versions().items():
         if expected[name] != version:
             raise InputError(
                 f"a worker of the cluster has {name} {version}, here it is {expected[name]}: install the same "

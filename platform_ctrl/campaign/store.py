@@ -149,7 +149,7 @@ def identity(plan: Plan) -> Identity:
     }
     if plan.sampling == "latin-hypercube":
         out["runs"] = int(plan.runs)  # one more run moves all the others
-    return out | versions()
+    return out | run_versions()
 
 
 def source_hashes(job: Job, controllers: Sequence[control.StateSpace]) -> dict[str, str]:
@@ -165,7 +165,7 @@ def source_hashes(job: Job, controllers: Sequence[control.StateSpace]) -> dict[s
     }
 
 
-def versions() -> dict[str, str]:
+def run_versions() -> dict[str, str]:
     """Return the versions that runs may depend on."""
     return {"platform_ctrl": __version__} | {name: metadata.version(name) for name in _USED}
 
@@ -240,7 +240,7 @@ class Store:
             self.table.mkdir(parents=True, exist_ok=True)
             self._parts = self._whole_parts()
             if self.gaps or not (folder / RECORD).exists():
-                write_record(folder, self.record)
+                write_campaign_record(folder, self.record)
 
     @property
     def done(self) -> int:
@@ -278,7 +278,7 @@ class Store:
         reasons = sorted(words for words in endings if words.startswith(NOT_SIMULATED))[:_REASONS]
         self.record |= {"complete": True, "counts": counts, "reasons": {words: endings[words] for words in reasons}}
         with self._told(self.folder / RECORD):
-            write_record(self.folder, self.record)
+            write_campaign_record(self.folder, self.record)
 
     def _whole_parts(self) -> list[range]:
         """Return the parts that are there, in order; what is no whole part of this campaign is removed."""
@@ -309,7 +309,7 @@ class Store:
             ) from None
 
 
-def read_record(folder: Path) -> Record | None:
+def read_campaign_record(folder: Path) -> Record | None:
     """Return the record of the campaign in a folder, None where there is none."""
     path = folder / RECORD
     try:
@@ -323,14 +323,14 @@ def read_record(folder: Path) -> Record | None:
     return record
 
 
-def write_record(folder: Path, record: Mapping[str, Any]) -> None:
+def write_campaign_record(folder: Path, record: Mapping[str, Any]) -> None:
     """Write ``campaign.json``, whole or not at all."""
     write_json(record, folder / RECORD)
 
 
 def _judge(folder: Path, new: Record) -> None:
     """Refuse what is there already if it is another campaign's."""
-    there = read_record(folder)
+    there = read_campaign_record(folder)
     if there is None:
         if (folder / TABLE).exists():
             raise InputError(f"{folder}: has {TABLE} but no {RECORD} that says what it belongs to; {_CURE}")

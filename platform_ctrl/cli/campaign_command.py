@@ -172,7 +172,7 @@ def write_campaign(
 
     `again` is the command that simulates a run again, without the run's number.
     """
-    from platform_ctrl.campaign.store import write_record
+    from platform_ctrl.campaign.store import write_campaign_record
     from platform_ctrl.campaign.summary import summarise, summary_record
 
     def page(path: Path) -> None:
@@ -183,7 +183,7 @@ def write_campaign(
     folder: Path = result.table.parent
     summary = summarise(plan, result.table)
     record = result.record | summary_record(summary)
-    write_record(folder, record)
+    write_campaign_record(folder, record)
     return summary, record, not_drawn(folder / PAGE, page)
 
 

@@ -286,10 +286,10 @@ def _show_changes(compared: Comparison, name: str, as_json: bool) -> int:
 def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
     """Return the statistics of the campaign of `job` in a folder, which has to be done."""
     from platform_ctrl.campaign.single_run import recorded_plan
-    from platform_ctrl.campaign.store import RECORD, TABLE, read_record
+    from platform_ctrl.campaign.store import RECORD, TABLE, read_campaign_record
     from platform_ctrl.campaign.summary import summarise
 
-    record, where = read_record(folder), f"--campaign {folder}"
+    record, where = read_campaign_record(folder), f"--campaign {folder}"
     if record is None:
         raise InputError(f"{where}: there is no {RECORD}; name the folder that platform-ctrl campaign writes")
     if record.get("job") != job.name:

@@ -202,10 +202,10 @@ def _show(job: Job, run: Run, more: dict[str, Any] | None = None) -> None:
 def _planned(job: Job, number: int, controllers: list[control.StateSpace], out: Path | None) -> tuple[Plan, Path, bool]:
     """Return the plan of the campaign in a folder if there is one, else the job's; the folder; and whether."""
     from platform_ctrl.campaign.single_run import recorded_plan
-    from platform_ctrl.campaign.store import RECORD, read_record
+    from platform_ctrl.campaign.store import RECORD, read_campaign_record
 
     folder = out or CAMPAIGN
-    record = read_record(folder)
+    record = read_campaign_record(folder)
     made, changed = recorded_plan(job, controllers, record)
     if changed:
         raise InputError(

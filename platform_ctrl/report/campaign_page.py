@@ -37,7 +37,7 @@ from platform_ctrl.report.blocks import (
 )
 from platform_ctrl.report.captions import sentences
 from platform_ctrl.report.figures.runs import histogram_figure, time_run, with_limit
-from platform_ctrl.report.tables import folded_facts, record_part, versions
+from platform_ctrl.report.tables import folded_facts, record_part, report_versions
 from platform_ctrl.verification.verdict import JobResult
 
 RERUN_COMMAND = "platform-ctrl simulate job.toml --run"
@@ -59,7 +59,7 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
         Paragraph(text="This page was made by"),
         Listing(text=command or "platform-ctrl campaign job.toml"),
         drawn_part(summary),
-        folded_facts("Versions and digests", {**versions(), **identity(summary.plan)}),
+        folded_facts("Versions and digests", {**report_versions(), **identity(summary.plan)}),
         record_part(job),
     )
     return PageContent(

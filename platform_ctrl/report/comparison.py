@@ -47,7 +47,7 @@ def design_table(result: JobResult, outcome: LoopOutcome) -> Table:
     designs = outcome.designs
     sections = {
         "limits, measured on the closed loop": limit_rows(outcome),
-        "goals, not part of the verdict": goal_rows(outcome),
+        "goals, not part of the verdict": _goal_rows(outcome),
         "measured, without a limit": measured_rows(outcome),
         "proved in interval arithmetic": proof_rows(designs, result.proofs),
         "claimed by the method": _by_name([_claims(design) for design in designs]),
@@ -86,7 +86,7 @@ def limit_rows(outcome: LoopOutcome) -> list[Row]:
     return [_judged(name, results, lambda one: _checked(one.passed, _number(one))) for name, results in found]
 
 
-def goal_rows(outcome: LoopOutcome) -> list[Row]:
+def _goal_rows(outcome: LoopOutcome) -> list[Row]:
     """Return the loop's goals: reached, or by how much they are missed, which is no failure."""
 
     def cell(one: CheckResult) -> Cell:

@@ -367,7 +367,7 @@ def _again(result: JobResult, command: str | None, campaign: Summary | None) -> 
         Paragraph(text=words),
         Listing(text=command or again),
         Paragraph(text=repeated),
-        tables.folded_facts("Versions", tables.versions()),
+        tables.folded_facts("Versions", tables.report_versions()),
         *digests,
         *made("Job and plant as read", lambda: tables.record_part(result.job)),
     )

@@ -305,6 +305,6 @@ def folded_facts(title: str, rows: Mapping[str, object]) -> Subsection:
     return Subsection(title=title, blocks=(facts,), folded=True)
 
 
-def versions() -> dict[str, str]:
+def report_versions() -> dict[str, str]:
     """Return the versions of Python and of every package that the report depends on."""
     return {**result_file.versions(), "matplotlib": version("matplotlib")}

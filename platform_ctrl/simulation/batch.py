@@ -30,10 +30,10 @@ from platform_ctrl.simulation.packing import sight_of
 from platform_ctrl.simulation.run_plan import (
     Batch,
     ControllerRows,
-    Prepared,
+    PreparedRun,
     batch,
     controller_rows,
-    prepared,
+    prepared_run,
 )
 from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, steps
 
@@ -161,7 +161,7 @@ def simulate_batch(
     threads = whole("threads", threads, 1)
     expect_several("scenarios", scenarios, Scenario)
     expect_several("controllers", controllers)
-    members = [prepared(scenario, period, longest) for scenario in scenarios]
+    members = [prepared_run(scenario, period, longest) for scenario in scenarios]
     if len({_kind(one.scenario.platform) for one in {member.skeleton: member for member in members}.values()}) > 1:
         raise ArgumentError(
             "scenarios: their plants differ in gimbals, torquers or sensors; simulate them one kind at a time"
@@ -201,7 +201,7 @@ def simulate_batch(
 
 
 def _batches(
-    members: Sequence[Prepared], controllers: Sequence[control.StateSpace], period: float, noise: bool
+    members: Sequence[PreparedRun], controllers: Sequence[control.StateSpace], period: float, noise: bool
 ) -> list[tuple[list[int], Batch]]:
     """Return the batches of scenarios that are computed side by side, each with the places of its scenarios."""
     groups: dict[tuple[object, ...], list[int]] = {}
@@ -313,7 +313,9 @@ def batch_metrics(batched: Batch, threads: int = 1, record: FloatArray = _NO_REC
     return metrics.transpose(0, 2, 1).reshape(groups * LANES, slots)[:runs]
 
 
-def recorded(member: Prepared, controller: ControllerRows, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
+def recorded(
+    member: PreparedRun, controller: ControllerRows, period: float, noise: bool
+) -> tuple[FloatArray, FloatArray]:
     """Simulate one scenario alone; return its record, a row a sample, and its metrics (slots,)."""
     batched = batch([member], controller, period, noise)
     at, shared = batched.packed.at, batched.shared

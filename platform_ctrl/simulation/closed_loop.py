@@ -13,7 +13,7 @@ from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.simulation.batch import merged_controller, recorded
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.packing import servo_rotors
-from platform_ctrl.simulation.run_plan import prepared
+from platform_ctrl.simulation.run_plan import prepared_run
 from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, sampled_commands, steps
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def simulate(
     """
     period, step = steps(period, step)
     expect_several("controllers", controllers)
-    member = prepared(scenario, period, step)
+    member = prepared_run(scenario, period, step)
     commanded = commanded_readings(scenario)
     controller = merged_controller(scenario.platform, controllers, period, scenario.mode, commanded, scenario.drives)
     record, metrics = recorded(member, controller, period, noise)

@@ -22,10 +22,10 @@ from platform_ctrl.simulation.scenarios import (
     commanded_readings,
     component,
     courses_of,
+    distinct_plants,
     drive_parts,
     expect_scenario,
     part_of,
-    plants_of,
     put_drives,
     put_equilibrium,
     put_faults,
@@ -69,7 +69,7 @@ class Timing(NamedTuple):
     steps: tuple[float, float]
 
 
-class Prepared(NamedTuple):
+class PreparedRun(NamedTuple):
     """A scenario that was checked, and `key`: only scenarios of equal keys are computed side by side."""
 
     scenario: Scenario
@@ -121,7 +121,7 @@ def timing(duration: float, period: float, delay: float, longest: float) -> Timi
     return Timing(samples, whole, (before, after), (first / before if before else 0.0, lengths[1] / after))
 
 
-def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
+def prepared_run(scenario: Scenario, period: float, longest: float) -> PreparedRun:
     """Check a scenario, but for the length of its steps, which is checked for a batch at a time."""
     expect_scenario(scenario, period)
     platform, free = scenario.platform, scenario.mode == "stabilised"
@@ -147,7 +147,7 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
         tuple(sorted(scenario.filters.items())),
         tuple((one.torquer, tuple(one.weights.items()), one.secant_of) for one in scenario.drives),
     )
-    return Prepared(scenario, shape, when, faults, key)
+    return PreparedRun(scenario, shape, when, faults, key)
 
 
 class Batch(NamedTuple):
@@ -162,12 +162,12 @@ class Batch(NamedTuple):
     keys: NDArray[np.uint64]
 
 
-def batch(members: Sequence[Prepared], controller: ControllerRows, period: float, noise: bool) -> Batch:
+def batch(members: Sequence[PreparedRun], controller: ControllerRows, period: float, noise: bool) -> Batch:
     """Put scenarios of equal keys together."""
     one = members[0]
     shape, free = one.skeleton, one.scenario.mode == "stabilised"
     scenarios = [member.scenario for member in members]
-    plants = plants_of(scenarios)
+    plants = distinct_plants(scenarios)
     lengths = np.array([member.timing.steps for member in members])
     longest = np.zeros(len(plants.made))
     np.maximum.at(longest, plants.which, lengths.max(axis=1))
@@ -205,9 +205,9 @@ def batch(members: Sequence[Prepared], controller: ControllerRows, period: float
 
 
 def _shared(
-    one: Prepared,
+    one: PreparedRun,
     order: list[FaultKey],
-    members: Sequence[Prepared],
+    members: Sequence[PreparedRun],
     controller: ControllerRows,
     period: float,
     free: bool,
@@ -266,7 +266,7 @@ def _bounds(controller: ControllerRows, parts: NDArray[np.int64]) -> NDArray[np.
     return np.concatenate([controller.first, parts, controller.others.ravel(), np.array(cycle, np.int64)])
 
 
-def _layout(packed: Packed, shared: Shared, one: Prepared, controller: ControllerRows) -> Layout:
+def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: ControllerRows) -> Layout:
     at = packed.at
     n, nu, ny, sight = at.n, len(shared.targets), len(one.skeleton.sensors), len(one.skeleton.sight)
     commands, drives = len(commanded_readings(one.scenario)), len(one.scenario.drives)

@@ -218,8 +218,8 @@ class Plants(NamedTuple):
         return np.array([numbers(platform) for platform in self.made], dtype=np.float64)[self.which]
 
 
-def plants_of(scenarios: Sequence[Scenario]) -> Plants:
-    """Return the plants that scenarios simulate on; of many that simulate on the same one it is packed once."""
+def distinct_plants(scenarios: Sequence[Scenario]) -> Plants:
+    """Return the plants of scenarios: a plant that several of them share is packed once."""
     places: dict[int, int] = {}
     made: list[Platform] = []
     which = np.empty(len(scenarios), dtype=np.intp)
