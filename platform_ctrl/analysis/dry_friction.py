@@ -38,6 +38,8 @@ from platform_ctrl.plant.force_elements import Friction
 _FAR = 9.0
 # The describing function counts as valid where the rate is within ±coulomb_rate for no more of the time.
 _MOST_STICKING = 0.1
+# Rounds of the balance of friction at most: a handful is the rule.
+_ITERATIONS = 200
 
 
 @value
@@ -194,7 +196,6 @@ def friction_balance(
     rate_rms: Callable[[FloatArray], FloatArray],
     start: FloatArray | None = None,
     tolerance: float = 1e-8,
-    iterations: int = 200,
     drives: Sequence[FedFriction | None] = (),
 ) -> FrictionBalance:
     """Return the equivalent damping of J dry frictions at which the linear loop moves as assumed.
@@ -206,7 +207,7 @@ def friction_balance(
 
     The remainder is that of the friction alone: how much of it a drive takes off depends on the spectra of the rates,
     see `friction_noise`. Raises `NotFoundError` where the rates still change by more than `tolerance`, relative, after
-    so many `iterations`.
+    200 iterations.
     """
     drives = tuple(drives) or (None,) * len(frictions)
     driven = [k for k, one in enumerate(drives) if one is not None]
@@ -215,7 +216,7 @@ def friction_balance(
     rate = real_array("friction balance: start", start, (len(near),)) if start is not None else 10.0 * near
     least = 1e-12 * near
     before: tuple[FloatArray, FloatArray] | None = None
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         found = [describing_function(one, float(at)) for one, at in zip(torques, rate, strict=True)]
         gains = np.array([one.viscous for one in found])
         new = np.asarray(rate_rms(gains), dtype=np.float64)
@@ -231,7 +232,7 @@ def friction_balance(
         rate = np.exp(x + (y - x) / (1.0 - np.clip(slope, -20.0, 0.9)))
     else:
         raise NotFoundError(
-            f"friction balance: no rates found in {iterations} loops, the last were {short(rate.tolist())}; "
+            f"friction balance: no rates found in {_ITERATIONS} loops, the last were {short(rate.tolist())}; "
             "start from other rates, or simulate"
         )
     J = len(frictions)

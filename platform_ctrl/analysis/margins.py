@@ -362,22 +362,17 @@ def disk_to_gain_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, f
     return low, high if high > 0.0 else math.inf, phase
 
 
-def disk_phase(gain: ArrayLike, alpha: float, skew: float = 0.0) -> FloatArray:
+def disk_phase(gain: ArrayLike, alpha: float) -> FloatArray:
     """Return the phase, rad, up to which a loop may turn while its gain changes by a factor, both inside one disk.
 
-    Factors f = gain exp(±j phase) with |f - 1| < alpha/2 |1 - skew + (1 + skew) f| make up the disk. With skew 0 its
-    edge is at cos phase = (gain + 1/gain)/2 (4 - alpha²)/(4 + alpha²): the highest and lowest gain leave no phase, and
-    the largest phase of all is that at gain 1. NaN where the gain alone leaves the disk.
+    Factors f = gain exp(±j phase) with |f - 1| < alpha/2 |1 + f|, skew 0, make up the disk. Its edge is at
+    cos phase = (gain + 1/gain)/2 (4 - alpha²)/(4 + alpha²): the highest and lowest gain leave no phase, and the largest
+    phase of all is that at gain 1. NaN where the gain alone leaves the disk.
     """
-    gain, alpha = real_numbers("disk_phase: gain", gain), min(alpha, 1e9)
-    a, b = 0.5 * alpha * (1.0 - skew), 0.5 * alpha * (1.0 + skew)
-    # |f - 1| < |a + b f| leaves 2 gain (1 + a b) cos(phase) > need.
-    need, weight = gain**2 * (1.0 - b**2) + 1.0 - a**2, 2.0 * gain * (1.0 + a * b)
+    gain, a = real_numbers("disk_phase: gain", gain), 0.5 * min(alpha, 1e9)
+    need, weight = (gain**2 + 1.0) * (1.0 - a**2), 2.0 * gain * (1.0 + a**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         cosine = np.where(weight != 0.0, need / weight, np.where(need < 0.0, -1.0, 2.0))
-    if 1.0 + a * b < 0.0:
-        # The disk's outside: turned the other way round.
-        return np.where(cosine < -1.0, math.nan, math.pi)[()]
     # The ends themselves, but for rounding, are on the edge.
     return np.where(cosine > 1.0 + 1e-12, math.nan, np.arccos(np.clip(cosine, -1.0, 1.0)))[()]
 

@@ -131,4 +131,4 @@ def test_a_bearing_that_hardly_slides_is_named() -> None:
 def test_rates_that_never_settle_are_refused() -> None:
     jumping = itertools.cycle([np.array([1e-3]), np.array([1.0])])
     with pytest.raises(NotFoundError, match="no rates found"):
-        friction_balance([BEARING], lambda b: next(jumping), iterations=20)
+        friction_balance([BEARING], lambda b: next(jumping))
