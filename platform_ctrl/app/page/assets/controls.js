@@ -1,12 +1,12 @@
-// What the page does by itself: sliders under the hand, keys, dialogs, the large plot; and how it begins and comes back.
+// The page's own part: sliders while they are dragged, keys, dialogs, the large plot; its start, and its return after a lost connection.
 import { byId, choose, connect, held, move, newGesture, on, receive, request } from "./messages.js";
 
 const STEPS = 4000, COARSE = 80, AGAIN = 1500, LOOK = 20;
-// Milliseconds without a move after which the next one by keys is a gesture of its own.
+// Milliseconds without a move after which the next move by keys is a gesture of its own.
 const SERIES = 1500;
 const say = (text, kind = "quiet") => receive({ line: { text, kind } });
 
-// A click or a choice sends what the element says of it.
+// A click or a choice sends the request in the element's attributes.
 const ask = (element, value) => {
   const { what, more = "{}", value: name } = element.dataset, content = JSON.parse(more);
   if (name) content[name] = value;
@@ -29,7 +29,7 @@ document.addEventListener("click", async (event) => {
     if (copy) button.textContent = copied ? "Copied" : "Select it";
     else say(copied ? "The link is copied: it opens exactly this state." : "The link is in the address bar: it opens exactly this state.", "good");
   }
-  // All runs are one choice of the list of manoeuvres.
+  // "All runs" is an entry of the list of manoeuvres.
   if (focus && byId("manoeuvre").options.length > 1) byId("manoeuvre").value = "";
   if (focus) byId(focus).focus();
   if (button.matches(".reset")) byId(`slider-${button.closest(".slider").dataset.slider}`).focus();
@@ -66,11 +66,11 @@ document.addEventListener("pointerup", () => { pressed = false; });
 document.addEventListener("input", ({ target }) => {
   if (target.type === "range" && target.closest(".slider")) slide(target);
   else if (target.dataset.what) target.dataset.typing = "yes";
-  // Of another name nobody has agreed that a file is replaced.
+  // Consent to replace a file is for its name alone.
   else if (target.id === "save-name") Object.assign(byId("save-go"), { value: "false", textContent: "Save" });
 });
 
-// Numbers that are typed: Enter takes them, and Esc leaves them. The server judges them.
+// Typed numbers: Enter sends them, Esc restores the old ones. The server checks them.
 const commit = (field) => {
   if (!field.dataset.typing) return;
   delete field.dataset.typing;
@@ -112,7 +112,7 @@ for (const type of ["mouseover", "focusin"]) {
 let large = null, pointed = document.querySelector(".panel");
 const grow = (panel) => {
   const budget = panel.classList.contains("of-budget"), again = panel.classList.contains("large");
-  // The panels of the budget are large only alone.
+  // A panel of the budget is never enlarged beside others.
   const alone = again ? !budget && !byId("plots").classList.contains("grown") : budget;
   if (!budget) large = panel;
   const shown = again && budget ? large : panel;
@@ -127,9 +127,9 @@ for (const type of ["mouseover", "focusin"]) {
   byId("plots").addEventListener(type, ({ target }) => { pointed = target.closest?.(".panel") ?? pointed; });
 }
 
-// Keys: those that elements name themselves, and a few that are meant for where the focus is.
+// Keys: shortcuts that elements name themselves, and a few for the element that has the focus.
 const press = (element, way) => {
-  // The buttons follow what is shown: a move that is still being worked out is undone as well.
+  // The buttons follow the shown state, but a move that is still being computed can be undone too.
   if (element.matches("#undo, #redo")) request(element.id);
   else if (element.matches("button, input")) element.click();
   else if (element.matches("fieldset")) {
@@ -168,7 +168,7 @@ document.addEventListener("keydown", (event) => {
   } else {
     const name = [control && "Control", shift && /^[A-Z]$/.test(key) && "Shift", key].filter(Boolean).join("+");
     const named = document.querySelector(`[aria-keyshortcuts~="${CSS.escape(name)}"]`);
-    // Letters belong to lists too, which go to the entry that begins with them.
+    // In a list a letter goes to the entry that begins with it.
     if (!control && target instanceof HTMLSelectElement) return;
     if (named && (control || !event.repeat)) press(named, shift ? -1 : 1);
     else if (control || !special(key, target.closest?.(".slider"))) return;

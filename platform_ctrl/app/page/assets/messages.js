@@ -1,13 +1,13 @@
-// Requests of the page to the server, and what it answers: HTML that takes the place of what is there.
-// Moves of sliders are never queued: while one is being worked out, only the newest of each slider waits.
+// Requests of the page to the server, and its answers: HTML that replaces the content of elements.
+// Moves of sliders are never queued: while one is being computed, only the newest of each slider waits.
 export const byId = (id) => document.getElementById(id);
 const moves = new Map(), later = [], listeners = {};
-// What is meant for where the sliders have come to: it waits until they are there.
+// Requests that refer to the final positions of the sliders: they wait until all moves are done.
 const AFTER_MOVES = new Set(["undo", "redo", "tune", "save", "simulate"]);
 let messages = null, sent = 0, answered = 0, gesture = 0;
-// Sliders that are under the hand: their newest moves are still on their way.
+// Sliders that are being dragged: their newest moves are not answered yet.
 export const held = new Set();
-// What was chosen, by the request that it made: an answer to an earlier one does not take it back.
+// Number of the request of each choice: an answer to an earlier request does not take the choice back.
 const chosen = new WeakMap();
 let answering = 0;
 export const choose = (element, what, more) => {
@@ -15,7 +15,7 @@ export const choose = (element, what, more) => {
   chosen.set(element.closest("select, fieldset") ?? element, sent);
 };
 
-// For who watches the page from outside: whether everything that it requested is done.
+// For tests and scripts: whether all requests are done.
 window.page = { settled: () => sent > 0 && sent === answered && moves.size + later.length === 0 };
 
 export const request = (what, more = {}) => {
@@ -24,13 +24,13 @@ export const request = (what, more = {}) => {
     later.push([what, more]);
     return;
   }
-  // What is meant for a slider itself takes the place of a move that waits.
+  // Another request for a slider replaces a waiting move.
   for (const { slider } of more.moves ?? [more]) moves.delete(slider);
   sent += 1;
   messages.request = JSON.stringify({ n: sent, what, ...more });
 };
 
-// One gesture is one step of undo: a drag, a series of arrow keys, a number typed.
+// A gesture is a step of undo: a drag, a series of arrow keys, a typed number.
 export const newGesture = () => { gesture += 1; return gesture; };
 export const move = (slider, value) => {
   moves.set(slider, { slider, value });
@@ -43,7 +43,7 @@ const sendMoves = () => {
   request("move", { moves: every, gesture });
 };
 
-// What the page does with a part of an answer besides taking its HTML.
+// Actions on parts of an answer besides its HTML.
 export const on = (part, act) => { listeners[part] = act; };
 export const receive = (message) => {
   if (message.n >= sent) for (const name of held) if (!moves.has(name)) held.delete(name);
@@ -60,11 +60,11 @@ const show = (element, text) => {
   const template = document.createElement("template"), focused = document.activeElement?.id;
   template.innerHTML = text;
   follow(element, template.content);
-  // Where a row was put in before it, the element that had the focus is a new one.
+  // Where a row was inserted before it, the element that had the focus is a new one.
   if (focused && document.activeElement === document.body) byId(focused)?.focus();
 };
 
-// The children of `there` become those of `given`; what is equal stays, with the focus and the place of the mouse.
+// The children of `there` become those of `given`; equal ones stay, with focus and pointer.
 const follow = (there, given) => {
   const old = [...there.childNodes], now = [...given.childNodes];
   for (const [k, one] of now.entries()) {
@@ -82,7 +82,7 @@ const follow = (there, given) => {
 
 const dress = (there, given) => {
   for (const { name, value } of given.attributes) if (there.getAttribute(name) !== value) there.setAttribute(name, value);
-  // Whether details are open, and what is being typed, is up to the user.
+  // Open details and text that is being typed are the user's.
   for (const { name } of [...there.attributes]) if (!given.hasAttribute(name) && name !== "open" && name !== "data-typing") there.removeAttribute(name);
   if (chosen.get(there.closest("select, fieldset") ?? there) > answering) return;
   if (there instanceof HTMLOptionElement) there.selected = given.selected;

@@ -1,4 +1,4 @@
-// Before anything is painted: light or dark, so that nothing flashes.
+// Light or dark is set before anything is painted, so that nothing flashes.
 const THEME = "platform_ctrl theme", system = matchMedia("(prefers-color-scheme: dark)");
 window.pageTheme = {
   choice: localStorage.getItem(THEME) ?? "system",

@@ -1,7 +1,7 @@
 // The gimbal tree: lines in space drawn as one SVG, which turns with a simulated run.
 import { byId, on } from "./messages.js";
 
-// Seconds that a run is shown for, the largest angle that is shown of it, rad, and the size of the labels, pixels.
+// Duration of a shown run, s; its largest drawn angle, rad; size of the labels, pixels.
 const SHOWN = 8, SEEN = 0.35, TEXT = 11;
 // Places of a label about its own, in widths to the right and heights down.
 const BESIDE = [[0, 0], [0, -0.8], [0, 0.8], [0.6, 0], [-0.6, 0], [0.6, -0.8], [-0.6, 0.8], [0, -1.6], [0, 1.6]];
@@ -39,7 +39,7 @@ const pose = (angles = [], turn = [0, 0, 0]) => {
     const line = points.map((point) => placed(point, body, angles, turn).map((x) => x.toFixed(3)).join(" "));
     paths[k].setAttribute("d", `M${line.join("L")}${line.length > 1 ? "" : "h0"}`);
   }
-  // A label stands at the tip of its arrow, or beside that where another one is.
+  // A label is at the tip of its arrow, or beside it where another label is.
   const size = parseFloat(svg.style.fontSize) || 0, taken = [];
   for (const [k, { body, at, text }] of scene.labels.entries()) {
     const [x, y] = placed(at, body, angles, turn), width = 0.62 * size * text.length;
