@@ -71,7 +71,7 @@ def gain_range(response: ComplexArray) -> tuple[float, float]:
     with np.errstate(all="ignore"):
         share = imaginary[at] / (imaginary[at] - imaginary[at + 1])
         crossing = (1.0 - share) * real[at] + share * real[at + 1]
-    # At both ends of the grid, next to 0 and to Nyquist's, the response is as good as real.
+    # At both ends of the grid, next to 0 and to the Nyquist frequency, the response is nearly real.
     ends = [real[k] for k in (0, -1) if abs(imaginary[k]) < 1e-2 * abs(real[k])]
     crossing = np.append(crossing, ends)
     factors = -1.0 / crossing[np.isfinite(crossing) & (crossing < 0.0)]

@@ -263,7 +263,7 @@ class JobPlants:
         return whole, whole.only(at) if at < len(whole.labels) else plants([at], False)
 
     def nutation(self, spec: LoopSpec, design: DesignSpec) -> float:
-        """Return the nutation frequency of a loop's nominal plant, or the frequency that a tracking loop goes by."""
+        """Return the nutation frequency of a loop's nominal plant, or the reference frequency of a tracking loop."""
         if spec.around is None:
             return self.of(spec, design).nutation
         inner = self.inside(spec)

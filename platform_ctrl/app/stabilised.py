@@ -201,7 +201,7 @@ class StabilisedCurves(LoopCurves):
 
     @property
     def reach(self) -> float:
-        """How much of the s-plane is shown, rad/s: it goes by the servo, which is far slower than the gyros."""
+        """How much of the s-plane is shown, rad/s: it follows from the servo, which is far slower than the gyros."""
         crossover = gain_crossings(self.frequency, channel_response(self.own.S, self.index))[0].max(initial=1.0)
         return min(8.0 * float(crossover), math.pi / self.plant.dt)
 

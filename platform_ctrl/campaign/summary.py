@@ -1,6 +1,6 @@
 """The result of a campaign in one value, from which its page, its terminal tables and campaign.json are made.
 
-With what violating runs have in common and what drives each requirement, from the runs there are.
+With causes that violating runs have in common and drivers of each requirement, from the runs that exist.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def progress(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
 
 
 def _compiling(line: str) -> str:
-    """Say of the first run after an installation why it takes so long."""
+    """Print why the first run after an installation takes so long."""
     if not line.startswith(("simulated run", "run ")):
         return ""
     from platform_ctrl.simulation.batch import is_compiled

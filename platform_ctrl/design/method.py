@@ -180,7 +180,7 @@ class Method(methods.JobMethod, ABC):
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
         """Return all options of a design, those that are not given by rules of thumb.
 
-        `nutation` is the frequency that the plants' grids go by, rad/s, `period` that of the loop, s.
+        `nutation` is the reference frequency of the plants' grids, rad/s, `period` that of the loop, s.
         """
         return dict(design.options)
 

@@ -50,7 +50,7 @@ from platform_ctrl.plant.platform import OMEGA_NAMES
 
 # Open-loop motion slower than this share of the Nyquist frequency is no reference for the loop.
 _SLOW_MOTION = 1e-3
-# Phase that a tracker's delay takes at the frequency that its loop goes by, rad.
+# Phase that a tracker's delay takes at the reference frequency of its loop, rad.
 _PHASE = 0.5
 # A loop that is slower by this factor is seen at its samples and at those of the fast loop alone, not between these.
 _SLOW_LOOP = 8
@@ -284,14 +284,14 @@ def commanded_channels(count: int) -> Channels:
 
 
 def tracking_reference(job: Job, spec: LoopSpec, inside: float, period: float) -> float:
-    """Return the frequency that a tracking loop goes by, rad/s, of that of the rate loop inside and its sensors."""
+    """Return the reference frequency of a tracking loop, rad/s, from that of the rate loop inside and its sensors."""
     every = job.every(spec)
     late = max(one.periods_late(period, every) for one in job.platform.sensors if one.name in spec.sensors)
     return min(0.1 * inside, _PHASE / ((late + every) * period))
 
 
 def loop_reference(linear: LinearPlants, period: float) -> float:
-    """Return the frequency that grids and starting values go by: the fastest motion, as nutation.
+    """Return the reference frequency of grids and starting values: the fastest motion, as nutation.
 
     Without held gimbals and rotors it is a tenth of the Nyquist frequency.
     """

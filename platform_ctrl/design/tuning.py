@@ -29,7 +29,7 @@ _LARGEST_FACTOR = 1e6
 _SLOWEST, _FASTEST, _A_DECADE, _MOST_STARTS = 1e-6, 0.2, 3, 2
 # Ratio up to which a ratio counts as it is. Larger ones are compressed to below 10, from where on a loop is unstable.
 _LARGE = 5.0
-# Plants that are kept in view while searching: the worst ones. All are looked at again after each search.
+# Number of active plants of a search, the worst ones. All plants are measured after each search.
 _MOST_PLANTS = 8
 
 
@@ -69,7 +69,7 @@ def _worst(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[LoopR
 
 
 def limiting(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> str:
-    """Say what is unstable, or which requirement is nearest to its limit or farthest beyond it."""
+    """Return words about what is unstable, or which requirement is nearest to its limit or farthest beyond it."""
     stable = _stable(measures, requirements)
     decay = np.where(stable, measures.decay, np.inf)
     worst = int(decay.argmin())
@@ -79,7 +79,7 @@ def limiting(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[Loo
 
 
 def limited_by(results: Sequence[CheckResult]) -> str:
-    """Say which requirement is nearest to its limit or farthest beyond it."""
+    """Return words about which requirement is nearest to its limit or farthest beyond it."""
     if not results:
         return "stable"
     one = max(results, key=lambda one: one.ratio)
@@ -92,8 +92,9 @@ class Tuner:
     """A search for options with which the worst ratio of all requirements is at most 1 − reserve, or least.
 
     A simplex search over the logarithms (Nelder and Mead, adaptive), on the nominal plant and the worst few of the set,
-    repeated until the plants in view are the worst of all. What meets the limits on the grid of frequencies is measured
-    exactly; where that exceeds a limit, the frequencies at which the values are reached join the grid. Deterministic.
+    repeated until the active plants are the worst of all. Options that meet the limits on the grid of frequencies are
+    measured exactly; where that exceeds a limit, the frequencies at which the values are reached join the grid.
+    Deterministic.
 
     Attributes
     ----------

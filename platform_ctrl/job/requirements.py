@@ -2,7 +2,7 @@
 
 A requirement turns a measured value into a ratio that is at most 1 when it is met, whatever its sense. It is checked on
 a plant set and a controller (`LoopRequirement.check`), or on metrics that were measured already
-(`LoopRequirement.ratios`). What can be required is `platform_ctrl.analysis.metrics.METRICS`.
+(`LoopRequirement.ratios`). The metrics are `platform_ctrl.analysis.metrics.METRICS`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["requirement"]
 
-# Metrics of steps: what is measured counts between samples as well.
+# Metrics of steps, which count between samples as well.
 BETWEEN_SAMPLES = ("overshoot", "settling time")
 NOMINAL: tuple[Group, ...] = ("nominal",)
 WORST_CASE: tuple[Group, ...] = ("nominal", "uncertainty", "Omega", "angles", "friction")
@@ -234,7 +234,7 @@ class LoopRequirement(Requirement):
         return self._worst(plants, values, subject, design, True, loops.free_angles)
 
 
-# What gains of a loop whose sensors measure rates are called, in place of those of angles.
+# Names of gains of a loop whose sensors measure rates, by those for angles.
 _OF_RATES = {
     "angle from Omega": "rate from Omega",
     "angle from torque": "rate from torque",

@@ -41,9 +41,10 @@ if TYPE_CHECKING:
 
     from platform_ctrl.job.scenario import VibrationKind
 
-# Of what happens for good: fewest samples and share of a run over which it is counted, and how much of a run it lasts.
+# Window over which a state is counted: fewest samples, and share of a run. Share of a run, up to its end, over which a
+# state counts as permanent.
 _FEWEST, _WINDOW, _REST = 20, 0.02, 0.1
-# Longest substep, s: shorter where springs, cages or friction need it, down to what is no matter of patience.
+# Longest substep, s: shorter where springs, cages or friction need it, but never shorter than the second.
 _STEP, _SHORTEST = 1e-4, 1e-6
 
 
@@ -60,8 +61,8 @@ class Run:
     results
         The metrics of the run compared with the limits of the manoeuvre.
     lost
-        When the run diverged, or from when on a torquer is at its limit or a gimbal beyond half a turn for good; empty
-        where none of this happens.
+        When the run diverged, or from when on a torquer stays at its limit or a gimbal beyond half a turn; empty where
+        none of this happens.
     """
 
     manoeuvre: Manoeuvre
@@ -89,7 +90,7 @@ def run_of(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> Run:
 
 
 def lost_words(job: Job, trajectory: Trajectory) -> str:
-    """Say when a run diverged, or from when on a torquer is at its limit or a gimbal beyond half a turn for good."""
+    """Return when a run diverged, or from when on a torquer stays at its limit or a gimbal beyond half a turn."""
     if not trajectory.completed:
         return trajectory.ended
     limits = [np.inf if torquer.limit is None else torquer.limit for torquer in job.platform.torquers]

@@ -1,8 +1,8 @@
 """Moving a controller's parameters until the hard requirements hold and the soft ones are as small as they can be.
 
 The largest ratio of a requirement over plants, frequencies and poles has kinks; each candidate by itself is smooth in
-the controller. So a requirement is taken apart into pieces, only those near the worst are worked out, and the
-optimiser sees several at once. With everything of the controller in one matrix
+the controller. So a requirement is the largest of smooth functions, its pieces: only pieces near the worst are
+computed, and the optimiser takes several at once. With the whole controller in one matrix
 
     M = [[A_K, B_K], [C_K, D_K]]
 
@@ -14,13 +14,12 @@ every piece f has a gradient of the form ∂f/∂M = Σ Re(a bᵀ):
 * the variance of a torque: X = A X Aᵀ + B Bᵀ and its adjoint.
 
 A peak between grid points is followed to its top. `minimax.minimise` minimises the pieces: hard ones are its limits,
-and only pieces of one requirement and plant continue each other. The bandwidth has no smooth
-pieces of its own where S lies along the level; so the question is turned round: S is at most 1/√2 up to ω_b, and
-log ω_b is one more variable.
+and only pieces of one requirement and plant continue each other. The bandwidth has no smooth pieces of its own where S
+lies along the level; so the problem is reversed: S is at most 1/√2 up to ω_b, and log ω_b is one more variable.
 
-The nominal plant and the worst few of the set are in view; all are looked at again after each search. Where angles
-drift the search is on regular plants, in which they decay slowly; what it ends with is checked exactly on the plants as
-given.
+A search is on the active plants, the nominal one and the worst few of the set; after it all plants are
+measured. Where angles drift the search is on regular plants, in which they decay slowly; its result is checked exactly
+on the plants as given.
 """
 
 from __future__ import annotations
@@ -50,11 +49,11 @@ from platform_ctrl.job.requirements import LoopRequirement
 _UNSTABLE = 1e6
 # Price of the largest excess of a hard piece.
 _PENALTY = 5.0
-# Pieces below this ratio are not looked at; plants are ranked by what lies above the second.
+# Pieces below this ratio are not computed; plants are ranked by their excess over the second number.
 _FLOOR, _RANKED = 0.8, 0.5
-# Plants in view at first, beside the nominal one; added at a time; steps until all plants are looked at.
+# Active plants at first, beside the nominal one; added at a time; steps until all plants are measured.
 _FIRST, _MORE, _STEPS = 6, 3, 25
-# Share of the reserve that has to be there in the end: plants out of view, and tops between grid points, may take some.
+# Share of the reserve that is left in the end: plants that are not active, and peaks between grid points, take some.
 _SPARED = 0.8
 # How often a search that has ended is tried again, and how often on a finer grid.
 _TRIES, _FINER = 3, 10
@@ -62,9 +61,9 @@ _TRIES, _FINER = 3, 10
 # end at a kink from which no quadratic program leads on, and which kink that is depends on rounding.
 _AGAIN, _SCATTER = 2, 0.1
 # S at the wanted frequency is required this much below the level, and the frequency wanted this share higher:
-# what is found has to be there when it is measured exactly.
+# the bandwidth must be reached when it is measured exactly.
 _TIGHT, _BEYOND = 1e-4, 1.003
-# Weight of what S exceeds the level by, without goals, and by how much it may where a bandwidth is accepted.
+# Weight of the excess of S over the level, without goals, and its largest value where a bandwidth is accepted.
 _STEEP, _FAR = 5.0, 0.02
 # A bandwidth means something if S keeps falling below it: at a tenth of it, at most this.
 _TENTH = 0.15
@@ -79,7 +78,7 @@ class Found:
     # without any.
     hard: float
     soft: float
-    evaluations: int  # how often pieces were worked out
+    evaluations: int  # how often pieces were computed
 
     def better_than(self, other: Found | None, reserve: float) -> bool:
         """Whether this one meets more, or the same with smaller soft ratios."""
@@ -324,7 +323,7 @@ class Search:
         return parts
 
     def _descended(self, family: Parametrised, x: FloatArray, plants: PlantSet, state: _State) -> FloatArray:
-        """Return where the search on the plants in view leads; `state.ended` where it has ended."""
+        """Return the result of a search on the active plants; `state.ended` where it has ended."""
         lower, upper = family.lower, family.upper
         if self._moving:
             lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)

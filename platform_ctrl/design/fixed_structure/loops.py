@@ -41,7 +41,7 @@ _CLOSER = 0.2
 # A point of the grid that is higher than what is found around it by this factor is the top of a narrow peak.
 _SPIKE = 1.1
 # Decay rates are counted in this share of the nutation frequency, or in their limit over the second number if that is
-# less; poles as many units from their limit are in view.
+# less; poles as many units from their limit are active.
 _DECAY_UNIT, _NO_DECAY = 0.02, 20.0
 _SLOW = 2.0
 # Poles this near to that of the angles of regular plants, relative, are theirs: a loop's gain hardly moves them.

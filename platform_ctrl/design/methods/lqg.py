@@ -35,8 +35,8 @@ from platform_ctrl.job.methods import DesignSpec
 _ERROR, _NO_NOISE = 20.0, 1e-4
 # Torques of gyroscopic pairs over h ω_nutation and the error or noise, the platform's rate over ω_nutation and noise.
 _PAIR_TORQUE, _PAIR_RECOVERY, _PLATFORM_RATE = 3.0, 40.0, 15.0
-# Other directions: torques over J ω (rates) or J ω² (angles) and the error or noise, ω this share of the frequency that
-# the plants' grids go by.
+# Other directions: torques over J ω (rates) or J ω² (angles) and the error or noise, ω this share of the reference
+# frequency of the plants' grids.
 _CROSSOVER, _RECOVERY = 0.7, {1: 3.0, 2: 0.8}
 # Poles nearer to the unit circle than this are on it but for rounding.
 _ON_CIRCLE = 1e-9

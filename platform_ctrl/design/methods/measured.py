@@ -141,7 +141,7 @@ def _bounds(requirements: Sequence[LoopRequirement]) -> dict[str, float]:
 def _searched(
     problem: LoopProblem, options: dict[str, float], limits: dict[str, float]
 ) -> tuple[MeasuredDesign, list[int]]:
-    """Return a design on a file's responses or on the nominal plant's, and the numbers of the plants in view.
+    """Return a design on a file's responses or on the nominal plant's, and the numbers of the active plants.
 
     It is measured with all plants. Those with which it is the worst join, unless there is a file; where a limit is
     missed that no frequency decides alone, the peak that it depends on is bounded, in turn.
@@ -189,7 +189,7 @@ def _searched(
 def _widened(
     view: list[int], measures: LoopMetrics, requirements: Sequence[LoopRequirement], counts: list[int]
 ) -> list[int]:
-    """Return the plants in view with the worst one, where it misses stability or the disk margin."""
+    """Return the active plants with the worst one, where it misses stability or the disk margin."""
     missed = np.where(measures.decay > 0.0, 0.0, 1e6)
     for one in requirements:
         if one.metric.key == "disk_margin" and one.hard:

@@ -25,7 +25,7 @@ from platform_ctrl.design.partition import Channels, first_order, gain
 from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.job.methods import DesignSpec
 
-# Default crossover over the frequency that the plants' grids go by, and the integral's corner over the crossover.
+# Default crossover over the reference frequency of the plants' grids, and the integral's corner over the crossover.
 _CROSSOVER, _INTEGRAL = 0.4, 0.15
 
 

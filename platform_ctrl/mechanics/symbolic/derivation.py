@@ -359,7 +359,7 @@ class _Derivation:
         return {at: row[at] for at in sorted(row, key=lambda at: (at is None, at)) if row[at]}
 
     def _singular(self, groups: tuple[tuple[int, ...], ...]) -> list[str]:
-        """Say where G_R, which is skew, cannot be inverted: (15) without dampers does not determine the rates."""
+        """Return a note where G_R, which is skew, is singular: (15) without dampers does not determine the rates."""
         odd = [", ".join(self.platform.gimbal_names[k] for k in group) for group in groups if len(group) % 2]
         singular = "is singular, for it is skew and of odd order; without dampers (15) does not determine the rates"
         return [f"G_R of {'; of '.join(odd)} {singular}"] if odd and self.platform.rotors else []

@@ -66,7 +66,7 @@ def cosine_and_sine(x: Number) -> tuple[Number, Number]:
 @inlined
 def exponential(x: Number) -> Number:
     """Return exp x, from exp(-700) to exp(700)."""
-    x = choose(x < -700.0, -700.0, choose(x > 700.0, 700.0, x))  # what is no number stays none
+    x = choose(x < -700.0, -700.0, choose(x > 700.0, 700.0, x))  # NaN stays NaN
     k = whole(x * _PER_LN2 + 0.5)
     r = (x - k * _LN2[0]) - k * _LN2[1]
     series = 1.0 + r / 13.0

@@ -36,7 +36,7 @@ def ready_torquers(shared: Shared, mem: FloatArray, lane: int, layout: Layout) -
 
 @internal
 def hold_equilibrium(shared: Shared, mem: FloatArray, lane: int, layout: Layout) -> None:
-    """Let torquers have had the torque that holds the gimbals, within their limits, before t = 0."""
+    """Begin as if torquers had given the torque that holds the gimbals, within their limits, before t = 0."""
     nu = shared.targets.shape[0]
     for i in range(nu):
         slot = layout.torquer + i * arrays.TORQUER
@@ -125,7 +125,7 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
 
 @inlined
 def work_on(shared: Shared, mem: FloatArray, lane: int, layout: Layout, segment: int) -> None:
-    """Let the torquers go on by half a substep of the segment: a lag follows a torque that slews evenly exactly."""
+    """Advance the torquers by half a substep of the segment: a lag follows a torque that slews evenly exactly."""
     for i in range(shared.targets.shape[0]):
         slot = layout.torquer + i * arrays.TORQUER
         before = load(mem, slot + arrays.SLEWED, lane)

@@ -133,7 +133,7 @@ def _faulty(
 
 @internal
 def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, k: int, t: float) -> None:
-    """Put what every sensor says at sample k into its LAST."""
+    """Put the reading of every sensor at sample k into its LAST."""
     drawn = -1  # the last sensor for which a pair of normal numbers was drawn
     for i in range(layout.sensors):
         slot = layout.sensor + i * arrays.SENSOR

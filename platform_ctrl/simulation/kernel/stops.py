@@ -50,7 +50,7 @@ def _response(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, 
 
 @internal
 def _come_anew(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, blown: Mask) -> None:
-    """Let go of gimbals that a blow drives against the stops they lie on: these they meet once more."""
+    """Release gimbals that an impact drives against the stops they lie on: they meet these once more."""
     n, dy = at.n, at.stages
     derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
     for k in range(n):
