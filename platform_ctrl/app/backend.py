@@ -40,6 +40,7 @@ from platform_ctrl.design.tuning import SHARE, OptionEffects, deciding, largest_
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.verification.budget_result import holds
 from platform_ctrl.verification.controllers import differing_origin
 from platform_ctrl.verification.simulated import limit_results
 
@@ -312,10 +313,16 @@ class Backend:
             step = SHARE * (slider.value or (slider.high - slider.low) / 2.0)
             return ratios(self.moved(settings, slider.name, slider.value + step))
 
+        # No slider moves a value that the linear budget cannot judge.
+        judged = {one.name for one in self.budget_results(settings) if holds(one)}
+
+        def of_sight(now: Settings) -> list[CheckResult]:
+            return [one for one in self.budget_results(now) if one.name in judged]
+
         with np.errstate(all="ignore"):
             parts = [
                 option_effects(names, limits, ratios(settings), [partial(with_slider, one, ratios) for one in sliders])
-                for limits, ratios in (of_loop(loops, settings), _of_results(self.sight.quick_results, settings))
+                for limits, ratios in (of_loop(loops, settings), _of_results(of_sight, settings))
                 if limits
             ]
         return OptionEffects(

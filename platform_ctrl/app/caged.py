@@ -34,6 +34,7 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import limits_and_goals
 from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.quantities import quantity
 from platform_ctrl.job.requirements import WORST_CASE, of_readings
 
 # Groups that a band shows: failed parts are not among them.
@@ -142,7 +143,7 @@ class CagedCurves(LoopCurves):
         plants = self.loop.plants
         size = step_size(float(plants.torque_limit[self.index]))
         duration = settling(self.poles, self.loop.shown.nutation, plants.period, self.stable)
-        title = f"{1e3 * size:g} m{self.units[self.channel]} step at {self.channel}"
+        title = f"{quantity(size, self.units[self.channel])} step at {self.channel}"
         step = drive(title, duration, plants.period, lambda t: np.full(len(t), size))
         return self._over_time(
             step, lambda one: one.arrays if self._sight else one.own_arrays, [self.index], step.u[None]

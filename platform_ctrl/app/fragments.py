@@ -11,19 +11,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.job_parts import BudgetState, ChipState
+from platform_ctrl.app.job_parts import BUDGET, BudgetState, ChipState
 from platform_ctrl.app.pictures import Margins, Picture
 from platform_ctrl.app.plots.panel import Panel
 from platform_ctrl.app.settings import Mode, Settings, Slider
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.tuning import SHARE, OptionEffects, OptionValue, candidates
+from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.quantities import BOUND, DASH, HZ, MINUS, compared, plain
+from platform_ctrl.job.quantities import BOUND, DASH, HZ, MINUS, compared, count, plain
+from platform_ctrl.verification.budget_result import holds, left_to_runs
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+# Why the page has no verdict on a limit of the budget that is `left_to_runs`.
+_BY_RUNS = "check judges it by runs: with this dry friction the linear budget does not hold"
 # Least share of its ratio by which a step has to help a requirement.
 _LEAST_GAIN = 5e-3
 # Changes of a ratio by a move of 5 %: one that has no arrow, and one that has the full colour.
@@ -121,18 +125,21 @@ def job_verdict(states: Sequence[ChipState]) -> tuple[str, str]:
 def _chip(one: ChipState, loop: str) -> dict[str, Any]:
     chip, worst = one.chip, one.worst
     whole = one.checked >= one.count and not one.error
+    limits = count(one.count, "limit")
     short = "not run" if one.on_request else DASH if one.error else "…" if one.count else "no limits"
     if one.error:
         words = one.error
     elif worst is None:
-        words = f"{one.count} limits, " + ("not simulated for these settings" if one.on_request else "not measured")
+        runs = "judged by the runs of check" if chip.key == BUDGET else "not simulated for these settings"
+        words = f"{limits}, {runs if one.on_request else 'not measured'}"
     else:
         met = f"{one.missed} of {one.count} missed" if one.missed else f"{one.checked} of {one.count} met"
         words = f"{met}; nearest limit: {worst.name}" + (f", {worst.subject}" if worst.subject != chip.label else "")
+        words += "" if holds(worst) else f"; {worst.reason}"
     return {
         **chip._asdict(),
         "verdict": "bad" if one.missed else "good" if whole else "open",
-        "margin": short if worst is None else percent(worst.margin),
+        "margin": short if worst is None else percent(worst.margin) if holds(worst) else "not valid",
         "words": words,
         "shown": bool(chip.loop) and chip.loop == loop and chip.key.startswith("loop "),
     }
@@ -288,6 +295,7 @@ def table(
     effects: OptionEffects | None,
     names: Mapping[tuple[str, str], str],
     stale: bool,
+    spec: BudgetSpec | None,
 ) -> str:
     """Return the table of requirements: the `names` of limits that a job states, and what each slider does to each row.
 
@@ -296,12 +304,12 @@ def table(
     rows = []
     for one in results:
         # Roots, so that the last per cent before a limit can be seen.
-        room = one.margin if math.isfinite(one.margin) else -1.0
+        room = one.margin if math.isfinite(one.margin) else -1.0 if holds(one) else 0.0
         bar = math.copysign(math.sqrt(min(1.0, abs(room))), room)
         cells = [_cell(slider, one.name, effects) for slider in every]
         more = {"left": 50.0 + 50.0 * min(bar, 0.0), "width": max(0.8, 50.0 * abs(bar)), "cells": cells}
         own = {"limit": f"{one.limit:.10g}", "limit_name": names.get((one.subject, one.name), "")}
-        rows.append(_row(one) | own | more)
+        rows.append(_row(one, spec) | own | more)
     return fragment("table", sliders=every, rows=rows, stale=stale)
 
 
@@ -314,15 +322,17 @@ def tightest_first(results: Sequence[CheckResult]) -> list[CheckResult]:
     return sorted(results, key=room)
 
 
-def _row(one: CheckResult) -> dict[str, Any]:
+def _row(one: CheckResult, spec: BudgetSpec | None) -> dict[str, Any]:
     reached, required = compared(one)
+    open_ = left_to_runs(one, spec)
     return {
         "name": one.name,
         "full": f"{one.subject}, {one.design}: {one.name}" if one.design else f"{one.subject}: {one.name}",
         "required": f"{BOUND[one.sense]} {required}",
         "reached": reached,
-        "margin": percent(one.margin if math.isfinite(one.margin) else None),
-        "passed": bool(one.passed),
+        "margin": "by runs" if open_ else percent(one.margin if math.isfinite(one.margin) else None),
+        "why": _BY_RUNS if open_ else one.reason,
+        "state": "met" if one.passed else "open" if open_ else "missed",
         "hard": one.hard,
         "method": one.method,
     }
@@ -353,7 +363,7 @@ def _cell(slider: Slider, requirement: str, effects: OptionEffects | None) -> di
     }
 
 
-def budget(state: BudgetState) -> str:
+def budget(state: BudgetState, spec: BudgetSpec | None) -> str:
     """Return the table of the line of sight's budget, µrad: sources by axis, all together, and the limits."""
     found = state.found
     if found is None:
@@ -376,7 +386,7 @@ def budget(state: BudgetState) -> str:
     words = "all together, at the angles zero; limits are at the worst angles of the job"
     rows.append({"name": "all, angles zero", "kind": words, "cells": cells(found.total, np.ones(len(found.total)), 4)})
     limits = [
-        _row(one) | {"reached": number(1e6 * one.value, 4), "required": f"≤ {number(1e6 * one.limit, 4)}"}
+        _row(one, spec) | {"reached": number(1e6 * one.value, 4), "required": f"≤ {number(1e6 * one.limit, 4)}"}
         for one in found.results
     ]
     friction = [] if found.friction is None else found.friction.statement

@@ -20,7 +20,7 @@ from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.verification.budget import PreparedBudget
-from platform_ctrl.verification.budget_result import LineOfSightBudget, unstable_results
+from platform_ctrl.verification.budget_result import LineOfSightBudget, left_to_runs, unstable_results
 from platform_ctrl.verification.coupled import ALL_LOOPS, coupled_requirements
 
 if TYPE_CHECKING:
@@ -257,7 +257,8 @@ class JobParts:
 
     def _state(self, parts: list[JobPart]) -> ChipState:
         found = [self._results.found(one.stamp) for one in parts]
-        results = [one for each in found if isinstance(each, tuple) for one in each if one.hard]
+        measured = [one for each in found if isinstance(each, tuple) for one in each if one.hard]
+        results = [one for one in measured if not left_to_runs(one, self._loops.read.budget)]
         return ChipState(
             chip=parts[0].chip,
             count=sum(
@@ -267,7 +268,7 @@ class JobParts:
             checked=len(results),
             missed=sum(not one.passed for one in results),
             worst=min(results, key=_severity, default=None),
-            on_request=any(one.on_request for one in parts),
+            on_request=any(one.on_request for one in parts) or len(results) < len(measured),
             error=next((each for each in found if isinstance(each, str)), ""),
         )
 

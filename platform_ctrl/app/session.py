@@ -236,7 +236,7 @@ class Session:
         if state.found is not None:
             self.plots.show_budget(state.found)
             self.connection.answer(html=self._headings())
-        self.connection.answer(html={"budget": fragments.budget(state)})
+        self.connection.answer(html={"budget": fragments.budget(state, self.backend.read.budget)})
         self.connection.later(shown)
 
     def parts_measured(self) -> None:
@@ -324,7 +324,7 @@ class Session:
             **self._chosen(settings),
             **self._headings(),
             "figures": fragments.figures(picture),
-            "requirements": fragments.table(every, sliders, self._effects, names, stale),
+            "requirements": fragments.table(every, sliders, self._effects, names, stale, self.backend.read.budget),
             "strip": self.strip(),
             "elapsed": f"{1e3 * picture.elapsed:.0f} ms",
         }

@@ -34,6 +34,7 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.quantities import quantity
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.verification.coupled import CoupledCheck
 
@@ -154,7 +155,7 @@ class StabilisedCurves(LoopCurves):
                 return one.torque, one.name, one.limits.get("attitude")
         limits = [t.limit for t in self.job.platform.torquers if t.root_axis == axis]
         size = step_size(math.inf if not limits or limits[0] is None else limits[0])
-        return size, f"{1e3 * size:g} mN m step about axis {axis}", None
+        return size, f"{quantity(size, 'N m')} step about axis {axis}", None
 
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from a torque on the platform to its attitude at `frequency` (F,), rad/s."""

@@ -198,7 +198,7 @@ def expect_no_keyhole(job: Job, signals: LoopSignals) -> None:
     for q, one in zip(job.trims[1:], least[1:], strict=True):
         if one < _KEYHOLE * least[0]:
             raise InputError(
-                f"angles: at {at_angles(job.platform, q)} the torquers turn what {signals.sensors[0].name} and others "
-                f"read by only {one / least[0]:.2g} of what they do at zero angles (keyhole), where no loop on these "
-                "axes works; leave such angles out of [operation]"
+                f"[operation.angles]: at {at_angles(job.platform, q)} the torquers turn what {signals.sensors[0].name} "
+                f"and others read by only {one / least[0]:.2g} of what they do at zero angles (keyhole), where no "
+                "loop on these axes works; leave such angles out"
             )

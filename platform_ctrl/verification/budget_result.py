@@ -326,6 +326,17 @@ def _not_held(one: CheckResult) -> CheckResult:
     return replaced(one, changes)
 
 
+def holds(one: CheckResult) -> bool:
+    """Return whether the linear budget can judge a limit: not where a bearing with dry friction hardly slides."""
+    return one.passed or math.isfinite(one.ratio) or not math.isfinite(one.value)
+
+
+def left_to_runs(one: CheckResult, budget: BudgetSpec | None) -> bool:
+    """Return whether `check` judges a limit by the runs of the budget, as the linear budget cannot: `by_simulation`."""
+    of_runs = (BUDGET_METRICS["jitter"].name, BUDGET_METRICS["jitter_per_axis"].name)
+    return budget is not None and bool(budget.runs) and one.name in of_runs and not holds(one)
+
+
 def by_simulation(results: Sequence[CheckResult], simulated: SimulatedBudget) -> tuple[CheckResult, ...]:
     """Return limits that a linear budget cannot decide, judged by runs where these show them."""
     axis = int(np.argmax(simulated.rms[:2]))

@@ -20,8 +20,9 @@ import tomlkit
 from bokeh.document import Document
 
 from browser import screen, served
-from camera_job import camera_job
+from camera_job import camera_job, camera_plant
 from platform_ctrl import read_job
+from platform_ctrl.app import fragments
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.fragments import next_step
 from platform_ctrl.app.job_parts import BUDGET, ChipState
@@ -238,3 +239,31 @@ def test_what_sliders_do_to_the_jitter_counts_among_their_effects(tight: Backend
     assert step["slider"] == "crossover_hz"
     assert step["value"] > start.options["rate"]["pi"]["crossover_hz"]
     assert jitter.name in step["words"]
+
+
+@pytest.mark.parametrize("runs", [None, 2])
+def test_a_limit_that_the_linear_budget_cannot_judge_is_left_to_the_runs_of_check(runs: int | None) -> None:
+    """Bearings that hardly slide: without runs the limit is missed, with runs `check` alone judges it."""
+    stuck = [{"gimbal": one, "coulomb": 0.5, "coulomb_rate": 0.5} for one in ("az", "el")]
+    spec = JITTER | {"limits": {"jitter": 2e-3}} | ({} if runs is None else {"runs": runs})
+    made = Backend(read_job(camera_job(plant=camera_plant(friction=stuck), budget=spec)))
+    start = made.start()
+    state = measured(made, start)
+    (jitter,) = made.budget_results(start)
+    assert not jitter.passed
+    assert jitter.value < jitter.limit
+    shown = fragments.strip([state], {}, "")
+    rows = fragments.table([jitter], made.sliders(start), None, {}, False, made.read.budget)
+    if runs is None:
+        assert state.missed == 1
+        assert "not valid" in shown
+        assert "state runs in [budget]" in shown
+        assert "✗" in rows
+    else:
+        assert (state.count, state.checked, state.missed, state.measuring) == (1, 0, 0, False)
+        assert "1 limit, judged by the runs of check" in shown
+        assert "✗" not in rows
+        assert "by runs" in rows
+    # No slider helps it: the next step is about another limit.
+    assert jitter.name not in made.influence(start).requirements
+    made.close()
