@@ -17,7 +17,7 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.system import System
-from platform_ctrl.common.arguments import known_name, one_of, positive
+from platform_ctrl.common.arguments import known_name, nearest, one_of, positive
 from platform_ctrl.common.values import FloatArray, input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
@@ -355,23 +355,25 @@ def limit_keys() -> dict[str, tuple[str, str]]:
 def limit_misfits(limits: Mapping[str, float]) -> Iterator[Misfit]:
     """Yield what is wrong with the limits or the goals of a loop: keys, and edges of bands without their metric."""
     known = limit_keys()
+    # A key that is mistyped is not missing as well.
+    meant = {key if key in known else nearest(key, known) for key in limits}
     for key in sorted(limits):
         if key not in known:
             yield key, unknown_key((key,), limits[key], list(known)).words
     for metric in METRICS.values():
         edge, lowest = metric.frequency_key, metric.lowest_key
         of = [key for key, (name, scope) in known.items() if METRICS[name] is metric and scope in SCOPES]
-        of = [key for key in of if key in limits]
-        if edge in limits and not of:
+        given = [key for key in of if key in limits]
+        if edge in limits and not meant.intersection(of):
             yield missing(metric.key, f"{edge} has no effect without it")
-        elif of and metric.needs_frequency and edge not in limits:
-            yield missing(edge, f"{of[0]} has no effect without it")
+        elif given and metric.needs_frequency and edge not in meant:
+            yield missing(edge, f"{given[0]} has no effect without it")
         if lowest not in limits:
             continue
-        if edge not in limits:
+        if edge not in meant:
             words = f"{lowest} has no effect without {edge}, where the band ends; add it, or leave this out"
             yield lowest, words
-        elif limits[edge] <= limits[lowest]:
+        elif edge in limits and limits[edge] <= limits[lowest]:
             yield wrong(limits, lowest, f"below {edge} = {limits[edge]:g}", "; the band begins there")
 
 
