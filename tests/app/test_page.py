@@ -564,6 +564,10 @@ def test_a_page_whose_server_ends_says_so_and_returns_with_its_state(
             typed(page, "crossover_hz", other)
             until(page, lambda: "state=" in page.url)
         line(page, "connection to the server is lost")
+        page.locator("#save").click()
+        page.locator("#save-go").click()
+        assert "Not saved" in (page.locator("#save-line").text_content() or "")
+        page.keyboard.press("Escape")
         # Another server has another link.
         with served(backend, port=port):
             assert "open that one" in line(page, "has another link")

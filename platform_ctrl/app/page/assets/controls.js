@@ -196,7 +196,8 @@ on("html", (parts) => {
 });
 byId("save-dialog").querySelector("form").addEventListener("submit", (event) => {
   event.preventDefault();
-  request("save", { name: byId("save-name").value, overwrite: byId("save-go").value === "true" });
+  if (document.body.classList.contains("lost")) Object.assign(byId("save-line"), { className: "error", textContent: "Not saved: the connection to the server is lost." });
+  else request("save", { name: byId("save-name").value, overwrite: byId("save-go").value === "true" });
 });
 
 // A lost page says so, and is loaded again with its state, which the address holds, as soon as the server answers.
