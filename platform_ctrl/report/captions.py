@@ -19,7 +19,7 @@ from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.text import Rounding
 from platform_ctrl.design.loop import Design, LoopOutcome
 from platform_ctrl.job.judging import STABLE, CheckResult
-from platform_ctrl.job.quantities import BOUND, HZ, compared, count, disk_words, listed, plain, quantity
+from platform_ctrl.job.quantities import BOUND, HZ, count, disk_words, listed, plain, quantity
 from platform_ctrl.job.requirements import of_readings
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import campaign_tables
@@ -45,7 +45,7 @@ def _templates() -> Any:
     environment = Environment(
         loader=PackageLoader("platform_ctrl.report"), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    filters: list[Any] = [compared, count, disk_words, listed, number_word, of_readings, plain, quantity]
+    filters: list[Any] = [count, disk_words, listed, number_word, of_readings, plain, quantity]
     filters += [quoted, share, campaign_tables.chance, campaign_tables.count_words]
     environment.filters |= {function.__name__: function for function in filters}
     environment.globals |= {"METRICS": METRICS, "BOUND": BOUND, "chances": campaign_tables.chances}
@@ -137,7 +137,6 @@ def run(one: Run, platform: Platform) -> str:
     pushed = max(((largest[name] / limit, name) for name, limit in limits.items()), default=None)
     return sentences(
         "run",
-        manoeuvre=one.manoeuvre,
         trajectory=trajectory,
         lost=one.lost,
         worst=1e3 * float(np.abs(trajectory.q).max(initial=0.0)),
