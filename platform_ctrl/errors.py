@@ -104,6 +104,6 @@ def began_with_interrupt(error: BaseException | None) -> bool:
 
 
 def reason(error: BaseException) -> str:
-    """Return what is wrong as one line: the message of an error of this package, with its kind of any other."""
+    """Return an error as one line: the message of an error of this package, with its kind of any other."""
     kind = "" if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: "
     return f"{kind}{' '.join(str(error).split())}".removesuffix(": ")

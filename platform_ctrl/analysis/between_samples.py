@@ -365,7 +365,7 @@ class RateFeedforward:
         return self.measured.series(self.path)
 
     def responses(self, plain: DisturbanceResponses) -> FedResponses:
-        """Return what disturbances do to plants with it, of what they do without."""
+        """Return responses to disturbances of plants with feedforward, from those without it."""
         return FedResponses(plain=plain, feedforward=self)
 
     def response(self, frequency: FloatArray) -> ComplexArray:

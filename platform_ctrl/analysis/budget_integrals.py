@@ -336,7 +336,7 @@ def through(held: ComplexArray, signals: ComplexArray) -> FloatArray:
 
 
 def moved_by_samples(M: Modulator, measured: int) -> FloatArray:
-    """Return what white samples of a reading do to the controls (N, m², R): all components alike and apart."""
+    """Return the effect of white samples of a reading on the controls (N, m², R): all components alike and apart."""
     N, R, m, _ = M.held.shape
     signal, u = M.heard[..., measured], np.array(M.own[..., measured])
     out = np.zeros((N, m * m, R))

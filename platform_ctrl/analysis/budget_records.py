@@ -127,7 +127,7 @@ class WindowShares(NamedTuple):
 
 
 def window_shares(frequency: ArrayLike, exposure: float) -> WindowShares:
-    """Return what of a component's mean square is displacement, smear and jitter in a window of length `exposure`, s.
+    """Return a component's shares of mean square in displacement, smear and jitter in a window of length `exposure`, s.
 
     At frequencies in rad/s, of any shape; each share is right to rounding. The smear is the mean square of the fitted
     line about its middle: a line of extent E, end to end, has E²/12.

@@ -325,7 +325,7 @@ def _at_several_rates(controller: MultiRate, R: int, w: FloatArray, P: ComplexAr
 
 
 def _slower(controller: MultiRate, w: FloatArray, e: ComplexArray) -> tuple[ComplexArray, NDArray[np.intp]]:
-    """Return what the slower loops hold, of y of each component (N, R, S, p), and the places (R, h) of each component.
+    """Return the held signals of the slower loops from y of each component (N, R, S, p), and its places (R, h) in them.
 
     They read e (N, R, read, p + h): components that a slow loop cannot tell apart add up.
     """

@@ -119,7 +119,7 @@ def interconnected_at_rates(
     period: float,
     limited: Collection[str] = (),
 ) -> MultiRate:
-    """Return what `interconnected_by_sample` returns without the samples of the cycle one by one."""
+    """Return the result of `interconnected_by_sample` before it is split into the samples of the cycle."""
     parts = [System.of(system, _where(k, system)) for k, system in enumerate(controllers)]
     slow = [k for k, K in enumerate(parts) if samples_between(K.dt, period, _where(k, controllers[k])) > 1]
     if limited:

@@ -289,7 +289,7 @@ class JitterBudget:
         )
 
     def _weights(self, frequency: FloatArray) -> FloatArray:
-        """Return what counts (W, ...): all, then displacement, smear and jitter for each exposure."""
+        """Return the counted parts (W, ...): all, then displacement, smear and jitter for each exposure."""
         above = np.abs(frequency) >= self.lowest
         out = [above.astype(np.float64)]
         for one in self.exposures:
@@ -317,7 +317,7 @@ class JitterBudget:
         return density, rest.swapaxes(-1, -2)
 
     def _moved(self, at: NodeResponses, M: Modulator, component: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        """Return what random sources do to controls (N, m², R, G), and the densities (N, I, G, q) at images inside.
+        """Return the effects of random sources on u (N, m², R, G), and the densities (N, I, G, q) at images inside.
 
         `component` (I,) are those of the images inside.
         """

@@ -173,14 +173,14 @@ class PlantSet:
         return self if self.disturbed is not None else replaced(self, {"disturbed": self._disturbed_at(self.frequency)})
 
     def disturbed_on_grid(self) -> Disturbed:
-        """Return what disturbances do on the set's grid."""
+        """Return the responses to disturbances on the set's grid."""
         return self._disturbed_at(self.frequency) if self.disturbed is None else self.disturbed
 
     def _disturbed_at(self, frequency: FloatArray) -> Disturbed:
         return disturbed(self.disturbances.at(frequency), len(self.angles))
 
     def disturbed_at(self, plant: NDArray[np.intp], frequency: FloatArray) -> Disturbed:
-        """Return what disturbances do with some plants (k,), each at its own frequency (k,), rad/s: (k, ...)."""
+        """Return the responses to disturbances of some plants (k,), each at its own frequency (k,), rad/s: (k, ...)."""
         return disturbed(self.disturbances.at(frequency, plant), len(self.angles))
 
     def regular(self) -> PlantSet:

@@ -201,7 +201,7 @@ class CagedCurves(LoopCurves):
 
 
 def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMetrics) -> Parts:
-    """Return what is drawn for a caging loop, and the function that measures it; `labels` are those of all plants."""
+    """Return the curves of a caging loop, and the function that measures it; `labels` are those of all plants."""
     curves = CagedCurves(loop, settings, Loop(loop.plants, loop.delivered))
     drawing = curves.drawing(labels)
 

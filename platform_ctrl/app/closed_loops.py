@@ -155,7 +155,7 @@ class ClosedLoops:
             self._made.put(key, self.background.run(task, cancelled=cancelled, gives_way=True))
 
     def requested(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
-        """Return what `caged` does; a design that a method has to make is requested, and is pending then."""
+        """Return the result of `caged`; a design that a method has to make is requested, and is pending then."""
         spec, design = self.design(settings)
         if not self.is_available(settings, spec, design.name):
             key = self.design_key(settings, spec.name, design.name)
@@ -218,7 +218,7 @@ class ClosedLoops:
         )
 
     def plants_key(self, settings: Settings, spec: LoopSpec) -> Hashable:
-        """Return what the plants of a loop depend on: of a tracking loop the one inside."""
+        """Return a key of everything that the plants of a loop depend on: of a tracking loop the inner loop."""
         return None if spec.around is None else self.closed_key(settings, self.plants.inside(spec))
 
     def stabilised(self, settings: Settings) -> tuple[StabilisedLoop, tuple[str, ...]]:

@@ -211,7 +211,7 @@ class LoopCurves(ABC):
         return traced_locus(_GAINS, closed, self.plant.dt, quick=True, reach=self.reach)
 
     def transfers(self, frequency: FloatArray) -> LoopTransfers:
-        """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
+        """Return plant, controller and sensitivity of the loop shown at `frequency` (F,), rad/s."""
         P, K = (one.at(frequency) for one in self._responses)
         return LoopTransfers(P, K, sensitivities_of_plants(P, K)[1])
 
@@ -221,7 +221,7 @@ class LoopCurves(ABC):
         return self.transfers(self.frequency)
 
     def drawing(self, labels: tuple[str, ...]) -> Drawing:
-        """Return what is drawn; `labels` are those of all plants that may be shown."""
+        """Return the curves; `labels` are those of all plants that may be shown."""
         response = channel_response(self.own.S, self.index)
         locus, others = self.locus(), self.other_poles.ravel()
         return Drawing(
@@ -243,7 +243,7 @@ class LoopCurves(ABC):
         )
 
     def overlay(self, design: str, frequency: FloatArray) -> Overlay:
-        """Return what is drawn of this design over a picture whose Bode diagram is at `frequency`."""
+        """Return the curves of this design over a picture whose Bode diagram is at `frequency`."""
         response = channel_response(self.transfers(frequency).S, self.index)
         return Overlay(
             design=design,
@@ -290,7 +290,7 @@ class LoopCurves(ABC):
     def over_time(
         self, drive: SampledInput, signals: Sequence[str], shown: System, band: System | None, inputs: FloatArray
     ) -> TimeResponse:
-        """Return what `inputs` (m, T) do to the outputs of closed loops, which are the `signals`."""
+        """Return the responses of closed loops to `inputs` (m, T); their outputs are the `signals`."""
         values = sampled_responses(shown, inputs, drive.every)[0]
         low = high = np.zeros((len(values), 0))
         if band is not None:

@@ -217,7 +217,7 @@ _RIM, _CLEAR, _SAMPLES = 36, 0.6, 400
 
 
 def tree_data(platform: Platform) -> dict[str, Any]:
-    """Return what the page draws of a platform, as JSON values; lengths are in radii of a rotor's disc.
+    """Return the drawing of a platform as JSON values; lengths are in radii of a rotor's disc.
 
     `bodies` are the gimbals, then the rotors: each turns about its `axis` through its `pivot`, and with its `parent`,
     -1 for the root. `shapes` are lines, or a dot, and turn with a body; `series` is the number of a gimbal's colour.

@@ -295,7 +295,7 @@ class Session:
         self._gesture = gesture
 
     def _chosen(self, settings: Settings) -> dict[str, str]:
-        """Return what follows from the settings alone, by the ids of the elements."""
+        """Return the HTML that follows from the settings alone, by the ids of the elements."""
         every, plants = self.backend.sliders(settings), self.backend.plants(settings)
         known = self._effects if self._effects_of is settings else None
         tunable = settings.mode == "caged" and any(one.tunable and not one.fixed for one in every)
@@ -311,7 +311,7 @@ class Session:
         }
 
     def _shown(self, picture: Picture) -> dict[str, str]:
-        """Return what follows from settings and picture, by the ids of the elements."""
+        """Return the HTML that follows from settings and picture, by the ids of the elements."""
         settings = picture.settings
         every = [*picture.requirements, *picture.goals, *self._budget_results]
         # The tightest first, as they were when the sliders last rested: nothing jumps while one moves.
@@ -336,7 +336,7 @@ class Session:
             self.connection.answer(html=self._shown(self.picture))
 
     def strip(self) -> str:
-        """Return what is known of all parts of the job, for the settings as they are."""
+        """Return the HTML of the strip: the state of all parts of the job for the present settings."""
         parts, settings = self.backend.job_parts, self.settings
         states = parts.states(parts.parts(settings))
         # A chip that is being measured keeps its words, dimmed: nothing flickers while a slider moves.

@@ -238,7 +238,7 @@ class StabilisedCurves(LoopCurves):
 def stabilised_parts(
     loop: StabilisedLoop, settings: Settings, labels: tuple[str, ...], check: Callable[[], CoupledCheck]
 ) -> Parts:
-    """Return what is drawn for the free platform, and the function that measures it; `labels` are of all plants."""
+    """Return the curves of the free platform, and the function that measures it; `labels` are of all plants."""
     curves = StabilisedCurves(loop, settings, bool(settings.band and len(loop.plants.labels) > 1))
     drawing = curves.drawing(labels)
     return drawing, lambda: curves.measured(drawing.bode, check())

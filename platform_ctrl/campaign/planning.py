@@ -88,7 +88,7 @@ def _random(seed: int, dimensions: int, first: int, last: int) -> FloatArray:
 
 
 def quantiles(vary: Vary, points: FloatArray) -> FloatArray:
-    """Return what a parameter is drawn as at points of (0, 1): the quantiles of its distribution, of any shape."""
+    """Return drawn values of a parameter at points of (0, 1): the quantiles of its distribution, of any shape."""
     n = vary.numbers
     match vary.distribution:
         case "uniform":
@@ -236,7 +236,7 @@ def plan(
     seed: int | None = None,
     sampling: Points | None = None,
 ) -> Plan:
-    """Return what every run of a campaign is.
+    """Return the plan of a campaign's runs.
 
     Parameters
     ----------

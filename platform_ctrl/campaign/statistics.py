@@ -187,7 +187,7 @@ class CampaignStatistics:
 
 
 def statistics(table: Table, limits: Limits) -> CampaignStatistics:
-    """Return what a campaign's table says about each requirement.
+    """Return the statistics of each requirement from a campaign's table.
 
     Parameters
     ----------

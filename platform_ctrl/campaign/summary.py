@@ -227,7 +227,7 @@ class Summary:
 
 
 def summarise(plan: Plan, table: Table) -> Summary:
-    """Return what a campaign's table says.
+    """Return the statistics and influences of a campaign's table.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def summarise(plan: Plan, table: Table) -> Summary:
 
 
 def summary_record(summary: Summary) -> Record:
-    """Return what campaign.json holds of a summary; None where a number is not finite."""
+    """Return the record of a summary for campaign.json; None where a number is not finite."""
     found = summary.statistics
     record = {
         "statistics": {

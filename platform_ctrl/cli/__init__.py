@@ -113,7 +113,7 @@ def _with_help(arguments: list[str]) -> list[str]:
 
 
 def _usage_message(error: Any) -> str:
-    """Return what is wrong with a command line, what an argument that is missing means, and where help is."""
+    """Return a sentence about a wrong command line, with the meaning of a missing argument and where help is."""
     message: str = error.format_message()
     param, context = getattr(error, "param", None), getattr(error, "ctx", None)
     meaning = getattr(param, "help", None)

@@ -93,7 +93,7 @@ def budget(
 def _simulated(
     job: Job, controllers: Sequence[control.StateSpace], runs: int | None, seed: int | None, say: Callable[[str], None]
 ) -> SimulatedBudget | None:
-    """Return what runs show, None where none are wanted; those of the job unless others are."""
+    """Return the budget from simulated runs, as many as given or as the job has; None without any."""
     runs = runs if runs is not None or job.budget is None else job.budget.runs
     if runs is None:
         if seed is not None:

@@ -33,7 +33,7 @@ def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requ
 
 
 def changes_text(comparison: Comparison, name: str) -> str:
-    """Return what is worse than in the accepted result `name`, the worst first, and why it may be; else one line.
+    """Return the values that are worse than in the accepted result `name`, the worst first, with causes; else a line.
 
     Then, in a few lines, what is better or new.
     """

@@ -22,7 +22,7 @@ LARGEST = 2**63
 
 
 def short(given: object) -> str:
-    """Return what was given as a line that fits a message."""
+    """Return an argument as a line that fits a message."""
     text = " ".join(repr(given).split())
     if len(text) <= LONGEST and " at 0x" not in text:
         return text

@@ -90,7 +90,7 @@ def spinner(first: str) -> Iterator[Progress]:
 
 
 def _cell() -> Progress | None:
-    """Return what replaces the output of a notebook's cell by HTML; None outside of a notebook."""
+    """Return a function that replaces the output of a notebook's cell by HTML; None outside of a notebook."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     if getattr(shell, "kernel", None) is None:

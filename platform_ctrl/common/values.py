@@ -116,7 +116,7 @@ class _Short(reprlib.Repr):
 
 
 def _summary(self: Any) -> str:
-    """Return what a value is, in at most twenty lines, or one where it fits: numbers, names, and sizes of arrays."""
+    """Return a summary in at most twenty lines, or one where it fits: numbers, names, and sizes of arrays."""
     short, kind = _Short(), type(self).__qualname__
     short.maxlist = short.maxtuple = short.maxdict = 3
     short.maxlevel, short.maxstring, short.maxother = 2, _COLUMNS // 2, _COLUMNS - 10

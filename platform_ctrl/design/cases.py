@@ -123,7 +123,7 @@ def with_feedback(job: Job, torquers: Sequence[str], sensors: Sequence[str], pla
 
 
 def _fed(job: Job, torquers: Sequence[str], sensors: Sequence[str], gain: Callable[[FedFriction], float]) -> FloatArray:
-    """Return what drives add to torques (m,) per reading (f,), N m s, by the gain of what they feed forward."""
+    """Return the torques (m,) of drives per reading (f,), N m s, by the gain of their feedforward."""
     out = np.zeros((len(torquers), len(sensors)))
     for law in job.drive_laws:
         if law.friction and law.torquer in torquers:
@@ -133,7 +133,7 @@ def _fed(job: Job, torquers: Sequence[str], sensors: Sequence[str], gain: Callab
 
 
 def secant_gains(job: Job, q: FloatArray, torquers: Sequence[str]) -> FloatArray:
-    """Return what the drives multiply the commands of `torquers` (m,) by at gimbal angles (n,), rad."""
+    """Return the factors of drives on the commands of `torquers` (m,) at gimbal angles (n,), rad."""
     laws = {law.torquer: law for law in job.drive_laws}
     return np.array([laws[t].gain(laws[t].angle(job.platform, q)) if t in laws else 1.0 for t in torquers])
 

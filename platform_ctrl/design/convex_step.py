@@ -101,7 +101,7 @@ class Sample:
         return Sample(P=self.P[index], actions=self.actions[index], limits=limits)
 
     def ratios(self, gains: FloatArray) -> dict[str, FloatArray]:
-        """Return what is reached over each limit, (N,): at most 1 where it is kept."""
+        """Return the ratios of values and limits, (N,): at most 1 where a limit is met."""
         K = controller_response(gains, self.actions)
         return {name: _ratios(name, bound, self.P, K) for name, bound in self.limits.items()}
 

@@ -101,7 +101,7 @@ def _ideal(sensor: Sensor) -> Sensor:
 
 
 def _rates_of(platform: Platform, sensor: Sensor) -> dict[str, float]:
-    """Return what a sensor reads, or of an angle its rate, as a sum of rates."""
+    """Return the reading of a sensor, or the rate of a measured angle, as a sum of rates."""
     rates = {gimbal.angle: gimbal_rate(gimbal.angle) for gimbal in platform.gimbals}
     for body in range(len(platform.gimbals) + 1):
         rates |= dict(zip(body_rotations(platform, body), body_rates(platform, body), strict=True))

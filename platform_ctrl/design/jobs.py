@@ -80,7 +80,7 @@ def attempted_loops(
     progress: Progress | bool | None = None,
     processes: int = 1,
 ) -> tuple[LoopOutcome, ...]:
-    """Return what `loops` returns, though designs that loops use have failed; then a loop may have no design at all.
+    """Return the outcomes of `loops` even if designs that loops use have failed; then a loop may have no design at all.
 
     Designs are made side by side in up to so many processes.
     """
@@ -138,7 +138,7 @@ def _problems(
     inner: Design | None,
     progress: Progress,
 ) -> list[LoopProblem]:
-    """Return what the methods of a loop's designs are given.
+    """Return the problems of a loop's designs.
 
     `inner` is the design of the loop that a tracking loop commands.
     """

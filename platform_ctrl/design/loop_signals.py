@@ -63,7 +63,7 @@ def caging_signals(platform: Platform, gimbals: tuple[str, ...]) -> LoopSignals:
 
 
 def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
-    """Return what a caging, rate or pointing loop turns, reads and sets."""
+    """Return the gimbals, sensors and torquers of a caging, rate or pointing loop."""
     if spec.kind == "caging":
         return caging_signals(platform, spec.gimbals)
     sensors = {sensor.name: sensor for sensor in platform.sensors}
@@ -129,7 +129,7 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
 
 
 def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArray:
-    """Return what each torquer does to each reading, or to its rate of angles.
+    """Return the effect of each torquer on each reading, or on the rate of a measured angle.
 
     At a hundredth of the sample rate, or above what springs hold: below their resonance readings move the other way.
     """

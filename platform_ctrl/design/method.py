@@ -104,7 +104,7 @@ class LoopProblem:
         return shaped(own, self.design.command, self.channel, np.eye(len(K.B.T)) if sense is None else sense)
 
     def in_signals(self, K: System) -> System:
-        """Return what a method made, from the readings of the loop's plants, with the commands that it shapes."""
+        """Return a method's controller in the readings of the loop's plants, with the commands that it shapes."""
         sense = self.channel.sense
         return self.with_commands(K if sense is None else K._replace(B=K.B @ sense, D=K.D @ sense), sense)
 
@@ -116,7 +116,7 @@ class LoopProblem:
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
     ) -> Design:
-        """Return what a method has made as a design that is not measured yet.
+        """Return a method's controller as a design that is not measured yet.
 
         `controller` is u = K y of `plants`, sampled with the loop's period or a static gain; of a loop without plants
         with the signals `inputs` and `outputs`. `options` are the method's numbers as finally used, in the units of the
@@ -247,7 +247,7 @@ def designed(problem: LoopProblem) -> Design:
 
 
 def evaluated(problem: LoopProblem) -> Design:
-    """Return what the problem's method makes, all values recomputed from the closed loops; they may be unstable."""
+    """Return the design of the problem's method, all values recomputed from the closed loops; they may be unstable."""
     method = known_method(problem.design.method)
     out = method.design(problem)
     if (plants := out.plants) is not None:

@@ -192,7 +192,7 @@ def _held(linear: LinearPlants, sampling: Sampling, lags: FloatArray) -> System:
 def _responses(
     linear: LinearPlants, arrays: System, late: Sequence[int], seen: Sequence[FloatArray], at: Instants
 ) -> PlantResponses:
-    """Return what disturbances do to plants that are set at every sample.
+    """Return the responses to disturbances of plants whose torques are set at every sample.
 
     `arrays` are the plants sampled, `seen` C and D of the readings' signals and the line of sight at instants.
     """
@@ -317,7 +317,7 @@ def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
 
 
 def job_signals(job: Job, loop: LoopSpec | tuple[str, ...]) -> LoopSignals:
-    """Return what a loop of a job, or the caging loop on some gimbals, turns, reads and sets."""
+    """Return the signals of a loop of a job, or of the caging loop on some gimbals."""
     platform = job.platform
     signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
     torquers = {torquer.name for torquer in signals.torquers}
@@ -359,7 +359,7 @@ def _with_drives(whole: System, linear: LinearPlants) -> System:
 
 
 def _drive_gains(linear: LinearPlants) -> FloatArray:
-    """Return what drives add to commands in proportion to their readings (N, m, f)."""
+    """Return the additions of drives to commands in proportion to their readings (N, m, f)."""
     none = np.zeros((len(linear.signals.torquers), len(linear.signals.fed)))
     # A torquer's column has the share of its command, which is not that of what the drive adds.
     return np.array([none if one.feedback is None else one.feedback / one.torque[:, None] for one in linear.cases])

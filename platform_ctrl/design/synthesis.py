@@ -277,7 +277,7 @@ def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True, regularise:
 
 
 def or_regularised(solve: Callable[[Partition], Found], plant: Partition, size: float | None, what: str) -> Found:
-    """Return what `solve` finds; where it fails, and `size` is given, of the plant with what is missing added.
+    """Return the result of `solve`; where it fails, and `size` is given, that of the regularised plant.
 
     With the residuals it then says what was added, and which least level, called `what`, a tenth of it would give.
     """

@@ -53,7 +53,7 @@ _LARGEST_COMMAND, _SMALL_COMMAND = {"rad": 2.0 * math.pi, "rad/s": 100.0}, 0.5
 
 
 def job_mistakes(job: Job) -> list[Mistake]:
-    """Return what does not fit together in a job."""
+    """Return the mistakes of a job over several of its tables."""
     return [
         *at(("operation",), _operation(job)),
         *at(("sampling",), _delay(job)),
@@ -68,7 +68,7 @@ def job_mistakes(job: Job) -> list[Mistake]:
 
 
 def locked_mistakes(locked: tuple[str, ...], loops: tuple[LoopSpec, ...], platform: Platform) -> list[Mistake]:
-    """Return what is wrong with gimbals to be locked, and with loops on locked ones; `platform` still has them."""
+    """Return mistakes about gimbals to be locked, and with loops on locked ones; `platform` still has them."""
     twice = [name for name, count in Counter(locked).items() if count > 1]
     wrong_names = [
         *strange("locked", locked, "gimbal of the plant", platform.gimbal_names),

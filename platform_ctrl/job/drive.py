@@ -232,7 +232,7 @@ def _weights(platform: Platform, gimbal: int, names: tuple[str, ...]) -> tuple[d
 
 
 def _nominal(sensor: RateSensor, platform: Platform) -> dict[str, float]:
-    """Return what a sensor is taken to read: its misalignment is not known to the computer."""
+    """Return the nominal reading of a sensor: its misalignment is not known to the computer."""
     return dict(dataclasses.replace(sensor, misalignment=None).signals(platform))
 
 

@@ -80,7 +80,7 @@ class RunParameter:
 
 
 def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, RunParameter]:
-    """Return what may be varied, by its path."""
+    """Return the parameters that may be varied, by their paths."""
     if not scenarios:
         return {}
     found = [
@@ -186,14 +186,14 @@ def _commands_of(scenario: Scenario, reading: str) -> list[int]:
 
 
 def unknown_parameter(path: str, known: Iterable[str]) -> str:
-    """Return what exists in the place of a path that does not: its nearest relative, or names at the first step."""
+    """Return a hint for a path that does not exist: its nearest relative, or names at the first step."""
     heads = {one: one.partition(".")[0] for one in known}
     alike = [one for one, head in heads.items() if head == path.partition(".")[0]]
     return suggestion(path, alike or dict.fromkeys(heads.values()))
 
 
 def allowed(parameter: RunParameter, scenario: Scenario) -> Expected:
-    """Return what is expected of a drawn number; of a factor: what is expected of the factor."""
+    """Return the rule for a drawn number, or for a drawn factor."""
     key, k = parameter.key, parameter.index
     match parameter.group:
         case "initial" if key == "q" and (stops := scenario.platform.gimbals[k].stops) is not None:

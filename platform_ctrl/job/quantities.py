@@ -148,7 +148,7 @@ def percent(share: float) -> str:
 
 
 def disk_words(alpha: float) -> str:
-    """Return what a disk margin allows: gain alone, phase alone, and, as an example, the phase that a gain leaves."""
+    """Return the changes in a disk margin: gain alone, phase alone, and as an example the phase left by a gain."""
     from platform_ctrl.analysis.margins import disk_phase
 
     gain, phase = disk_gain_or_phase(alpha)
@@ -229,7 +229,7 @@ def _assuming(statements: Sequence[str]) -> str:
 
 
 def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tuple[str, ...] = ()) -> str:
-    """Return what the verdict rests on, to go with it; nothing where that is nothing.
+    """Return the assumptions of the verdict in words that are printed with it; empty where there are none.
 
     `free_angles` are the angles that nothing holds, `uncontrolled` the gimbals on which no loop acts or depends.
     """
@@ -258,7 +258,7 @@ def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tup
 
 
 def simulated_words(job: Job, manoeuvres: Sequence[Manoeuvre]) -> str:
-    """Return what the verdict on runs rests on, to go with it; nothing where that is nothing."""
+    """Return the assumptions of the verdict on runs in words that are printed with it; empty where there are none."""
     words = []
     if any(one.start == "equilibrium" for one in manoeuvres):
         words.append("constant torques of the motors hold the gimbals from the start on")

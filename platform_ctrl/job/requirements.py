@@ -175,7 +175,7 @@ class LoopRequirement(Requirement):
         return "exact" if exact or not self.metric.searched else "sampled"
 
     def _unbounded(self, value: float) -> str:
-        """Return what a value without bound means that is no sign of instability."""
+        """Return the meaning of an infinite value that is no sign of instability."""
         if not (np.isinf(value) and self.metric.of_disturbances and self.lowest == 0.0):
             return ""
         key = self.metric.lowest_key
@@ -183,7 +183,7 @@ class LoopRequirement(Requirement):
         return f"; infinite where the loop is not stable, or grows without bound towards zero frequency{cure}"
 
     def _conditions(self, plants: PlantSet, free: Sequence[str]) -> str:
-        """Return what else a value rests on: what is held, what nothing holds, dry friction, times between samples."""
+        """Return further assumptions of a value: held gimbals, free angles, dry friction, times between samples."""
         words = []
         if self.kind in BETWEEN_SAMPLES or self.metric.of_disturbances:
             words.append("between samples, by a grid refined to 0.1 %")

@@ -102,7 +102,7 @@ def rotors_at_rest(platform: Platform) -> Platform:
 
 
 def _rotors_part(model: LinearModel) -> FloatArray:
-    """Return what the rotors' momenta make of G, (n, n): nutation and precession are theirs."""
+    """Return the part of G from the rotors' momenta, (n, n): nutation and precession follow from it."""
     return np.asarray(model.G - _again(model, rotors_at_rest(model.platform)).G)
 
 

@@ -74,7 +74,7 @@ def observed_system(
     q: ArrayLike | None = None,
     Omega: ArrayLike | None = None,
 ) -> NamedMatrices:
-    """Return what `observed` does."""
+    """Return the result of `observed`."""
     angles = real_array("q", q, (len(platform.gimbals),), 0.0)
     model = _Signals(system, platform, angles, real_array("Omega", Omega, (3,), 0.0))
     outputs = platform.outputs

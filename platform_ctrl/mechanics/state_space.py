@@ -208,7 +208,7 @@ def linear_system(
     specific_force: bool = False,
     others: Literal["coupled", "held"] = "coupled",
 ) -> NamedMatrices:
-    """Return what `state_space` does with a prescribed root."""
+    """Return the result of `state_space` with a prescribed root."""
     rows = whole_subsystems(model, gimbals) if others == "coupled" else named_rows(model, gimbals)
     names = [model.angle_names[k] for k in rows]
     chosen = [model.gimbal_names[k] for k in rows]

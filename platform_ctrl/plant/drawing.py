@@ -96,7 +96,7 @@ def _closest_tips(shapes: list[Outline], rows: FloatArray) -> float:
 
 
 def bodies(platform: Platform, toward: FloatArray) -> list[list[Outline]]:
-    """Return what the root carries, body by body in the file's order, gimbals first, each about its own origin."""
+    """Return shapes of the root's parts, body by body in the file's order, gimbals first, each about its own origin."""
     out = []
     for item in _carried(platform, platform.root_name, toward):
         end = _beyond(item)
@@ -108,7 +108,7 @@ def bodies(platform: Platform, toward: FloatArray) -> list[list[Outline]]:
 
 
 def signs(platform: Platform, gimbal: str) -> tuple[str, ...]:
-    """Return what acts and measures at a gimbal's joint, bearing friction left out."""
+    """Return the forces and sensors at a gimbal's joint, without bearing friction."""
     there: dict[str, set[str | None]] = {
         "torquer": {torquer.gimbal for torquer in platform.torquers},
         "pickoff": {*(one.gimbal for one in platform.pickoffs), *(one.gimbal for one in platform.angle_sensors)},
@@ -222,7 +222,7 @@ def _sides(corners: FloatArray, body: str) -> list[Outline]:
 
 
 def _shaft(item: Item, end: float, toward: FloatArray) -> list[Outline]:
-    """Return what joins a body to its bearings at ± `end` along its axis, and the arrows of the positive direction."""
+    """Return bearing shapes of a body at ± `end` along its axis, and the arrows of the positive direction."""
     c, start, name = item.axis, item.reach, item.body.name
     if isinstance(item.body, Rotor):
         away = -float(c @ toward)

@@ -55,7 +55,7 @@ def within(path: Path, misfits: Iterable[Misfit]) -> Iterator[tuple[Path, str]]:
 
 
 def wrong(table: object, key: str, words: str, more: str = "") -> Misfit:
-    """Return what a key must be."""
+    """Return a mistake that says what a key must be."""
     return key, f"{key} must be {words}, got {_stands(table, key)}{more}"
 
 

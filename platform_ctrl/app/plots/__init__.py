@@ -250,6 +250,6 @@ def _frequencies(low: float, high: float) -> tuple[float, float]:
 
 
 def _subject(picture: Drawing) -> tuple[object, ...]:
-    """Return what a picture shows apart from the sliders."""
+    """Return loop, design, channel, axis and overlays of a picture: all but the numbers of sliders."""
     settings = picture.settings
     return settings.loop, settings.design, settings.channel, settings.axis, settings.overlays

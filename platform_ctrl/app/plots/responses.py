@@ -135,7 +135,7 @@ def _whole(low: float, high: float) -> tuple[float, float]:
 
 
 def _view(shown: Sequence[FloatArray], others: Sequence[FloatArray], limit: float | None) -> tuple[float, float] | None:
-    """Return what a view has to show: the plant shown, the others unless they dwarf it, and a limit nearby."""
+    """Return the curves for a view: the plant shown, the others unless they dwarf it, and a limit nearby."""
     own = extent(shown)
     if own is None:
         return None

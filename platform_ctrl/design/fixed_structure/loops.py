@@ -104,7 +104,7 @@ class LoopGradients:
         return self.C_K @ right + self.D_K, self.C_K @ R, right
 
     def fed(self, frequency: FloatArray) -> ComplexArray:
-        """Return what feedforward adds to the torques per platform rate, (k, m, 3), at frequencies (k,), rad/s."""
+        """Return the torques of feedforward per platform rate, (k, m, 3), at frequencies (k,), rad/s."""
         fed = self.plants.feedforward
         if fed is None or fed.into != "torque":
             return np.zeros((len(frequency), self.m, 3), dtype=np.complex128)

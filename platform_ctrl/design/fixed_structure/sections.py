@@ -112,7 +112,7 @@ class Named(Structure):
         )
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
-        """Return what the function builds."""
+        """Return the block that the function builds."""
         return self.build(dict(zip(self.values, map(float, p), strict=True)))
 
     def slopes(self, p: FloatArray, nmeas: int, ncon: int) -> FloatArray:

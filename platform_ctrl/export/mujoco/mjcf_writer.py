@@ -128,7 +128,7 @@ def _add_carried(element: Element, platform: Platform, bodies: list[Placed], bod
 
 
 def _joint(platform: Platform, k: int) -> dict[str, str]:
-    """Return what acts in a gimbal's bearing, as attributes of its joint."""
+    """Return the forces in a gimbal's bearing as attributes of its joint."""
     gimbal = platform.gimbals[k]
     out: dict[str, str] = {}
     stiffness, torque, damping = _spring(platform, gimbal.name)
@@ -289,7 +289,7 @@ def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
 
 
 def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
-    """Return what of the plant is left out of the MJCF file, or has another form there."""
+    """Return notes on parts of the plant that the MJCF file leaves out, or has in another form."""
     moved = root != "fixed" and platform.unbalances and platform.specific_force.any()
     left_out = [*platform.root_torquers] if root != "free" else []
     found: dict[str, list[str]] = {

@@ -93,7 +93,7 @@ def _sum(terms: list[str], minus: str = "−") -> list[str]:
 
 
 def text_writer(equations: Equations) -> Write:
-    """Return what writes expressions as text."""
+    """Return a function that writes expressions as text."""
     shown = {sympy.Symbol(s.name): sympy.Symbol(s.text) for s in equations.symbols}
 
     def write(expression: Expression) -> str:
