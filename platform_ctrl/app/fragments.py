@@ -122,6 +122,13 @@ def job_verdict(states: Sequence[ChipState]) -> tuple[str, str]:
     return ("open", f"{checked} of {count} met{left}") if left else ("good", f"All {count} limits met")
 
 
+def _least(worst: CheckResult) -> str:
+    """Return the margin of a chip, or why there is none."""
+    if not holds(worst):
+        return "not valid"
+    return percent(worst.margin) if worst.margin > -math.inf else compared(worst)[0]
+
+
 def _chip(one: ChipState, loop: str) -> dict[str, Any]:
     chip, worst = one.chip, one.worst
     whole = one.checked >= one.count and not one.error
@@ -139,7 +146,7 @@ def _chip(one: ChipState, loop: str) -> dict[str, Any]:
     return {
         **chip._asdict(),
         "verdict": "bad" if one.missed else "good" if whole else "open",
-        "margin": short if worst is None else percent(worst.margin) if holds(worst) else "not valid",
+        "margin": short if worst is None else _least(worst),
         "words": words,
         "shown": bool(chip.loop) and chip.loop == loop and chip.key.startswith("loop "),
     }

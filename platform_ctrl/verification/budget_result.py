@@ -328,7 +328,8 @@ def _not_held(one: CheckResult) -> CheckResult:
 
 def holds(one: CheckResult) -> bool:
     """Return whether the linear budget can judge a limit: not where a bearing with dry friction hardly slides."""
-    return one.passed or math.isfinite(one.ratio) or not math.isfinite(one.value)
+    of_budget = (one.subject, one.stage) == (LINE_OF_SIGHT, "coupled")
+    return not of_budget or one.passed or math.isfinite(one.ratio) or not math.isfinite(one.value)
 
 
 def left_to_runs(one: CheckResult, budget: BudgetSpec | None) -> bool:
