@@ -283,6 +283,13 @@ def test_latex_is_balanced_and_holds_latex_alone(plant, order):
     assert "%" not in re.sub(r"\\%", "", body)
 
 
+@pytest.mark.parametrize("form", ["text", "latex"])
+def test_what_people_read_has_no_more_digits_than_the_values_of_its_symbols(form):
+    weight = read_platform("camera_gimbal")  # the specific force across its unbalance is a number
+    assert "3.73761" in (found := equations(weight, form))
+    assert re.search(r"[1-9]\.\d{6}", found) is None
+
+
 @pytest.mark.parametrize(
     ("plant", "terms"), [(GYROS, "paper"), (read_platform(ELEMENTS), "exact")], ids=["gyros", "elements"]
 )

@@ -92,12 +92,17 @@ def _sum(terms: list[str], minus: str = "−") -> list[str]:
     return [terms[0], *(f"{minus} {t[len(minus) :].lstrip()}" if t.startswith(minus) else f"+ {t}" for t in terms[1:])]
 
 
+def _short(expression: Expression) -> Expression:
+    """Return an expression to be read by people: its numbers have as many digits as the values of the symbols."""
+    return expression.xreplace({x: sympy.Float(f"{float(x):.6g}") for x in expression.atoms(sympy.Float)})
+
+
 def text_writer(equations: Equations) -> Write:
     """Return a function that writes expressions as text."""
     shown = {sympy.Symbol(s.name): sympy.Symbol(s.text) for s in equations.symbols}
 
     def write(expression: Expression) -> str:
-        plain = str(sympy.sstr(expression.xreplace(shown), full_prec=False))
+        plain = str(sympy.sstr(_short(expression).xreplace(shown), full_prec=False))
         return plain.replace("**2", "²").replace("**3", "³").replace("*", "·").replace("-", "−")
 
     return write
@@ -151,7 +156,7 @@ def latex_of(equations: Equations) -> str:
     names = {sympy.Symbol(s.name): s.latex for s in equations.symbols}
 
     def write(expression: Expression) -> str:
-        return str(sympy.latex(expression, symbol_names=names))
+        return str(sympy.latex(_short(expression), symbol_names=names))
 
     def align(lines: list[str]) -> list[str]:
         return [r"\begin{align*}", " \\\\\n".join(lines), r"\end{align*}"]
