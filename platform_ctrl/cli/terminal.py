@@ -101,7 +101,9 @@ def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
 
 
 def _measured(key: str, number: float, signal: str) -> str:
-    return " ".join(filter(None, (f"{number:.4g}", RUN_METRICS[key].unit, f"({signal})")))
+    from platform_ctrl.job.quantities import quantity
+
+    return f"{quantity(number, RUN_METRICS[key].unit)} ({signal})"
 
 
 def show_inputs(title: str, inputs: Mapping[str, object]) -> None:

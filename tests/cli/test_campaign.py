@@ -16,6 +16,7 @@ import pytest
 import platform_ctrl as pc
 from campaign_runs import TEXT, processes_here
 from platform_ctrl.cli import main
+from platform_ctrl.job.quantities import quantity
 from refused_command import refused
 
 pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
@@ -105,7 +106,7 @@ def test_a_run_again_shows_its_draws_and_the_figures_of_its_row(
     assert out.startswith("run 17 of the campaign\n")
     assert lines["manoeuvre"] == row["manoeuvre"]
     assert float(lines["rotor.11.spin"]) == pytest.approx(row["rotor.11.spin"], rel=1e-5)
-    assert f"largest gimbal angle           {row['angle']:.4g} rad" in out
+    assert f"largest gimbal angle           {quantity(row['angle'], 'rad')} (" in out
     assert f"the values are those of {Path('campaign') / 'campaign.parquet'}" in out
     assert (there / "campaign" / "run-17.svg").read_text().lstrip().startswith("<?xml")
 
