@@ -30,6 +30,9 @@ NamedSystem: TypeAlias = "control.StateSpace | control.TransferFunction"
 StateSystem: TypeAlias = "control.StateSpace | control.TransferFunction | System"
 LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData | System"
 
+# Largest error of a realisation next to the poles' own frequencies, relative to the entry or a thousandth of its peak.
+_REALISED = 1e-7
+
 
 def linear_arrays(system: StateSystem, where: str) -> System:
     """Return the arrays of a `control.StateSpace`, or a minimal realisation of a `control.TransferFunction`.
@@ -100,18 +103,39 @@ def _realisation(system: control.TransferFunction, where: str) -> System:
         import control
 
         try:
-            return System.of(control.ss(system), where)
+            found = System.of(control.ss(system), where)
         except control.ControlMIMONotImplemented:
             raise ArgumentError(
                 f"{where}: states that the entries of a transfer function share are found by slycot, which is not "
                 "installed: pip install slycot, or give a control.StateSpace"
             ) from None
+        _require_same(system, found, where)
+        return found
     ((_, _, num, den),), dt = _entries(system, where), _period(system, where)
     n = len(den) - 1
     num, den = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0], den / den[0]
     A = np.eye(n, k=-1)
     A[:1] -= den[1:]
     return System(A, np.eye(n, 1), (num[1:] - num[0] * den[1:])[None], np.array([[num[0]]]), dt)
+
+
+def _require_same(system: control.TransferFunction, found: System, where: str) -> None:
+    """Raise an ArgumentError where the response of the states is not that of the transfer function."""
+    rates = np.abs(np.concatenate([np.roots(den) for *_, den in _entries(system, where)]))
+    w = (
+        np.linspace(0.05, 0.95, 19) * np.pi / found.dt
+        if found.dt
+        else np.geomspace(0.1, 10.0, 5)[:, None] * np.unique(np.where(rates > 0.0, rates, 1.0))
+    ).ravel()
+    true, ours = rational_response(system, w), state_response(found, w)
+    size = np.abs(true).max(axis=-1, where=np.isfinite(true), initial=0.0)
+    with np.errstate(invalid="ignore"):
+        wrong = np.abs(ours - true) > _REALISED * (np.abs(true) + 1e-3 * size[..., None])
+    if np.any(wrong & np.isfinite(true) & np.isfinite(ours)):
+        raise ArgumentError(
+            f"{where}: the transfer function has no realisation of its states to {_REALISED:g} in floating point; "
+            "make a control.StateSpace from the parts of the system"
+        )
 
 
 def frequency_response(

@@ -87,3 +87,11 @@ def test_improper_and_undated_transfer_functions_are_refused(ask) -> None:
         ask(s)
     with pytest.raises(ArgumentError, match="dt=True"):
         ask(control.tf([1.0], [1.0, 0.5], True))
+
+
+def test_states_whose_response_is_another_are_refused() -> None:
+    # Modes at 1 and 1000 rad/s: python-control's states miss a small entry by more than rounding.
+    slow, fast = [1.0, 2e-3, 1.0], [1.0, 2.0, 1e6]
+    system = control.tf([[[1.0], [1e-4]], [[1e-4], [1.0]]], [[slow, fast], [fast, slow]])
+    with pytest.raises(ArgumentError, match=r"has no realisation of its states to 1e-07 .*; make a control\.StateSp"):
+        analysis.hinf_norm(system)
