@@ -221,6 +221,28 @@ def test_a_slider_that_is_dragged_changes_the_plots_and_one_undo_takes_the_drag_
     until(page, lambda: drawn(page) != before)
 
 
+def test_drags_without_a_pause_are_a_step_of_undo_each(page: Page) -> None:
+    names = ("crossover_hz", "integral_hz", "lead_hz")
+    for name in names:
+        box = page.locator(f'#sliders [data-slider="{name}"] input[type="range"]').bounding_box()
+        assert box is not None
+        middle = box["y"] + box["height"] / 2
+        page.mouse.move(box["x"] + box["width"] / 2, middle)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 0.6 * box["width"], middle, steps=8)
+        page.mouse.up()
+    settled(page)
+    moved = [number(page, name).input_value() for name in names]
+    page.locator("#undo").click()
+    settled(page)
+    assert [number(page, name).input_value() for name in names[:2]] == moved[:2]
+    assert number(page, "lead_hz").input_value() != moved[2]
+    for _ in names[1:]:
+        page.locator("#undo").click()
+        settled(page)
+    assert page.locator("#undo").is_disabled()
+
+
 def test_everything_works_by_keyboard(page: Page) -> None:
     page.keyboard.press("g")
     speed = page.locator('#sliders [data-slider="speed"] input[type="range"]')

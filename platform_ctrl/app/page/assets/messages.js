@@ -33,14 +33,15 @@ export const request = (what, more = {}) => {
 // A gesture is a step of undo: a drag, a series of arrow keys, a typed number.
 export const newGesture = () => { gesture += 1; return gesture; };
 export const move = (slider, value) => {
-  moves.set(slider, { slider, value });
+  moves.delete(slider);
+  moves.set(slider, { slider, value, gesture });
   sendMoves();
 };
+// The oldest first: a move that waited belongs to its own gesture, also once another has begun.
 const sendMoves = () => {
   if (answered < sent || moves.size === 0) return;
-  const every = [...moves.values()];
-  moves.clear();
-  request("move", { moves: every, gesture });
+  const [oldest] = moves.values(), together = [...moves.values()].filter((one) => one.gesture === oldest.gesture);
+  request("move", { moves: together.map(({ slider, value }) => ({ slider, value })), gesture: oldest.gesture });
 };
 
 // Actions on parts of an answer besides its HTML.
