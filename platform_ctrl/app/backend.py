@@ -40,6 +40,7 @@ from platform_ctrl.design.tuning import SHARE, OptionEffects, deciding, largest_
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.requirements import out_of_reach
 from platform_ctrl.verification.budget_result import holds
 from platform_ctrl.verification.controllers import differing_origin
 from platform_ctrl.verification.simulated import limit_results
@@ -192,6 +193,9 @@ class Backend:
         known_name("limit", key, tuple(settings.limits))
         if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 < number <= LARGEST:
             raise ArgumentError(f"{key} must be a positive finite number, got {short(number)}")
+        table, _, name = key.rpartition(".")
+        for _, words in out_of_reach({name: number}) if table.endswith(".limits") else ():
+            raise ArgumentError(f"{table}: {words}")
         return settings.but(limits={**settings.limits, key: float(number)})
 
     def with_fixed(self, settings: Settings, slider: str, fixed: bool) -> Settings:

@@ -18,7 +18,7 @@ from platform_ctrl.job.drive import Drive, DriveLaw, drive_law
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.methods import DesignSpec, LoopKind, kind_misfits
-from platform_ctrl.job.requirements import LoopRequirement, limit_misfits, loop_goals, loop_requirements
+from platform_ctrl.job.requirements import LoopRequirement, limit_misfits, loop_goals, loop_requirements, out_of_reach
 from platform_ctrl.job.scenario import HalfCosine, Scenario
 from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant import fields
@@ -160,6 +160,7 @@ class LoopSpec:
             yield from ((("design", k, key), text) for key, text in kind_misfits(design, kind))
         for key in ("limits", "soft"):
             yield from within((key,), limit_misfits(table.get(key, {})))
+        yield from within(("limits",), out_of_reach(table.get("limits", {})))
         names = [design["name"] for design in designs]
         if table["use"] not in names:
             yield wrong(table, "use", "the name of a design of this loop", f"; {suggestion(table['use'], names)}")

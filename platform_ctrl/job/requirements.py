@@ -377,6 +377,14 @@ def limit_misfits(limits: Mapping[str, float]) -> Iterator[Misfit]:
             yield wrong(limits, lowest, f"below {edge} = {limits[edge]:g}", "; the band begins there")
 
 
+def out_of_reach(limits: Mapping[str, float]) -> Iterator[Misfit]:
+    """Walk the limits of a loop that no loop can meet."""
+    for key, (name, scope) in limit_keys().items():
+        best = METRICS[name].best
+        if key in limits and scope in SCOPES and best is not None and limits[key] > best:
+            yield wrong(limits, key, f"at most {best:g}", "; no loop has more")
+
+
 def loop_requirements(limits: Mapping[str, float], kind: str = "caging") -> tuple[LoopRequirement, ...]:
     """Return the requirements of a loop of a kind; every plant that a limit is about has to be stable."""
     stable = METRICS["stability"].name

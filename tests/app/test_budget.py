@@ -31,6 +31,7 @@ from platform_ctrl.app.session import Session
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.tasks import Connection
 from platform_ctrl.cli import main
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import plain
 from platform_ctrl.verification.budget_result import LineOfSightBudget, holds
 
@@ -274,3 +275,10 @@ def test_a_limit_that_the_linear_budget_cannot_judge_is_left_to_the_runs_of_chec
 def test_the_chip_of_loops_that_are_not_stable_says_so_in_place_of_a_margin(backend: Backend) -> None:
     state = measured(backend, backend.moved(backend.start(), "crossover_hz", 600.0))
     assert '<span class="margin">unstable</span>' in fragments.strip([state], {}, "")
+
+
+def test_a_limit_that_no_loop_can_meet_is_refused(backend: Backend) -> None:
+    key = next(one for one in backend.start().limits if one.endswith(".disk_margin") and ".limits." in one)
+    with pytest.raises(ArgumentError, match=r"disk_margin must be at most 2, got 5; no loop has more"):
+        backend.with_limit(backend.start(), key, 5)
+    assert backend.with_limit(backend.start(), key, 1.5).limits[key] == 1.5
