@@ -56,12 +56,12 @@ def rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 @st.composite
-def motions(draw, controls=("regulated", "free"), max_rotors=4):
+def motions(draw, controls=("regulated", "free"), max_rotors=4, min_size=1e-6):
     """Draw a platform in motion.
 
     Chains to depth 6 and bushes of up to 8 gimbals, listed in any order. Axes: any, a coordinate axis, the parent's,
     its negative, nearly parallel to it, or the one that locks with the grandparent's at the parent's angle, to within
-    1e-9 to 1e-2 rad. Inertias from 1e-6 to 1 kg m² side by side, flat and rod-like bodies among them. Rotors on
+    1e-9 to 1e-2 rad. Inertias from `min_size` to 1 kg m² side by side, flat and rod-like bodies among them. Rotors on
     any body and about any axis, at rest or to 2000 rad/s, regulated or free.
     """
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -104,7 +104,8 @@ def motions(draw, controls=("regulated", "free"), max_rotors=4):
 
     def size() -> float:
         # The ends are the hard cases.
-        return float(10 ** draw(st.sampled_from([0.0, -6.0, rng.uniform(-6.0, 0.0)])))
+        low = np.log10(min_size)
+        return float(10 ** draw(st.sampled_from([0.0, low, rng.uniform(low, 0.0)])))
 
     gimbals = [
         Gimbal(
