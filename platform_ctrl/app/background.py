@@ -331,11 +331,11 @@ class Designing:
         from platform_ctrl.design.jobs import loops
         from platform_ctrl.design.loop import Design
 
-        spec = next(one for one in self.job.loops if one.name == self.loop)
+        spec = self.job.loop(self.loop)
         design = next(one for one in spec.designs if one.name == self.design)
         alone = [dataclasses.replace(spec, designs=(design,), use=design.name)]
         if spec.around is not None:
-            inner = next(one for one in self.job.loops if one.name == spec.around)
+            inner = self.job.loop(spec.around)
             alone.insert(0, dataclasses.replace(inner, designs=(inner.closed,)))
         outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress)
         closed = next(one.closed for one in outcomes if one.spec.name == spec.name)

@@ -120,7 +120,7 @@ class ClosedLoops:
     def design(self, settings: Settings) -> tuple[LoopSpec, DesignSpec]:
         """Return the loop and the design that are selected."""
         known_name("loop", settings.loop, tuple(self._specs))
-        spec = next(one for one in with_limits(self.read, settings.limits).loops if one.name == settings.loop)
+        spec = with_limits(self.read, settings.limits).loop(settings.loop)
         return spec, self._named_design(spec, settings.design)
 
     @staticmethod

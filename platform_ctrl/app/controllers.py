@@ -220,8 +220,6 @@ def existing_designs(path: Path, job: Job) -> list[Design]:
 def loop_names(job: Job, spec: LoopSpec, design: DesignSpec) -> tuple[list[str], list[str]]:
     """Return the names of what a design of a loop reads and sets; a tracking loop sets commands of the loop inside."""
     if spec.around is not None:
-        inner = next(one for one in job.loops if one.name == spec.around)
-        commands = inner.read_by(inner.closed).sensors
-        return list(spec.read_by(design).sensors), [f"{name}{COMMAND}" for name in commands]
+        return list(spec.read_by(design).sensors), list(job.channels_of(spec))
     signals = loop_signals(job.platform, spec.read_by(design))
     return [one.name for one in signals.sensors], [one.name for one in signals.torquers]

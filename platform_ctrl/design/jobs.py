@@ -144,7 +144,7 @@ def _problems(
     """
     directions: Channels | None = None
     if inner is not None:
-        around = next(one for one in job.loops if one.name == spec.around)
+        around = job.loop(str(spec.around))
         assert inner.plants is not None, "a rate loop has plants"
         K = with_commands(inner.plants, inner.controller)
         outside, directions = tracking_plants(job, spec, around, inner.plants, K)

@@ -299,10 +299,14 @@ class Job:
         """
         return self.every(spec) * self.sampling.period
 
+    def loop(self, name: str) -> LoopSpec:
+        """Return a loop of the job by its name."""
+        return next(one for one in self.loops if one.name == name)
+
     def channels_of(self, spec: LoopSpec) -> tuple[str, ...]:
         """Return the names of the torquers that a loop sets; of a tracking loop those of the commands that it sets."""
         if spec.kind == "tracking":
-            inner = next(one for one in self.loops if one.name == spec.around)
+            inner = self.loop(str(spec.around))
             return tuple(f"{name}{COMMAND}" for name in inner.read_by(inner.closed).sensors)
         if not spec.has_plants:
             return self.platform.root_torquers
