@@ -72,18 +72,15 @@ def riccati_solution(equation: Equation, where: str) -> Solution:
     from scipy.linalg import solve_continuous_are, solve_discrete_are
 
     A, B, Q, R, N, discrete = equation
-    solve = solve_discrete_are if discrete else solve_continuous_are
+    solve, boundary = (solve_discrete_are, "unit circle") if discrete else (solve_continuous_are, "imaginary axis")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            X = None if discrete else stabilising(equation)
-            return refined(equation, solve(A, B, Q, R, s=N) if X is None else X, where)
+            return refined(equation, solve(A, B, Q, R, s=N), where)
     except (np.linalg.LinAlgError, ValueError):
-        boundary = "unit circle" if discrete else "imaginary axis"
         raise UnscalableError(
             f"{where} has no stabilising solution: u or y hardly reaches a mode on the {boundary}, or a zero is near "
-            "it; add small weights on the controls to z and small noises on the measurements to w, or give "
-            "regularise=1e-3"
+            "it; add small weights on the controls to z and small noises on the measurements to w"
         ) from None
 
 
@@ -172,8 +169,8 @@ LEAST_GAMMA, LARGEST_GAMMA, FIRST_STEP = 1e-6, 1e8, 0.7
 LARGEST_RATIO = 10.0
 # Negative eigenvalues of X and Y below this share of the largest are rounding.
 NEGATIVE_ROUNDING = 1e-7
-# Free parameters that are tried, and the largest condition of the loop around D22.
-SHARES, LARGEST_LOOP_CONDITION = (0.0, 0.3, -0.3), 1e8
+# Largest condition of the loop around D22.
+LARGEST_LOOP_CONDITION = 1e8
 
 # A plant, whose equation is that of X, and its dual, whose equation is that of Y.
 Sides = tuple[Partition, Partition]
@@ -203,17 +200,13 @@ def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[Syste
         "relative residual of the Riccati equation of X": X.relative,
         "relative residual of the Riccati equation of Y": Y.relative,
     }
-    for share in SHARES:
-        try:
-            made = _central(normal, gamma, X.X, Y.X, share)
-            # The loop around D22, which was left out so far, has to stay well posed.
-            around = np.linalg.cond(np.eye(len(made.D)) + scaled.control @ made.D @ scaled.measurement @ scaled.D22)
-            if around < LARGEST_LOOP_CONDITION:
-                return unscale(made, scaled), least * scaled.gain, residual
-        except np.linalg.LinAlgError:
-            continue
+    made = _central(normal, gamma, X.X, Y.X)
+    # The loop around D22, which was left out so far, has to stay well posed.
+    around = np.linalg.cond(np.eye(len(made.D)) + scaled.control @ made.D @ scaled.measurement @ scaled.D22)
+    if around < LARGEST_LOOP_CONDITION:
+        return unscale(made, scaled), least * scaled.gain, residual
     raise UnscalableError(
-        f"{WHERE}: the controllers at gamma = {gamma * scaled.gain:.6g} are not finite; "
+        f"{WHERE}: the loop of u and y is not well posed with the controller at gamma = {gamma * scaled.gain:.6g}; "
         'give a larger backoff, or method="lmi"',
         P,
     )
@@ -315,8 +308,8 @@ def _least_gamma(sides: Sides, P: StateSpace) -> float:
     return math.exp(brentq(slack, low, high, xtol=ACCURACY, rtol=ACCURACY))
 
 
-def _central(p: Partition, gamma: float, X: FloatArray, Y: FloatArray, share: float) -> System:
-    """Return the controller with the free parameter Q = `share` gamma I of theorem 17.1; |Q| < gamma keeps gamma."""
+def _central(p: Partition, gamma: float, X: FloatArray, Y: FloatArray) -> System:
+    """Return the controller of theorem 17.1, its free parameter zero."""
     nw, nz, nu, ny = p.B1.shape[1], p.C1.shape[0], p.B2.shape[1], p.C2.shape[0]
     w, z = nw - ny, nz - nu
     B, C = np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
@@ -340,9 +333,7 @@ def _central(p: Partition, gamma: float, X: FloatArray, Y: FloatArray, share: fl
     C2 = -D21 @ (p.C2 + F12)
     B1 = -Z @ L2 + B2 @ np.linalg.solve(D12, D11)
     C1 = F2 + D11 @ np.linalg.solve(D21, C2)
-    A = p.A + B @ F + B1 @ np.linalg.solve(D21, C2)
-    Q = share * gamma * np.eye(nu, ny)
-    return System(A=A + B2 @ Q @ C2, B=B1 + B2 @ Q @ D21, C=C1 + D12 @ Q @ C2, D=D11 + D12 @ Q @ D21)
+    return System(A=p.A + B @ F + B1 @ np.linalg.solve(D21, C2), B=B1, C=C1, D=D11)
 
 
 def h2_riccati(plant: Partition, direct: bool, P: StateSpace) -> tuple[System, float, dict[str, float]]:

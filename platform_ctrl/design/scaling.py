@@ -1,15 +1,14 @@
 """Units in which the matrices of a synthesis are near one, the way back, and the checks that need these units.
 
 In SI units a solver gets 1e-4 kg m² beside 1e4 rad/s and fails, with or without an error. Ranks and stabilisability are
-checked in these units too, and what the Riccati routes assume, which can be added where it does not hold: D12 has full
-column rank (every control costs something), D21 full row rank (every measurement is noisy), and no invariant zero of
-w → y or u → z lies on the stability boundary (nothing there is left to itself). No check depends on how fast the
-fastest pole is: poles are found block by block, and a rank is that of rows and columns of unit length.
+checked in these units too, and what the Riccati routes assume: D12 has full column rank (every control costs
+something), D21 full row rank (every measurement is noisy), and no invariant zero of w → y or u → z lies on the
+stability boundary (nothing there is left to itself). No check depends on how fast the fastest pole is: poles are found
+block by block, and a rank is that of rows and columns of unit length.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -43,7 +42,6 @@ ZERO_POLE, ZERO_IN_ALL = 1e-6, 1e-11
 NEAR_BOUNDARY = 1e-7
 # Poles this near, relative to their block, may be copies of a defective one.
 CLUSTER = 1e-3
-REGULARISE = "give regularise=1e-3"
 
 
 @value
@@ -263,20 +261,20 @@ def named(direction: FloatArray, labels: Sequence[str]) -> str:
 
 def require_assumptions(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
     """Raise an IllPosedError where D12 or D21 loses rank or an invariant zero lies on the stability boundary."""
-    cure = f'{REGULARISE}, or method="lmi", which needs none of this' if where.startswith("hinf") else REGULARISE
+    cure = ', or give method="lmi", which needs none of this' if where.startswith("hinf") else ""
     (ny, nu), r, s = scaled.D22.shape, scaled.control_rank, scaled.measurement_rank
     controls = named(np.abs(scaled.control[:, r:]).sum(axis=1), P.input_labels[-nu:])
     measured = named(np.abs(scaled.measurement[s:]).sum(axis=0), P.output_labels[-ny:])
     if r < nu:
         raise IllPosedError(
             f"{where}: D12 must have full column rank {nu}, but has {r}: z does not contain {controls} directly; add a "
-            f"small weight on every control to z, or {cure}",
+            f"small weight on every control to z{cure}",
             P,
         )
     if s < ny:
         raise IllPosedError(
             f"{where}: D21 must have full row rank {ny}, but has {s}: no w disturbs {measured} directly; add a small "
-            f"noise on every measurement to w, or {cure}",
+            f"noise on every measurement to w{cure}",
             P,
         )
     if (found := zero_on_boundary(scaled.plant)) is None:
@@ -288,7 +286,7 @@ def require_assumptions(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
         place = f"the imaginary axis, but {what} at {abs(zero) * scaled.rate:.4g} rad/s" + " (w-plane)" * bool(P.dt)
     raise IllPosedError(
         f"{where}: there must be no zero on {place} in the states {named(states * scaled.state, P.state_labels)}; "
-        f"shift the weight with that pole or zero to the left, or {cure}",
+        f"shift the weight with that pole or zero to the left{cure}",
         P,
     )
 
@@ -315,33 +313,3 @@ def zero_on_boundary(p: Partition) -> tuple[str, complex, FloatArray] | None:
                 if sigma < RANK_LOSS:
                     return what, nearest, where[: len(A)]
     return None
-
-
-def regularised(plant: Partition, size: float) -> tuple[Partition, float]:
-    """Return a plant that fulfils the assumptions of Riccati equations, and by how much its boundary is moved.
-
-    It has rows ε u in z for the controls, and columns ε in w for the measurements, that D12 and D21 left out (ε =
-    `size`, relative to scaled signals). Where a zero lies on the stability boundary then it has s − σ in place of s, σ
-    being ε times the unit of time, rad/s; sampled: z / (1 + ε) in place of z. With s + σ, or z (1 + ε), in its
-    controller every norm from the old w to the old z is at most that of this plant (maximum modulus).
-    """
-    scaled = autoscaled_with_gain(plant)
-    unit = size * np.sqrt(scaled.gain)
-    rows = unit * np.linalg.inv(scaled.control)[scaled.control_rank :]
-    columns = unit * np.linalg.inv(scaled.measurement)[:, scaled.measurement_rank :]
-    n, more_z, more_w = len(plant.A), len(rows), columns.shape[1]
-    changed = dataclasses.replace(
-        plant,
-        B1=np.hstack([plant.B1, np.zeros((n, more_w))]),
-        C1=np.vstack([plant.C1, np.zeros((more_z, n))]),
-        D11=np.pad(plant.D11, ((0, more_z), (0, more_w))),
-        D12=np.vstack([plant.D12, rows]),
-        D21=np.hstack([plant.D21, columns]),
-    )
-    if zero_on_boundary(autoscaled_with_gain(changed).plant) is None:
-        return changed, 0.0
-    if plant.dt:
-        grow = 1.0 + size
-        return dataclasses.replace(changed, A=grow * changed.A, B1=grow * changed.B1, B2=grow * changed.B2), size
-    shift = size * scaled.rate
-    return dataclasses.replace(changed, A=changed.A + shift * np.eye(n)), shift

@@ -13,9 +13,7 @@ of the plant as given.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -23,7 +21,7 @@ import numpy as np
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.system import System
-from platform_ctrl.common.arguments import one_of, positive, within
+from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.values import value
 from platform_ctrl.design.partition import (
     Partition,
@@ -34,7 +32,7 @@ from platform_ctrl.design.partition import (
     out_of_w_plane,
     partition,
 )
-from platform_ctrl.design.scaling import regularised, require_stabilisable
+from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError, UnscalableError
 
 if TYPE_CHECKING:
@@ -48,9 +46,6 @@ TOLERANCE: dict[Norm, float] = {"hinf": 0.01, "h2": 1e-6}
 CURE = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
 # A direct term of a closed loop below this share of what it is the sum of is rounding.
 DIRECT_ROUNDING = 1e-9
-
-# Result of a route: the controller in the units of its plant, the least level, further values by name.
-Found = tuple[System, float, dict[str, float]]
 
 
 @value
@@ -72,7 +67,7 @@ class Synthesis:
         peak, rad/s.
     gamma_optimal
         The least level that the route found, in the same units, from which the controller was backed off; `gamma` where
-        that is less. With `regularise` it is one of the changed plant.
+        that is less.
     backoff
         Relative back-off from the least level.
     level
@@ -119,7 +114,6 @@ def hinf(
     method: HinfMethod | None = None,
     backoff: float = 0.02,
     time_limit: float = 60.0,
-    regularise: float | None = None,
 ) -> Synthesis:
     """Full-order H-infinity output feedback, certified by the actual closed loop.
 
@@ -142,10 +136,6 @@ def hinf(
         Relative distance from the least gamma, positive.
     time_limit
         Longest time that one call of the LMI solver may take, s.
-    regularise
-        Riccati route alone: what to add where an assumption does not hold, relative to scaled signals, for example
-        1e-3 (see `scaling.regularised`). `gamma` is still that of the plant as given, and `residual` says what was
-        added and what a tenth of it would do. None: it is an error.
 
     Returns
     -------
@@ -193,8 +183,6 @@ def hinf(
         one_of("hinf: method", method, ("lmi", "riccati"))
     backoff = positive("hinf: backoff", backoff)
     time_limit = positive("hinf: time_limit", time_limit)
-    if method == "lmi" and regularise is not None:
-        raise ArgumentError('hinf: regularise needs method="riccati", got method="lmi"')
     plant = partition(P, nmeas, ncon, sampled=True)
     require_stabilisable(plant, P, "hinf")
     try:
@@ -215,8 +203,7 @@ def hinf(
             else:
                 from platform_ctrl.design.riccati import hinf_riccati
 
-                solve = partial(hinf_riccati, backoff=backoff, P=P)
-                made, least, residual = or_regularised(solve, flat, regularise, "gamma")
+                made, least, residual = hinf_riccati(flat, backoff, P)
             made = out_of_w_plane(made, plant.dt)
         except np.linalg.LinAlgError as error:
             raise UnscalableError(f"hinf, {route}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
@@ -224,8 +211,8 @@ def hinf(
         found = certify(P, plant, made, least=least, backoff=backoff, method=name, residual=residual)
         return replace(found, reason=reason)
 
-    if method is not None or regularise is not None:
-        return by(method or "riccati")
+    if method is not None:
+        return by(method)
     try:
         return by("riccati", "the assumptions of the Riccati equations hold")
     except (IllPosedError, UnscalableError, NotCertifiedError) as error:
@@ -237,7 +224,7 @@ def hinf(
         raise type(error)(f"{error} (the other route fails, too: {refused})", P) from None
 
 
-def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True, regularise: float | None = None) -> Synthesis:
+def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True) -> Synthesis:
     """Full-order H2 output feedback (LQG in its general form), certified by the actual closed loop.
 
     Parameters
@@ -249,8 +236,6 @@ def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True, regularise:
         Number of measurements y and of controls u: the last outputs and the last inputs.
     direct
         Sampled plants: whether u[k] may use y[k]. False gives the best strictly proper controller.
-    regularise
-        As in `hinf`, relative.
 
     Returns
     -------
@@ -272,34 +257,8 @@ def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True, regularise:
 
     plant = partition(P, nmeas, ncon, sampled=True)
     require_stabilisable(plant, P, "h2")
-    made, least, residual = or_regularised(partial(h2_riccati, direct=direct, P=P), plant, regularise, "norm")
+    made, least, residual = h2_riccati(plant, direct, P)
     return certify(P, plant, made, least=least, backoff=0.0, method=H2, residual=residual, norm="h2")
-
-
-def or_regularised(solve: Callable[[Partition], Found], plant: Partition, size: float | None, what: str) -> Found:
-    """Return the result of `solve`; where it fails, and `size` is given, that of the regularised plant.
-
-    With the residuals it then says what was added, and which least level, called `what`, a tenth of it would give.
-    """
-    if size is not None:
-        within("regularise", size, 1e-9, 0.5)
-    try:
-        return solve(plant)
-    except (IllPosedError, UnscalableError):
-        if size is None:
-            raise
-    changed, moved = regularised(plant, size)
-    made, least, residual = solve(changed)
-    if plant.dt:
-        made = made._replace(A=made.A / (1.0 + moved), B=made.B / (1.0 + moved))
-    else:
-        made = made._replace(A=made.A - moved * np.eye(len(made.A)))
-    added = {
-        "regularisation of controls and measurements": size,
-        "regularisation by a shift of the boundary" + ", rad/s" * (not plant.dt): moved,
-        f"least {what} at a tenth of it": solve(regularised(plant, 0.1 * size)[0])[1],
-    }
-    return made, least, residual | added
 
 
 def certify(

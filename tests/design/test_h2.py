@@ -84,7 +84,7 @@ def test_a_direct_path_is_cancelled_where_a_gain_can_and_named_where_none_can():
 
 
 @pytest.mark.parametrize("missing", ["D12", "D21"])
-def test_singular_problems_are_named_and_solved_by_a_stated_regularisation(missing):
+def test_singular_problems_are_named(missing):
     P = random_plant(10, n=4)
     D = P.D.copy()
     if missing == "D12":
@@ -97,17 +97,9 @@ def test_singular_problems_are_named_and_solved_by_a_stated_regularisation(missi
     name = "Q10" if missing == "D12" else "b"
     with pytest.raises(IllPosedError, match=rf"{missing} must have .* but has 1: .* {name} directly"):
         h2(P, 2, 2)
-    coarse, fine = (h2(P, 2, 2, regularise=size) for size in (1e-2, 1e-3))
-    assert fine.residual["regularisation of controls and measurements"] == 1e-3
-    assert fine.residual["least norm at a tenth of it"] < fine.level
-    # The norm of the plant as given lies below that of the plant with something added, and above the infimum.
-    for result in (coarse, fine):
-        assert result.gamma_optimal <= result.gamma <= result.level * (1 + 1e-6)
-    assert fine.gamma < coarse.gamma
-    assert fine.gamma_optimal == pytest.approx(fine.gamma, rel=0.05)
 
 
-def test_a_zero_on_the_axis_is_named_and_shifted_by_regularisation():
+def test_a_zero_on_the_axis_is_named():
     # z does not see the integrator.
     D = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
     P = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], D)
@@ -115,7 +107,3 @@ def test_a_zero_on_the_axis_is_named_and_shifted_by_regularisation():
         IllPosedError, match=r"\[A − jωI, B2; C1, D12\] loses column rank at 0 rad/s in the states x\[0\]"
     ):
         h2(P, 1, 1)
-    result = h2(P, 1, 1, regularise=1e-2)
-    assert result.spectral_abscissa < 0
-    assert result.residual["regularisation by a shift of the boundary, rad/s"] > 0
-    assert result.gamma <= result.level

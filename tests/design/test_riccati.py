@@ -68,7 +68,7 @@ def test_published_solutions_are_found(name: str) -> None:
 
 def test_a_mode_on_the_boundary_that_costs_nothing_is_refused() -> None:
     A, B, Q = np.diag([1.0, 0.5]), np.ones((2, 1)), np.diag([0.0, 1.0])
-    with pytest.raises(UnscalableError, match=r"it has no stabilising solution: .* on the unit circle, .*regularise"):
+    with pytest.raises(UnscalableError, match=r"it has no stabilising solution: .* on the unit circle"):
         riccati_solution(Equation(A, B, Q, np.eye(1), np.zeros((2, 1)), True), "it")
     # The H-infinity bisection asks for these.
     assert stabilising(Equation(A - np.eye(2), B, Q, np.eye(1), np.zeros((2, 1)), False)) is None

@@ -46,7 +46,7 @@ _FITTED = 2
 _LMI_STATES = 20
 # Back-offs of the controllers that starts are fitted to: near the least norm they have needlessly fast poles, and far
 # from it they are simple. What is added to the plant where the Riccati equations' assumptions do not hold.
-_BACKOFFS, _REGULARISED = (0.1, 0.5, 2.0), 1e-2
+_BACKOFFS = (0.1, 0.5, 2.0)
 # What the recomputed norm may exceed that of the search by, relative.
 _AGREEMENT = 1e-3
 # Frequencies of a fit, and how far beyond the poles they reach.
@@ -237,23 +237,22 @@ class StructuredDesign:
 def full_order(plant: Partition) -> tuple[float, list[System]]:
     """Return the least norm of a continuous plant, 0 where none is found, and controllers of several back-offs.
 
-    By matrix inequalities where the Riccati equations have no solution; of the regularised plant where those find
-    none either.
+    By matrix inequalities where the Riccati equations have no solution.
     """
     import control
 
     A, B, C, D, _ = whole(plant)
     P = control.StateSpace(A, B, C, D, remove_useless_states=False)
     nmeas, ncon = plant.C2.shape[0], plant.B2.shape[1]
-    least, controllers, regularise = 0.0, [], None
+    least, controllers = 0.0, list[System]()
     try:
         found = hinf(P, nmeas, ncon, method=None if len(plant.A) <= _LMI_STATES else "riccati", backoff=_BACKOFFS[0])
         least, controllers = found.gamma_optimal, [System.of(found.controller, "structured")]
     except DesignError:
-        regularise = _REGULARISED
+        return least, controllers
     for backoff in _BACKOFFS[1:]:
         with contextlib.suppress(DesignError):
-            found = hinf(P, nmeas, ncon, method="riccati", backoff=backoff, regularise=regularise)
+            found = hinf(P, nmeas, ncon, method="riccati", backoff=backoff)
             controllers.append(System.of(found.controller, "structured"))
     return least, controllers
 
