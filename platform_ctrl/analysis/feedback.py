@@ -22,53 +22,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.response import NamedSystem, frequency_response, linear_arrays
-from platform_ctrl.analysis.system import (
-    ComplexArray,
-    System,
-    frequencies,
-    seen_states,
-)
+from platform_ctrl.analysis.system import ComplexArray, System, seen_states
 from platform_ctrl.common.arguments import one_of
-from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
     import control
 
 At = Literal["input", "output"]
-
-
-@value
-class Gang:
-    """The responses of a closed loop, each complex (rows, columns, N).
-
-    Attributes
-    ----------
-    frequency : (N,)
-        Where the responses are given, rad/s.
-    S_input, T_input : (m, m, N)
-        Sensitivity and complementary sensitivity at the plant's input, dimensionless: S + T = I.
-    S_output, T_output : (p, p, N)
-        The same at the plant's output, dimensionless.
-    angle_per_torque : (p, m, N)
-        From torque disturbance d to angle y, P S_input, rad/(N m) or the plant's units.
-    torque_per_noise : (m, p, N)
-        From pick-off noise n to torque u, K S_output, N m/rad or the controller's units.
-    """
-
-    frequency: FloatArray
-    S_input: ComplexArray
-    T_input: ComplexArray
-    S_output: ComplexArray
-    T_output: ComplexArray
-    angle_per_torque: ComplexArray
-    torque_per_noise: ComplexArray
-
-    @property
-    def channels(self) -> ComplexArray:
-        """L at each of the plant's inputs with all others closed, 1/S_ii − 1, (m, N), dimensionless; −1 is critical."""
-        with np.errstate(all="ignore"):
-            return np.asarray(1.0 / np.diagonal(self.S_input).T - 1.0)
 
 
 def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input") -> control.StateSpace:
@@ -140,43 +101,14 @@ def _states(plant: NamedSystem, P: System, controller: NamedSystem, K: System) -
     return list(own), [f"controller_{name}" for name in its]
 
 
-def gang(plant: NamedSystem, controller: NamedSystem, frequency: ArrayLike) -> Gang:
-    """Return the sensitivities at the plant's input and output, and P S and K S.
+def channel_transfers(plant: NamedSystem, controller: NamedSystem, frequency: ArrayLike) -> ComplexArray:
+    """Return L at each of the plant's inputs with all others closed, 1/S_ii − 1, complex (m, N); −1 is critical.
 
-    They are computed from the closed loop's own equations, not from P and K: integrators do no harm at DC.
-
-    Parameters
-    ----------
-    plant, controller
-        Joined as u = K y (see `loop_transfer`).
-    frequency : (N,)
-        rad/s, >= 0.
-
-    Returns
-    -------
-    Gang
-        Six responses over the same frequencies.
-
-    Raises
-    ------
-    ArgumentError
-        As in `closed_loop`, and if `frequency` is not a vector of finite numbers >= 0.
+    From the closed loop's own equations, not from P and K: integrators do no harm at DC.
     """
-    P, K, torques, angles = _matched(plant, controller, "gang")
-    w = frequencies(frequency, "gang")
-    P = P.part(angles, torques)
-    m = len(torques)
-    H = frequency_response(P.feedback(K), w)
-    T_input, T_output = -H[:m, :m], -H[m:, m:]
-    return Gang(
-        frequency=w,
-        S_input=np.eye(m)[:, :, None] - T_input,
-        T_input=T_input,
-        S_output=np.eye(len(angles))[:, :, None] - T_output,
-        T_output=T_output,
-        angle_per_torque=H[m:, :m],
-        torque_per_noise=H[:m, m:],
-    )
+    S = frequency_response(closed_loop_with_sensitivity(plant, controller, "input"), frequency)
+    with np.errstate(all="ignore"):
+        return np.asarray(1.0 / np.diagonal(S).T - 1.0)
 
 
 def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at: At) -> System:

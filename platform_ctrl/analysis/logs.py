@@ -1,4 +1,4 @@
-"""Recorded logs: read from CSV or Parquet, put on a uniform clock, and turned into power spectral densities.
+"""Recorded logs: read from CSV, put on a uniform clock, and turned into power spectral densities.
 
 Names of columns may state their units by their ends: ``time_us``, ``gyro_z_dps``, ``rate (deg/s)``.
 """
@@ -130,30 +130,28 @@ class LogDensity:
 
 
 def read_log(path: Path, columns: Sequence[str], time: str = "time") -> Log:
-    """Return columns of a CSV or Parquet file, each checked; `InputError` says which line is wrong and what to do.
+    """Return columns of a CSV file, each checked; `InputError` says which line is wrong and what to do.
 
     The time is in s unless the name of its column states another unit: `time_us`, `t_ms`. Where there is no column
     `time`, that is the one column of this name with a unit.
     """
     label = one_line(str(path))
     wanted = list(dict.fromkeys([time, *columns]))
-    parquet = path.suffix.lower() in (".parquet", ".pq")
-    values, lines = (_parquet if parquet else _csv)(path, label, wanted)
+    values, lines = _csv(path, label, wanted)
     time = wanted[0]
-    row = "row" if parquet else "line"
     if len(values) < LEAST_SAMPLES:
         raise InputError(f"{label}: has {len(values)} samples; at least {LEAST_SAMPLES} are needed")
     for k, j in np.argwhere(~(np.abs(values) <= LARGEST))[:1]:
-        words = f"{row} {lines[k]}: {wanted[j]} is {values[k, j]:.6g}"
+        words = f"line {lines[k]}: {wanted[j]} is {values[k, j]:.6g}"
         raise InputError(f"{label}: {words}; leave such lines out, which makes a gap of them")
     t = values[:, 0]
     for k in np.flatnonzero(np.diff(t) <= 0.0)[:1]:
         if t[k + 1] == t[k]:
-            words = f"{time} = {t[k]:.12g} stands in {row} {lines[k]} already; leave one of the two out"
+            words = f"{time} = {t[k]:.12g} stands in line {lines[k]} already; leave one of the two out"
         else:
-            words = f"{time} = {t[k + 1]:.12g} is before the {t[k]:.12g} of {row} {lines[k]}"
+            words = f"{time} = {t[k + 1]:.12g} is before the {t[k]:.12g} of line {lines[k]}"
             words += "; sort the lines by time, or cut the log where its clock was set"
-        raise InputError(f"{label}: {row} {lines[k + 1]}: {words}")
+        raise InputError(f"{label}: line {lines[k + 1]}: {words}")
     unit = column_unit(time)[1]
     unit = unit if unit is not None and unit.quantity == "time" else None
     if words := _doubtful_clock(time, unit, t):
@@ -211,33 +209,6 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return "_" not in cell
-
-
-def _parquet(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Sequence[int]]:
-    """Return the wanted columns and the number of each row, from 1."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        words = "is Parquet and pyarrow is not installed: pip install 'platform_ctrl[campaign]', or give a CSV file"
-        raise InputError(f"{label}: {words}") from None
-    try:
-        file = pyarrow.parquet.ParquetFile(path)
-        wanted[0] = _clock(file.schema_arrow.names, wanted[0])
-        for name in wanted:
-            _place(label, file.schema_arrow.names, name)
-        table = file.read(columns=wanted)
-    except FileNotFoundError:
-        raise InputError(f"{label}: there is no such file") from None
-    except (OSError, pyarrow.ArrowException) as error:
-        raise InputError(f"{label}: is not Parquet that can be read: {one_line(str(error))}") from None
-    for name in wanted:
-        kind = table.schema.field(name).type
-        if not (pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind)):
-            words = "s, not dates" if name == wanted[0] else "numbers"
-            raise InputError(f"{label}: the column {given(name)} must hold {words}, got the type {kind}")
-    columns = [table[name].to_numpy().astype(np.float64) for name in wanted]  # what is null becomes NaN
-    return np.stack(columns, axis=1), range(1, table.num_rows + 1)
 
 
 def _clock(header: list[str], time: str) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from numbers import Real
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,15 +17,12 @@ from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu import SLACK, MuPeak
 from platform_ctrl.analysis.norms import hinf_norm, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, poles, search_grid, spectral_abscissa
-from platform_ctrl.analysis.response import LinearSystem, NamedSystem, linear_arrays
+from platform_ctrl.analysis.response import NamedSystem, StateSystem, linear_arrays
 from platform_ctrl.analysis.singular_values import boundary_poles, largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System, frequencies
 from platform_ctrl.common.arguments import number, positive, real_numbers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-
-if TYPE_CHECKING:
-    import control
 
 
 @value
@@ -44,8 +40,7 @@ class DiskMargin:
     frequency
         Where the margin is reached, rad/s.
     proved
-        Whether `lower` holds between all frequencies, to 0.01 %: constant scalings cover the whole axis. Never for
-        data at given frequencies.
+        Whether `lower` holds between all frequencies, to 0.01 %: constant scalings cover the whole axis.
     skew
         Of the disk, dimensionless. 0: gain may rise and fall alike; > 0: mostly rise; < 0: mostly fall.
     reason
@@ -122,7 +117,7 @@ class LoopMargins:
 
 
 def disk_margin(
-    loop_transfer: LinearSystem,
+    loop_transfer: StateSystem,
     skew: float = 0.0,
     frequency: ArrayLike | None = None,
 ) -> DiskMargin:
@@ -135,14 +130,12 @@ def disk_margin(
     ----------
     loop_transfer
         L with negative feedback, square, continuous or discrete: S = (I + L)^-1 (see `loop_transfer`), as
-        `control.StateSpace` or `TransferFunction`. Measured data
-        (`control.FrequencyResponseData`) give the smallest margin among their frequencies, provided that the closed
-        loop is stable: that, data cannot tell.
+        `control.StateSpace` or `TransferFunction`.
     skew
         Skew of the disk, dimensionless: 0 for gain that rises and falls alike.
     frequency : (N,), optional
         Frequencies of the result's arrays, rad/s; default a grid that follows the closed loop's poles. The margin
-        does not depend on it. Data have their own.
+        does not depend on it.
 
     Returns
     -------
@@ -172,8 +165,6 @@ def disk_margin(
     """
     if not isinstance(skew, Real) or not math.isfinite(skew):
         raise ArgumentError(f"disk_margin: skew must be a finite number, got {skew!r}")
-    if hasattr(loop_transfer, "frdata"):
-        return _margin_of_data(loop_transfer, skew, frequency)
     L = linear_arrays(loop_transfer, "disk_margin")
     m = L.D.shape[0]
     if L.D.shape != (m, m) or m == 0:
@@ -203,76 +194,21 @@ def disk_margin(
         proved = peak.prove()
     if not np.all(np.isfinite(peak.M)):
         return no_margin(skew, grid[shown], s, disk)
-    return _margin(
-        peak,
-        norm,
-        skew=float(skew),
-        proved=proved,
-        frequencies=grid[shown],
-        mu=(mu[0][shown], mu[1][shown]),
-    )
-
-
-def _margin(
-    peak: MuPeak,
-    norm: float,
-    *,
-    skew: float,
-    proved: bool,
-    frequencies: FloatArray,
-    mu: tuple[FloatArray, FloatArray],
-) -> DiskMargin:
-    """Return the margin of a stable loop from the peak of mu and the bounds of mu at `frequencies`."""
-    delta = peak.reached()
-    lower = _inverse(peak.mu)
+    delta, lower = peak.reached(), _inverse(peak.mu)
     with np.errstate(divide="ignore"):
-        lower_response, upper_response = 1.0 / mu[0], 1.0 / mu[1]
+        lower_response, upper_response = 1.0 / mu[0][shown], 1.0 / mu[1][shown]
     return DiskMargin(
         lower=lower,
         upper=max(lower, float(np.abs(delta).max())),
         unstructured=min(_inverse(norm), lower),
         frequency=peak.frequency,
         proved=proved,
-        skew=skew,
+        skew=float(skew),
         reason="",
         perturbation=disk_factors(delta, skew),
-        frequencies=frequencies,
+        frequencies=grid[shown],
         lower_response=lower_response,
         upper_response=np.maximum(lower_response, upper_response),
-    )
-
-
-def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency: ArrayLike | None) -> DiskMargin:
-    """Return the smallest margin among the frequencies of measured data."""
-    if frequency is not None:
-        raise ArgumentError("disk_margin: frequency is given, but data have frequencies of their own; leave it out")
-    L = np.moveaxis(np.asarray(data.frdata, dtype=np.complex128), -1, 0)
-    grid = np.asarray(data.omega, dtype=np.float64)
-    N, p, m = L.shape
-    if p != m or N == 0 or not np.all(np.isfinite(L)):
-        raise ArgumentError(
-            f"disk_margin: the data must be finite square matrices, got {p} outputs, {m} inputs and {N} frequencies"
-        )
-    order = np.argsort(grid, kind="stable")
-    grid, L = grid[order], L[order]
-    eye = np.eye(m)
-    try:
-        response: ComplexArray = np.linalg.inv(eye + L).astype(np.complex128) + 0.5 * (skew - 1.0) * eye
-    except np.linalg.LinAlgError:
-        raise ArgumentError(
-            "disk_margin: I + L is singular at a frequency of the data: the closed loop has a pole there, and no margin"
-        ) from None
-    dt = float(data.dt) if data.dt else 0.0
-    peak = MuPeak(System(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.zeros((m, m)), dt))
-    gains = largest_singular_values(response)
-    mu = peak.search(grid, response, between=False)
-    return _margin(
-        peak,
-        float(gains.max()),
-        skew=float(skew),
-        proved=False,
-        frequencies=grid,
-        mu=mu,
     )
 
 

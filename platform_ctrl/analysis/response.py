@@ -25,10 +25,9 @@ from platform_ctrl.errors import ArgumentError
 if TYPE_CHECKING:
     import control
 
-# Systems with named signals, with states, and with at least values.
+# Systems with named signals, and with states.
 NamedSystem: TypeAlias = "control.StateSpace | control.TransferFunction"
 StateSystem: TypeAlias = "control.StateSpace | control.TransferFunction | System"
-LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData | System"
 
 # Largest error of a realisation next to the poles' own frequencies, relative to the entry or a thousandth of its peak.
 _REALISED = 1e-7

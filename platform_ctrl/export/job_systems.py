@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis import frequency_response
-from platform_ctrl.analysis.feedback import gang
+from platform_ctrl.analysis.feedback import channel_transfers
 from platform_ctrl.analysis.poles import continuous_poles, following_grid, poles
 from platform_ctrl.common.arguments import one_of, short
 from platform_ctrl.common.files import write_whole
@@ -131,7 +131,7 @@ def _broken(
     name: str, plant: control.StateSpace, K: control.StateSpace, frequency: FloatArray, what: str
 ) -> Iterator[ResponseTable]:
     """Go through the torquers: L = 1/S - 1 at each, -K P where it is the only one."""
-    for L, torquer in zip(gang(plant, K, frequency).channels, K.output_labels, strict=True):
+    for L, torquer in zip(channel_transfers(plant, K, frequency), K.output_labels, strict=True):
         response = import_module("control").FRD(
             L[None, None], frequency, K.dt, inputs=[torquer], outputs=[f"L({torquer})"]
         )

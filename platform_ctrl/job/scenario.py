@@ -119,7 +119,7 @@ class TimeTable:
         Parameters
         ----------
         path
-            Of a CSV file with a header, or a Parquet file.
+            Of a CSV file with a header.
         columns
             Names of the three columns; None: zero.
         time

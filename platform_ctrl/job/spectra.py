@@ -263,7 +263,7 @@ class LogSpectrum(SourceSpectrum):
     Attributes
     ----------
     log
-        Path of a CSV or Parquet file, relative to the job file.
+        Path of a CSV file, relative to the job file.
     column, time
         Names of the columns with the signal, units, and with the time, s.
     estimate

@@ -10,7 +10,7 @@ import control
 import numpy as np
 
 from platform_ctrl.analysis.curves import Curve, Curves, Level, loop_phase, refined_loop
-from platform_ctrl.analysis.feedback import gang
+from platform_ctrl.analysis.feedback import channel_transfers
 from platform_ctrl.analysis.loop import ANGLE_PER_OMEGA, FOLLOWING, S_OUTPUT, Loop
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
 from platform_ctrl.analysis.metrics import METRICS
@@ -227,7 +227,7 @@ def broken_loops(design: Design, k: int) -> tuple[FloatArray, ComplexArray]:
     ]
     poles = np.concatenate([closed_loop_poles(plants, one)[0] for one in (K, *open_there)])
     P = sampled_plant(plants)
-    return refined_loop(_grid(plants, poles), lambda w: gang(P, K, w).channels)
+    return refined_loop(_grid(plants, poles), lambda w: channel_transfers(P, K, w))
 
 
 def same_curve(kind: str, spec: LoopSpec) -> list[str]:

@@ -8,7 +8,7 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl import PlatformCtrlError, analysis, linearise, read_platform, state_space
+from platform_ctrl import analysis, linearise, read_platform, state_space
 from random_loops import stable_loop
 
 
@@ -90,22 +90,6 @@ def test_an_unstable_loop_says_why_it_has_no_margin() -> None:
     assert (found.alpha, found.upper) == (0.0, 0.0)
     assert "pole at s = 0.5" in found.reason
     assert analysis.disk_margin(control.ss([[-1.0]], [[1.0]], [[0.5]], 0)).reason == ""
-
-
-@pytest.mark.parametrize("dt", [0.0, 0.1])
-def test_data_have_the_margins_of_the_loop_at_their_frequencies(dt: float) -> None:
-    L = stable_loop(8, 3, 7, dt)
-    w = np.geomspace(0.05, 20.0, 80)
-    data = control.FrequencyResponseData(analysis.frequency_response(L, w), w, dt=dt)
-    from_data, from_model = analysis.disk_margin(data), analysis.disk_margin(L, frequency=w)
-    assert from_data.alpha >= from_model.lower_response.min() * (1.0 - 3e-6)
-    assert from_data.alpha >= from_model.alpha * (1.0 - 3e-6)
-    assert not from_data.proved
-    assert from_model.proved
-    with pytest.raises(PlatformCtrlError, match="frequencies of their own"):
-        analysis.disk_margin(data, frequency=w)
-    with pytest.raises(PlatformCtrlError, match="square"):
-        analysis.disk_margin(control.FrequencyResponseData(np.ones((2, 3, 4)), np.arange(1.0, 5.0)))
 
 
 def test_a_margin_narrower_than_any_grid_is_found_whatever_frequencies_are_asked_for() -> None:

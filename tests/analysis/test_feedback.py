@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.feedback import gang, sensitivities_of_plants
 from platform_ctrl.analysis.poles import (
     continuous_poles,
     damping_ratio,
@@ -40,36 +39,21 @@ def stacked(response: np.ndarray) -> np.ndarray:
 
 @given(seeds, st.sampled_from([0.0, 0.1]))
 @settings(max_examples=20, deadline=None)
-def test_the_gang_obeys_its_identities(seed: int, dt: float) -> None:
+def test_the_closed_loop_obeys_the_identities_of_its_sensitivities(seed: int, dt: float) -> None:
     plant, controller = pair(seed, dt)
-    g = gang(plant, controller, W)
-    P = stacked(analysis.frequency_response(plant, W))
-    K = stacked(analysis.frequency_response(controller, W))
-    for S, T, L, m in ((g.S_input, g.T_input, -K @ P, 3), (g.S_output, g.T_output, -P @ K, 2)):
-        size = 1e-9 * max(1.0, np.abs(S).max(), np.abs(T).max())
-        np.testing.assert_allclose(stacked(S) + stacked(T), np.broadcast_to(np.eye(m), L.shape), atol=size)
-        np.testing.assert_allclose(stacked(S) @ (np.eye(m) + L), np.broadcast_to(np.eye(m), L.shape), atol=100 * size)
-        np.testing.assert_allclose(stacked(S) @ L, stacked(T), atol=100 * size)
-    size = 1e-8 * max(1.0, np.abs(g.angle_per_torque).max(), np.abs(g.torque_per_noise).max())
-    np.testing.assert_allclose(P @ stacked(g.S_input), stacked(g.angle_per_torque), atol=size)
-    np.testing.assert_allclose(K @ stacked(g.S_output), stacked(g.torque_per_noise), atol=size)
-
-
-@given(seeds, st.sampled_from([0.0, 0.1]))
-@settings(max_examples=15, deadline=None)
-def test_closed_loop_agrees_with_gang_and_with_the_loop_transfer(seed: int, dt: float) -> None:
-    plant, controller = pair(seed, dt)
-    g = gang(plant, controller, W)
-    H = analysis.frequency_response(analysis.closed_loop(plant, controller), W)
-    size = 1e-9 * max(1.0, np.abs(H).max())
-    np.testing.assert_allclose(H[:3, :3], -g.T_input, atol=size)
-    np.testing.assert_allclose(H[3:, :3], g.angle_per_torque, atol=size)
-    np.testing.assert_allclose(H[:3, 3:], g.torque_per_noise, atol=size)
-    np.testing.assert_allclose(H[3:, 3:], -g.T_output, atol=size)
-    for at, S in (("input", g.S_input), ("output", g.S_output)):
+    P, K, H = (
+        stacked(analysis.frequency_response(system, W))
+        for system in (plant, controller, analysis.closed_loop(plant, controller))
+    )
+    T_input, T_output, size = -H[:, :3, :3], -H[:, 3:, 3:], 1e-7 * max(1.0, np.abs(H).max() ** 2)
+    for at, T, PK in (("input", T_input, K @ P), ("output", T_output, P @ K)):
         L = stacked(analysis.frequency_response(analysis.loop_transfer(plant, controller, at=at), W))
-        _, from_L = sensitivities_of_plants(-L, np.broadcast_to(np.eye(L.shape[-1]), L.shape))
-        np.testing.assert_allclose(from_L, stacked(S), atol=1e-7 * max(1.0, np.abs(S).max() ** 2))
+        eye = np.eye(T.shape[-1])
+        np.testing.assert_allclose(L, -PK, atol=1e-9 * np.abs(PK).max())
+        np.testing.assert_allclose((eye - T) @ (eye + L), np.broadcast_to(eye, L.shape), atol=size)
+        np.testing.assert_allclose((eye - T) @ L, T, atol=size)
+    np.testing.assert_allclose(P @ (np.eye(3) - T_input), H[:, 3:, :3], atol=size)
+    np.testing.assert_allclose(K @ (np.eye(2) - T_output), H[:, :3, 3:], atol=size)
 
 
 def test_the_convention_is_torque_equals_k_times_pick_off() -> None:

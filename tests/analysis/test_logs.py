@@ -149,19 +149,6 @@ def test_a_piece_that_is_too_short_for_the_resolution_is_refused() -> None:
         log_density(time, np.full(100, 3.0), 2.0)
 
 
-def test_csv_and_parquet_hold_the_same(tmp_path: Path) -> None:
-    pyarrow = pytest.importorskip("pyarrow")
-    parquet = pytest.importorskip("pyarrow.parquet")
-    csv = read_log(FILE, ["gyro_z"])
-    table = pyarrow.table({"note": ["x"] * len(csv.time), "gyro_z": csv.signals["gyro_z"], "time": csv.time})
-    parquet.write_table(table, tmp_path / "log.parquet")
-    other = read_log(tmp_path / "log.parquet", ["gyro_z"])
-    np.testing.assert_array_equal(other.time, csv.time)
-    np.testing.assert_array_equal(other.signals["gyro_z"], csv.signals["gyro_z"])
-    with pytest.raises(InputError, match="must hold numbers, got the type string"):
-        read_log(tmp_path / "log.parquet", ["note"])
-
-
 @pytest.mark.parametrize(
     ("line", "says"),
     [

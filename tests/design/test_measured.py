@@ -9,7 +9,6 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import analysis
-from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.design import measured_pid as searching
 from platform_ctrl.design.convex_step import actions, controller_response, realisation
 from platform_ctrl.design.measured_pid import candidates, measured_pid
@@ -208,7 +207,7 @@ def test_the_design_is_stable_on_the_true_plant_and_keeps_its_limits_within_the_
     assert damping.ratio.min() > 0.04
     margins = [analysis.loop_transfer(plant, controller, at) for at in ("input", "output")]
     assert min(analysis.disk_margin(margin).unstructured for margin in margins) > 0.5 * 0.95
-    noise = np.moveaxis(gang(plant, controller, measured.omega).torque_per_noise, -1, 0)
+    noise = np.moveaxis(analysis.frequency_response(loop, measured.omega)[:2, 2:], -1, 0)
     assert np.linalg.norm(noise, 2, axis=(1, 2)).max() < 400.0 * 1.05
 
 
@@ -232,7 +231,7 @@ def test_every_limit_is_kept_at_every_measured_frequency(measured, design, contr
 def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant, design, controller):
     """‖P S‖ → ω ‖Ki⁻¹‖: what is maximised is the rejection of slow disturbances."""
     w = np.array([1e-3])
-    slow = gang(plant, controller, w).angle_per_torque[:, :, 0]
+    slow = analysis.frequency_response(analysis.closed_loop(plant, controller), w)[2:, :2, 0]
     assert np.linalg.norm(slow, 2) / w[0] == pytest.approx(1.0 / design.objective, rel=1e-3)
 
 

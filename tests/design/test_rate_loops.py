@@ -6,7 +6,6 @@ import pytest
 import platform_ctrl as pc
 from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop, camera_plant
 from platform_ctrl import analysis, design
-from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.job.requirements import requirement
@@ -197,7 +196,7 @@ def test_a_tracking_loop_is_an_integrator_behind_the_rate_loop_and_the_tracker(t
     _, (tracking, rate), _ = tracked
     w = 2.0 * np.pi * np.array([0.5, 2.0])
     L = analysis.frequency_response(analysis.loop_transfer(tracking.closed.plant, tracking.closed.controller), w)
-    T = gang(rate.closed.plant, rate.closed.own_controller, w).T_output
+    T = -analysis.frequency_response(analysis.closed_loop(rate.closed.plant, rate.closed.own_controller), w)[2:, -2:]
     s = 1j * w
     for k in range(2):
         expected = 4.0 * np.pi / s * (1.0 + 0.6 * np.pi / s) * np.exp(-0.01 * s) * T[k, k]

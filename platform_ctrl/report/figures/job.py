@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.curves import Curve, Curves, Level, loop_phase, upper_half_plane
-from platform_ctrl.analysis.feedback import gang
+from platform_ctrl.analysis.feedback import channel_transfers
 from platform_ctrl.analysis.poles import continuous_poles, following_grid
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import sampled
@@ -235,7 +235,7 @@ def servo(result: JobResult) -> list[list[Curves]] | None:
     if not chosen or not check.stable or check.controller is None:
         return None
     w = coupled_grid(result)
-    loops = gang(check.plant, check.controller, w).channels
+    loops = channel_transfers(check.plant, check.controller, w)
     series = signal_series(result.job.platform)
     looks = {k: {"name": check.channels[k], "series": series[check.channels[k]]} for k in chosen}
     size, phase = (

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.curves import refined
 from platform_ctrl.analysis.poles import around_resonances, continuous_poles, poles
-from platform_ctrl.analysis.response import LinearSystem, frequency_response, linear_arrays
+from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.system import ComplexArray, System, frequencies
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
@@ -25,6 +25,7 @@ from platform_ctrl.errors import ArgumentError
 if TYPE_CHECKING:
     import control
 
+LinearSystem: TypeAlias = "StateSystem | control.FrequencyResponseData"
 Systems: TypeAlias = "LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem]"
 
 # What python-control calls a system that nobody named, and what it adds to a name when it converts a system.
