@@ -29,12 +29,12 @@ import numpy as np
 
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.design.cases import rows_of
+from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.hinf import hinf_options, weighted_plant
-from platform_ctrl.design.partition import Partition, channels, partition
+from platform_ctrl.design.partition import Partition, autoscale, partition
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.design.riccati import hinf_riccati
-from platform_ctrl.design.scaling import autoscale
 from platform_ctrl.design.synthesis import Synthesis, h2, hinf
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.mechanics.linearisation import linearise

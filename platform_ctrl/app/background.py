@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from platform_ctrl.analysis.plant_set import PlantSet
     from platform_ctrl.design.loop import Design
-    from platform_ctrl.design.partition import Channels
+    from platform_ctrl.design.loop_signals import Channels
     from platform_ctrl.mechanics.linearisation import LinearModel
     from platform_ctrl.simulation.closed_loop import Trajectory
 

@@ -31,9 +31,9 @@ from platform_ctrl.app.stabilised import StabilisedCurves, StabilisedLoop
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Design
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, designed, shaped
 from platform_ctrl.design.methods import METHODS
-from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec

@@ -15,12 +15,11 @@ from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings, stated_limits
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.loop import Design
-from platform_ctrl.design.loop_signals import loop_signals
+from platform_ctrl.design.loop_signals import Channels, loop_signals
 from platform_ctrl.design.method import LoopProblem, designed
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
 from platform_ctrl.design.methods.pi import rate_controller, rate_options
-from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec

@@ -19,8 +19,7 @@ from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.loop_signals import loop_channels, loop_signals
-from platform_ctrl.design.partition import Channels
+from platform_ctrl.design.loop_signals import Channels, loop_channels, loop_signals
 from platform_ctrl.design.plants import commanded_channels, job_signals, tracking_plants, tracking_reference
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec

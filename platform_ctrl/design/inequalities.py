@@ -49,8 +49,7 @@ import numpy as np
 
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Partition, closed_loop
-from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, weakest_mode
+from platform_ctrl.design.partition import Partition, ScaledPlant, autoscale, closed_loop, unscale, weakest_mode
 from platform_ctrl.errors import DesignError, InfeasibleError, TimeLimitError, UnscalableError
 
 if TYPE_CHECKING:

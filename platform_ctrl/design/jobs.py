@@ -24,9 +24,9 @@ from platform_ctrl.design.loop import (
     with_commands,
     with_largest_rates,
 )
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, evaluated, instability
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import DesignError, began_with_interrupt
 from platform_ctrl.job.job import Job, LoopSpec

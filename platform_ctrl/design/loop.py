@@ -15,8 +15,8 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import value
-from platform_ctrl.design.partition import Channels, gain
-from platform_ctrl.design.sections import Section
+from platform_ctrl.design.loop_signals import Channels
+from platform_ctrl.design.sections import Section, gain
 from platform_ctrl.errors import reason
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import CheckResult

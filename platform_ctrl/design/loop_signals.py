@@ -10,7 +10,6 @@ import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import at_angles, rows_of
-from platform_ctrl.design.partition import Channels, channels
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
@@ -28,6 +27,8 @@ _SEEN = 1e-6
 _ABOVE_SPRINGS = 3.0
 # Share of the largest gain from torques to the line of sight from which on an output counts as moved.
 _MOVES = 1e-6
+# A pair whose h is this small against the largest is not gyroscopic.
+_NO_GYRO = 1e-9
 
 
 @value
@@ -87,6 +88,76 @@ def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:
     gain = np.abs(system.C @ system.B[:, [system.input_labels.index(t.name) for t in signals.torquers]]).max(axis=1)
     largest = gain.max(initial=0.0)
     return tuple(name for name, one in zip(LOS_RATES, gain, strict=False) if one > _MOVES * largest > 0.0)
+
+
+@value
+class Channels:
+    """Gyroscopic pairs and inertial directions of some gimbals."""
+
+    # (n, n): orthogonal; rows are directions: y = basis @ q. First the pairs, then the inertial directions.
+    basis: FloatArray
+    momenta: FloatArray  # (pairs,): h of each pair, N m s
+    inertias: FloatArray  # (n,): inertia in each direction, kg m²
+    spins: FloatArray  # (rotors,): spin of the rotors that the gimbals carry, rad/s, without those that stand still
+    order: int = 2  # 2 where the inertial directions measure angles, 1 where rates: a torque shows in that derivative
+    # (n, p): of loops that read other sensors than pick-offs: from their readings to the directions. Design methods
+    # then get plants whose outputs are the directions already; None: they take the gimbals' angles there by `basis`.
+    sense: FloatArray | None = None
+    # (n,): viscous friction, N m s, and stiffness, N m/rad, against motion in each direction; None: not needed.
+    damping: FloatArray | None = None
+    stiffness: FloatArray | None = None
+    noise: FloatArray | None = None  # (n,): rms of a sample of each direction, from its sensors; None: not known
+
+    @property
+    def inertial(self) -> int:
+        """Number of directions without gyroscopic action."""
+        return len(self.basis) - 2 * len(self.momenta)
+
+
+def channels(model: LinearModel, rows: list[int]) -> Channels:
+    """Return the pairs and inertial directions of the gimbals in `rows`."""
+    from scipy.linalg import schur
+
+    part = np.ix_(rows, rows)
+    carriers = {model.gimbal_names[k] for k in rows}
+    M, G = model.M[part], model.G[part]
+    block, vectors = schur(0.5 * (G - G.T), output="real")
+    largest = np.abs(G).max(initial=0.0)
+    pairs: list[tuple[float, FloatArray, FloatArray]] = []
+    single: list[FloatArray] = []
+    k = 0
+    while k < len(rows):
+        h = float(block[k, k + 1]) if k + 1 < len(rows) else 0.0
+        if abs(h) > _NO_GYRO * largest and largest > 0.0:
+            pairs.append((abs(h), *_oriented(h, vectors[:, k], vectors[:, k + 1])))
+            k += 2
+        else:
+            single.append(_upright(vectors[:, k]))
+            k += 1
+    pairs.sort(key=lambda pair: -pair[0])
+    basis = np.array([direction for _, first, second in pairs for direction in (first, second)] + single)
+    return Channels(
+        basis=basis,
+        momenta=np.array([h for h, _, _ in pairs]),
+        inertias=np.einsum("ki,ij,kj->k", basis, M, basis),
+        spins=np.array([abs(r.spin) for r in model.platform.rotors if r.carrier in carriers and r.spin != 0.0]),
+    )
+
+
+def _oriented(h: float, first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Turn a pair within its plane so that it lies along the gimbal axes where it can, with h > 0."""
+    plane = np.array([first, second])
+    # The gimbal axis that lies in the plane best becomes the first direction.
+    along = plane.T @ plane
+    lead = int(np.argmax(np.diag(along)))
+    first_new = along[:, lead] / np.linalg.norm(along[:, lead])
+    rotated = np.array([plane @ first_new])
+    second_new = np.array([-rotated[0, 1], rotated[0, 0]]) @ plane
+    return (first_new, second_new) if h > 0.0 else (first_new, -second_new)
+
+
+def _upright(direction: FloatArray) -> FloatArray:
+    return direction if direction[np.argmax(np.abs(direction))] > 0.0 else -direction
 
 
 def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Channels:

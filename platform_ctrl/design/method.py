@@ -17,9 +17,8 @@ from platform_ctrl.common.arguments import known_name, nearest
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design, delivered, measured
-from platform_ctrl.design.loop_signals import loop_channels, loop_signals
-from platform_ctrl.design.partition import Channels, gain, low_pass
-from platform_ctrl.design.sections import Section
+from platform_ctrl.design.loop_signals import Channels, loop_channels, loop_signals
+from platform_ctrl.design.sections import Section, gain, low_pass
 from platform_ctrl.design.tuning import Builder, Tuner, over_decades
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job import methods

@@ -1,22 +1,50 @@
-"""The plant of a synthesis: inputs [w, u], outputs [z, y], and the loop that u = K y closes around it."""
+"""The plant of a synthesis, inputs [w, u], outputs [z, y]: its loop with u = K y, its units, and what it must fulfil.
+
+In SI units a solver gets 1e-4 kg m² beside 1e4 rad/s and fails, with or without an error: matrices are brought near
+one. Ranks and stabilisability are checked in these units too, and what the Riccati routes assume: D12 has full column
+rank (every control costs something), D21 full row rank (every measurement is noisy), and no invariant zero of w → y or
+u → z lies on the stability boundary (nothing there is left to itself). No check depends on how fast the fastest pole
+is: poles are found block by block, and a rank is that of rows and columns of unit length.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.feedback import performance_loop
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.errors import ArgumentError, IllPosedError, NotStabilisableError, UnscalableError
 
 if TYPE_CHECKING:
     from control import StateSpace
+
+# Sweeps over all states that balance a plant, at most.
+MOST_SWEEPS = 50
+# Steps towards the unit of time of a chain of integrators; each leaves a third of the distance, in powers.
+UNIT_STEPS = 30
+# Singular values of D12 and D21 below this share of the largest (of unit columns or rows) count as zero.
+RANK_TOLERANCE = 1e-8
+# Singular values of a pencil below this share of the largest count as a loss of rank; rows smaller than this, relative
+# to the unit of time, may be rounding and keep their size.
+RANK_LOSS, SMALLEST_ROW = 1e-10, 1e-3
+# A unit of the norm within so many powers of two is left as it is.
+NEAR_UNITS = 4
+# Rounding of an eigenvalue with condition 1, and the largest rounding assumed, relative to its block of A.
+ROUNDING, LARGEST_ROUNDING = 1e-14, 1e-9
+# Poles below this share of their block, or of A, count as zero: they give no unit of time.
+ZERO_POLE, ZERO_IN_ALL = 1e-6, 1e-11
+# Zeros nearer to the stability boundary than this share of their block are checked for a loss of rank.
+NEAR_BOUNDARY = 1e-7
+# Poles this near, relative to their block, may be copies of a defective one.
+CLUSTER = 1e-3
 
 
 @value
@@ -134,157 +162,272 @@ def closed_loop_system(P: StateSpace, loop: System) -> StateSpace:
     return loop._replace(dt=P.dt or 0.0).to_control(P.input_labels[:nw], P.output_labels[:nz], states)
 
 
-def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> System:
-    """Return (b1 s + b0)/(a1 s + a0), sampled by Tustin's rule."""
-    two = 2.0 / period
-    lead, last = a1 * two + a0, a0 - a1 * two
-    high, low = b1 * two + b0, b0 - b1 * two
-    pole = -last / lead
-    direct = high / lead
-    return System(
-        np.array([[pole]]), np.array([[1.0]]), np.array([[low / lead + direct * pole]]), np.array([[direct]]), period
-    )
-
-
-def notch(frequency: float, depth: float, width: float, period: float) -> System:
-    """Return (s² + 2 depth width f s + f²)/(s² + 2 width f s + f²), by Tustin's rule prewarped at f = `frequency`."""
-    f2, damping = frequency**2, 2.0 * width * frequency
-    return _prewarped((1.0, depth * damping, f2), (1.0, damping, f2), frequency, period)
-
-
-def low_pass(frequency: float, damping: float, period: float, order: int = 0) -> System:
-    """Return sᵏ f²/(s² + 2 damping f s + f²), k = `order`, by Tustin's rule prewarped at f = `frequency`, rad/s."""
-    f2 = frequency**2
-    numerator = ((0.0, 0.0, f2), (0.0, f2, 0.0), (f2, 0.0, 0.0))[order]
-    return _prewarped(numerator, (1.0, 2.0 * damping * frequency, f2), frequency, period)
-
-
-def _prewarped(
-    numerator: tuple[float, float, float], denominator: tuple[float, float, float], frequency: float, period: float
-) -> System:
-    """Return (b2 s² + b1 s + b0)/(a2 s² + a1 s + a0), by Tustin's rule prewarped at `frequency`, rad/s."""
-    two = frequency / np.tan(0.5 * frequency * period)
-    b, a = (
-        np.array([c2 * two**2 + c1 * two + c0, 2.0 * (c0 - c2 * two**2), c2 * two**2 - c1 * two + c0])
-        for c2, c1, c0 in (numerator, denominator)
-    )
-    a, b = a / a[0], b / a[0]
-    return System(
-        np.array([[-a[1], -a[2]], [1.0, 0.0]]),
-        np.array([[1.0], [0.0]]),
-        np.array([[b[1] - b[0] * a[1], b[2] - b[0] * a[2]]]),
-        np.array([[b[0]]]),
-        period,
-    )
-
-
-def gain(matrix: FloatArray | float) -> System:
-    """Return a static gain: `dt` is 0, whatever it is joined with."""
-    D = np.atleast_2d(np.asarray(matrix, dtype=np.float64))
-    return System(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D)
-
-
-def side_by_side(*systems: System) -> System:
-    """Return one system of several, each with its own inputs and outputs."""
-    from scipy.linalg import block_diag
-
-    A, B, C, D = (block_diag(*(system[k] for system in systems)) for k in range(4))
-    return System(A, B, C, D, systems[0].dt)
-
-
-def between(first: FloatArray, system: System, last: FloatArray) -> System:
-    """Return last · system · first, with matrices for the other signals."""
-    A, B, C, D, dt = system
-    return System(A, B @ first, last @ C, last @ D @ first, dt)
-
-
-# A pair whose h is this small against the largest is not gyroscopic.
-_NO_GYRO = 1e-9
-
-
 @value
-class Channels:
-    """Gyroscopic pairs and inertial directions of some gimbals."""
+class ScaledPlant:
+    """A plant in units where its matrices are near one, and the units."""
 
-    # (n, n): orthogonal; rows are directions: y = basis @ q. First the pairs, then the inertial directions.
-    basis: FloatArray
-    momenta: FloatArray  # (pairs,): h of each pair, N m s
-    inertias: FloatArray  # (n,): inertia in each direction, kg m²
-    spins: FloatArray  # (rotors,): spin of the rotors that the gimbals carry, rad/s, without those that stand still
-    order: int = 2  # 2 where the inertial directions measure angles, 1 where rates: a torque shows in that derivative
-    # (n, p): of loops that read other sensors than pick-offs: from their readings to the directions. Design methods
-    # then get plants whose outputs are the directions already; None: they take the gimbals' angles there by `basis`.
-    sense: FloatArray | None = None
-    # (n,): viscous friction, N m s, and stiffness, N m/rad, against motion in each direction; None: not needed.
-    damping: FloatArray | None = None
-    stiffness: FloatArray | None = None
-    noise: FloatArray | None = None  # (n,): rms of a sample of each direction, from its sensors; None: not known
-
-    @property
-    def inertial(self) -> int:
-        """Number of directions without gyroscopic action."""
-        return len(self.basis) - 2 * len(self.momenta)
+    # The scaled plant; its D22 is zero, its D12 (D21) has orthonormal columns (rows) where it has full rank.
+    plant: Partition
+    state: FloatArray  # (n,): x = diag(state) x_scaled
+    rate: float  # unit of frequency, rad/s
+    control: FloatArray  # (nu, nu): u = control @ u_scaled
+    measurement: FloatArray  # (ny, ny): y_scaled = measurement @ (y − D22 u)
+    gain: float  # gamma = gain * gamma_scaled
+    D22: FloatArray  # (ny, nu): the part of the plant that is undone by a loop shift
+    # control_rank, measurement_rank: ranks of D12 and D21.
+    control_rank: int
+    measurement_rank: int
 
 
-def channels(model: LinearModel, rows: list[int]) -> Channels:
-    """Return the pairs and inertial directions of the gimbals in `rows`."""
-    from scipy.linalg import schur
+def _unit_controls(B2: FloatArray, D12: FloatArray) -> tuple[FloatArray, int]:
+    """Return S in u = S u' that makes the columns of D12 S orthonormal, or zero where D12 loses rank; and the rank."""
+    ncon = D12.shape[1]
+    size = np.linalg.norm(D12, axis=0)
+    size[size == 0] = 1.0
+    S = np.diag(1 / size)
+    _, sigma, Vt = np.linalg.svd(D12 @ S, full_matrices=True)
+    rank = int(np.sum(sigma > RANK_TOLERANCE))
+    S = S @ Vt.T
+    # A control that is not in z directly gets its unit from its effect on the states.
+    sigma = np.concatenate([sigma[:rank], np.linalg.norm(B2 @ S[:, rank:], axis=0)])
+    sigma[sigma == 0] = 1.0
+    return S / sigma[:ncon], rank
 
-    part = np.ix_(rows, rows)
-    carriers = {model.gimbal_names[k] for k in rows}
-    M, G = model.M[part], model.G[part]
-    block, vectors = schur(0.5 * (G - G.T), output="real")
-    largest = np.abs(G).max(initial=0.0)
-    pairs: list[tuple[float, FloatArray, FloatArray]] = []
-    single: list[FloatArray] = []
-    k = 0
-    while k < len(rows):
-        h = float(block[k, k + 1]) if k + 1 < len(rows) else 0.0
-        if abs(h) > _NO_GYRO * largest and largest > 0.0:
-            pairs.append((abs(h), *_oriented(h, vectors[:, k], vectors[:, k + 1])))
-            k += 2
-        else:
-            single.append(_upright(vectors[:, k]))
-            k += 1
-    pairs.sort(key=lambda pair: -pair[0])
-    basis = np.array([direction for _, first, second in pairs for direction in (first, second)] + single)
-    return Channels(
-        basis=basis,
-        momenta=np.array([h for h, _, _ in pairs]),
-        inertias=np.einsum("ki,ij,kj->k", basis, M, basis),
-        spins=np.array([abs(r.spin) for r in model.platform.rotors if r.carrier in carriers and r.spin != 0.0]),
+
+def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
+    """Scale a plant: D22 shifted out, D12 and D21 to unit columns and rows, time, states; the norm scales by `gain`.
+
+    States are balanced by Osborne's iteration on [A B; C 0]; for the unit of time see `_unit_of_time`. A sampled plant
+    counts time in periods, so that poles stay where they are.
+    """
+    root, rate = np.sqrt(gain), 1.0 if plant.dt else _unit_of_time(plant)
+    A, B1, C1 = plant.A / rate, plant.B1 / rate / root, plant.C1 / root
+    S, control_rank = _unit_controls(plant.B2 / rate, plant.D12 / root)
+    St, measurement_rank = _unit_controls(plant.C2.T, plant.D21.T / root)
+    B2, D12 = plant.B2 / rate @ S, plant.D12 / root @ S
+    C2, D21 = St.T @ plant.C2, St.T @ plant.D21 / root
+    # Exactly: what is below the rank tolerance is rounding.
+    D12[:, control_rank:] = 0.0
+    D21[measurement_rank:] = 0.0
+
+    d = balance(A, np.hstack([B1, B2]), np.vstack([C1, C2]))
+    return ScaledPlant(
+        plant=Partition(
+            A=A / d[:, None] * d, B1=B1 / d[:, None], B2=B2 / d[:, None], C1=C1 * d, C2=C2 * d,
+            D11=plant.D11 / gain, D12=D12, D21=D21, D22=np.zeros_like(plant.D22),
+            dt=plant.dt,
+        ),
+        state=d, rate=rate, control=S, measurement=St.T, gain=gain, D22=plant.D22,
+        control_rank=control_rank, measurement_rank=measurement_rank,
+    )  # fmt: skip
+
+
+def _unit_of_time(plant: Partition) -> float:
+    """Return a unit of frequency, rad/s: the geometric mean of the poles' moduli, those at 0 left out.
+
+    Where all are 0 the size of A in the unit itself, with controls and measurements in units of D12 and D21.
+    """
+    A = plant.A
+    least = ZERO_IN_ALL * float(np.linalg.norm(A))
+    moduli = [m for poles, _, size in blocks(A) for m in np.abs(poles) if m > max(ZERO_POLE * size, least)]
+    if moduli:
+        return float(np.exp(np.mean(np.log(moduli))))
+    S, St = _unit_controls(plant.B2, plant.D12)[0], _unit_controls(plant.C2.T, plant.D21.T)[0]
+    rate, B, C = 1.0, np.hstack([plant.B1, plant.B2 @ S]), np.vstack([plant.C1, St.T @ plant.C2])
+    for _ in range(UNIT_STEPS):
+        d = balance(A / rate, B / rate, C)
+        size = float(np.linalg.norm(A / d[:, None] * d, 2))
+        # A single integrator has the unit of its state.
+        rate = size or rate
+    return rate
+
+
+def autoscaled_with_gain(plant: Partition) -> ScaledPlant:
+    """Scale a plant, the norm too where w → x and x → z are in far larger or smaller units than u → x and x → y.
+
+    An UnscalableError where its numbers are too far apart: LAPACK prints lines about what is not finite.
+    """
+    scaled = autoscale(plant)
+    p = scaled.plant
+    if not all(np.all(np.isfinite(M)) for M in (p.A, p.B1, p.B2, p.C1, p.C2, p.D11, p.D12, p.D21)):
+        raise UnscalableError(
+            "the plant's numbers are so far apart that no units make all of them finite; leave out what is faster or "
+            "slower than the loop by many decades"
+        )
+    disturbance = float(np.linalg.norm(p.B1) * np.linalg.norm(p.C1))
+    loop = float(np.linalg.norm(p.B2) * np.linalg.norm(p.C2))
+    if not (0.0 < disturbance < np.inf and 0.0 < loop < np.inf):
+        return scaled
+    power = np.round(0.5 * (np.log2(disturbance) - np.log2(loop)))
+    return scaled if abs(power) < NEAR_UNITS else autoscale(plant, float(2.0**power))
+
+
+def balance(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
+    """Return powers of two d, (n,), such that row i of [D⁻¹AD, D⁻¹B] and column i of [D⁻¹AD; CD] are of similar length.
+
+    D = diag(d). Osborne's iteration, inputs and outputs fixed. A state without inputs or outputs keeps its unit.
+    `analysis.system.state_scaling` does not serve: it gives B and C the size of A, and the units of z then decide on
+    gamma.
+    """
+    n = len(A)
+    d = np.ones(n)
+    square = (A - np.diag(np.diag(A))) ** 2
+    rows, columns = np.sum(B**2, axis=1), np.sum(C**2, axis=0)
+    for _ in range(MOST_SWEEPS):
+        moved = False
+        for i in range(n):
+            row = (square[i] @ d**2 + rows[i]) / d[i] ** 2
+            column = ((1 / d**2) @ square[:, i] + columns[i]) * d[i] ** 2
+            if row == 0 or column == 0:
+                continue
+            factor = 2.0 ** np.round(0.25 * np.log2(row / column))
+            if factor != 1.0:
+                d[i] *= factor
+                moved = True
+        if not moved:
+            break
+    return d
+
+
+def unscale(controller: System, scaled: ScaledPlant) -> System:
+    """Return a controller of the scaled plant in the units of the plant as given."""
+    A, B = scaled.rate * controller.A, scaled.rate * controller.B @ scaled.measurement
+    C, D = scaled.control @ controller.C, scaled.control @ controller.D @ scaled.measurement
+    return with_direct_path(System(A=A, B=B, C=C, D=D), scaled.D22)
+
+
+def blocks(A: FloatArray) -> list[tuple[ComplexArray, FloatArray, float]]:
+    """Return the poles, their rounding errors and the norm of each block of A whose states act on one another.
+
+    A fast pole of one block does not blur the poles of another.
+    """
+    from scipy.linalg import eig
+
+    reached = (A != 0.0) | np.eye(len(A), dtype=np.bool_)
+    for _ in range(len(A).bit_length()):
+        reached = reached @ reached
+    out = []
+    # States that reach one another have the same first one.
+    first = np.argmax(reached & reached.T, axis=1)
+    for k in np.unique(first):
+        block = A[np.ix_(first == k, first == k)]
+        size = float(np.linalg.norm(block))
+        poles, left, right = eig(block, left=True, right=True)
+        aligned = np.abs(np.sum(np.conj(left) * right, axis=0))
+        rounding = size * np.minimum(ROUNDING * len(poles) / np.maximum(aligned, ROUNDING), LARGEST_ROUNDING)
+        out.append((np.asarray(poles, dtype=np.complex128), rounding, size))
+    return out
+
+
+def _with_means(poles: ComplexArray, chosen: NDArray[np.bool_], size: float) -> list[complex]:
+    """Return chosen poles, and the means of their clusters: copies of a defective pole scatter, their mean does not."""
+    clusters = [poles[np.abs(poles - one) < CLUSTER * size] for one in poles[chosen]]
+    return [*map(complex, poles[chosen]), *(complex(np.mean(some)) for some in clusters if some.size > 1)]
+
+
+def _rank_margin(pole: complex, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> tuple[float, FloatArray]:
+    """Return the least singular value over the largest of [A − pole I, B; C, D], and where it is, (columns,).
+
+    Its rows and columns are in units in which they have unit length, taken from the sizes of the terms of its entries.
+    """
+    eye = np.eye(len(A))
+    size = np.abs(np.block([[np.abs(A) + np.abs(pole) * eye, B], [C, D]]))
+    rows = 1.0 / np.maximum(np.linalg.norm(size, axis=1), SMALLEST_ROW)
+    columns = 1.0 / np.maximum(np.linalg.norm(size * rows[:, None], axis=0), np.finfo(np.float64).eps)
+    pencil = np.block([[A - pole * eye, B], [C, D]])
+    _, sigma, Vh = np.linalg.svd(pencil * rows[:, None] * columns)
+    return (float(sigma[-1] / sigma[0]) if sigma[0] > 0.0 else 0.0), np.abs(Vh[-1]) * columns
+
+
+def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
+    """Return the unstable mode that is hardest to stabilise: relative singular value, property, pole.
+
+    The pole is in rad/s, of a sampled plant in z. Test of Popov, Belevitch and Hautus; ``(inf, "", 0)`` where every
+    pole is stable.
+    """
+    plant = scaled.plant
+    weakest = (float("inf"), "", 0j)
+    for word, A, B in (("stabilisable", plant.A, plant.B2), ("detectable", plant.A.T, plant.C2.T)):
+        n, m = B.shape
+        for poles, rounding, size in blocks(A):
+            beyond = np.abs(poles) - 1.0 if plant.dt else poles.real
+            for pole in _with_means(poles, beyond >= -rounding, size):
+                sigma, _ = _rank_margin(pole, A, B, np.zeros((0, n)), np.zeros((0, m)))
+                if sigma < weakest[0]:
+                    weakest = (sigma, word, pole * scaled.rate)
+    return weakest
+
+
+def require_stabilisable(plant: Partition, P: StateSpace, where: str) -> None:
+    """Raise a NotStabilisableError that names a mode which u cannot stabilise from y."""
+    sigma, word, pole = weakest_mode(autoscaled_with_gain(plant))
+    if word and sigma < RANK_LOSS:
+        verb = "no control u moves" if word == "stabilisable" else "no measurement y sees"
+        at = f"z = {pole.real:.6g}{pole.imag:+.4g}j" if plant.dt else f"{pole.real:.4g}{pole.imag:+.4g}j rad/s"
+        raise NotStabilisableError(
+            f"{where}: the plant is not {word}: {verb} the mode at {at}; put weights with such modes inside the loop, "
+            "or shift their poles to the left",
+            P,
+        )
+
+
+def named(direction: FloatArray, labels: Sequence[str]) -> str:
+    """Return the signals that make up most of a direction."""
+    share = np.abs(direction) / max(float(np.abs(direction).max(initial=0.0)), np.finfo(float).tiny)
+    return ", ".join(label for label, x in zip(labels, share, strict=True) if x >= 0.3)
+
+
+def require_assumptions(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
+    """Raise an IllPosedError where D12 or D21 loses rank or an invariant zero lies on the stability boundary."""
+    cure = ', or give method="lmi", which needs none of this' if where.startswith("hinf") else ""
+    (ny, nu), r, s = scaled.D22.shape, scaled.control_rank, scaled.measurement_rank
+    controls = named(np.abs(scaled.control[:, r:]).sum(axis=1), P.input_labels[-nu:])
+    measured = named(np.abs(scaled.measurement[s:]).sum(axis=0), P.output_labels[-ny:])
+    if r < nu:
+        raise IllPosedError(
+            f"{where}: D12 must have full column rank {nu}, but has {r}: z does not contain {controls} directly; add a "
+            f"small weight on every control to z{cure}",
+            P,
+        )
+    if s < ny:
+        raise IllPosedError(
+            f"{where}: D21 must have full row rank {ny}, but has {s}: no w disturbs {measured} directly; add a small "
+            f"noise on every measurement to w{cure}",
+            P,
+        )
+    if (found := zero_on_boundary(scaled.plant)) is None:
+        return
+    what, zero, states = found
+    if scaled.plant.dt:
+        place = f"the unit circle, but {what} at z = {zero.real:.4g}{zero.imag:+.4g}j"
+    else:
+        place = f"the imaginary axis, but {what} at {abs(zero) * scaled.rate:.4g} rad/s" + " (w-plane)" * bool(P.dt)
+    raise IllPosedError(
+        f"{where}: there must be no zero on {place} in the states {named(states * scaled.state, P.state_labels)}; "
+        f"shift the weight with that pole or zero to the left{cure}",
+        P,
     )
 
 
-def _oriented(h: float, first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Turn a pair within its plane so that it lies along the gimbal axes where it can, with h > 0."""
-    plane = np.array([first, second])
-    # The gimbal axis that lies in the plane best becomes the first direction.
-    along = plane.T @ plane
-    lead = int(np.argmax(np.diag(along)))
-    first_new = along[:, lead] / np.linalg.norm(along[:, lead])
-    rotated = np.array([plane @ first_new])
-    second_new = np.array([-rotated[0, 1], rotated[0, 0]]) @ plane
-    return (first_new, second_new) if h > 0.0 else (first_new, -second_new)
+def zero_on_boundary(p: Partition) -> tuple[str, complex, FloatArray] | None:
+    """Return which matrix loses rank on the stability boundary, where (scaled), and the states involved, (n,), or None.
 
-
-def _upright(direction: FloatArray) -> FloatArray:
-    return direction if direction[np.argmax(np.abs(direction))] > 0.0 else -direction
-
-
-def augmented(plant: Partition, order: int) -> Partition:
-    """Return the plant with the controller's `order` integrators beside it: u = [xK', u], y = [xK, y]."""
-    if order == 0:
-        return plant
-    n, own = len(plant.A), np.eye(order)
-    return Partition(
-        A=np.pad(plant.A, (0, order)),
-        B1=np.pad(plant.B1, ((0, order), (0, 0))),
-        B2=np.block([[np.zeros((n, order)), plant.B2], [own, np.zeros((order, plant.B2.shape[1]))]]),
-        C1=np.pad(plant.C1, ((0, 0), (0, order))),
-        C2=np.block([[np.zeros((order, n)), own], [plant.C2, np.zeros((len(plant.C2), order))]]),
-        D11=plant.D11,
-        D12=np.pad(plant.D12, ((0, 0), (order, 0))),
-        D21=np.pad(plant.D21, ((order, 0), (0, 0))),
-        D22=np.pad(plant.D22, ((order, 0), (order, 0))),
-    )
+    `p` is scaled and its D12 and D21 have orthonormal columns and rows.
+    """
+    for one, what in (
+        (p, f"[A − {'z' if p.dt else 'jω'}I, B2; C1, D12] loses column rank"),
+        (p.dual, f"[A − {'z' if p.dt else 'jω'}I, B1; C2, D21] loses row rank"),
+    ):
+        A, B, C, D = one.A, one.B2, one.C1, one.D12
+        # D'D = I: zeros are eigenvalues of A − B D'C.
+        for zeros, _, size in blocks(A - B @ D.T @ C):
+            for zero in _with_means(zeros, np.ones(len(zeros), dtype=np.bool_), size):
+                distance, nearest = abs(zero.real), 1j * zero.imag
+                if p.dt:
+                    distance, nearest = abs(abs(zero) - 1.0), zero / (abs(zero) or 1.0)
+                if distance > NEAR_BOUNDARY * max(size, abs(zero)):
+                    continue
+                sigma, where = _rank_margin(nearest, A, B, C, D)
+                if sigma < RANK_LOSS:
+                    return what, nearest, where[: len(A)]
+    return None

@@ -32,6 +32,7 @@ from platform_ctrl.design.cases import (
     with_friction,
 )
 from platform_ctrl.design.loop_signals import (
+    Channels,
     LoopSignals,
     caging_signals,
     expect_no_keyhole,
@@ -40,7 +41,6 @@ from platform_ctrl.design.loop_signals import (
     shows_each,
     unseen,
 )
-from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import linearise

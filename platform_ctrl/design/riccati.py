@@ -27,8 +27,7 @@ import numpy as np
 
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.scaling import autoscaled_with_gain, require_assumptions, unscale
+from platform_ctrl.design.partition import Partition, autoscaled_with_gain, require_assumptions, unscale
 from platform_ctrl.errors import IllPosedError, UnscalableError
 
 if TYPE_CHECKING:

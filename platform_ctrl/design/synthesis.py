@@ -31,8 +31,8 @@ from platform_ctrl.design.partition import (
     in_w_plane,
     out_of_w_plane,
     partition,
+    require_stabilisable,
 )
-from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError, UnscalableError
 
 if TYPE_CHECKING:

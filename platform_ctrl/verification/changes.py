@@ -26,9 +26,9 @@ from platform_ctrl.design.loop import (
     takes_commands,
     with_commands,
 )
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
-from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import tracking_plants
 from platform_ctrl.design.tuning import (
     SHARE,

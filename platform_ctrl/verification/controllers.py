@@ -22,9 +22,9 @@ from platform_ctrl.design.loop import (
     with_commands,
     with_largest_rates,
 )
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
-from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError, began_with_interrupt
 from platform_ctrl.job.job import Job, LoopSpec

@@ -27,7 +27,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.design.loop import Design
-from platform_ctrl.design.partition import side_by_side
+from platform_ctrl.design.sections import side_by_side
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import STABLE, CheckResult, Requirement, Stage

@@ -9,12 +9,13 @@ from hypothesis import given, settings
 
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design.loop import measured
+from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.method import instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
 from platform_ctrl.design.methods.platform_servo import rate_estimate
-from platform_ctrl.design.partition import channels, first_order, gain, low_pass, notch
 from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.sections import first_order, gain, low_pass, notch
 from platform_ctrl.errors import DesignError
 from platform_ctrl.mechanics.linearisation import linearise
 from tree_cases import platforms

@@ -8,8 +8,7 @@ import pytest
 
 from platform_ctrl.analysis.norms import h2_norm
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.partition import closed_loop, partition
-from platform_ctrl.design.scaling import autoscale
+from platform_ctrl.design.partition import autoscale, closed_loop, partition
 from platform_ctrl.design.synthesis import h2
 from platform_ctrl.errors import IllPosedError
 

@@ -11,9 +11,8 @@ from scipy.linalg import solve_continuous_are
 
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.partition import partition, whole
+from platform_ctrl.design.partition import autoscale, balance, partition, whole
 from platform_ctrl.design.riccati import _floor, _least_gamma, _normal_form, _trial
-from platform_ctrl.design.scaling import autoscale, balance
 from platform_ctrl.design.synthesis import certify, hinf
 from platform_ctrl.errors import (
     DesignError,

@@ -13,8 +13,7 @@ from platform_ctrl import design
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.inequalities import LinearLoop, cp, sharing, solve
 from platform_ctrl.design.loop import LoopOutcome
-from platform_ctrl.design.partition import closed_loop, partition
-from platform_ctrl.design.scaling import autoscale
+from platform_ctrl.design.partition import autoscale, closed_loop, partition
 from platform_ctrl.errors import ArgumentError, InfeasibleError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

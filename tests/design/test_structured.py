@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis, design
-from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm
+from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm, augmented
 from platform_ctrl.design.fixed_structure.structures import Parametrised, Structure, Units
-from platform_ctrl.design.partition import Partition, augmented
+from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.synthesis import Synthesis
 
 PROBLEMS = json.loads((Path(__file__).parents[1] / "data" / "compleib.json").read_text())["problems"]

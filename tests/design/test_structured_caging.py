@@ -20,9 +20,9 @@ from platform_ctrl.design.fixed_structure.maps import (
     map_of,
     torque_per_Omega,
 )
+from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
-from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.requirements import WORST_CASE, requirement

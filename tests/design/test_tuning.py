@@ -13,8 +13,8 @@ from platform_ctrl import design
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design import tuning
 from platform_ctrl.design.cases import rows_of
+from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.methods.classical import classical_controller, starting_values
-from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.requirements import loop_requirements

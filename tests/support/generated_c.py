@@ -19,10 +19,10 @@ from platform_ctrl import linearise
 from platform_ctrl.common.files import json_text
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import rows_of
+from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.method import LoopProblem, designed
 from platform_ctrl.design.methods.classical import classical_controller
 from platform_ctrl.design.methods.structured import pid_structure
-from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.job.job import Job
 

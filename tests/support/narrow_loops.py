@@ -18,8 +18,8 @@ from platform_ctrl.analysis.loop_metrics import measured
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.partition import first_order, notch, side_by_side
 from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.sections import first_order, notch, side_by_side
 from platform_ctrl.job.requirements import LoopRequirement
 
 PERIOD = 5e-4

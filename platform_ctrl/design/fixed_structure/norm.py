@@ -189,3 +189,21 @@ class WorstNorm:
         found = singular(T)
         a, b = row_of(found.u, L[found.at]), column_of(R[found.at], found.v)
         return found.size, np.real(a[:, :, None] * b[:, None, :])
+
+
+def augmented(plant: Partition, order: int) -> Partition:
+    """Return the plant with the controller's `order` integrators beside it: u = [xK', u], y = [xK, y]."""
+    if order == 0:
+        return plant
+    n, own = len(plant.A), np.eye(order)
+    return Partition(
+        A=np.pad(plant.A, (0, order)),
+        B1=np.pad(plant.B1, ((0, order), (0, 0))),
+        B2=np.block([[np.zeros((n, order)), plant.B2], [own, np.zeros((order, plant.B2.shape[1]))]]),
+        C1=np.pad(plant.C1, ((0, 0), (0, order))),
+        C2=np.block([[np.zeros((order, n)), own], [plant.C2, np.zeros((len(plant.C2), order))]]),
+        D11=plant.D11,
+        D12=np.pad(plant.D12, ((0, 0), (order, 0))),
+        D21=np.pad(plant.D21, ((order, 0), (0, 0))),
+        D22=np.pad(plant.D22, ((order, 0), (order, 0))),
+    )

@@ -20,20 +20,20 @@ from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import whole as whole_number
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.minimax import Effort, Minimum, minimise
-from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm
+from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm, augmented
 from platform_ctrl.design.fixed_structure.structures import Parametrised, Structure, Units
 from platform_ctrl.design.partition import (
     Partition,
-    augmented,
+    autoscale,
     closed_loop,
     closed_loop_system,
     controller_system,
     in_w_plane,
     out_of_w_plane,
     partition,
+    require_stabilisable,
     whole,
 )
-from platform_ctrl.design.scaling import autoscale, require_stabilisable
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import ArgumentError, DesignError, NotCertifiedError, NotFoundError
 

@@ -24,9 +24,9 @@ import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz, number
-from platform_ctrl.design.partition import Channels, between, first_order, gain, notch
-from platform_ctrl.design.sections import Section, flattened
+from platform_ctrl.design.sections import Section, between, first_order, flattened, gain, notch
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.methods import DesignSpec
 

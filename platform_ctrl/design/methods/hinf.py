@@ -33,8 +33,9 @@ from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design, LoopOutcome, measured
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
-from platform_ctrl.design.partition import Channels, between
+from platform_ctrl.design.sections import between
 from platform_ctrl.design.synthesis import HinfMethod, hinf
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.methods import DesignSpec

@@ -34,6 +34,7 @@ from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Method, Option, number, tuned
 from platform_ctrl.design.methods.hinf import (
     BACKOFF,
@@ -44,8 +45,8 @@ from platform_ctrl.design.methods.hinf import (
     signal_names,
     torque_units,
 )
-from platform_ctrl.design.partition import Channels, Partition, between, closed_loop, split, whole
-from platform_ctrl.design.scaling import autoscale, balance, unscale
+from platform_ctrl.design.partition import Partition, autoscale, balance, closed_loop, split, unscale, whole
+from platform_ctrl.design.sections import between
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import DesignError, InfeasibleError, UnscalableError
 from platform_ctrl.job.methods import DesignSpec

@@ -26,8 +26,9 @@ import numpy as np
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System, seen_states, state_scaling
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz
-from platform_ctrl.design.partition import Channels, between
+from platform_ctrl.design.sections import between
 from platform_ctrl.errors import DesignError, NotStabilisableError
 from platform_ctrl.job.methods import DesignSpec
 

@@ -17,9 +17,9 @@ from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.convex_step import CENTRES
 from platform_ctrl.design.loop import Design
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.measured_pid import MeasuredDesign, measured_pid
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
-from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.responses import MeasuredResponses, contour, parsed, unstable_poles
 from platform_ctrl.errors import DesignError, InputError, NotCertifiedError
 from platform_ctrl.job.judging import CheckResult, Requirement

@@ -18,11 +18,11 @@ import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz
 from platform_ctrl.design.methods.classical import OPTIONS as CLASSICAL
 from platform_ctrl.design.methods.classical import integrated, notch_stage
-from platform_ctrl.design.partition import Channels, first_order, gain
-from platform_ctrl.design.sections import Section, flattened
+from platform_ctrl.design.sections import Section, first_order, flattened, gain
 from platform_ctrl.job.methods import DesignSpec
 
 # Default crossover over the reference frequency of the plants' grids, and the integral's corner over the crossover.

@@ -15,8 +15,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import parallel
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
-from platform_ctrl.design.partition import between, first_order, gain, low_pass
-from platform_ctrl.design.sections import Section, flattened
+from platform_ctrl.design.sections import Section, between, first_order, flattened, gain, low_pass
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel

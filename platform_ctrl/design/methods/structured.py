@@ -22,11 +22,12 @@ from platform_ctrl.design.fixed_structure.descent import Found, Search
 from platform_ctrl.design.fixed_structure.sections import PID, Named, Sampled, Series
 from platform_ctrl.design.fixed_structure.structures import Parametrised, StateSpaceOrder, Units
 from platform_ctrl.design.loop import Design
+from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Method, Option, TunedMethod, hertz, number
 from platform_ctrl.design.methods.classical import Classical, classical_controller, starting_values
 from platform_ctrl.design.methods.hinf import hinf_controller
 from platform_ctrl.design.methods.pi import PI, rate_controller, rate_options
-from platform_ctrl.design.partition import Channels, between, first_order, side_by_side
+from platform_ctrl.design.sections import between, first_order, side_by_side
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.judging import STABLE
 from platform_ctrl.job.methods import DesignSpec, Structure
