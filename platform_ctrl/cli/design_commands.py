@@ -272,13 +272,18 @@ def check(
 
 def _show_changes(compared: Comparison, name: str, as_json: bool) -> int:
     """Print what has changed since an accepted result; return the exit code."""
-    from platform_ctrl.cli.failures import changes_text
-    from platform_ctrl.cli.terminal import screen, show_words
+    from platform_ctrl.cli.failures import changed, changes_text
+    from platform_ctrl.cli.terminal import screen, show_table, show_words
 
-    for line in changes_text(compared, name).splitlines():
-        if as_json:
+    if as_json:
+        for line in changes_text(compared, name).splitlines():
             noted(line)
-        else:
+    else:
+        head, rows, notes = changed(compared, name)
+        show_words(screen(), head, indent="    ")
+        if len(rows) > 1:
+            show_table(screen(), rows[0], rows[1:])
+        for line in notes:
             show_words(screen(), line, indent="    ")
     return 0 if compared.passed else 1
 

@@ -80,30 +80,26 @@ def job_of(path: Path) -> Job:
     try:
         return read_job(path)
     except InputError as error:
-        raise InputError(_not_a_job(path) or str(error)) from None
+        words = str(error)
+        more = "; platform-ctrl new writes one" if words.endswith(f"{path.name}: there is no such file") else ""
+        raise InputError(_not_a_job(path) or words + more) from None
 
 
 def _not_a_job(path: Path) -> str | None:
-    """Return a message for a file that is no job or does not exist; None where the message of its reader is better."""
-    from platform_ctrl.common.arguments import nearest
+    """Return a message for a file that is no job; None where the message of its reader is better."""
     from platform_ctrl.plant.mistakes import one_line
     from platform_ctrl.plant.source import shipped_models
 
     name = one_line(str(path))
     try:
-        there, inside = path.is_file(), path.parent.is_dir() and not os.path.lexists(path)
+        there, absent = path.is_file(), not os.path.lexists(path)
     except OSError:  # a path that no file can have
         return None
     if there and is_plant(path):
         return f"{name}: is a plant, not a job; platform-ctrl new NAME writes a job to start from"
-    if not inside:
-        return None
-    if name in shipped_models():
+    if absent and name in shipped_models():
         return f"{name}: is a shipped plant, not a job; platform-ctrl new NAME writes a job to start from"
-    stems = {file.stem: file.name for file in path.parent.glob("*.toml")}
-    meant = nearest(path.stem, stems)
-    hint = "platform-ctrl new writes one" if meant is None else f"did you mean {path.with_name(stems[meant])}?"
-    return f"{name}: there is no such file; {one_line(hint)}"
+    return None
 
 
 def is_plant(path: Path) -> bool:

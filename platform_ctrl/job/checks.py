@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
@@ -266,18 +266,24 @@ def _tracking(job: Job, k: int) -> Iterator[Misfit]:
 
 
 def _design(job: Job, loop: LoopSpec, design: DesignSpec, rate: float) -> Iterator[Misfit]:
-    if design.command is not None and design.command.filter_hz >= 0.5 * rate:
-        words = f"below half the sample rate, {0.5 * rate:g} Hz"
-        yield from within(("command",), [wrong(design.command, "filter_hz", words)])
+    yield from _below_half(design.options, [key for key in design.options if key.endswith("_hz")], rate)
+    if design.command is not None:
+        yield from within(("command",), _below_half(design.command, ["filter_hz"], rate))
     yield from _sensors(job.platform, loop.kind, design.sensors)
     if design.feedforward is not None:
         yield from within(("feedforward",), _feedforward(job, design.feedforward))
 
 
+def _below_half(table: object, keys: Iterable[str], rate: float) -> Iterator[Misfit]:
+    """Yield frequencies of a table or record that a loop sampled at `rate`, Hz, does not have."""
+    for key in keys:
+        f = table[key] if isinstance(table, Mapping) else getattr(table, key)
+        if f is not None and f >= 0.5 * rate:
+            yield wrong(table, key, f"below half the sample rate, {0.5 * rate:.6g} Hz")
+
+
 def _feedforward(job: Job, fed: Feedforward) -> Iterator[Misfit]:
-    half = 0.5 / job.sampling.period
-    if fed.bandwidth_hz is not None and fed.bandwidth_hz >= half:
-        yield wrong(fed, "bandwidth_hz", f"below half the sample rate, {half:g} Hz")
+    yield from _below_half(fed, ["bandwidth_hz"], 1.0 / job.sampling.period)
     platform, every = job.platform, [sensor.name for sensor in job.platform.sensors]
     rates = [one for one in platform.sensors if one.unit == "rad/s"]
     # Those of the root, which no torquer on a gimbal moves.
@@ -389,9 +395,7 @@ def _initial(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
 
 
 def _command(job: Job, command: Command) -> Iterator[Misfit]:
-    half = 0.5 / job.sampling.period
-    if command.frequency_hz >= half:
-        yield wrong(command, "frequency_hz", f"below half the sample rate, {half:.6g} Hz")
+    yield from _below_half(command, ["frequency_hz"], 1.0 / job.sampling.period)
     reading, by_name = command.reading, {sensor.name: sensor for sensor in job.platform.sensors}
     if reading not in by_name:
         yield unknown("reading", reading, "sensor of the plant", by_name)

@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
+from platform_ctrl.analysis.metrics import COUPLED_METRICS
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.job.budget import BudgetSpec
@@ -160,7 +161,6 @@ class LoopSpec:
             yield from ((("design", k, key), text) for key, text in kind_misfits(design, kind))
         for key in ("limits", "soft"):
             yield from within((key,), limit_misfits(table.get(key, {})))
-        yield from within(("limits",), out_of_reach(table.get("limits", {})))
         names = [design["name"] for design in designs]
         if table["use"] not in names:
             yield wrong(table, "use", "the name of a design of this loop", f"; {suggestion(table['use'], names)}")
@@ -199,6 +199,11 @@ class CoupledLimits:
 
     disk_margin: fields.Positive | None = None
     coupling_cost: fields.Positive | None = None
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        for metric in COUPLED_METRICS.values():
+            yield from out_of_reach(table, metric.key, metric)
 
 
 @input_value

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from platform_ctrl.common.text import Rounding, at_least, at_most, rounded
 
 if TYPE_CHECKING:
+    from platform_ctrl.analysis.metrics import Sense
     from platform_ctrl.common.values import FloatArray
     from platform_ctrl.job.job import Job
     from platform_ctrl.job.judging import CheckResult
@@ -25,7 +26,6 @@ RPM = 60.0 * HZ
 
 MINUS, DASH = "\u2212", "\u2013"
 MET, NOT_MET = "\u2713", "\u2717"
-UNSTABLE = "none (unstable)"
 BOUND = {"at least": "\u2265", "at most": "\u2264"}
 
 # Units that the name of a claim may end in, after a comma as on an axis.
@@ -85,9 +85,9 @@ def times(factor: float, number: float) -> float:
     return float(Decimal(repr(float(number))) * Decimal(factor)) if exact else number
 
 
-def pessimistic_rounding(one: CheckResult) -> Rounding:
-    """Return the direction in which a value with a limit is rounded: it is never printed better than it is."""
-    return "down" if one.sense == "at least" else "up"
+def pessimistic_rounding(sense: Sense) -> Rounding:
+    """Return the direction in which a value is rounded: it is never printed better than it is."""
+    return "down" if sense == "at least" else "up"
 
 
 def distinguishing_digits(one: CheckResult) -> int:
@@ -116,25 +116,8 @@ def compared(one: CheckResult) -> tuple[str, str]:
         return "diverged" if one.stage == "simulated" else words, shown_limit
     if abs(one.value) * factor >= _TOO_LARGE:
         factor, name = handy_unit(one.unit, one.value)
-    shown = plain(times(factor, one.value), distinguishing_digits(one), pessimistic_rounding(one))
+    shown = plain(times(factor, one.value), distinguishing_digits(one), pessimistic_rounding(one.sense))
     return f"{shown} {name}".rstrip(), shown_limit
-
-
-def in_one_unit(numbers: Sequence[float | None], unit: str) -> list[str]:
-    """Return numbers with their unit, all in the same, with digits enough to tell the different ones apart."""
-    finite = [abs(number) for number in numbers if number is not None and math.isfinite(number)]
-    factor, name = handy_unit(unit, max(finite, default=1.0))
-    different = len(set(finite[:2]))
-    for digits in (4, 6, 9):
-        if len({f"{number:.{digits}g}" for number in finite[:2]}) == different:
-            break
-
-    def words(number: float | None) -> str:
-        if number is None:
-            return ""
-        return f"{factor * number:.{digits}g} {name}".rstrip() if math.isfinite(number) else UNSTABLE
-
-    return [words(number) for number in numbers]
 
 
 def percent(share: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import tomllib
@@ -12,6 +13,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
+from platform_ctrl.common.arguments import nearest
 from platform_ctrl.errors import InputError
 from platform_ctrl.plant.mistakes import Mistake, given, one_line, plain, suggestion
 
@@ -99,7 +101,7 @@ def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:
         # utf-8-sig: some editors put a byte order mark at the head, which neither TOML nor JSON knows.
         return data.decode("utf-8-sig")
     except FileNotFoundError:
-        raise InputError(f"{label}: there is no such file") from None
+        raise InputError(f"{label}: there is no such file{_meant(path)}") from None
     except IsADirectoryError:
         raise InputError(f"{label}: is a directory; give {expected}") from None
     except UnicodeDecodeError as error:
@@ -110,6 +112,15 @@ def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:
         raise
     except ValueError as error:  # a path that no file can have
         raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
+
+
+def _meant(path: Path) -> str:
+    """Return the name of the file beside it that `path` was probably meant to be, as the end of a message."""
+    with contextlib.suppress(OSError):
+        stems = {one.stem: one.name for one in path.parent.iterdir() if one.suffix == path.suffix}
+        close = nearest(path.stem, stems)
+        return "" if close is None else f"; did you mean {given(stems[close])}?"
+    return ""
 
 
 def read_json(path: str | os.PathLike[str], expected: str) -> tuple[str, object]:

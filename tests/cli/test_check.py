@@ -53,7 +53,7 @@ def test_a_slower_loop_is_worse_by_a_table_that_says_why(capsys: pytest.CaptureF
     assert main(SLOW) == 1
     out = capsys.readouterr().out
     assert "values 4 worse by more than their tolerance" in out
-    row = "caging 9-10: bandwidth 27.68 Hz 24.03 Hz -13 % 0.2768 Hz at least 20 Hz"
+    row = "caging 9-10: bandwidth 27.68 Hz 24.03 Hz −13 % 0.2768 Hz at least 20 Hz"
     assert row in " ".join(out.split())
     assert "made with another controller of caging 9-10" in out
 

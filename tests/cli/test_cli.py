@@ -123,7 +123,7 @@ def test_an_unstable_loop_has_its_report_and_ends_with_one_and_one_line(
 
 
 BAD = {
-    "no controller": ("spin_notch_hz = 1500", "spin_notch_hz must be below half the sample rate, got 1500"),
+    "no controller": ("inertial_lead_hz = 40", "option 'inertial_lead_hz' has no meaning for this loop"),
     "unstable": ("crossover_hz = 400", "the closed loop grows at"),
     "an error of a library": ("crossover_hz = 39", "LinAlgError: no luck"),
 }
@@ -154,7 +154,7 @@ def test_a_design_that_fails_does_not_end_the_others(
     monkeypatch.chdir(tmp_path)
     assert main(["design", "job.toml", "-q"]) == (1 if used else 0)
     out, err = capsys.readouterr()
-    assert f"failed: caging 9-10, bad: {words}" in " ".join(out.split()).replace("classical: spin", "spin")
+    assert f"failed: caging 9-10, bad: {words}" in " ".join(out.split()).replace("classical: option", "option")
     assert err.startswith("platform-ctrl: error: caging 9-10, bad: ") if used else not err
     record = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
     assert record["passed"] is not used
@@ -172,7 +172,7 @@ def test_a_design_that_fails_does_not_end_the_others(
     [
         (["desing"], "No such command 'desing'"),
         (["design", "job.toml", "--colour"], "No such option: --colour"),
-        (["design", "joob.toml"], "joob.toml: there is no such file; did you mean job.toml?"),
+        (["design", "joob.toml"], 'joob.toml: there is no such file; did you mean "job.toml"?'),
         (
             ["design", "plant.toml"],
             "plant.toml: is a plant, not a job; platform-ctrl new NAME writes a job",

@@ -84,9 +84,9 @@ def test_a_job_in_a_test_is_compared_with_its_requirements_and_with_an_accepted_
     done.stdout.fnmatch_lines_random(
         [
             "E*accepted.json: of * values 4 worse by more than their tolerance",
-            "E*caging 9-10: bandwidth * 27.68 Hz * 24.03 Hz *-13 % * 0.2768 Hz * at least 20 Hz",
+            "E*caging 9-10: bandwidth * 27.68 Hz * 24.03 Hz *−13 % * 0.2768 Hz * at least 20 Hz",
             "E*made with another job and another controller of caging 9-10",
             "E*gyro 9-10: 1 of * requirements not met",
-            "E*caging 9-10, classical: bandwidth *27.6* Hz *at least 35 Hz*-21 %*",
+            "E*caging 9-10, classical: bandwidth *27.6* Hz *at least 35 Hz*−21 %*",
         ]
     )

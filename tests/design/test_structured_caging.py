@@ -279,7 +279,6 @@ def gyro_job(limits, soft=None, faults=None, rate_hz=5000, **design_options):
         ({"structure": "cross-axis", "starts": 2}, "option 'starts' has no meaning"),
         ({"structure": "state-space", "order": 1.5}, "order must be a whole number, got 1.5"),
         ({"reserve": 1.0}, "reserve must be less than 1, got 1"),
-        ({"integral_hz": 2500}, "integral_hz must be below half the sample rate, got 2500"),
     ],
 )
 def test_options_without_sense_are_refused(options, said):

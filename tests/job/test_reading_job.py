@@ -221,6 +221,8 @@ def test_a_plant_is_found_beside_the_job_or_in_the_folder_given(
     assert read_job(data, folder=tmp_path).platform.name == "two gimbals"
     assert read_job(dict(data, plant=str(tmp_path / "plants" / "mine.toml"))).platform.name == "two gimbals"
     assert "no such file" in refusal(read_job, data)
+    misspelt = refusal(read_job, dict(data, plant=str(tmp_path / "plants" / "mnie.toml")))
+    assert misspelt.endswith('mnie.toml: there is no such file; did you mean "mine.toml"?')
     monkeypatch.chdir(tmp_path)
     assert read_job(data).plant == "plants/mine.toml"
 
