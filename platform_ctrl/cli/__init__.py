@@ -15,7 +15,7 @@ from typing import Any
 from platform_ctrl.cli.exits import (
     INTERRUPTED,
     INTERRUPTED_LINE,
-    ProcessEnd,
+    end_of_process,
     exit_interrupted,
     failed,
     interruptible,
@@ -37,13 +37,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     collect_seldom()
     try:
-        end = ProcessEnd()
+        end = end_of_process()
         with interruptible() as check:
             code = _guarded(sys.argv[1:])
             check()
         if code == INTERRUPTED:
             exit_interrupted()
-        end.begin(code)
+        end(code)
     except KeyboardInterrupt:
         exit_interrupted()
     return code

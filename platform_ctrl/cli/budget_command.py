@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from platform_ctrl.cli.exits import noted
+from platform_ctrl.cli.exits import noted, print_json
 from platform_ctrl.cli.job_arguments import (
     Controllers,
     JobFile,
@@ -80,10 +78,9 @@ def budget(
             found = replaced(found, {"results": by_simulation(found.results, runs)})
     noted(used)
     if as_json:
-        from platform_ctrl.common.files import json_text
         from platform_ctrl.verification.result_file import budget_record
 
-        typer.echo(json_text(budget_record(read, found, runs, others)))
+        print_json(budget_record(read, found, runs, others))
     else:
         show_budget(read, found, runs, others)
         show_requirements(screen(), found.results)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from platform_ctrl.cli.exits import not_drawn, noted
+from platform_ctrl.cli.exits import not_drawn, noted, print_json
 from platform_ctrl.cli.job_arguments import (
     CAMPAIGN,
     Controllers,
@@ -143,9 +143,7 @@ def campaign(
         )
     noted(used)
     if as_json:
-        from platform_ctrl.common.files import json_text
-
-        typer.echo(json_text(record))
+        print_json(record)
     else:
         show_campaign(summary)
         _show_files(result, None if line else out / PAGE)

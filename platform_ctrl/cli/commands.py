@@ -18,6 +18,7 @@ import typer
 from platform_ctrl.cli.budget_command import budget
 from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.design_commands import check, design
+from platform_ctrl.cli.exits import print_json
 from platform_ctrl.cli.export_command import export
 from platform_ctrl.cli.job_arguments import Json, Quiet, folder_option, one_of, option, prepare_folder
 from platform_ctrl.cli.serve_command import serve
@@ -78,7 +79,7 @@ def new(
     platform-ctrl new eye --kind camera-gimbal
         by what you have
     """  # noqa: D301
-    from platform_ctrl.common.files import json_text, write_whole
+    from platform_ctrl.common.files import write_whole
 
     title, known = _title(name), one_of("--kind", kind, tuple(KINDS))
     files = (f"{title}_plant.toml", f"{title}.toml")
@@ -93,7 +94,7 @@ def new(
         shlex.join(["platform-ctrl", word, str(file)]) for word, file in (("design", job), ("equations", plant))
     ]
     if as_json:
-        typer.echo(json_text({"schema": 1, "plant": str(plant), "job": str(job), "kind": kind, "next": commands}))
+        print_json({"schema": 1, "plant": str(plant), "job": str(job), "kind": kind, "next": commands})
         return
     typer.echo(f"plant: {plant}\njob:   {job}\nnext:  {commands[0]}\nalso:  {commands[1]}")
 
@@ -130,7 +131,6 @@ def models(as_json: Json = False) -> None:
     import tomllib
 
     from platform_ctrl.cli.terminal import screen, show_pairs
-    from platform_ctrl.common.files import json_text
     from platform_ctrl.job.quantities import count
     from platform_ctrl.plant.source import platform_source, shipped_models
 
@@ -140,7 +140,7 @@ def models(as_json: Json = False) -> None:
         parts = {key: len(plant.get(key, [])) for key in ("gimbal", "rotor", "torquer", "pickoff")}
         listed.append({"name": name, "title": plant["name"], "source": plant.get("source", ""), **parts})
     if as_json:
-        typer.echo(json_text(listed))
+        print_json(listed)
         return
     pairs = [(m["name"], f"{m['title']}: {count(m['gimbal'], 'gimbal')}, {count(m['rotor'], 'rotor')}") for m in listed]
     show_pairs(screen(), pairs)
@@ -207,17 +207,16 @@ def equations(
     chosen_order = None if one_of("--order", order, ORDERS) == EXACT else int(order)
     from platform_ctrl.cli.terminal import progress
 
-    if as_json:
-        chosen_form = "json"
+    chosen_form = "json" if as_json else chosen_form
     with progress(quiet or as_json, f"deriving the equations of {plant}"):
-        from platform_ctrl.common.files import json_text
         from platform_ctrl.mechanics.symbolic import equations as found
         from platform_ctrl.plant.reading import read_platform
 
         written = found(read_platform(plant), chosen_form, chosen_order, chosen_terms)
-        if chosen_form == "json":
-            written = f"{json_text(written)}\n"
-    typer.echo(written, nl=False)
+    if chosen_form == "json":
+        print_json(written)
+    else:
+        typer.echo(written, nl=False)
 
 
 def warm_up(as_json: Json = False, quiet: Quiet = False) -> None:
@@ -234,7 +233,6 @@ def warm_up(as_json: Json = False, quiet: Quiet = False) -> None:
         in a Dockerfile: RUN platform-ctrl warm-up --quiet
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
-    from platform_ctrl.common.files import json_text
 
     start = time.monotonic()
     with progress(quiet or as_json, "compiling the simulation"):
@@ -245,7 +243,10 @@ def warm_up(as_json: Json = False, quiet: Quiet = False) -> None:
         compile_kernel()
         rollout(read_platform("rate_gyro"), q=[[0.0]], velocity=[[0.0] * 4], step=1e-4, steps=1)
     seconds = time.monotonic() - start
-    typer.echo(json_text({"schema": 1, "seconds": seconds}) if as_json else f"compiled in {seconds:.0f} s")
+    if as_json:
+        print_json({"schema": 1, "seconds": seconds})
+    else:
+        typer.echo(f"compiled in {seconds:.0f} s")
 
 
 app = typer.Typer(

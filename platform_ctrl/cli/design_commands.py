@@ -7,14 +7,13 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from platform_ctrl.cli.exits import failed, not_drawn, noted, reported
+from platform_ctrl.cli.exits import failed, not_drawn, noted, print_json, reported
 from platform_ctrl.cli.job_arguments import (
     DESIGNED,
     REPORT,
@@ -97,7 +96,7 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         prepare_folder(folder, (RESULT, REPORT))
-        expect_proofs_possible(prove)
+        _expect_proofs_possible(prove)
         from platform_ctrl.common.processes import processors
         from platform_ctrl.design.jobs import attempted_loops
         from platform_ctrl.simulation.batch import start_compilation
@@ -124,9 +123,6 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
 # Between two looks at the files, s; large files are looked at for a tenth of the time.
 _PAUSE, _SHARE = 0.1, 0.1
 
-# Hash of what a file holds, which times and sizes do not show; None while there is none.
-_State = dict[Path, bytes | None]
-
 
 def whenever_saved(job: Path, run: Callable[[], int], *, quiet: bool) -> NoReturn:
     """Run, and again whenever the job or a file that it names has changed, until Ctrl-C.
@@ -151,24 +147,25 @@ def whenever_saved(job: Path, run: Callable[[], int], *, quiet: bool) -> NoRetur
             pass
 
 
-def _after_a_pause(files: list[Path]) -> _State:
+def _after_a_pause(files: list[Path]) -> list[bytes]:
     begun = time.monotonic()
     out = _state(files)
     time.sleep(max(_PAUSE, (time.monotonic() - begun) * (1.0 / _SHARE - 1.0)))
     return out
 
 
-def _state(files: list[Path]) -> _State:
-    out: _State = dict.fromkeys(files)
+def _state(files: list[Path]) -> list[bytes]:
+    """Return hashes of what files hold, which times and sizes do not show; of a file that is not there an empty one."""
+    out = []
     for file in files:
-        with suppress(OSError, ValueError):  # it does not exist, or no file can be called so
-            if file.is_file():
-                with file.open("rb") as opened:
-                    out[file] = hashlib.file_digest(opened, "sha256").digest()
+        try:
+            out.append(hashlib.sha256(file.read_bytes()).digest() if file.is_file() else b"")
+        except (OSError, ValueError):  # it cannot be read, or no file can be called so
+            out.append(b"")
     return out
 
 
-def expect_proofs_possible(prove: bool) -> None:
+def _expect_proofs_possible(prove: bool) -> None:
     """Raise an `InputError` before the work where proofs are asked for and their library is missing."""
     if prove:
         from platform_ctrl.verification.proofs import flint
@@ -245,7 +242,7 @@ def check(
         others = read_controllers(file, read, "alternatives")
         summary = None if campaign is None else campaign_summary(read, closed, campaign)
         prepare_folder(folder, (RESULT, REPORT))
-        expect_proofs_possible(prove)
+        _expect_proofs_possible(prove)
         result = check_job(read, outcomes_from(read, closed, others), say, prove=prove)
         notes = unconfirmed(file, result)
         record = with_sections(result_record(result), file)
@@ -345,11 +342,10 @@ def _show(
 ) -> int:
     """Print the result; return the exit code, that of the verdict."""
     from platform_ctrl.cli.terminal import show_result
-    from platform_ctrl.common.files import json_text
 
     there, missing = drawn
     if as_json:
-        typer.echo(json_text(record))
+        print_json(record)
     else:
         show_result(result, campaign)
         if there:

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+from platform_ctrl.common.files import json_text
 from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError, began_with_interrupt, reason
 
 
@@ -36,6 +37,11 @@ def not_drawn(path: Path, draw: Callable[[Path], object]) -> str:
 def reported(error: PlatformCtrlError) -> int:
     """Print an error; return the exit code."""
     return failed(str(error), 1 if isinstance(error, DesignError | SimulationError) else 2)
+
+
+def print_json(record: object) -> None:
+    """Print data as JSON on standard output."""
+    print(json_text(record))
 
 
 def failed(message: str, code: int) -> int:
@@ -105,26 +111,26 @@ def exit_interrupted(*signal_and_frame: object) -> NoReturn:
     os._exit(INTERRUPTED)
 
 
-class ProcessEnd:
-    """The end of the process after the work is done; without it, Python dies of a Ctrl-C there (exit status -2).
+def end_of_process() -> Callable[[int], None]:
+    """Return a function that lets the process end with a code, of a Ctrl-C from then on with 130.
 
-    Python restores the system's own handler of SIGINT before it clears its modules. Therefore the process ends as soon
-    as all that was registered with `atexit` since this object was made has run.
+    Python restores the system's own handler of SIGINT before it clears its modules and would die of a Ctrl-C there
+    (exit status -2). Therefore the process ends as soon as all that is registered with `atexit` after this call has
+    run.
     """
+    given: list[int] = []
 
-    def __init__(self) -> None:
-        self._code: int | None = None
-        atexit.register(self._leave)
-
-    def begin(self, code: int) -> None:
-        """Let Ctrl-C end the process with 130 from here on, and the process else with `code`."""
-        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-            signal.signal(signal.SIGINT, exit_interrupted)
-        self._code = code
-
-    def _leave(self) -> None:
-        if self._code is not None:
+    def leave() -> None:
+        if given:
             with suppress(OSError, ValueError):  # the reader has ended
                 sys.stdout.flush()
                 sys.stderr.flush()
-            os._exit(self._code)
+            os._exit(given[0])
+
+    def begin(code: int) -> None:
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, exit_interrupted)
+        given.append(code)
+
+    atexit.register(leave)
+    return begin

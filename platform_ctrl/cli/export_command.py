@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from platform_ctrl.cli.exits import noted
+from platform_ctrl.cli.exits import noted, print_json
 from platform_ctrl.cli.job_arguments import (
     Controllers,
     JobFile,
@@ -27,7 +27,7 @@ from platform_ctrl.cli.job_arguments import (
     plant_file,
     writable,
 )
-from platform_ctrl.common.files import UNFINISHED, json_text, write_json, write_whole
+from platform_ctrl.common.files import UNFINISHED, write_json, write_whole
 from platform_ctrl.common.processes import interrupts_deferred
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.exporters import FORMS, NUMBERS, RESPONSES, ROOTS, Export, Form
@@ -143,7 +143,7 @@ def export(
         ]
     noted(used)
     if as_json:
-        typer.echo(json_text(about | {"written": written, "notes": work.notes}))
+        print_json(about | {"written": written, "notes": work.notes})
         return 0
     for one, target in chosen.items():
         typer.echo(f"{one.title}: {target}{f', {len(made[one])} files' if one.folder else ''}")

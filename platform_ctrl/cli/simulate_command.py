@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from platform_ctrl.cli.exits import not_drawn, noted
+from platform_ctrl.cli.exits import not_drawn, noted, print_json
 from platform_ctrl.cli.job_arguments import (
     CAMPAIGN,
     Controllers,
@@ -26,14 +27,24 @@ from platform_ctrl.errors import InputError
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.campaign.planning import Plan
+    from platform_ctrl.common.progress import Progress
     from platform_ctrl.job.job import Job
     from platform_ctrl.job.manoeuvre import Manoeuvre
     from platform_ctrl.verification.simulated import Run
 
 TABLE = "campaign.parquet"
 
-Shown = Callable[[bool], int]
+
+class _Simulated(NamedTuple):
+    """A run, and what is said of it beside its values."""
+
+    job: Job
+    run: Run
+    passed: bool
+    title: str  # Of its figure
+    figure: Path | None  # Where that goes; None: nowhere
+    about: Mapping[str, Any] = MappingProxyType({})  # Of a run of the campaign: its number, inputs and row
+    unlikely: list[str] | None = None  # In what it differs from the campaign's table; None where it is not there
 
 
 RunNumber = Annotated[
@@ -100,29 +111,23 @@ def simulate(
         from platform_ctrl.verification.controllers import read_controllers
 
         closed = read_controllers(file, read)
-        if chosen is None:
-            assert run is not None
-            planned = _planned(read, run, closed, out)
-            prepare_folder(planned[1])
-            say(f"run {run} of the campaign")
-            show = _campaign_run(run, *planned)
+        if chosen is not None:
+            found = _manoeuvre_run(read, chosen, closed, out, say)
         else:
-            if out is not None:
-                prepare_folder(out)
-            say(f"simulated run: {chosen.name}")
-            show = _manoeuvre_run(read, chosen, closed, out)
+            assert run is not None
+            found = _campaign_run(read, run, closed, out or CAMPAIGN, say)
+        line = "" if found.figure is None else _drawn(found, found.figure)
     noted(used)
-    return show(as_json)
+    _show(found, line, as_json)
+    return 0 if found.passed else 1
 
 
 def _list(path: Path, as_json: bool) -> int:
     """Print the manoeuvres of a job, and how to choose one."""
     job = job_of(path)
     if as_json:
-        from platform_ctrl.common.files import json_text
-
         listed = [{"number": k, "name": one.name, "mode": one.mode} for k, one in enumerate(job.manoeuvres, 1)]
-        typer.echo(json_text({"schema": 1, "job": job.name, "manoeuvres": listed}))
+        print_json({"schema": 1, "job": job.name, "manoeuvres": listed})
         return 0
     from platform_ctrl.cli.terminal import screen, show_pairs, show_words
 
@@ -140,100 +145,83 @@ def _list(path: Path, as_json: bool) -> int:
     return 0
 
 
-def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:
+def _manoeuvre_run(
+    job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None, say: Progress
+) -> _Simulated:
     from platform_ctrl.verification.simulated import simulate_manoeuvre
 
+    if out is not None:
+        prepare_folder(out)
+    say(f"simulated run: {manoeuvre.name}")
     result = simulate_manoeuvre(job, manoeuvre, controllers)
-    name = f"manoeuvre-{1 + [one.name for one in job.manoeuvres].index(manoeuvre.name)}.svg"
-    figure, line = (None, "") if out is None else _drawn(result, job, manoeuvre.name, out / name)
-
-    def show(as_json: bool) -> int:
-        _show(job, result, {} if as_json else None)
-        _show_figure(None if as_json else figure, line)
-        return 0 if all(one.passed for one in result.results) else 1
-
-    return show
+    number = 1 + [one.name for one in job.manoeuvres].index(manoeuvre.name)
+    figure = None if out is None else out / f"manoeuvre-{number}.svg"
+    return _Simulated(job, result, all(one.passed for one in result.results), manoeuvre.name, figure)
 
 
-def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool) -> Shown:
-    from platform_ctrl.campaign.single_run import recorded_row, rerun, unlike
-
-    found = rerun(plan, number)
-    row = recorded_row(folder, number) if recorded else None
-    unlikely = [] if row is None else unlike(found, row)
-    title = f"run {number}: {found.run.manoeuvre.name}"
-    figure, line = _drawn(found.run, found.job, title, folder / f"run-{number}.svg")
-
-    def show(as_json: bool) -> int:
-        if as_json:
-            more = {"run": number, "inputs": found.inputs, "row": found.metrics}
-            more["figure"] = None if figure is None else str(figure)
-            _show(found.job, found.run, more | {"as_in_table": None if row is None else not unlikely})
-        else:
-            from platform_ctrl.cli.terminal import show_inputs
-
-            show_inputs(f"run {number} of the campaign", found.inputs)
-            _show(found.job, found.run)
-            if row is not None and not unlikely:
-                typer.echo(f"the values are those of {folder / TABLE}")
-        _show_figure(None if as_json else figure, line)
-        for one in unlikely:
-            noted(f"{folder / TABLE}: run {number} is not the same: {one}")
-        return 0 if found.metrics["passed"] else 1
-
-    return show
-
-
-def _show(job: Job, run: Run, more: dict[str, Any] | None = None) -> None:
-    """Print a run; with `more` as JSON beside it."""
-    from platform_ctrl.common.files import json_text
-    from platform_ctrl.verification.result_file import run_record
-    from platform_ctrl.verification.simulated import largest
-
-    if more is not None:
-        about = {"schema": 1, "job": job.name, "platform": job.platform.name, **more}
-        typer.echo(json_text(about | run_record(job, run)))
-        return
-    from platform_ctrl.cli.terminal import show_run
-
-    show_run(run, largest(job, run.manoeuvre, run.trajectory))
-
-
-def _planned(job: Job, number: int, controllers: list[control.StateSpace], out: Path | None) -> tuple[Plan, Path, bool]:
-    """Return the plan of the campaign in a folder if there is one, else the job's; the folder; and whether."""
-    from platform_ctrl.campaign.single_run import recorded_plan
+def _campaign_run(
+    job: Job, number: int, controllers: list[control.StateSpace], folder: Path, say: Progress
+) -> _Simulated:
+    """Simulate a run of the campaign in a folder if there is one, else of the job's."""
+    from platform_ctrl.campaign.single_run import recorded_plan, recorded_row, rerun, unlike
     from platform_ctrl.campaign.store import RECORD, read_campaign_record
 
-    folder = out or CAMPAIGN
     record = read_campaign_record(folder)
-    made, changed = recorded_plan(job, controllers, record)
+    plan, changed = recorded_plan(job, controllers, record)
     if changed:
         raise InputError(
             f"{folder / RECORD}: the campaign there was simulated with {'; '.join(changed)}; its runs cannot be "
             "simulated again with what there is now"
         )
-    if not 0 <= number < made.runs:
-        raise InputError(f"--run {number}: the campaign has the runs 0 to {made.runs - 1}")
-    return made, folder, record is not None
+    if not 0 <= number < plan.runs:
+        raise InputError(f"--run {number}: the campaign has the runs 0 to {plan.runs - 1}")
+    prepare_folder(folder)
+    say(f"run {number} of the campaign")
+    found = rerun(plan, number)
+    row = None if record is None else recorded_row(folder, number)
+    unlikely = (
+        None if row is None else [f"{folder / TABLE}: run {number} is not the same: {x}" for x in unlike(found, row)]
+    )
+    about = {"run": number, "inputs": found.inputs, "row": found.metrics}
+    title = f"run {number}: {found.run.manoeuvre.name}"
+    figure = folder / f"run-{number}.svg"
+    return _Simulated(found.job, found.run, bool(found.metrics["passed"]), title, figure, about, unlikely)
 
 
-def _drawn(run: Run, job: Job, title: str, path: Path) -> tuple[Path | None, str]:
-    """Return the file of a figure, or None and why it is missing."""
+def _show(found: _Simulated, line: str, as_json: bool) -> None:
+    """Print a run; `line` says why its figure is missing."""
+    from platform_ctrl.verification.result_file import run_record
+    from platform_ctrl.verification.simulated import largest
+
+    job, run, figure = found.job, found.run, None if line else found.figure
+    same = None if found.unlikely is None else not found.unlikely
+    if as_json:
+        more = {"figure": None if figure is None else str(figure), "as_in_table": same} if found.about else {}
+        about = {"schema": 1, "job": job.name, "platform": job.platform.name, **found.about, **more}
+        print_json(about | run_record(job, run))
+    else:
+        from platform_ctrl.cli.terminal import show_inputs, show_run
+
+        if found.about:
+            show_inputs(f"run {found.about['run']} of the campaign", found.about["inputs"])
+        show_run(run, largest(job, run.manoeuvre, run.trajectory))
+        if same and found.figure is not None:
+            typer.echo(f"the values are those of {found.figure.parent / TABLE}")
+        if figure is not None:
+            typer.echo(f"figure: {figure}")
+    for words in (line, *(found.unlikely or ())):
+        noted(words)
+
+
+def _drawn(found: _Simulated, path: Path) -> str:
+    """Draw a run; return why there is no figure, or nothing."""
 
     def draw(path: Path) -> None:
         from platform_ctrl.report.figures.runs import write_run_figure
 
-        write_run_figure(run, job.platform, title, path)
+        write_run_figure(found.run, found.job.platform, found.title, path)
 
-    line = not_drawn(path, draw)
-    return (None, line) if line else (path, "")
-
-
-def _show_figure(figure: Path | None, line: str) -> None:
-    if figure is not None:
-        typer.echo(f"figure: {figure}")
-    if line:
-        noted(line)
+    return not_drawn(path, draw)
 
 
 def _manoeuvre(job: Job, selected: str, path: Path) -> Manoeuvre:

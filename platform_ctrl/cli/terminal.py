@@ -9,7 +9,6 @@ import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from itertools import groupby
 from typing import TYPE_CHECKING
 
 from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
@@ -19,6 +18,7 @@ from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.report.blocks import Table
@@ -129,7 +129,7 @@ def show_pairs(console: Console, pairs: Sequence[tuple[str, str]], indent: str =
 def show_table(
     console: Console,
     heads: Sequence[str],
-    rows: Sequence[Sequence[str]],
+    rows: Sequence[Sequence[str | Text]],
     words: int = 1,
     styles: Sequence[str] | None = None,
 ) -> None:
@@ -169,44 +169,29 @@ def show_requirements(
     Of what is met by as much as it can be the names alone are printed, below the table. Without `titles` the subjects
     are not named.
     """
-    from rich.table import Table
     from rich.text import Text
 
     from platform_ctrl.report.tables import requirement_row
 
-    shown = [(one, requirement_row(one, of)) for one in results if not _as_good_as_can_be(one)]
-    heads = ("value", "limit", "margin")
-    widths = [max(len(head), *(len(getattr(row, head)) for _, row in shown)) for head in heads] if shown else []
-    mark = max((len(_mark(one)) for one, _ in shown), default=0)
-    room = max(console.width - mark - sum(widths) - 2 * (len(heads) + 1), 12)
-    name = min(max((len(one.name) for one, _ in shown), default=0), room)
-
-    def table(*titles: str) -> Table:
-        out = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=bool(titles), header_style="dim")
-        for title, width in zip(titles or ("",) * 5, (mark, name, *widths), strict=True):
-            out.add_column(title, width=width)
-        for column in out.columns[2:]:
-            column.justify = "right"
-        return out
-
-    order = sorted(shown, key=lambda pair: (_group_severity(pair[0], [one for one, _ in shown]), severity(pair[0])))
-    if shown:
-        console.print(table("", "", *heads))
-    for subject, own in groupby(order, key=lambda pair: subject_of(pair[0])):
+    order = sorted((one for one in results if not _as_good_as_can_be(one)), key=severity)
+    subjects = sorted({subject_of(one): severity(one) for one in reversed(order)}.items(), key=lambda item: item[::-1])
+    cells: list[tuple[str | Text, ...]] = []
+    styles = []
+    for subject, _ in subjects:
         if titles:
-            show_words(console, subject, "bold")
-        rows = table()
-        for one, row in own:
-            style = "dim" if not one.hard else "" if one.passed else "bold red"
-            marked = Text(_mark(one), "green" if one.hard and one.passed else "")
-            rows.add_row(marked, Text(one.name), row.value, row.limit, row.margin, style=style)
-            if one.reason and not one.passed:
-                console.print(rows)
-                indent = " " * (mark + 4)
-                show_words(console, f"{indent}{one.reason}", style, indent)
-                rows = table()
-        if rows.row_count:
-            console.print(rows)
+            cells.append(("", subject, "", "", ""))
+            styles.append("bold")
+        for one in (one for one in order if subject_of(one) == subject):
+            row = requirement_row(one, of)
+            mark = "met" if one.passed else "NOT MET" if one.hard else "not met"
+            colour = "green" if one.hard and one.passed else ""
+            cells.append((Text(mark, colour), one.name, row.value, row.limit, row.margin))
+            styles.append("dim" if not one.hard else "" if one.passed else "bold red")
+    if cells:
+        show_table(console, ("", "", "value", "limit", "margin"), cells, words=2, styles=styles)
+    for one in order:
+        if one.reason and not one.passed:
+            show_words(console, f"  {one.name}: {one.reason}", "bold red" if one.hard else "dim", indent="    ")
     quiet = Counter(one.name for one in results if _as_good_as_can_be(one))
     if quiet:
         names = [name if number == 1 else f"{name} ({number} times)" for name, number in quiet.items()]
@@ -257,15 +242,6 @@ def severity(one: CheckResult) -> tuple[bool, bool, float]:
 def subject_of(one: CheckResult) -> str:
     """Return the loop or manoeuvre that a result is about, and its design."""
     return f"{one.subject}, {one.design}" if one.design else one.subject
-
-
-def _group_severity(one: CheckResult, results: Sequence[CheckResult]) -> tuple[tuple[bool, bool, float], str]:
-    subject = subject_of(one)
-    return min(severity(other) for other in results if subject_of(other) == subject), subject
-
-
-def _mark(one: CheckResult) -> str:
-    return "met" if one.passed else "NOT MET" if one.hard else "not met"
 
 
 def tells_nothing(one: CheckResult) -> bool:
