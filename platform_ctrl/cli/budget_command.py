@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from platform_ctrl.cli.exits import noted, print_json
 from platform_ctrl.cli.job_arguments import (
     Controllers,
@@ -14,7 +16,6 @@ from platform_ctrl.cli.job_arguments import (
     controller_file,
     existing_controllers,
     job_of,
-    option,
 )
 from platform_ctrl.errors import InputError
 
@@ -27,12 +28,12 @@ if TYPE_CHECKING:
     from platform_ctrl.verification.budget_result import LineOfSightBudget, SimulatedBudget
 
 
-SIMULATE = option(
+SIMULATE = typer.Option(
     "--simulate",
     metavar="N",
     help="Simulate N runs of the non-linear plant beside it, friction and noise included. Default: runs of [budget].",
 )
-SEED = option("--seed", metavar="N", help="Random seed of these runs. Default: that of the job.")
+SEED = typer.Option("--seed", metavar="N", help="Random seed of these runs. Default: that of the job.")
 
 
 def budget(

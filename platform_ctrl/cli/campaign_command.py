@@ -18,7 +18,6 @@ from platform_ctrl.cli.job_arguments import (
     controller_file,
     folder_option,
     job_of,
-    option,
     prepare_folder,
 )
 
@@ -33,47 +32,32 @@ if TYPE_CHECKING:
     from platform_ctrl.report.campaign_tables import ProbabilityRow
 
 PAGE = "campaign.html"
-# Groups of options in the help.
-WHAT, WHERE = "Runs", "Where they are simulated"
-
-
-Runs = Annotated[int | None, option("--runs", metavar="N", help="Number of runs. Default: as in the job.", panel=WHAT)]
-Out = Annotated[
-    Path,
-    folder_option(
-        "Folder for campaign.html, campaign.parquet and campaign.json; made if needed.",
-        default=True,
-    ),
-]
+Runs = Annotated[int | None, typer.Option("--runs", metavar="N", help="Number of runs. Default: as in the job.")]
+Out = Annotated[Path, folder_option("Folder for campaign.html, campaign.parquet and campaign.json; made if needed.")]
 Workers = Annotated[
     int | None,
-    option(
+    typer.Option(
         "--workers",
         metavar="N",
         help="Processes. Default: as many as there are processors. The results do not depend on it.",
-        panel=WHERE,
     ),
 ]
-Seed = Annotated[int | None, option("--seed", metavar="N", help="Random seed. Default: as in the job.", panel=WHAT)]
+Seed = Annotated[int | None, typer.Option("--seed", metavar="N", help="Random seed. Default: as in the job.")]
 Sampling = Annotated[
     str | None,
-    option(
+    typer.Option(
         "--sampling",
         metavar="sobol|latin-hypercube|random",
         help="How the runs fill the space of what varies. Default: as in the job.",
-        panel=WHAT,
     ),
 ]
 Scheduler = Annotated[
     str | None,
-    option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="A Dask scheduler (tcp://host:8786), whose workers simulate the runs.",
-        panel=WHERE,
+    typer.Option(
+        "--scheduler", metavar="ADDRESS", help="A Dask scheduler (tcp://host:8786), whose workers simulate the runs."
     ),
 ]
-Restart = Annotated[bool, option("--restart", help="Discard the campaign in DIR and start again.", default=True)]
+Restart = Annotated[bool, typer.Option("--restart", help="Discard the campaign in DIR and start again.")]
 
 
 def campaign(

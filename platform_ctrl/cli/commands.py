@@ -20,7 +20,7 @@ from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.design_commands import check, design
 from platform_ctrl.cli.exits import print_json
 from platform_ctrl.cli.export_command import export
-from platform_ctrl.cli.job_arguments import Json, Quiet, folder_option, one_of, option, prepare_folder
+from platform_ctrl.cli.job_arguments import Json, Quiet, folder_option, one_of, prepare_folder
 from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate
 from platform_ctrl.errors import InputError
@@ -47,23 +47,17 @@ _PLANT = re.compile(r'^plant = "(\w+)(\.toml)?"', re.MULTILINE)
 
 
 Name = Annotated[
-    str,
-    typer.Argument(
-        metavar="NAME", help="What the two files will be called: NAME_plant.toml and NAME.toml.", show_default=False
-    ),
+    str, typer.Argument(metavar="NAME", help="What the two files will be called: NAME_plant.toml and NAME.toml.")
 ]
-Out = Annotated[Path, folder_option("Folder for both; made if needed. Default: here.")]
-Kind = Annotated[
-    str,
-    option("--kind", metavar="KIND", help=f"What you have: {', '.join(KINDS)}.", default=True),
-]
+Out = Annotated[Path, folder_option("Folder for both; made if needed.")]
+Kind = Annotated[str, typer.Option("--kind", metavar="KIND", help=f"What you have: {', '.join(KINDS)}.")]
 
 
 def new(
     name: Name,
     out: Out = Path("."),
     kind: Kind = "caged-gyro",
-    force: Annotated[bool, option("--force", help="Overwrite files that are there.", default=True)] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite files that are there.")] = False,
     as_json: Json = False,
 ) -> None:
     """Copy a commented plant and a job for it, to start from.
@@ -148,19 +142,14 @@ def models(as_json: Json = False) -> None:
 
 Plant = Annotated[
     str,
-    typer.Argument(
-        metavar="PLANT",
-        help="A shipped plant's name (see platform-ctrl models), or a plant file (TOML).",
-        show_default=False,
-    ),
+    typer.Argument(metavar="PLANT", help="A shipped plant's name (see platform-ctrl models), or a plant file (TOML)."),
 ]
 Form = Annotated[
     str,
-    option(
+    typer.Option(
         "--format",
         metavar="|".join(WRITTEN),
         help="How they are written; latex is to be put into a document that loads amsmath.",
-        default=True,
     ),
 ]
 Order = Annotated[
@@ -174,8 +163,7 @@ Order = Annotated[
 Terms = Annotated[
     str,
     typer.Option(
-        metavar="|".join(TERMS),
-        help="paper: A constant, and in (27) the terms that the paper keeps. exact: all terms.",
+        metavar="|".join(TERMS), help="paper: A constant, and in (27) the terms that the paper keeps. exact: all terms."
     ),
 ]
 
@@ -185,7 +173,7 @@ def equations(
     form: Form = "text",
     order: Order = "1",
     terms: Terms = "paper",
-    as_json: Annotated[bool, option("--json", help="The same as --format json; no progress.", default=True)] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json; no progress.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Print the equations of a plant in symbols.
@@ -256,7 +244,6 @@ app = typer.Typer(
     epilog="Exit code: 0 done, every requirement met; 1 done, a requirement not met, or no controller found; 2 the "
     "input is wrong; 130 interrupted. COMMAND --help gives examples.",
 )
-START, DESIGN, SIMULATE, EXPORT = "Start", "Design and check", "Simulate on the non-linear plant", "Export"
 
 
 def _print_version(requested: bool) -> None:
@@ -289,14 +276,14 @@ def platform_ctrl(
     """  # noqa: D301
 
 
-app.command(rich_help_panel=START)(new)
-app.command(rich_help_panel=START)(models)
-app.command(rich_help_panel=START)(equations)
-app.command("warm-up", rich_help_panel=START)(warm_up)
-app.command(rich_help_panel=DESIGN)(design)
-app.command(rich_help_panel=DESIGN)(check)
-app.command(rich_help_panel=DESIGN)(budget)
-app.command(rich_help_panel=DESIGN)(serve)
-app.command(rich_help_panel=SIMULATE, short_help="Simulate one manoeuvre, or one run of a campaign again.")(simulate)
-app.command(rich_help_panel=SIMULATE, short_help="Simulate many runs, with variations.")(campaign)
-app.command(rich_help_panel=EXPORT)(export)
+app.command()(new)
+app.command()(models)
+app.command()(equations)
+app.command("warm-up")(warm_up)
+app.command()(design)
+app.command()(check)
+app.command()(budget)
+app.command()(serve)
+app.command(short_help="Simulate one manoeuvre, or one run of a campaign again.")(simulate)
+app.command(short_help="Simulate many runs, with variations.")(campaign)
+app.command()(export)

@@ -28,7 +28,6 @@ from platform_ctrl.cli.job_arguments import (
     files_read,
     folder_option,
     job_of,
-    option,
     prepare_folder,
 )
 from platform_ctrl.errors import InputError, PlatformCtrlError, began_with_interrupt
@@ -45,13 +44,9 @@ if TYPE_CHECKING:
 CHECKED = Path("check")
 
 
-Out = Annotated[
-    Path,
-    folder_option(f"Folder for {RESULT} and {REPORT}; made if needed.", default=True),
-]
+Out = Annotated[Path, folder_option(f"Folder for {RESULT} and {REPORT}; made if needed.")]
 Watch = Annotated[
-    bool,
-    option("--watch", help="Go on: design again whenever JOB or a file that it names is saved.", default=True),
+    bool, typer.Option("--watch", help="Go on: design again whenever JOB or a file that it names is saved.")
 ]
 
 
@@ -177,12 +172,12 @@ CheckOut = Annotated[
     Path | None,
     folder_option(
         f"Folder for {RESULT} and {REPORT}, default: {CHECKED}. If it is named here and holds a {RESULT}, the "
-        "controllers come from there by default.",
+        "controllers come from there by default."
     ),
 ]
 Baseline = Annotated[
     Path | None,
-    option(
+    typer.Option(
         "--baseline",
         metavar="FILE",
         help=f"An accepted {RESULT}: the exit code is also 1 if a value is worse by more than 1 %, or than the "

@@ -6,8 +6,8 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import Annotated
 
 import typer
 
@@ -20,12 +20,8 @@ from platform_ctrl.cli.job_arguments import (
     Word,
     controller_file,
     existing_controllers,
-    expect_no_file_above,
     job_of,
     one_of,
-    option,
-    plant_file,
-    writable,
 )
 from platform_ctrl.common.files import UNFINISHED, write_json, write_whole
 from platform_ctrl.common.processes import interrupts_deferred
@@ -33,46 +29,40 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.export.exporters import FORMS, NUMBERS, RESPONSES, ROOTS, Export, Form
 from platform_ctrl.plant.source import read_json
 
-WHAT, HOW = "What is written", "How"
-
-
-def _target(flag: str, metavar: str, help: str) -> Any:
-    return option(flag, metavar=metavar, help=help, panel=WHAT)
-
-
-def _how(flag: str, metavar: str, help: str) -> Any:
-    return option(flag, metavar=metavar, help=help, panel=HOW, default=True)
-
-
 C = Annotated[
     Path | None,
-    _target(
+    typer.Option(
         "--c",
-        "DIR",
-        "The controllers as C99 source, into this folder: a new or empty one, or one of an earlier export.",
+        metavar="DIR",
+        help="The controllers as C99 source, into this folder: a new or empty one, or one of an earlier export.",
     ),
 ]
 Mat = Annotated[
-    Path | None, _target("--mat", "FILE", "Controllers and linear models as MATLAB data, a struct for ss each.")
+    Path | None,
+    typer.Option("--mat", metavar="FILE", help="Controllers and linear models as MATLAB data, a struct for ss each."),
 ]
 Models = Annotated[
     Path | None,
-    _target("--models", "FILE", "Controllers, where there are some, and linear models as JSON."),
+    typer.Option("--models", metavar="FILE", help="Controllers, where there are some, and linear models as JSON."),
 ]
 Csv = Annotated[
     Path | None,
-    _target("--csv", "DIR", "Frequency responses of plants, controllers and loops, a CSV file each."),
+    typer.Option("--csv", metavar="DIR", help="Frequency responses of plants, controllers and loops, a CSV file each."),
 ]
 Responses = Annotated[
     str,
-    _how("--form", "FORM", "Responses in CSV: complex (real and imaginary parts) or polar (magnitude and phase)."),
+    typer.Option(
+        "--form",
+        metavar="FORM",
+        help="Responses in CSV: complex (real and imaginary parts) or polar (magnitude and phase).",
+    ),
 ]
 Root = Annotated[
     str,
-    _how(
+    typer.Option(
         "--root",
-        "KIND",
-        "Root of the MuJoCo model: free, prescribed (its angular acceleration is a control) or fixed.",
+        metavar="KIND",
+        help="Root of the MuJoCo model: free, prescribed (its angular acceleration is a control) or fixed.",
     ),
 ]
 
@@ -84,8 +74,10 @@ def export(
     mat: Mat = None,
     models: Models = None,
     csv: Csv = None,
-    mjcf: Annotated[Path | None, _target("--mjcf", "FILE", "The plant as a MuJoCo model.")] = None,
-    number: Annotated[str, _how("--number", "TYPE", "Numbers of the C source: double or float.")] = NUMBERS[0],
+    mjcf: Annotated[Path | None, typer.Option("--mjcf", metavar="FILE", help="The plant as a MuJoCo model.")] = None,
+    number: Annotated[
+        str, typer.Option("--number", metavar="TYPE", help="Numbers of the C source: double or float.")
+    ] = NUMBERS[0],
     form: Responses = RESPONSES[0],
     root: Root = ROOTS[0],
     as_json: Json = False,
@@ -126,7 +118,9 @@ def export(
         if controllers is not None or "needed" in uses or (there and "optional" in uses):
             work.controller_file, used = controller_file(controllers, None, job, work.job, quiet or as_json)
         file = work.controller_file
-        _check_targets([job, *plant_file(job, work.job), *([file] if file else [])], chosen)
+        inputs = [job, job.parent / work.job.plant, *([file] if file else [])]
+        for one, target in chosen.items():
+            _check_target(one, target, [*inputs, *(at for other, at in chosen.items() if other is not one)])
         work.controller_sha256 = None if file is None else sha256(file)
         owned = {one: own_files(one.flag, target) for one, target in chosen.items() if one.folder}
         about = {
@@ -179,7 +173,8 @@ def _write(
             except OSError as error:  # a full disk
                 raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
             if form.folder:
-                write_folder_record(inside[form], about)
+                files = {path.name: sha256(path) for path in sorted(inside[form].iterdir())}
+                write_json({"schema": 1, **about, "files": files}, inside[form] / RECORD)
             expect_own(inside[form], folder, owned.get(form))
             made[form] = [folder / one.name for one in sorted(inside[form].iterdir())]
         with interrupts_deferred():
@@ -193,20 +188,25 @@ def _write(
     return made
 
 
-def _check_targets(inputs: list[Path], targets: Mapping[Form, Path]) -> None:
-    """Check where everything is to be written, before the work; `inputs` are files that the command reads."""
-    for form, target in targets.items():
-        others = [*inputs, *(other for one, other in targets.items() if one is not form)]
-        if not form.folder:
-            writable(form.flag, target, others)
-            continue
-        expect_no_file_above(form.flag, target)
+def _check_target(form: Form, target: Path, others: list[Path]) -> None:
+    """Make the folder of a target and try to write there: before the work, not after it.
+
+    None of `others`, which the command reads or writes, may be the target.
+    """
+    where, kind = f"{form.flag} {target}", "folder" if form.folder else "file"
+    try:
+        blocked = next((part for part in target.parents if part.exists() and not part.is_dir()), None)
+        if blocked is not None:
+            raise InputError(f"{where}: {blocked} is a file, but must be a folder or not exist")
         if target.resolve() in [other.resolve() for other in others]:
-            raise InputError(f"{form.flag} {target}: is used for something else too; name another folder")
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{form.flag} {target}: cannot be written: {error.strerror or error}") from None
+            raise InputError(f"{where}: the command reads or writes it for something else too; name another {kind}")
+        if os.path.lexists(target) and not (target.is_dir() if form.folder else target.is_file()):
+            raise InputError(f"{where}: is no {kind}, but must be a {kind} or not exist")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        raise InputError(f"{where}: cannot be written: {error.strerror or error}") from None
 
 
 # What a folder holds that an export made: the files that are its own.
@@ -227,35 +227,26 @@ def expect_own(unfinished: Path, folder: Path, own: Mapping[str, str] | None) ->
 
 def own_files(option: str, folder: Path) -> dict[str, str]:
     """Return the files of an earlier export in a folder, with their SHA-256; none in one that is empty or not there."""
-    if not os.path.lexists(folder):
-        return {}
-    if not folder.is_dir():
-        raise InputError(f"{option} {folder}: is a file, but must be a folder or not exist")
+    where = f"{option} {folder}"
     try:
         present = [path.name for path in folder.iterdir() if not path.name.startswith(UNFINISHED)]
+    except FileNotFoundError:
+        return {}
     except OSError as error:
-        raise InputError(f"{option} {folder}: cannot be read: {error.strerror or error}") from None
+        raise InputError(f"{where}: cannot be read: {error.strerror or error}") from None
     if not present:
         return {}
     if RECORD not in present:
-        raise InputError(f"{option} {folder}: holds files of no earlier export; name a new or empty folder")
+        raise InputError(f"{where}: holds files of no earlier export; name a new or empty folder")
     _, record = read_json(folder / RECORD, "the record of an export")
     files = record.get("files") if isinstance(record, dict) else None
-    if not isinstance(files, dict) or not all(isinstance(item, str) for item in files.values()):
-        raise InputError(f"{option} {folder}: {RECORD} there is not the record of an export; name a new folder")
-    for name, known in files.items():
-        # A name that leads out of the folder is not one that an export wrote.
-        if Path(name).name != name:
-            raise InputError(f"{option} {folder}: {RECORD} there is not the record of an export; name a new folder")
-        if name in present and sha256(folder / name) != known:
-            raise InputError(f"{option} {folder}: {name} was changed since it was exported; move it elsewhere")
+    # A name that leads out of the folder is not one that an export wrote.
+    if not isinstance(files, dict) or any(Path(name).name != name for name in files):
+        raise InputError(f"{where}: {RECORD} there is not the record of an export; name a new folder")
+    for name in files.keys() & set(present):
+        if sha256(folder / name) != files[name]:
+            raise InputError(f"{where}: {name} was changed since it was exported; move it elsewhere")
     return {**files, RECORD: ""}
-
-
-def write_folder_record(folder: Path, about: Mapping[str, object]) -> None:
-    """Write which files of a folder are an export's own."""
-    files = {path.name: sha256(path) for path in sorted(folder.iterdir())}
-    write_json({"schema": 1, **about, "files": files}, folder / RECORD)
 
 
 def sha256(path: Path) -> str:

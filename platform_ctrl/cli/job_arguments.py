@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -24,37 +24,24 @@ RESULT = "result.json"
 REPORT = "report.html"
 
 
-def option(*names: str, metavar: str | None = None, help: str, panel: str | None = None, default: bool = False) -> Any:
-    """Return an option; `default`: shown in the help."""
-    return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=panel, show_default=default)
-
-
-def folder_option(help: str, default: bool = False) -> Any:
+def folder_option(help: str) -> Any:
     """Return the option of the folder that a command writes to."""
-    return option("--out", "-o", metavar="DIR", help=help, default=default)
+    return typer.Option("--out", "-o", metavar="DIR", help=help)
 
 
-JobFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="JOB",
-        help="Job file (TOML); platform-ctrl new writes one.",
-        show_default=False,
-    ),
-]
-Json = Annotated[bool, option("--json", help="Print JSON alone on standard output; no progress.", default=True)]
+JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="Job file (TOML); platform-ctrl new writes one.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output; no progress.")]
 Prove = Annotated[
     bool,
-    option(
+    typer.Option(
         "--prove",
         help="Prove stability and disk margins in interval arithmetic as well; takes minutes, needs the extra proofs.",
-        default=True,
     ),
 ]
-Quiet = Annotated[bool, option("--quiet", "-q", help="Show no progress.", default=True)]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 Controllers = Annotated[
     Path | None,
-    option(
+    typer.Option(
         "--controllers",
         metavar="FILE",
         help=f"Controllers: a {RESULT}, or a JSON file with its keys schema and controllers alone. Default: JOB with "
@@ -64,7 +51,7 @@ Controllers = Annotated[
 ]
 CampaignFolder = Annotated[
     Path | None,
-    option(
+    typer.Option(
         "--campaign",
         metavar="DIR",
         help="Folder of a campaign of this job with these controllers: the report gets a section about it, and a run "
@@ -95,25 +82,12 @@ def _not_a_job(path: Path) -> str | None:
         there, absent = path.is_file(), not os.path.lexists(path)
     except OSError:  # a path that no file can have
         return None
-    if there and is_plant(path):
+    tables = _tables(path) if there else {}
+    if "root" in tables and "loop" not in tables:
         return f"{name}: is a plant, not a job; platform-ctrl new NAME writes a job to start from"
     if absent and name in shipped_models():
         return f"{name}: is a shipped plant, not a job; platform-ctrl new NAME writes a job to start from"
     return None
-
-
-def is_plant(path: Path) -> bool:
-    """Return whether a path means a plant: a file with bodies and without loops, or a shipped name."""
-    from platform_ctrl.plant.source import shipped_models
-
-    try:
-        there = path.is_file()
-    except OSError:
-        return False
-    if not there:
-        return str(path) in shipped_models()
-    tables = _tables(path)
-    return "root" in tables and "loop" not in tables
 
 
 def _tables(path: Path) -> dict[str, Any]:
@@ -187,12 +161,6 @@ def one_of(option: str, given: str, known: tuple[Word, ...]) -> Word:
     raise InputError(f"{option}: must be {', '.join(known[:-1])} or {known[-1]}, got {given!r}")
 
 
-def plant_file(path: Path, job: Job) -> list[Path]:
-    """Return the plant file that a job file names; none where its plant is shipped or part of the job."""
-    file = path.parent / job.plant
-    return [file] if file.is_file() else []
-
-
 def files_read(job: Path) -> list[Path]:
     """Return a job's file and all that its texts may name beside it: a plant, measured responses, logs."""
     tables: list[Any] = [_tables(job)]
@@ -219,30 +187,3 @@ def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
     for name in files:
         if os.path.isdir(folder / name):
             raise InputError(f"-o {folder}: {name} is a folder there, but must be a file or not exist")
-
-
-def writable(option: str, file: Path, others: Iterable[Path | None]) -> None:
-    """Make the folder of a file and try to write there: before the work, not after it.
-
-    None of `others` may be that file: the command reads or writes them.
-    """
-    try:
-        if file.is_dir():
-            raise InputError(f"{option} {file}: is a folder, but must be a file")
-        if file.exists() and not file.is_file():
-            raise InputError(f"{option} {file}: is a device or a pipe, but must be a file or not exist")
-        expect_no_file_above(option, file)
-        if file.resolve() in [other.resolve() for other in others if other is not None]:
-            raise InputError(f"{option} {file}: the command reads or writes this file for something else; name another")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=file.parent):
-            pass
-    except OSError as error:
-        raise InputError(f"{option} {file}: cannot be written: {error.strerror or error}") from None
-
-
-def expect_no_file_above(option: str, target: Path) -> None:
-    """Make sure that nothing on the way to a target is a file."""
-    blocked = next((part for part in target.parents if part.exists() and not part.is_dir()), None)
-    if blocked is not None:
-        raise InputError(f"{option} {target}: {blocked} is a file, but must be a folder or not exist")

@@ -13,28 +13,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from platform_ctrl.cli.exits import noted
-from platform_ctrl.cli.job_arguments import Controllers, Json, Quiet, job_of, option
+from platform_ctrl.cli.job_arguments import Controllers, JobFile, Json, Quiet, job_of
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer
 
 
-Job = Annotated[
-    Path,
-    typer.Argument(
-        metavar="JOB",
-        help="Job file (TOML).",
-        show_default=False,
-    ),
-]
 Host = Annotated[
     str,
-    option(
-        "--host",
-        metavar="ADDRESS",
-        help="Address to listen on; another than this machine's own needs --allow.",
-        default=True,
+    typer.Option(
+        "--host", metavar="ADDRESS", help="Address to listen on; another than this machine's own needs --allow."
     ),
 ]
 Port = Annotated[
@@ -45,12 +34,11 @@ Port = Annotated[
         min=0,
         max=65535,
         help="Port to listen on; 0: any free one. Default: 5006, or a free one after it.",
-        show_default=False,
     ),
 ]
 Allow = Annotated[
     list[str] | None,
-    option(
+    typer.Option(
         "--allow",
         metavar="NAME",
         help="Name or address by which browsers may ask for this machine; may be given several times.",
@@ -58,7 +46,7 @@ Allow = Annotated[
 ]
 Browser = Annotated[
     bool | None,
-    option(
+    typer.Option(
         "--open/--no-browser",
         help="Open the page in a browser, or do not. Default: open it where there is a terminal and a screen.",
     ),
@@ -66,7 +54,7 @@ Browser = Annotated[
 
 
 def serve(
-    job: Job,
+    job: JobFile,
     controllers: Controllers = None,
     host: Host = "127.0.0.1",
     port: Port = None,

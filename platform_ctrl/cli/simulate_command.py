@@ -19,7 +19,6 @@ from platform_ctrl.cli.job_arguments import (
     controller_file,
     folder_option,
     job_of,
-    option,
     prepare_folder,
 )
 from platform_ctrl.errors import InputError
@@ -49,21 +48,16 @@ class _Simulated(NamedTuple):
 
 RunNumber = Annotated[
     int | None,
-    option("--run", metavar="NUMBER", help="Run of the job's campaign, as its table numbers them from 0."),
+    typer.Option("--run", metavar="NUMBER", help="Run of the job's campaign, as its table numbers them from 0."),
 ]
 ManoeuvreName = Annotated[
-    str | None,
-    option(
-        "--manoeuvre",
-        metavar="NAME",
-        help="Manoeuvre: its name, or its number from 1.",
-    ),
+    str | None, typer.Option("--manoeuvre", metavar="NAME", help="Manoeuvre: its name, or its number from 1.")
 ]
 Out = Annotated[
     Path | None,
     folder_option(
         f"Of a run of the campaign: the campaign's folder, default: {CAMPAIGN}; seed and sampling are those "
-        "of the campaign there. A figure of the run goes there; of a manoeuvre only if a folder is named.",
+        "of the campaign there. A figure of the run goes there; of a manoeuvre only if a folder is named."
     ),
 ]
 
