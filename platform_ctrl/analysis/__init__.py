@@ -7,10 +7,9 @@ which may have leading batch axes in the functions that a tuner calls. Systems a
 
 from __future__ import annotations
 
-from platform_ctrl.analysis.classical_margins import bandwidth
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.margins import disk_margin, loop_margins
-from platform_ctrl.analysis.norms import h2_norm, hinf_norm
+from platform_ctrl.analysis.norms import bandwidth, h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import damping
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import sampled

@@ -22,13 +22,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.between_samples import Disturbed
-from platform_ctrl.analysis.classical_margins import bandwidth_of_sensitivity
 from platform_ctrl.analysis.feedback import (
     commanded_loop,
     sensitivities_of_plants,
     with_error_alone,
 )
-from platform_ctrl.analysis.norms import PEAK_TOLERANCE, Band, exceeds, gains, peak, refined_peak
+from platform_ctrl.analysis.norms import (
+    PEAK_TOLERANCE,
+    Band,
+    bandwidth_of_sensitivity,
+    exceeds,
+    gains,
+    peak,
+    refined_peak,
+)
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import (
     Drift,

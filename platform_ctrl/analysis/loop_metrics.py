@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
 from typing import get_args
 
 import numpy as np
@@ -16,13 +15,9 @@ from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
-_BANDWIDTH = MetricRequest(kind="bandwidth")
-# Metrics that are kept for the nominal plant alone, and those that are kept for every plant.
-_OF_NOMINAL, _OF_ALL = ("bandwidth", "torque noise"), ("stability", "damping", "disk margin")
-# Metrics that `measure` always measures.
+# Metrics that `measure` always measures: of every plant, but bandwidth and torque noise of the nominal one.
 ALWAYS_MEASURED = ("stability", "bandwidth", "disk margin", "damping", "torque noise")
-
-_FIRST = np.zeros(1, dtype=np.intp)
+_BANDWIDTH, _TORQUE_NOISE = MetricRequest(kind="bandwidth"), MetricRequest(kind="torque noise")
 
 Key = tuple[str, tuple[str, ...], float, float | None]
 
@@ -31,26 +26,30 @@ Key = tuple[str, tuple[str, ...], float, float | None]
 class LoopMetrics:
     """Metrics of a controller closed around a plant set, in SI units."""
 
-    # Nominal: lowest frequency at which the largest singular value of S, at the input or the output, reaches 1/sqrt(2),
-    # rad/s.
-    bandwidth: float
     # (N,): 1/‖(S − T)/2‖, all channels at once, the smaller of input and output, dimensionless; 0 where the loop is
     # unstable.
     disk_margin: FloatArray
     damping: FloatArray  # (N,): smallest damping ratio of the closed-loop poles
     decay: FloatArray  # (N,): decay rate of the slowest closed-loop pole, 1/s; negative where the loop is unstable
-    # (m,): nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
-    torque_noise: FloatArray
     poles: ComplexArray  # (N, n): closed-loop poles in z, without those of equilibria that no sensor sees
     groups: tuple[Group, ...]  # what each plant represents, as in `PlantSet`
     # Whether peaks, bandwidths and margins are taken over all frequencies: the worst of every group of plants that a
     # request is about is then exact, and the others are no worse than it. Else they are the largest at the frequencies
     # of a grid.
-    exact: bool = False
+    exact: bool
     # Names of the angles that nothing holds: a loop is in balance wherever they are.
-    free_angles: tuple[str, ...] = ()
-    # Other metrics that were requested, by request: arrays (k,) in SI units, see `values`.
-    requested: dict[Key, FloatArray] = field(default_factory=dict)
+    free_angles: tuple[str, ...]
+    requested: dict[Key, FloatArray]  # other metrics, by request: arrays (k,) in SI units, see `values`
+
+    @property
+    def bandwidth(self) -> float:
+        """Nominal: the lowest frequency at which σ(S), at the input or the output, reaches 1/sqrt(2), rad/s."""
+        return float(self.values(_BANDWIDTH)[0])
+
+    @property
+    def torque_noise(self) -> FloatArray:
+        """Nominal rms of the torques from pick-off noise, N m, (m,); infinite where the loop is unstable."""
+        return self.values(_TORQUE_NOISE)
 
     def of(self, groups: Sequence[str]) -> BoolArray:
         """Return which plants belong to `groups`, truth values (N,); other names have no members."""
@@ -61,8 +60,6 @@ class LoopMetrics:
 
         Nominal torque noise is that of every torquer. A metric that was not measured is an `ArgumentError`.
         """
-        if _is_of_nominal(request):
-            return self.torque_noise if request.kind == "torque noise" else np.array([self.bandwidth])
         own = {"stability": self.decay, "damping": self.damping, "disk margin": self.disk_margin}
         if request.kind in own:
             return np.asarray(own[request.kind][self.of(request.over)])
@@ -96,17 +93,14 @@ def measure(
             one = MetricRequest(kind="disk margin", over=(group,))
             chosen = np.flatnonzero(plants.of(one.over))
             margin[chosen] = worst_exact(loops, one, margin[chosen], chosen)
-    bandwidth, requested = METRICS["bandwidth"].measure, dict[Key, FloatArray]()
-    for request in requests:
-        key = _key(request)
-        if not (_is_of_nominal(request) or request.kind in _OF_ALL or key in requested):
-            requested[key] = measured(loops, request, exact=exact)
+    requested: dict[Key, FloatArray] = {}
+    for request in (_BANDWIDTH, _TORQUE_NOISE, *requests):
+        if request.kind not in ("stability", "damping", "disk margin") and _key(request) not in requested:
+            requested[_key(request)] = measured(loops, request, exact=exact)
     return LoopMetrics(
-        bandwidth=loops.bandwidth(0) if exact else float(bandwidth.values(loops, _BANDWIDTH, _FIRST)[0]),
         disk_margin=margin,
         damping=damping,
         decay=loops.decay,
-        torque_noise=torque_noise(loops, slice(1))[0],
         poles=loops.poles,
         groups=plants.groups,
         exact=exact,
@@ -117,7 +111,7 @@ def measure(
 
 def measured(loops: Loop, request: RequestedMetric, *, exact: bool = False) -> FloatArray:
     """Return one metric of every plant that `request` is about, (k,), as `LoopMetrics.values` does."""
-    if request.kind == "torque noise" and _is_of_nominal(request):
+    if _key(request) == _key(_TORQUE_NOISE):
         return np.asarray(torque_noise(loops, slice(1))[0])
     chosen = np.flatnonzero(loops.plants.of(request.over))
     if not chosen.size and METRICS[request.kind].of != "controller":
@@ -128,11 +122,6 @@ def measured(loops: Loop, request: RequestedMetric, *, exact: bool = False) -> F
 
 def _key(request: RequestedMetric) -> Key:
     return request.kind, tuple(request.over), request.lowest, request.frequency
-
-
-def _is_of_nominal(request: RequestedMetric) -> bool:
-    """Return whether `LoopMetrics` keeps it for the nominal plant alone, and it is about that plant alone."""
-    return request.kind in _OF_NOMINAL and tuple(request.over) == ("nominal",)
 
 
 def worst_exact(loops: Loop, request: RequestedMetric, values: FloatArray, members: Indices) -> FloatArray:

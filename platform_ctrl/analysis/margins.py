@@ -1,24 +1,31 @@
-"""Disk margins: how far gain and phase of all channels at once, or of one at a time, may move.
+"""Margins: how far gain and phase of all channels at once, or of one at a time, may move.
 
 Every channel's loop gain is multiplied by (1 + delta (1 - skew) alpha/2) / (1 - delta (1 + skew) alpha/2) with any
 complex |delta| < 1, one for each channel. The loop stays stable for alpha < 1 / max mu(S + (skew - 1)/2 I), mu for
 diagonal perturbations; skew = 0 gives (S - T)/2 (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020).
+
+Gain and phase margins are of one channel broken at the plant's input, all others closed. With S_i, the entry (i, i) of
+the sensitivity at the input, the loop transfer of channel i is L_i = 1/S_i − 1. On the unit circle L(1/z) is the
+conjugate of L(z), so that L is real where L(z) − L(1/z) has a zero and |L| = 1 where L(z) L(1/z) − 1 has one:
+generalised eigenvalues. Next to narrow resonances and to z = 1 rounding moves these; L changes its sign between points
+beside them, where it is followed to the crossing.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
+from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity, loop_of_sensitivity
 from platform_ctrl.analysis.mu import SLACK, MuPeak
 from platform_ctrl.analysis.norms import hinf_norm, peak_gain
-from platform_ctrl.analysis.poles import continuous_poles, poles, search_grid, spectral_abscissa
-from platform_ctrl.analysis.response import NamedSystem, StateSystem, linear_arrays
-from platform_ctrl.analysis.singular_values import boundary_poles, largest_singular_values
+from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, search_grid, spectral_abscissa
+from platform_ctrl.analysis.response import NamedSystem, StateSystem, frequency_response, linear_arrays
+from platform_ctrl.analysis.singular_values import boundary_poles, largest_singular_values, pencil_crossings
 from platform_ctrl.analysis.system import ComplexArray, System, frequencies
 from platform_ctrl.common.arguments import number, positive, real_numbers
 from platform_ctrl.common.values import FloatArray, value
@@ -320,3 +327,78 @@ def disk_factors(delta: ComplexArray, skew: float) -> ComplexArray:
     finite = np.isfinite(delta) & (np.abs(below) > 1e-12)
     out[finite] = (1.0 + 0.5 * (1.0 - skew) * delta[finite]) / below[finite]
     return out
+
+
+# Of gain and phase margins: share of the slowest pole from which on L is followed, of Nyquist's below which a pole is
+# one at 0; a gain like that of an integrator at 0.
+_FIRST, _ZERO, _BEYOND = 1e-2, 1e-10, 1e8
+# How far |L| may be from 1, and its angle from ±180°, at such a frequency, relative.
+_AT = 1e-3
+# Points of a grid beside the eigenvalues; parts into which an interval with a crossing is cut, and how often.
+_GRID, _PARTS, _CUTS = 200, 16, 10
+
+
+def margins_of_channel(sensitivity: System) -> tuple[float, float]:
+    """Return the gain margin, a factor > 1, and the phase margin, rad, of a stable sampled loop, from its S_i.
+
+    The gain margin is the least factor by which the gain may be raised or lowered, infinite where none ends stability.
+    """
+    loop = loop_of_sensitivity(sensitivity)
+
+    def L(w: FloatArray) -> ComplexArray:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(1.0 / frequency_response(sensitivity, w)[0, 0] - 1.0)
+
+    own = np.concatenate([poles(sensitivity.A), poles(loop.A)])
+    near = resonances(continuous_poles(own, loop.dt))
+    real = _crossings(L, lambda x: x.imag, _real_frequencies(loop), near, np.pi / loop.dt)
+    # L is real at zero frequency and at Nyquist's, too.
+    real = np.concatenate([real, L(np.array([0.0, np.pi / loop.dt]))])
+    real = real[(real.real < 0.0) & (np.abs(real) < _BEYOND) & (np.abs(real.imag) < _AT * np.abs(real.real))]
+    unit = _crossings(L, lambda x: np.abs(x) - 1.0, pencil_crossings(*loop), near, np.pi / loop.dt)
+    unit = unit[np.abs(np.abs(unit) - 1.0) < _AT]
+    gain = float(np.exp(np.abs(np.log(-real.real)).min(initial=np.inf)))
+    return gain, float((np.pi - np.abs(np.angle(unit))).min(initial=np.inf))
+
+
+def _crossings(
+    L: Callable[[FloatArray], ComplexArray],
+    of: Callable[[ComplexArray], FloatArray],
+    known: FloatArray,
+    near: FloatArray,
+    nyquist: float,
+) -> ComplexArray:
+    """Return L where a function of it changes its sign, and at `known` frequencies, rad/s.
+
+    The function is followed between `near` and the midpoints of known frequencies: each interval has one crossing.
+    """
+    low = _FIRST * near[near > _ZERO * nyquist].min(initial=nyquist)
+    w = np.unique(np.concatenate([known, near, np.geomspace(low, nyquist, _GRID)]))
+    w = w[(w >= low) & (w < nyquist)]
+    w = np.unique(np.concatenate([0.5 * (w[1:] + w[:-1]), w]))
+    signs = np.sign(of(L(w)))
+    at = np.flatnonzero(signs[1:] * signs[:-1] < 0.0)
+    low_ends, high_ends = w[at], w[at + 1]
+    every = np.arange(len(at))
+    for _ in range(_CUTS if len(at) else 0):
+        points = low_ends[:, None] + (high_ends - low_ends)[:, None] * np.linspace(0.0, 1.0, _PARTS + 1)
+        same = np.sign(of(L(points.ravel()))).reshape(points.shape) == signs[at, None]
+        last = np.clip(_PARTS - np.argmax(same[:, ::-1], axis=1), 0, _PARTS - 1)
+        low_ends, high_ends = points[every, last], points[every, last + 1]
+    return L(np.concatenate([known, low_ends]))
+
+
+def _real_frequencies(L: System) -> FloatArray:
+    """Return frequencies, rad/s, that contain all where L(z) = L(1/z): z E v = F v with v = [x, adjoint, u]."""
+    from scipy.linalg import eigvals
+
+    A, B, C, _, dt = L
+    n = len(A)
+    E, F = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, 2 * n + 1))
+    E[:n, :n], E[n : 2 * n, n : 2 * n], E[n : 2 * n, 2 * n :] = np.eye(n), A.T, C.T
+    F[:n, :n], F[:n, 2 * n :], F[n : 2 * n, n : 2 * n] = A, B, np.eye(n)
+    F[2 * n :, :n], F[2 * n :, n : 2 * n] = C, -B.T
+    with np.errstate(all="ignore"):
+        z: ComplexArray = np.asarray(eigvals(F, E), dtype=np.complex128)
+    angles = np.angle(z[np.isfinite(z)])
+    return np.asarray(angles[angles > 0.0] / dt)

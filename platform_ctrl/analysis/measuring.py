@@ -12,9 +12,9 @@ from typing import Protocol
 
 import numpy as np
 
-from platform_ctrl.analysis.classical_margins import LEVEL, bandwidth_of_response, margins_of_channel
 from platform_ctrl.analysis.loop import SENSITIVITIES, Indices, Loop, Parts
-from platform_ctrl.analysis.norms import WHOLE, Band, drifting_rms, gains, noise_rms
+from platform_ctrl.analysis.margins import margins_of_channel
+from platform_ctrl.analysis.norms import LEVEL, WHOLE, Band, bandwidth_of_response, drifting_rms, gains, noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
@@ -206,5 +206,5 @@ def torque_noise(loops: Loop, plants: slice = slice(None)) -> FloatArray:
 def _rms(loops: Loop, systems: System, rms: FloatArray) -> FloatArray:
     """Return the rms (k, m) of outputs from white samples, of a loop that drifts after an hour."""
     if not loops.plants.drifting:
-        return noise_rms(systems, rms, allow_unstable=True)
+        return noise_rms(systems, rms)
     return np.array([drifting_rms(systems.at(k), rms, DRIFT_TIME) for k in range(len(systems.A))])

@@ -1,9 +1,11 @@
-"""Norms of systems: H-infinity with its frequency, H2, and the rms that sampled white noise causes.
+"""Norms of systems: H-infinity with its frequency, H2, the rms that sampled white noise causes, and the bandwidth.
 
 The H-infinity norm follows Bruinsma and Steinbuch (Systems & Control Letters 14, 1990) and Boyd and Balakrishnan (ibid.
 15, 1990): the eigenvalues of a Hamiltonian matrix show where the largest singular value crosses a level. These only
 propose frequencies; what decides is the response evaluated there. So a widely spread system, whose Hamiltonian
 eigenvalues are inexact, cannot make the result wrong by a wrong test of "on the axis".
+
+The bandwidth is the lowest frequency at which the largest singular value of S reaches 1/sqrt(2).
 """
 
 from __future__ import annotations
@@ -11,24 +13,28 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.poles import (
     continuous_poles,
     onto_equilibria,
     poles,
     resonances,
+    search_grid,
     spectral_abscissa,
     spectral_radius,
 )
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System, scaled
-from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import control
 
 # Relative error of a peak: what is returned is the upper end.
 PEAK_TOLERANCE = 5e-10
@@ -226,42 +232,17 @@ def h2_norm(system: StateSystem) -> float:
     return math.sqrt(max(0.0, float(np.trace(C @ X @ C.T) + np.sum(D * D))))
 
 
-def noise_rms(system: StateSystem, rms: ArrayLike, allow_unstable: bool = False) -> FloatArray:
-    """Return the rms of every output of a discrete system, or of a stack of them, driven by white samples.
+def noise_rms(system: System, rms: FloatArray) -> FloatArray:
+    """Return the rms (..., p) of every output of sampled systems (..., n, n) from independent white samples.
 
-    Parameters
-    ----------
-    system
-        Discrete, stable: `control.StateSpace`, `TransferFunction` or `System`, which may have leading batch axes.
-    rms : (m,) or scalar
-        Standard deviation of the independent samples at each input, in its units.
-    allow_unstable
-        Return inf for a system that is not stable.
-
-    Returns
-    -------
-    (..., p)
-        In the units of the outputs.
-
-    Raises
-    ------
-    ArgumentError
-        If the system is continuous, or not stable and `allow_unstable` is not set, or `rms` has another shape.
+    `rms` (m,) or a number is the standard deviation of the samples at each input, in its unit. Infinite where a system
+    is not stable.
     """
-    A, B, C, D, dt = linear_arrays(system, "noise_rms")
-    if dt == 0.0:
-        raise ArgumentError("noise_rms: the system must be discrete; sample it first")
-    rms = not_negative("noise_rms: rms", rms, B.shape[-1])
-    A, B, C = scaled(A, B, C)
-    driven = B * rms
-    X = stationary_covariance(A, driven)
+    A, B, C = scaled(system.A, system.B, system.C)
+    X = stationary_covariance(A, B * rms)
     with np.errstate(invalid="ignore", over="ignore"):
-        direct = D * rms
-        variance = np.einsum("...ij,...jk,...ik->...i", C, X, C) + np.sum(direct * direct, axis=-1)
-    out = np.where(np.isfinite(variance), np.sqrt(np.maximum(variance, 0.0)), np.inf)
-    if not (allow_unstable or np.all(np.isfinite(out))):
-        raise ArgumentError("noise_rms: the system is not stable, so its rms grows without bound")
-    return out
+        variance = np.einsum("...ij,...jk,...ik->...i", C, X, C) + np.sum((system.D * rms) ** 2, axis=-1)
+    return np.where(np.isfinite(variance), np.sqrt(np.maximum(variance, 0.0)), np.inf)
 
 
 def drifting_rms(system: System, rms: FloatArray, duration: float) -> FloatArray:
@@ -275,7 +256,7 @@ def drifting_rms(system: System, rms: FloatArray, duration: float) -> FloatArray
     if P is None:
         return np.full(len(C), np.inf)
     walk = np.linalg.norm((C @ P @ B) * rms, axis=1)
-    rest = noise_rms(System(A - P, B - P @ B, C, D, dt), rms, allow_unstable=True)
+    rest = noise_rms(System(A - P, B - P @ B, C, D, dt), rms)
     return np.asarray(np.hypot(rest, math.sqrt(duration / dt) * walk))
 
 
@@ -366,3 +347,82 @@ def refined_peak(gain: Callable[[FloatArray], FloatArray], w: FloatArray) -> tup
         w, y = np.insert(w, at, new), np.insert(y, at, gain(new))
     k = int(np.argmax(y))
     return float(y[k]), float(w[k])
+
+
+LEVEL = math.sqrt(0.5)
+# Relative distance from the level up to which a gain is at it.
+_ROUNDING = 1e-12
+# Share of the highest frequency below which the response is rounding.
+_ROUNDED = 1e-9
+
+
+def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At = "output") -> float:
+    """Return the lowest frequency, rad/s, at which the largest singular value of S reaches 1/sqrt(2).
+
+    Found among the crossings that the Hamiltonian of S shows, so that a narrow peak between grid points is not missed,
+    and refined by root finding.
+
+    Parameters
+    ----------
+    plant, controller
+        Joined as u = K y (see `loop_transfer`).
+    at
+        Where S is taken: the plant's ``"input"`` or ``"output"``.
+
+    Returns
+    -------
+    float
+        rad/s. 0 if the closed loop is not stable or S is that large at the lowest frequencies already; the Nyquist
+        frequency (infinity for a continuous loop) if S never gets there.
+
+    References
+    ----------
+    S. Skogestad, I. Postlethwaite, Multivariable Feedback Control, 2005, ch. 2.
+
+    S. Boyd, V. Balakrishnan, Systems & Control Letters 15, 1990.
+    """
+    return bandwidth_of_sensitivity(closed_loop_with_sensitivity(plant, controller, at))
+
+
+def bandwidth_of_sensitivity(S: System, known: ComplexArray | None = None) -> float:
+    """Return the bandwidth, as `bandwidth` does, of a loop with the sensitivity `S`, whose poles may be known."""
+    from scipy.optimize import brentq
+
+    axis = FrequencyAxis(S, known)
+    s = continuous_poles(axis.poles(), S.dt)
+    if S.A.shape[0] and spectral_abscissa(s) >= 0.0:
+        return 0.0
+    # Crossings, and frequencies between them: so fine that the first is in the first interval whose ends differ.
+    w = np.union1d(search_grid(S, s), level_frequencies(axis, LEVEL))
+    # An integrator in the loop makes S as small as the frequency; far below the fastest pole rounding rules.
+    w = w[(w > _ROUNDED * w[np.isfinite(w)].max()) & (w <= axis.edge)]
+    sizes = axis.gains(w)
+    first = int(np.argmax(sizes >= LEVEL * (1.0 - _ROUNDING)))
+    if sizes[first] < LEVEL * (1.0 - _ROUNDING):
+        return axis.edge
+    if first == 0:
+        return 0.0
+    if sizes[first] <= LEVEL * (1.0 + _ROUNDING):
+        return float(w[first])
+    return float(
+        brentq(lambda x: axis.gains(np.array([x]))[0] - LEVEL, *w[first - 1 : first + 1], xtol=1e-300, rtol=1e-12)
+    )
+
+
+def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
+    """Return the bandwidth, rad/s, from sensitivities (..., N, m, m) on a grid (N,), for a tuner: interpolated.
+
+    The first frequency if S is that large there already, the last if it never gets there.
+    """
+    sizes = largest_singular_values(S) / LEVEL
+    above = sizes >= 1.0
+    first = np.argmax(above, axis=-1)
+    never = ~np.any(above, axis=-1)
+    right = np.clip(first, 1, None)
+    y = np.log(np.maximum(sizes, np.finfo(float).tiny))
+    y0 = np.take_along_axis(y, right[..., None] - 1, -1)[..., 0]
+    y1 = np.take_along_axis(y, right[..., None], -1)[..., 0]
+    x = np.log(frequency)
+    share = np.where(first > 0, -y0 / np.where(y1 > y0, y1 - y0, 1.0), 0.0)
+    out = np.exp(x[right - 1] + np.clip(share, 0.0, 1.0) * (x[right] - x[right - 1]))
+    return np.asarray(np.where(never, frequency[-1], out), dtype=np.float64)

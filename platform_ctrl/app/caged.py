@@ -9,12 +9,12 @@ from typing import get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.classical_margins import bandwidth_of_response
 from platform_ctrl.analysis.feedback import commanded_loop, with_error_alone
 from platform_ctrl.analysis.loop import Loop, Transfer
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
 from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.analysis.norms import bandwidth_of_response
 from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, following_grid, minimum_damping
 from platform_ctrl.analysis.system import ComplexArray, System

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.classical_margins import bandwidth_of_response
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.interconnection import interconnected
-from platform_ctrl.analysis.norms import peak
+from platform_ctrl.analysis.norms import bandwidth_of_response, peak
 from platform_ctrl.analysis.poles import continuous_poles, following_grid, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, Index, System

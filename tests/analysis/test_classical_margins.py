@@ -7,7 +7,7 @@ import pytest
 import platform_ctrl as pc
 from camera_job import camera_job
 from platform_ctrl import design
-from platform_ctrl.analysis.classical_margins import margins_of_channel
+from platform_ctrl.analysis.margins import margins_of_channel
 from platform_ctrl.analysis.system import System
 from platform_ctrl.job.requirements import requirement
 

@@ -13,7 +13,6 @@ from camera_job import J_AZIMUTH, J_ELEVATION, camera_job, camera_plant
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.measuring import torque_noise
-from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.loop import Design, LoopOutcome, closed_loop_poles
@@ -178,7 +177,7 @@ def test_torque_and_noise_count_the_feedforward(outcome):
     by_hand = max(np.linalg.norm(F[j] * 0.2 / 2.0, axis=0).max() for j in range(2))
     assert share.value >= 0.99 * by_hand
     noise = 2e-5 * np.sqrt(0.5 / T)
-    rms = noise_rms(plants.feedforward.path, noise)
+    rms = [noise * analysis.h2_norm(plants.feedforward.path.part([k], slice(None))) for k in range(2)]
     np.testing.assert_allclose(torque_noise(loops)[0], rms, rtol=1e-9)
     indirect, bare = of(outcome, "indirect"), of(outcome, "pi")
     own = np.abs(bare.measures.torque_noise)

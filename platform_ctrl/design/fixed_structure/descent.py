@@ -31,10 +31,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.classical_margins import LEVEL
 from platform_ctrl.analysis.loop import Loop, Transfer
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.measuring import ControllerGain, Peak
+from platform_ctrl.analysis.norms import LEVEL
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import tuning_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values

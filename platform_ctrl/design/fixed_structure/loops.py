@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.between_samples import Disturbed, response_at
-from platform_ctrl.analysis.classical_margins import LEVEL
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
-from platform_ctrl.analysis.norms import stationary_covariance
+from platform_ctrl.analysis.norms import LEVEL, stationary_covariance
 from platform_ctrl.analysis.plant_set import REGULAR, PlantSet
 from platform_ctrl.analysis.poles import SPLIT, continuous_poles
 from platform_ctrl.analysis.singular_values import largest_singular_values
