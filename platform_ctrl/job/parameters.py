@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from platform_ctrl.job.drive import Drive
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.scenario import Command, Scenario
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.fields import Expected, Unfit
+from platform_ctrl.plant.fields import Expected
 from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.plant.mistakes import suggestion
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor, Torquer
@@ -36,21 +36,25 @@ _DRAWN: dict[Any, Expected] = {
 } | {fields.FREQUENCY: fields.POSITIVE}
 # Of the servo's speed loop, and what decides how many readings of a sensor are kept: campaigns do not vary them.
 _NOT_VARIED = frozenset({"speed_gain", "speed_integral", "torque_limit", "delay", "rate_hz", "noise_density"})
-_OF_MANOEUVRES = {
-    "rate": fields.NUMBER,
-    "rise": fields.POSITIVE,
-    "hold": fields.NOT_NEGATIVE,
-    "torque": fields.NUMBER,
-    "Omega_scale": fields.NUMBER,
-    "torque_scale": fields.NUMBER,
+# Of the motion of a manoeuvre: the rule, and where the number is in the run.
+_OF_MANOEUVRES: dict[str, tuple[Expected, tuple[str, ...]]] = {
+    "rate": (fields.NUMBER, ("profile", "rate")),
+    "rise": (fields.POSITIVE, ("profile", "rise")),
+    "hold": (fields.NOT_NEGATIVE, ("profile", "hold")),
+    "torque": (fields.NUMBER, ("torque",)),
+    "Omega_scale": (fields.NUMBER, ("Omega_table", "scale")),
+    "torque_scale": (fields.NUMBER, ("torque_table", "scale")),
 }
+# What multiplies all that shakes the base.
+_SHAKING = "vibration.scale"
 
 
-def _numbers(record: type) -> dict[str, Expected]:
-    """Return the numbers of a record that may be varied, and what is expected of a drawn one."""
-    keys = shape(record).keys.items()
-    drawn = {name: _DRAWN[key.holds] for name, key in keys if key.holds in _DRAWN and name not in _NOT_VARIED}
-    return drawn | ({"gain": fields.NOT_NEGATIVE} if record is Torquer else {})
+class Element(NamedTuple):
+    """The k-th of several records that has this name under this key."""
+
+    key: str
+    name: str
+    k: int = 0
 
 
 @value
@@ -61,71 +65,111 @@ class RunParameter:
     ----------
     path
         What a job file calls it.
-    group, index
-        Where it is: the plant's array and the index in it, or one of ``"root"``, ``"unbalances"``, ``"sampling"``,
-        ``"initial"``, ``"manoeuvre"``, ``"commands"``, ``"drives"``, ``"fault"``, ``"vibration"``; `index` counts the
-        commands of a reading, and the axes of a vector.
-    part, key
-        Name of the part or fault; the number of it that is meant.
+    place
+        Steps from the run to the number: names of fields, and elements of tuples and arrays.
     factor
         Whether it multiplies something that is more than a number (an inertia matrix, a table) and is nominally 1.
     """
 
     path: str
-    group: str
-    key: str
-    part: str = ""
-    index: int = 0
+    place: tuple[str | int | Element, ...]
     factor: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name of the field that is or has the number."""
+        return next(step for step in reversed(self.place) if isinstance(step, str))
+
+    @property
+    def is_gain(self) -> bool:
+        """Whether it is the gain of a torquer, which is no field of it: another one is a fault."""
+        return self.place[1:2] == ("torquers",) and self.key == "gain"
+
+
+def _numbers(record: type) -> dict[str, Expected]:
+    """Return the numbers of a record that may be varied, and what is expected of a drawn one."""
+    keys = shape(record).keys.items()
+    drawn = {name: _DRAWN[key.holds] for name, key in keys if key.holds in _DRAWN and name not in _NOT_VARIED}
+    return drawn | ({"gain": fields.NOT_NEGATIVE} if record is Torquer else {})
 
 
 def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, RunParameter]:
     """Return the parameters that may be varied, by their paths."""
+    return {
+        one.path: one
+        for one, _ in _ruled(scenarios, faults)
+        if one.path.startswith(("unbalance.", "fault.")) or any(_place(one, of) is not None for of in scenarios)
+    }
+
+
+def allowed(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, Expected]:
+    """Return the rules for drawn numbers, or for drawn factors, by the paths of parameters."""
+    return {one.path: expected for one, expected in _ruled(scenarios, faults)}
+
+
+_Ruled = tuple[RunParameter, Expected]
+
+
+def _ruled(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> Iterator[_Ruled]:
+    """Yield the parameters with the rules for drawn numbers."""
     if not scenarios:
-        return {}
-    found = [
-        *_of_plant(scenarios[0].platform),
-        RunParameter(path="sampling.delay", group="sampling", key="delay"),
-        *_initial(scenarios),
-        *_of_manoeuvres(scenarios),
-        *_of_drives(scenarios[0]),
-        *_of_commands(scenarios),
-        *(
-            RunParameter(path=f"fault.{f.name}.{key}", group="fault", part=f.name, key=key)
-            for f in faults
-            for key in ("at", *FAULT_KINDS[f.kind].keys)
-        ),
-    ]
-    return {one.path: one for one in found}
+        return
+    scenario = scenarios[0]
+    yield from _of_plant(scenario.platform)
+    yield _one("sampling.delay", fields.NOT_NEGATIVE, "delay")
+    for k, gimbal in enumerate(scenario.platform.gimbals):
+        yield _one(f"initial.{gimbal.angle}_rate", fields.NUMBER, "rate", k)
+        yield _one(f"initial.{gimbal.angle}", _between(gimbal.stops) if gimbal.stops else fields.NUMBER, "q", k)
+    for k, name in enumerate(OMEGA_NAMES):
+        yield _one(f"initial.{name}", fields.NUMBER, "Omega", k)
+    for key, (expected, place) in _OF_MANOEUVRES.items():
+        yield _one(f"manoeuvre.{key}", expected, *place, factor=key.endswith("_scale"))
+    yield _one(_SHAKING, fields.NOT_NEGATIVE, "vibrations", factor=True)
+    for k, law in enumerate(scenario.drives):
+        for key, expected in _numbers(Drive).items():
+            # Of friction where some is fed forward, of the gain where it follows an angle.
+            if law.secant_of is not None if key == "secant_limit" else law.friction:
+                yield _one(f"drive.{law.torquer}.{key}", expected, "drives", k, key)
+    for reading in dict.fromkeys(one.reading for of in scenarios for one in of.commands):
+        for k in range(max(sum(one.reading == reading for one in of.commands) for of in scenarios)):
+            for key, expected in _numbers(Command).items():
+                path = f"command.{_numbered(reading, k)}.{key}"
+                yield _one(path, expected, "commands", Element("reading", reading, k), key)
+    for fault in faults:
+        for key in ("at", *FAULT_KINDS[fault.kind].keys):
+            path = f"fault.{fault.name}.{key}"
+            yield _one(path, _numbers(Fault)[key], "faults", Element("name", fault.name), key)
 
 
-def _of_plant(platform: Platform) -> Iterator[RunParameter]:
-    yield RunParameter(path="root.inertia", group="root", key="inertia", factor=True)
+def _one(path: str, expected: Expected, *place: str | int | Element, factor: bool = False) -> _Ruled:
+    return RunParameter(path=path, place=place, factor=factor), expected
+
+
+def _numbered(name: str, k: int) -> str:
+    """Return how a path names the k-th part of a name."""
+    return name if k == 0 else f"{name}#{k + 1}"
+
+
+def _of_plant(platform: Platform) -> Iterator[_Ruled]:
+    yield _one("root.inertia", fields.POSITIVE, "platform", "root_inertia", factor=True)
     for axis in (1, 2, 3):
-        yield RunParameter(path=f"root.specific_force{axis}", group="root", key="specific_force", index=axis - 1)
+        yield _one(f"root.specific_force{axis}", fields.NUMBER, "platform", "specific_force", axis - 1)
     parts = {word: key for word, key in shape(Platform).keys.items() if key.array is not None}
     for word, of in parts.items():
         group, numbers = of.field, _numbers(of.holds.make)  # type: ignore[union-attr, arg-type]
-        taken: dict[str, int] = {}
+        taken: list[str] = []
         for k, part in enumerate(getattr(platform, group) if numbers else ()):
             name = part.name if hasattr(part, "name") else part.gimbal
-            taken[name] = taken.get(name, 0) + 1
-            title = name if taken[name] == 1 else f"{name}#{taken[name]}"
-            for key in numbers:
-                if not _there(part, key):
-                    continue
-                yield RunParameter(
-                    path=f"{word}.{title}.{key}",
-                    group=group,
-                    part=name,
-                    key=key,
-                    index=k,
-                    factor=key == "inertia" or (group, key) == ("torquers", "gain"),
-                )
+            title = _numbered(name, taken.count(name))
+            taken.append(name)
+            for key, expected in numbers.items():
+                if _there(part, key):
+                    factor = key == "inertia" or (group, key) == ("torquers", "gain")
+                    yield _one(f"{word}.{title}.{key}", expected, "platform", group, k, key, factor=factor)
     for body in (platform.root_name, *platform.gimbal_names):
         for axis in (1, 2, 3):
-            path = f"unbalance.{body}.moment{axis}"
-            yield RunParameter(path=path, group="unbalances", part=body, key="moment", index=axis - 1)
+            place = ("platform", "unbalances", Element("body", body), "moment", axis - 1)
+            yield _one(f"unbalance.{body}.moment{axis}", fields.NUMBER, *place)
 
 
 def _there(part: Any, key: str) -> bool:
@@ -141,50 +185,6 @@ def _there(part: Any, key: str) -> bool:
             return True
 
 
-def _initial(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
-    gimbals = scenarios[0].platform.gimbals
-    for k, gimbal in enumerate(gimbals):
-        yield RunParameter(path=f"initial.{gimbal.angle}_rate", group="initial", key="rate", index=k)
-        yield RunParameter(path=f"initial.{gimbal.angle}", group="initial", key="q", index=k)
-    if any(one.mode == "stabilised" for one in scenarios):
-        for k, name in enumerate(OMEGA_NAMES):
-            yield RunParameter(path=f"initial.{name}", group="initial", key="Omega", index=k)
-
-
-def _of_manoeuvres(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
-    for key in _OF_MANOEUVRES:
-        found = RunParameter(path=f"manoeuvre.{key}", group="manoeuvre", key=key, factor=key.endswith("_scale"))
-        if any(_place(found, one) is not None for one in scenarios):
-            yield found
-    if any(one.vibrations or one.sines for one in scenarios):
-        yield RunParameter(path="vibration.scale", group="vibration", key="scale", factor=True)
-
-
-def _of_drives(scenario: Scenario) -> Iterator[RunParameter]:
-    """Yield the numbers of drives: of friction where some is fed forward, of the gain where it follows an angle."""
-    for k, law in enumerate(scenario.drives):
-        for key in _numbers(Drive):
-            if law.secant_of is not None if key == "secant_limit" else law.friction:
-                path = f"drive.{law.torquer}.{key}"
-                yield RunParameter(path=path, group="drives", part=law.torquer, key=key, index=k)
-
-
-def _of_commands(scenarios: Sequence[Scenario]) -> Iterator[RunParameter]:
-    """Yield the numbers of commands, the k-th of its reading in every run that has it."""
-    for reading in dict.fromkeys(one.reading for scenario in scenarios for one in scenario.commands):
-        most = max(len(_commands_of(scenario, reading)) for scenario in scenarios)
-        for k in range(most):
-            title = reading if k == 0 else f"{reading}#{k + 1}"
-            for key in _numbers(Command):
-                found = RunParameter(path=f"command.{title}.{key}", group="commands", part=reading, key=key, index=k)
-                if any(_place(found, scenario) is not None for scenario in scenarios):
-                    yield found
-
-
-def _commands_of(scenario: Scenario, reading: str) -> list[int]:
-    return [k for k, one in enumerate(scenario.commands) if one.reading == reading]
-
-
 def unknown_parameter(path: str, known: Iterable[str]) -> str:
     """Return a hint for a path that does not exist: its nearest relative, or names at the first step."""
     heads = {one: one.partition(".")[0] for one in known}
@@ -192,30 +192,9 @@ def unknown_parameter(path: str, known: Iterable[str]) -> str:
     return suggestion(path, alike or dict.fromkeys(heads.values()))
 
 
-def allowed(parameter: RunParameter, scenario: Scenario) -> Expected:
-    """Return the rule for a drawn number, or for a drawn factor."""
-    key, k = parameter.key, parameter.index
-    match parameter.group:
-        case "initial" if key == "q" and (stops := scenario.platform.gimbals[k].stops) is not None:
-            return _between(*stops)
-        case "root" | "unbalances" | "initial":
-            return fields.POSITIVE if parameter.factor else fields.NUMBER
-        case "sampling" | "vibration":
-            return fields.NOT_NEGATIVE
-        case "manoeuvre":
-            return _OF_MANOEUVRES[key]
-        case "drives" | "commands" | "fault" as group:
-            return _numbers({"drives": Drive, "commands": Command, "fault": Fault}[group])[key]
-        case group:
-            return _numbers(type(getattr(scenario.platform, group)[k]))[key]
-
-
-def _between(low: float, high: float) -> Expected:
-    def judge(angle: float) -> float:
-        if not low <= angle <= high:
-            raise Unfit
-        return angle
-
+def _between(stops: tuple[float, float]) -> Expected:
+    low, high = stops
+    judge = fields.where(lambda angle: low <= angle <= high)
     return Expected(f"an angle between the stops, {low:.6g} to {high:.6g} rad", judge)
 
 
@@ -225,38 +204,32 @@ _Place = tuple[str | int, ...]
 
 def _place(parameter: RunParameter, scenario: Scenario) -> _Place | None:
     """Return where a number is; None where the run does not have it."""
-    key, k = parameter.key, parameter.index
-    match parameter.group:
-        case "root":
-            return ("platform", "root_inertia") if key == "inertia" else ("platform", key, k)
-        case "unbalances":
-            bodies = [one.body for one in scenario.platform.unbalances]
-            if parameter.part not in bodies:
+    item: Any = scenario
+    place: list[str | int] = []
+    for step in parameter.place:
+        if item is None:
+            return None
+        if isinstance(step, Element):
+            found = [k for k, one in enumerate(item) if getattr(one, step.key) == step.name]
+            if step.k >= len(found):
                 return None
-            return ("platform", "unbalances", bodies.index(parameter.part), key, k)
-        case "sampling":
-            return (key,)
-        case "initial":
-            return None if key == "Omega" and scenario.mode == "caged" else (key, k)
-        case "manoeuvre" if key == "torque":
-            return (key, int(np.argmax(np.abs(scenario.torque)))) if scenario.torque.any() else None
-        case "manoeuvre":
-            part, own = (key.replace("_scale", "_table"), "scale") if parameter.factor else ("profile", key)
-            return None if getattr(scenario, part) is None else (part, own)
+            step = found[step.k]
+        place.append(step)
+        if len(place) < len(parameter.place):
+            item = _number_at(item, (step,))
+    match place[0]:
+        case "Omega":
+            there = scenario.mode == "stabilised"
+        case "torque":
+            there = bool(scenario.torque.any())
+        case "vibrations":
+            there = bool(scenario.vibrations or scenario.sines)
         case "commands":
-            places = _commands_of(scenario, parameter.part)
-            if k >= len(places):
-                return None
-            one = scenario.commands[places[k]]
-            there = {"at": one.step or one.ramp, "phase": one.amplitude}.get(key, getattr(one, key))
-            return ("commands", places[k], key) if there else None
-        case "drives":
-            return ("drives", k, key)
-        case "fault":
-            names = [one.name for one in scenario.faults]
-            return ("faults", names.index(parameter.part), key) if parameter.part in names else None
-        case group:
-            return ("platform", group, k, key)
+            key = parameter.key
+            there = bool({"at": item.step or item.ramp, "phase": item.amplitude}.get(key, getattr(item, key)))
+        case _:
+            there = item is not None
+    return tuple(place) if there else None
 
 
 def _number_at(item: Any, place: _Place) -> Any:
@@ -265,19 +238,25 @@ def _number_at(item: Any, place: _Place) -> Any:
     return item
 
 
-def nominal(parameter: RunParameter, scenario: Scenario, faults: Sequence[Fault]) -> float | None:
+def part_of(parameter: RunParameter, scenario: Scenario) -> Any:
+    """Return the record that a number is of; None where the run does not have it."""
+    place = _place(parameter, scenario)
+    return None if place is None else _number_at(scenario, place[:-1])
+
+
+def nominal(parameter: RunParameter, scenario: Scenario) -> float | None:
     """Return the nominal value; None where the run or the plant does not have the parameter."""
-    if parameter.group == "vibration":
-        return 1.0 if scenario.vibrations or scenario.sines else None
-    scenario = replaced(scenario, {"faults": tuple(faults)})
     place = _place(parameter, scenario)
     if place is None:
-        return 0.0 if parameter.group == "unbalances" else None
+        return 0.0 if "unbalances" in parameter.place else None
     if parameter.factor:
         return 1.0
-    number = _number_at(scenario, place)
-    # The larger of two directions.
-    return None if number is None or not np.isfinite(np.max(number)) else float(np.max(number))
+    if (number := _number_at(scenario, place)) is None:
+        return None
+    # Of a vector the one that is not zero, of two directions the larger one.
+    numbers = np.ravel(number)
+    largest = float(numbers[np.abs(numbers).argmax()])
+    return largest if math.isfinite(largest) else None
 
 
 def varied_scenario(
@@ -298,16 +277,19 @@ def varied_scenario(
     weak: list[Fault] = []
     moments: dict[str, FloatArray] = {}
     for parameter, number, relative in drawn:
-        key, place = parameter.key, _place(parameter, scenario)
-        if parameter.group == "vibration":
+        place = _place(parameter, scenario)
+        if parameter.path == _SHAKING:
             densities = [replaced(one, {"densities": one.densities * number**2}) for one in scenario.vibrations]
             sines = [replaced(one, {"amplitude": one.amplitude * number}) for one in scenario.sines]
             own |= {"vibrations": tuple(densities), "sines": tuple(sines)}
-        elif (parameter.group, key) == ("torquers", "gain"):
-            lost = Fault(name=parameter.path, kind="torquer weak", part=parameter.part, at=0.0, share=number)
-            weak.insert(0, lost)
-        elif parameter.group == "unbalances" and place is None:
-            moments.setdefault(parameter.part, np.zeros(3))[parameter.index] = 0.0 if relative else number
+        elif parameter.is_gain:
+            part = part_of(parameter, scenario).name
+            weak.insert(0, Fault(name=parameter.path, kind="torquer weak", part=part, at=0.0, share=number))
+        elif place is None and "unbalances" in parameter.place:
+            *_, body, _, axis = parameter.place
+            assert isinstance(body, Element)
+            assert isinstance(axis, int)
+            moments.setdefault(body.name, np.zeros(3))[axis] = 0.0 if relative else number
         elif place is not None:
             old, within = _number_at(scenario, place), changes
             for step in place[:-1]:
@@ -342,6 +324,8 @@ def _changed(item: Any, changes: Any) -> Any:
 
 def drawn_value(old: Any, number: float, relative: bool) -> Any:
     """Return the value in the place of an old one once a number is drawn."""
+    if isinstance(old, np.ndarray) and not relative:
+        return np.where(old, number, 0.0)
     if isinstance(old, tuple):
         return tuple(x * number for x in old) if relative else (number,) * len(old)
     return old * number if relative else number

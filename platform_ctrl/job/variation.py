@@ -8,13 +8,23 @@ from dataclasses import field
 from itertools import product
 from typing import Annotated, Any, Literal, get_args
 
-from platform_ctrl.common.values import input_value
+from platform_ctrl.common.values import input_value, replaced
 from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.parameters import RunParameter, allowed, drawn_value, nominal, parameters, unknown_parameter
+from platform_ctrl.job.parameters import (
+    RunParameter,
+    allowed,
+    drawn_value,
+    nominal,
+    parameters,
+    part_of,
+    unknown_parameter,
+)
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Unfit
+from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, takes, wrong
+from platform_ctrl.plant.platform import Rotor
 from platform_ctrl.plant.tables import Array, Collected, record_value, shape, written
 
 Points = Literal["sobol", "latin-hypercube", "random"]
@@ -217,7 +227,8 @@ def campaign_misfits(
     entry, key, line
         The number of the entry of `varied`, its key that is wrong, and a line that says why.
     """
-    known = parameters(scenarios, faults)
+    scenarios = [replaced(one, {"faults": tuple(faults)}) for one in scenarios]
+    known, rules = parameters(scenarios, faults), allowed(scenarios, faults)
     drawn: set[str] = set()
     place: dict[str, int] = {}
     for k, vary in enumerate(varied):
@@ -228,34 +239,29 @@ def campaign_misfits(
             yield k, "parameter", f'parameter = "{path}": is varied already, in [[campaign.vary]] {place[path] + 1}'
         else:
             place[path] = k
-            line = _misfit(vary, known[path], scenarios, faults, drawn)
+            line = _misfit(vary, known[path], rules[path], scenarios, drawn)
             if line is not None:
                 yield k, "relative" if line.startswith("relative") else "distribution", line
     by_path = {vary.parameter: vary for vary in varied if vary.parameter in drawn}
-    for path, words in _misfits_together(by_path, known, scenarios[0], faults) if scenarios else ():
+    for path, words in _misfits_together(by_path, known, scenarios[0]) if scenarios else ():
         yield place[path], "distribution", f'"{path}" would be drawn so that {words}'
 
 
 def _misfit(
-    vary: Vary,
-    parameter: RunParameter,
-    scenarios: Sequence[Scenario],
-    faults: Sequence[Fault],
-    drawn: set[str],
+    vary: Vary, parameter: RunParameter, expected: Expected, scenarios: Sequence[Scenario], drawn: set[str]
 ) -> str | None:
     low, high = vary.support
     if parameter.factor:
-        if not vary.relative and parameter.key == "inertia":
+        if not vary.relative and parameter.key.endswith("inertia"):
             return f'relative must be true: "{vary.parameter}" is a matrix that is scaled as a whole'
     elif vary.relative:
-        present = [x for one in scenarios if (x := nominal(parameter, one, faults)) is not None]
+        present = [x for one in scenarios if (x := nominal(parameter, one)) is not None]
         if not any(present):
             having = "is 0 as it stands" if present else "has no value as it stands"
             return f'relative must be false, with the number itself: "{vary.parameter}" {having}'
         ends = [x * end for x in present if x for end in (low, high)]
         low, high = min(ends), max(ends)
     drawn.add(vary.parameter)
-    expected = allowed(parameter, scenarios[0])
     if _fits(expected, low, high, vary.distribution != "choice"):
         return None
     bounded = " or ".join(f'"{name}"' for name in ("truncated-normal", "log-normal") if low == -math.inf)
@@ -278,20 +284,19 @@ def _fits(expected: Expected, low: float, high: float, continuous: bool) -> bool
 
 
 def _misfits_together(
-    varied: dict[str, Vary], known: dict[str, RunParameter], scenario: Scenario, faults: Sequence[Fault]
+    varied: dict[str, Vary], known: dict[str, RunParameter], scenario: Scenario
 ) -> Iterator[tuple[str, str]]:
     """Yield numbers of one part that could be drawn so that its record would refuse them together, by their path."""
-    parts: dict[tuple[str, int, str], dict[str, str]] = {}
+    parts: dict[tuple[object, ...], dict[str, str]] = {}
     for path in varied:
-        one = known[path]
-        if one.group in ("rotors", "frictions", "fault"):
-            parts.setdefault((one.group, one.index, one.part), {})[one.key] = path
-    for (group, k, name), paths in parts.items():
+        parts.setdefault(known[path].place[:-1], {})[known[path].key] = path
+    for paths in parts.values():
+        part = part_of(known[next(iter(paths.values()))], scenario)
+        if not isinstance(part, Rotor | Friction | Fault):
+            continue
         if {"spin", "angular_momentum"} <= paths.keys():
             yield paths["angular_momentum"], f'"{paths["spin"]}" gives it another number; leave one of them out'
             continue
-        named = (fault for fault in faults if fault.name == name)
-        part: Any = next(named) if group == "fault" else getattr(scenario.platform, group)[k]
         judge, table = shape(type(part)).misfits, written(part)
         usual = {key for key, _ in judge(table)}
         for ends in product(*(varied[path].support for path in paths.values())):
