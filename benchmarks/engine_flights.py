@@ -14,7 +14,7 @@ from side_by_side import Comparison, DisagreementError, Section
 
 from platform_ctrl.design import loops
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation import simulate, simulate_batch
 from platform_ctrl.simulation.closed_loop import Trajectory
@@ -38,7 +38,7 @@ def closed() -> tuple[Job, list[control.StateSpace]]:
 def scenarios(job: Job, mode: str) -> list[Scenario]:
     """Return the first manoeuvre of a mode, with other noise in every run."""
     [one, *_] = [manoeuvre for manoeuvre in job.manoeuvres if manoeuvre.mode == mode]
-    return [replace(manoeuvre_scenario(job, one), duration=DURATION, run=k) for k in range(RUNS)]
+    return [replace(job.scenario(one), duration=DURATION, run=k) for k in range(RUNS)]
 
 
 def _alone(runs: list[Scenario], controllers: list[control.StateSpace], period: float) -> list[Trajectory]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine
 from platform_ctrl.simulation.scenarios import commanded_readings, courses_of
@@ -63,7 +63,7 @@ def caged_excitation(job: Job, axis: int, readings: Sequence[str], nutation: flo
         return Excitation(
             title=f"{rate:g} rad/s about axis {axis}", duration=5.0 * rise, rate=lambda t: _half_cosine(profile, t)
         )
-    scenario = manoeuvre_scenario(job, found)
+    scenario = job.scenario(found)
     fastest = max((one.frequency_hz for one in _sines(found, axis)), default=0.0)
     longest = POINTS / (_PER_PERIOD * fastest) if fastest else math.inf
     commanded = _commands(found, readings)

@@ -15,7 +15,7 @@ from platform_ctrl.common.arguments import known_name, one_of, positive, whole
 from platform_ctrl.common.values import FloatArray, read_only, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.parameters import RunParameter, parameters, varied_scenario
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import Campaign, Points, Vary, campaign_misfits
@@ -279,7 +279,7 @@ def plan(
         known_name("fault of the campaign", failing.fault, [fault.name for fault in job.fault_events])
     chosen_sampling = campaign.sampling if sampling is None else sampling
     one_of("sampling", chosen_sampling, get_args(Points))
-    nominal = tuple(manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres)
+    nominal = tuple(job.scenario(manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres)
     for _, _, line in campaign_misfits(campaign.vary, nominal, job.fault_events):
         raise ArgumentError(line)
     known = parameters(nominal, job.fault_events)

@@ -382,43 +382,53 @@ class Job:
                 out |= dict.fromkeys(spec.read_by(spec.closed).sensors, tau)
         return out
 
+    def scenario(self, manoeuvre: Manoeuvre) -> Scenario:
+        """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0.
 
-def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
-    """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0."""
-    caged = manoeuvre.mode == "caged"
-    torque = np.zeros(3)
-    torque[manoeuvre.axis - 1] = manoeuvre.torque
-    q, rate, Omega = (np.zeros(k) for k in (len(job.platform.gimbals), len(job.platform.gimbals), 3))
-    angles = job.platform.angle_names
-    for name, number in manoeuvre.initial.items():
-        if name in angles:
-            q[angles.index(name)] = number
-        elif name in OMEGA_NAMES:
-            Omega[OMEGA_NAMES.index(name)] = number
-        else:
-            rate[angles.index(name.removesuffix("_rate"))] = number
-    profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
-    return Scenario(
-        platform=job.platform,
-        mode=manoeuvre.mode,
-        duration=manoeuvre.duration,
-        delay=job.sampling.delay,
-        profile=profile if caged and manoeuvre.rate else None,
-        Omega_table=manoeuvre.Omega_table,
-        torque=torque,
-        torque_table=manoeuvre.torque_table,
-        vibrations=manoeuvre.vibrations,
-        sines=manoeuvre.sines,
-        commands=manoeuvre.commands,
-        filters=job.reference_filters,
-        drives=job.drive_laws,
-        faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
-        q=q,
-        rate=rate,
-        Omega=Omega,
-        start=manoeuvre.start,
-        seed=job.seed,
-        settle=manoeuvre.settle,
-        fade=manoeuvre.fade,
-        limits=dict(manoeuvre.limits),
-    )
+        Parameters
+        ----------
+        manoeuvre
+            One of `manoeuvres`.
+
+        Returns
+        -------
+        Scenario
+            For `simulation.simulate`, with controllers.
+        """
+        caged = manoeuvre.mode == "caged"
+        torque = np.zeros(3)
+        torque[manoeuvre.axis - 1] = manoeuvre.torque
+        q, rate, Omega = (np.zeros(k) for k in (len(self.platform.gimbals), len(self.platform.gimbals), 3))
+        angles = self.platform.angle_names
+        for name, number in manoeuvre.initial.items():
+            if name in angles:
+                q[angles.index(name)] = number
+            elif name in OMEGA_NAMES:
+                Omega[OMEGA_NAMES.index(name)] = number
+            else:
+                rate[angles.index(name.removesuffix("_rate"))] = number
+        profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
+        return Scenario(
+            platform=self.platform,
+            mode=manoeuvre.mode,
+            duration=manoeuvre.duration,
+            delay=self.sampling.delay,
+            profile=profile if caged and manoeuvre.rate else None,
+            Omega_table=manoeuvre.Omega_table,
+            torque=torque,
+            torque_table=manoeuvre.torque_table,
+            vibrations=manoeuvre.vibrations,
+            sines=manoeuvre.sines,
+            commands=manoeuvre.commands,
+            filters=self.reference_filters,
+            drives=self.drive_laws,
+            faults=tuple(fault for fault in self.fault_events if fault.name in manoeuvre.faults),
+            q=q,
+            rate=rate,
+            Omega=Omega,
+            start=manoeuvre.start,
+            seed=self.seed,
+            settle=manoeuvre.settle,
+            fade=manoeuvre.fade,
+            limits=dict(manoeuvre.limits),
+        )

@@ -16,7 +16,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.budget import Source, value_mistakes, with_logs
 from platform_ctrl.job.checks import job_mistakes, locked_mistakes
 from platform_ctrl.job.exercised import unexercised
-from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.manoeuvre import MOTION
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.spectra import LogSpectrum
@@ -109,7 +109,7 @@ def read_job(
 def _variation(job: Job) -> Iterator[Mistake]:
     """Yield what a campaign varies although the job has no such number, or would not accept what may be drawn."""
     if job.campaign is not None:
-        scenarios = [manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres]
+        scenarios = [job.scenario(manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres]
         for k, key, line in campaign_misfits(job.campaign.vary, scenarios, job.fault_events):
             yield Mistake(("campaign", "vary", k, key), one_line(line))
 

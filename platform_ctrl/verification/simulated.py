@@ -22,7 +22,7 @@ from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.budget import BudgetLimits, BudgetSpec, Source
-from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.scenario import Scenario, Sine, Vibration
@@ -73,7 +73,7 @@ class Run:
 
 def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
     """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops."""
-    scenario = manoeuvre_scenario(job, manoeuvre)
+    scenario = job.scenario(manoeuvre)
     step = max(min(_STEP, longest_step(job.platform, manoeuvre.mode == "stabilised")), _SHORTEST)
     trajectory = simulate(scenario, controllers, period=job.sampling.period, step=step)
     return run_of(job, manoeuvre, trajectory)
@@ -229,7 +229,7 @@ def _start(job: Job, manoeuvre: Manoeuvre) -> str:
     """Return the assumptions of a run that begins in equilibrium."""
     if manoeuvre.start == "rest":
         return ""
-    held = equilibrium_torques(manoeuvre_scenario(job, manoeuvre))
+    held = equilibrium_torques(job.scenario(manoeuvre))
     torques = ", ".join(f"{t.name} {Q:.3g} N m" for t, Q in zip(job.platform.torquers, held, strict=True) if Q)
     return f" from equilibrium, held by constant torques besides the controllers' ({torques or 'none is needed'})"
 

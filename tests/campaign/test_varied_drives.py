@@ -12,7 +12,6 @@ from platform_ctrl.campaign import plan
 from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.campaign.store import identity
 from platform_ctrl.common.values import replaced
-from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.simulation import simulate_batch
 
 K = control.ss([], [], [], [[-2.0, 2.0]], 0.001, inputs=["gyro", "gyro_command"], outputs=["Qouter"], name="K")
@@ -34,7 +33,7 @@ def test_a_campaign_with_varied_friction_fed_forward_is_separate_runs_bit_for_bi
     assert len({*columns["angle"].tolist()}) == 4
     for run, (factor, step) in enumerate(zip(factors.tolist(), steps.tolist(), strict=True)):
         own = job(friction=COULOMB * factor, step=step)
-        scenario = replaced(manoeuvre_scenario(own, own.manoeuvres[0]), {"seed": made.noise_seed, "run": run})
+        scenario = replaced(own.scenario(own.manoeuvres[0]), {"seed": made.noise_seed, "run": run})
         alone = simulate_batch([scenario], [K], period=0.001, step=made.step)
         assert alone.angle.max() == columns["angle"][run]
         drawn = made.scenario(run)

@@ -14,7 +14,6 @@ from platform_ctrl import read_job
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import Design
-from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.simulation import simulate, simulate_batch
@@ -67,7 +66,7 @@ def test_what_is_done_with_commands_leaves_the_feedback_as_it_is(kind: str) -> N
 @pytest.mark.parametrize(("kind", "order"), [("rate", 1), ("pointing", 2)])
 def test_the_run_is_that_of_filter_feedforward_and_loop_by_themselves(kind: str, order: int) -> None:
     job, design = read_job(job_of(kind, BOTH)), made(kind, "both")
-    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [design.controller], period=PERIOD, noise=False)
+    run = simulate(job.scenario(job.manoeuvres[0]), [design.controller], period=PERIOD, noise=False)
     # The step as it is, and the ramp advanced: 2 r(t + τ) − r(t), τ the filter's time constant as it is sampled.
     tau = 0.5 * PERIOD / np.tan(0.5 * OMEGA * PERIOD)
     ramp = [np.where(t >= 0.4 - 1e-9, 5e-4 * (t - 0.4), 0.0) for t in (run.t, run.t + tau)]
@@ -123,7 +122,7 @@ def test_a_path_that_is_known_is_followed_without_the_lag_of_the_filter(kind: st
     assert error_of(result).value < 0.12 * rate * 2.0 / (2.0 * np.pi * 5.0)
     # A campaign measures it as the run does.
     [run], controllers = result.runs, [outcome.closed.controller for outcome in result.loops]
-    scenario = manoeuvre_scenario(result.job, run.manoeuvre)
+    scenario = result.job.scenario(run.manoeuvre)
     batch = simulate_batch([scenario], controllers, period=PERIOD, noise=False)
     found = batch.rate_following_error if kind == "rate" else batch.angle_following_error
     assert found.max() == pytest.approx(error_of(result).value, rel=1e-9)

@@ -13,7 +13,6 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification.coupled_plant import coupled_plant
@@ -102,7 +101,7 @@ def test_what_is_left_of_friction_is_the_balance_of_harmonics_of_the_simulation(
     plant["rate_sensor"][2]["delay"] = late / RATE_HZ
     data["manoeuvre"][0]["sine"][0]["amplitude"] = size
     job = read_job(data)
-    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [], period=1.0 / RATE_HZ, noise=False)
+    run = simulate(job.scenario(job.manoeuvres[0]), [], period=1.0 / RATE_HZ, noise=False)
     period = round(2.0 * np.pi / w * RATE_HZ)
     t, p = run.t[-period - 1 : -1], run.p[-period - 1 : -1, 0]
     # Of the base's rate, size sin(wt), the amplitude is -j size.

@@ -10,7 +10,6 @@ import pytest
 
 from generated_c import classical_entry, designed_entry, pid_entry, state_space
 from platform_ctrl import read_job, simulation
-from platform_ctrl.job.job import manoeuvre_scenario
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 
@@ -29,7 +28,7 @@ def entries(job: Any) -> list[dict[str, Any]]:
 @pytest.fixture(scope="session")
 def recorded(job: Any, entries: list[dict[str, Any]]) -> Any:
     """A run with all three, below all limits."""
-    scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[3]), duration=0.3)
+    scenario = dataclasses.replace(job.scenario(job.manoeuvres[3]), duration=0.3)
     run = simulation.simulate(scenario, [state_space(one) for one in entries], period=job.sampling.period)
     assert run.completed
     assert run.saturated.sum() == 0

@@ -18,7 +18,6 @@ from platform_ctrl.analysis.interconnection import back_calculation
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
 from platform_ctrl.export import write_c
 from platform_ctrl.export.c99.code import controllers_of
-from platform_ctrl.job.job import manoeuvre_scenario
 
 TYPES = {"double": ctypes.c_double, "float": ctypes.c_float}
 PREFIXES = ("caging_4_5_7", "caging_9_10", "stabilisation")
@@ -104,7 +103,7 @@ def test_at_its_limits_too_it_is_the_simulated_controller(
     job: Any, entries: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     files = write_c(job, entries[:2], tmp_path).files
-    scenario = manoeuvre_scenario(job, job.manoeuvres[0])
+    scenario = job.scenario(job.manoeuvres[0])
     scenario = dataclasses.replace(
         scenario, duration=0.25, profile=dataclasses.replace(scenario.profile, rate=4.0, rise=0.2)
     )

@@ -16,7 +16,6 @@ from generated_c import Machine, compiled
 from platform_ctrl import read_job
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_c
-from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.simulation import simulate
 
 BOTH = FRICTION | SECANT | {"sensors": ["base_pitch", "base_oblique"], "friction": 0.027}
@@ -54,7 +53,7 @@ def test_torques_are_the_simulated_commands(job: Any, tmp_path: Path) -> None:
     notes = written(job, tmp_path).notes
     assert any("what the drives do is in driven_step" in note for note in notes)
     code = machine(tmp_path, ctypes.c_double)
-    scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[0]), q=np.array([0.0, 0.8]))
+    scenario = dataclasses.replace(job.scenario(job.manoeuvres[0]), q=np.array([0.0, 0.8]))
     run = simulate(scenario, [controller()], period=1.0 / RATE_HZ)
     column = {sensor.name: k for k, sensor in enumerate(job.platform.sensors)}
     names = ["gyro", "pitch_gyro", "pitch", "base_oblique", "base_pitch"]

@@ -20,7 +20,7 @@ from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, read_job, shipped_models, simulation
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
-from platform_ctrl.job.job import Faults, Uncertainty, manoeuvre_scenario
+from platform_ctrl.job.job import Faults, Uncertainty
 from single_runs import simulated
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
@@ -183,7 +183,7 @@ def test_caging_controllers_run_on_mujocos_plant_as_on_ours(
     job, controllers = main_job
     caging = [K for K in controllers if not {"M1", "M2", "M3"} & set(K.output_labels)]
     assert len(caging) == 2
-    scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[0]), duration=0.1)
+    scenario = dataclasses.replace(job.scenario(job.manoeuvres[0]), duration=0.1)
     ours = simulation.simulate(scenario, caging, period=job.sampling.period, step=1e-5, noise=False)
     profile = scenario.profile
     assert profile is not None

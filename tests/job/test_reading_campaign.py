@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from job.test_reading_job import job
 from plant.test_reading_plant import JUNK, mutate, outcome, refusal
 from platform_ctrl import read_job
-from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.simulation import HalfCosine
 
@@ -70,7 +69,7 @@ def test_a_gimbal_without_stops_meets_none() -> None:
 
 def test_a_manoeuvre_is_flown_as_the_job_says() -> None:
     read = read_job(flown_job())
-    turn, push, still = (manoeuvre_scenario(read, manoeuvre) for manoeuvre in read.manoeuvres)
+    turn, push, still = (read.scenario(manoeuvre) for manoeuvre in read.manoeuvres)
     assert (turn.mode, turn.duration, turn.delay, turn.seed, turn.run) == ("caged", 2.0, 0.0005, 7, 0)
     assert isinstance(turn.profile, HalfCosine)
     assert (turn.profile.axis, turn.profile.rate, turn.profile.rise, turn.profile.hold) == (1, -1.0, 0.5, 1.0)

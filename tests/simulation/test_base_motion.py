@@ -12,7 +12,6 @@ from commanded_gimbal import commanded_job
 from platform_ctrl import Platform, design, element_forces, read_job, read_platform
 from platform_ctrl.campaign.single_run import metric_of
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.scenario import Sine
 from platform_ctrl.simulation import Scenario, Vibration, simulate, simulate_batch
 from platform_ctrl.verification.simulated import simulate_manoeuvre
@@ -151,7 +150,7 @@ def test_a_bias_of_a_gyro_is_in_the_line_of_sight_that_is_judged() -> None:
     assert found["line-of-sight rate, rms"] == pytest.approx(bias, rel=1e-2)
     # From rest after J/k: an angle that grows.
     assert found["line-of-sight angle, rms"] > 0.5 * bias * 0.75
-    scenarios = [manoeuvre_scenario(job, job.manoeuvres[0])]
+    scenarios = [job.scenario(job.manoeuvres[0])]
     batch = simulate_batch(scenarios, [damped()], period=job.sampling.period)
     assert metric_of(batch, "los_rate_rms", scenarios)[0] == pytest.approx(found["line-of-sight rate, rms"], rel=1e-9)
 
@@ -164,7 +163,5 @@ def test_a_commanded_rate_is_judged_without_the_bias_of_its_gyro() -> None:
     controllers = [one.closed.controller for one in design.loops(job)]
     [error] = simulate_manoeuvre(job, job.manoeuvres[0], controllers).results
     assert error.value == pytest.approx(0.01, rel=0.05)
-    batch = simulate_batch(
-        [manoeuvre_scenario(job, job.manoeuvres[0])], controllers, period=job.sampling.period, noise=True
-    )
+    batch = simulate_batch([job.scenario(job.manoeuvres[0])], controllers, period=job.sampling.period, noise=True)
     assert batch.rate_following_error.max() == pytest.approx(error.value, rel=1e-9)

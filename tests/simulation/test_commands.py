@@ -14,7 +14,6 @@ from commanded_gimbal import INERTIA, RATE_HZ, commanded_job
 from platform_ctrl import read_job
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.simulation import simulate, simulate_batch
 
 PERIOD = 1.0 / RATE_HZ
@@ -39,7 +38,7 @@ def expected(t: np.ndarray) -> np.ndarray:
 def test_a_rate_loop_follows_its_command_as_linear_theory_says() -> None:
     job = read_job(commanded_job(COMMANDS))
     (K,) = controllers(job)
-    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [K], period=PERIOD, noise=False)
+    run = simulate(job.scenario(job.manoeuvres[0]), [K], period=PERIOD, noise=False)
     command = expected(run.t)
     np.testing.assert_allclose(run.reading_command[:, 0], command, rtol=0.0, atol=1e-12)
     assert K.input_labels == ["gyro", "gyro_command"]
@@ -52,7 +51,7 @@ def test_a_rate_loop_follows_its_command_as_linear_theory_says() -> None:
 
 def test_many_runs_are_those_of_one() -> None:
     job = read_job(commanded_job(COMMANDS))
-    closed, scenario = controllers(job), manoeuvre_scenario(job, job.manoeuvres[0])
+    closed, scenario = controllers(job), job.scenario(job.manoeuvres[0])
     scenario = dataclasses.replace(scenario, settle=0.5)
     alone = simulate(scenario, closed, period=PERIOD)
     still = dataclasses.replace(scenario, commands=())
@@ -64,7 +63,7 @@ def test_many_runs_are_those_of_one() -> None:
 
 def test_commands_need_a_controller_that_takes_them() -> None:
     job = read_job(commanded_job(COMMANDS))
-    scenario = manoeuvre_scenario(job, job.manoeuvres[0])
+    scenario = job.scenario(job.manoeuvres[0])
     (K,) = controllers(read_job(commanded_job([]) | {"manoeuvre": []}))
     with pytest.raises(ArgumentError, match="no controller takes a command of 'gyro'"):
         simulate(scenario, [K], period=PERIOD)

@@ -12,7 +12,6 @@ import pytest
 
 from driven_gimbal import COULOMB, COULOMB_RATE, FRICTION, INERTIA, RATE_HZ, SECANT, VISCOUS, driven_job
 from platform_ctrl import read_job
-from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.simulation import Scenario, simulate, simulate_batch
 
 PERIOD = 1.0 / RATE_HZ
@@ -21,7 +20,7 @@ TACHO = FRICTION | {"sensors": ["tacho"]}
 
 def scenario_of(*drives: dict[str, object]) -> Scenario:
     job = read_job(driven_job(*drives))
-    return manoeuvre_scenario(job, job.manoeuvres[0])
+    return job.scenario(job.manoeuvres[0])
 
 
 def damping(gain: float) -> control.StateSpace:
@@ -87,5 +86,5 @@ def test_the_equilibrium_is_no_command_that_the_gain_multiplies() -> None:
     job["plant"]["spring"] = [{"gimbal": "outer", "stiffness": 0.1, "rest": 0.5}]
     job["manoeuvre"][0] |= {"start": "equilibrium", "sine": [], "initial": {"pitch": 1.0, "yaw": 0.2}}
     read = read_job(job)
-    run = simulate(manoeuvre_scenario(read, read.manoeuvres[0]), [damping(0.5)], period=PERIOD)
+    run = simulate(read.scenario(read.manoeuvres[0]), [damping(0.5)], period=PERIOD)
     assert np.abs(run.rate).max() < 1e-12

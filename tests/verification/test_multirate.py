@@ -24,7 +24,6 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_c
-from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import line_of_sight_budget
@@ -125,7 +124,7 @@ def test_the_slow_loop_is_what_the_run_does(made: tuple[Any, ...], job: Any) -> 
     tracking = made[0].closed
     assert tracking.plants is not None
     assert tracking.controller.dt == pytest.approx(SLOW * T)
-    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [one.closed.controller for one in made], period=T)
+    run = simulate(job.scenario(job.manoeuvres[0]), [one.closed.controller for one in made], period=T)
     P, K = tracking.plants, System.of(tracking.controller, "controller")
     x, x_K, expected = np.zeros(P.A.shape[-1]), np.zeros(len(K.A)), []
     for k in range(len(run.t[::SLOW])):
@@ -275,11 +274,9 @@ def test_a_tracker_that_measures_when_it_is_read_is_not_held() -> None:
     assert sensor.periods_late(T) == 4 + math.ceil((SLOW - 1) / 2)
     # At half the tracker's period every other reading is ten samples older.
     assert sensor.periods_late(T, SLOW // 2) == 4 + 5
-    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [one.closed.controller for one in loops(job)], period=T)
+    run = simulate(job.scenario(job.manoeuvres[0]), [one.closed.controller for one in loops(job)], period=T)
     plain = read_job(tracking_job())
-    other = simulate(
-        manoeuvre_scenario(plain, plain.manoeuvres[0]), [one.closed.controller for one in loops(plain)], period=T
-    )
+    other = simulate(plain.scenario(plain.manoeuvres[0]), [one.closed.controller for one in loops(plain)], period=T)
     np.testing.assert_allclose(run.command, other.command, rtol=0.0, atol=1e-12)
 
 
@@ -291,7 +288,7 @@ def test_the_generated_code_is_the_simulated_computer(
     inputs = ["heading", "heading_command", "gyro"]
     outputs = ["gyro_command", "Qyaw"]
     code = Machine(library, "commanded", inputs, outputs, ctypes.c_double, ["track_status", "loop_status"])
-    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), controllers, period=T)
+    run = simulate(job.scenario(job.manoeuvres[0]), controllers, period=T)
     readings = np.column_stack([run.reading[:, run.pickoff_names.index(name)] for name in ("heading", "gyro")])
     made, statuses = code.run(np.insert(readings, 1, run.reading_command[:, 0], axis=1))
     np.testing.assert_allclose(made[:, 1], run.command[:, 0], rtol=0.0, atol=1e-12 * np.abs(run.command).max())
