@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,8 @@ from platform_ctrl.app.settings import Settings, stated_limits
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels, loop_signals
-from platform_ctrl.design.method import LoopProblem, designed
+from platform_ctrl.design.method import LoopProblem, SectionedMethod, designed
 from platform_ctrl.design.methods import METHODS
-from platform_ctrl.design.methods.classical import classical_controller, starting_values
-from platform_ctrl.design.methods.pi import rate_controller, rate_options
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
@@ -50,31 +49,32 @@ def full_options(
     design: DesignSpec, given: Mapping[str, float], channel: Channels, nutation: float, period: float
 ) -> dict[str, float]:
     """Return all options of a classical or PI design, those of parts that it does not have as well."""
+    method = METHODS[design.method]
+
+    def complete(options: Mapping[str, float]) -> dict[str, float]:
+        return method.defaults(replace(design, options=dict(options)), channel, nutation, period)
+
     if design.method == "pi":
-        crossover = rate_options(dict(given), channel, nutation, period)["crossover_hz"]
+        crossover = complete(given)["crossover_hz"]
         rest = {"double_integral_hz": 0.1 * crossover, "lag_hz": 0.1 * crossover, "lag_ratio": 3.0}
         rest |= {"notch_hz": min(3.0 * crossover, 0.35 / period), "notch_depth": 0.3, "notch_width": 0.3}
-        return rate_options(rest | dict(given), channel, nutation, period)
-    return _classical_options(given, channel, nutation, period)
-
-
-def _classical_options(
-    given: Mapping[str, float], channel: Channels, nutation: float, period: float
-) -> dict[str, float]:
+        return complete(rest | dict(given))
     own = {name: x for name, x in given.items() if name == ALWAYS or acts(name, channel)}
     rate_hz = 1.0 / period
-    more = {"lag_hz": 0.1 * starting_values(own, channel, nutation, period)["crossover_hz"], "lag_ratio": 3.0}
+    more = {"lag_hz": 0.1 * complete(own)["crossover_hz"], "lag_ratio": 3.0}
     if len(channel.momenta):
         more |= {"notch_hz": min(nutation / math.tau, 0.35 * rate_hz), "notch_depth": 0.7, "notch_width": 0.3}
     if len(channel.spins):
         spin = float(channel.spins.mean()) / math.tau
         more |= {"spin_notch_hz": min(spin, 0.4 * rate_hz), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
-    return starting_values(more | own, channel, nutation, period)
+    return complete(more | own)
 
 
 def direct_arrays(method: str, options: Mapping[str, float], channel: Channels, period: float) -> System:
     """Return the sampled controller of a classical or PI design of complete options, from readings to torques."""
-    made = (rate_controller if method == "pi" else classical_controller)(dict(options), channel, period)
+    sectioned = METHODS[method]
+    assert isinstance(sectioned, SectionedMethod)
+    made = sectioned.of_directions(dict(options), channel, period)
     controller = made if channel.sense is None else made._replace(B=made.B @ channel.sense, D=made.D @ channel.sense)
     if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
         raise DesignError(f"{method}: the controller of these options is not finite; choose less extreme ones")
@@ -112,13 +112,11 @@ class DesignOptions:
         parts = ("", *settings.parts_on(spec.name, design.name))
         given = {name: x for name, x in offered.items() if part_of(name) in parts}
         try:
-            if design.method == "pi":
-                return rate_options(dict(given), channel, nutation, period)
-            complete = starting_values(given, channel, nutation, period)
+            complete = METHODS[design.method].defaults(replace(design, options=given), channel, nutation, period)
         except DesignError as error:
             # It may be another loop than the one that is shown.
             raise DesignError(f"{spec.name}, {error}") from None
-        return {name: x for name, x in complete.items() if acts(name, channel)}
+        return {name: x for name, x in complete.items() if design.method == "pi" or acts(name, channel)}
 
     def touched(self, settings: Settings, loop: str, design: str) -> bool:
         """Return whether a design's sliders or parts are not as the job has them."""

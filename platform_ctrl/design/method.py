@@ -18,7 +18,7 @@ from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design, delivered, measured
 from platform_ctrl.design.loop_signals import Channels, loop_channels, loop_signals
-from platform_ctrl.design.sections import Section, gain, low_pass
+from platform_ctrl.design.sections import Section, between, flattened, gain, low_pass
 from platform_ctrl.design.tuning import Builder, Tuner, over_decades
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job import methods
@@ -330,6 +330,45 @@ class TunedMethod(Method):
                 reserve=self.reserve,
             )
         return problem.made(build(options), options)
+
+
+class SectionedMethod(TunedMethod):
+    """A tuned method whose controller is made of sections along the directions of a loop."""
+
+    @abstractmethod
+    def along(
+        self, options: dict[str, float], channel: Channels, period: float, inputs: Sequence[str], outputs: Sequence[str]
+    ) -> list[Section]:
+        """Return the sections from `inputs`, measured in the directions, to `outputs`, torques in the directions."""
+
+    def of_directions(self, options: dict[str, float], channel: Channels, period: float) -> System:
+        """Return the sampled controller u = K y of complete options."""
+        inputs, outputs = _signals(channel)
+        system = flattened(self.along(options, channel, period, inputs, outputs), inputs, outputs)
+        return between(channel.basis, system, channel.basis.T)
+
+    def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
+        """Return the sampled controller of complete options."""
+        return self.of_directions(options, channel, plants.period)
+
+    def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
+        """Return the controller section by section, from the readings to the torques of the loop."""
+        channel, plants = problem.channel, problem.plant_set
+        assert plants is not None, "the loop has plants"
+        inputs, outputs = _signals(channel)
+        directions = channel.basis if channel.sense is None else channel.sense
+        first = Section("directions", "mix", "readings along the directions", gain(directions), plants.angles, inputs)
+        if channel.sense is not None:
+            # Each torquer has its own direction.
+            return (first, *self.along(options, channel, plants.period, inputs, plants.torques))
+        last = Section("torques", "mix", "torques back on the gimbals", gain(channel.basis.T), outputs, plants.torques)
+        return (first, *self.along(options, channel, plants.period, inputs, outputs), last)
+
+
+def _signals(channel: Channels) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of what is measured and set in the directions."""
+    count = range(1, len(channel.basis) + 1)
+    return tuple(f"direction_{k}" for k in count), tuple(f"torque_{k}" for k in count)
 
 
 def tuned(

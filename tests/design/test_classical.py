@@ -12,16 +12,24 @@ from platform_ctrl.design.loop import measured
 from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.method import instability
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.design.methods.classical import classical_controller, starting_values
+from platform_ctrl.design.methods.classical import Classical
 from platform_ctrl.design.methods.platform_servo import rate_estimate
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.design.sections import first_order, gain, low_pass, notch
 from platform_ctrl.errors import DesignError
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import linearise
 from tree_cases import platforms
 
 PERIOD = 5e-4
 L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4
+
+
+def starting_values(given, channel, nutation, period):
+    """All options of a classical design, those not given from rules of thumb."""
+    return Classical().defaults(
+        DesignSpec(name="classical", method="classical", options=given), channel, nutation, period
+    )
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +46,7 @@ def model(job):
 def classical(job, channel, two_axis):
     """Options and controller of the job's classical design of 9-10."""
     options = starting_values(job.loops[1].designs[0].options, channel, two_axis.nutation, PERIOD)
-    return options, classical_controller(options, channel, PERIOD)
+    return options, Classical().of_directions(options, channel, PERIOD)
 
 
 @pytest.fixture(scope="module")
@@ -113,10 +121,10 @@ def test_cross_gain_alone_drives_nutation_unstable_and_the_direct_lead_damps_it(
     """Growth rate about the crossover; the trap of the cross-axis loop."""
     options = starting_values({"crossover_hz": 10.0}, channel, two_axis.nutation, PERIOD)
     weak = options | {"damping_hz": 1e-6, "damping2_hz": 1e-6}
-    cross = classical_controller(weak, channel, PERIOD)
+    cross = Classical().of_directions(weak, channel, PERIOD)
     decay = measure(two_axis, cross).decay[0]
     assert -decay == pytest.approx(2 * np.pi * 10.0, rel=0.4)
-    damped = measure(two_axis, classical_controller(options, channel, PERIOD))
+    damped = measure(two_axis, Classical().of_directions(options, channel, PERIOD))
     assert damped.decay[0] > 0.0
     assert damped.damping[0] > 0.1
 
@@ -126,7 +134,7 @@ def test_no_integrator_is_doubled(model):
     for rows in ([0, 1, 2], [3, 4]):
         channel = channels(model, rows)
         options = starting_values({"notch_depth": 0.5}, channel, 500.0, PERIOD)
-        A = classical_controller(options, channel, PERIOD).A
+        A = Classical().of_directions(options, channel, PERIOD).A
         assert np.sum(np.abs(np.linalg.eigvals(A) - 1.0) < 1e-6) == len(rows)
 
 
@@ -148,7 +156,7 @@ def test_a_lag_raises_the_gain_at_low_frequencies_alone(channel):
     lagging = starting_values({"integral_hz": 0.1, "lag_hz": 2.0, "lag_ratio": 4.0}, channel, 474.0, PERIOD)
 
     def cross(options, hz):
-        return abs(response(classical_controller(options, channel, PERIOD), 2 * np.pi * hz)[0, 1])
+        return abs(response(Classical().of_directions(options, channel, PERIOD), 2 * np.pi * hz)[0, 1])
 
     assert cross(lagging, 1e-3) / cross(plain, 1e-3) == pytest.approx(4.0, rel=1e-3)
     assert cross(lagging, 500.0) / cross(plain, 500.0) == pytest.approx(1.0, rel=1e-3)
@@ -160,7 +168,7 @@ def test_the_spin_notch_attenuates_every_path_at_the_spin_frequency(channel):
     plain = starting_values({}, channel, 474.0, PERIOD)
     notched = starting_values({"spin_notch_depth": 0.05}, channel, 474.0, PERIOD)
     assert notched["spin_notch_hz"] == pytest.approx(1250.0 / (2.0 * np.pi))
-    there, less = (response(classical_controller(one, channel, PERIOD), 1250.0) for one in (plain, notched))
+    there, less = (response(Classical().of_directions(one, channel, PERIOD), 1250.0) for one in (plain, notched))
     np.testing.assert_allclose(less, 0.05 * there, rtol=1e-8)
 
 

@@ -22,15 +22,23 @@ from platform_ctrl.design.fixed_structure.maps import (
 )
 from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.design.methods.classical import classical_controller, starting_values
+from platform_ctrl.design.methods.classical import Classical
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import DesignError
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.job.requirements import WORST_CASE, requirement
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.source import platform_source
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 LOOPS = ("caging 4-5-7", "caging 9-10")
+
+
+def starting_values(given, channel, nutation, period):
+    """All options of a classical design, those not given from rules of thumb."""
+    return Classical().defaults(
+        DesignSpec(name="classical", method="classical", options=given), channel, nutation, period
+    )
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +55,7 @@ def cases(job):
         plants = plants_of(job, spec)
         channel = channels(model, rows_of(model, spec.gimbals))
         options = starting_values({}, channel, plants.nutation, plants.period)
-        out[spec.name] = plants, channel, classical_controller(options, channel, plants.period)
+        out[spec.name] = plants, channel, Classical().of_directions(options, channel, plants.period)
     return out
 
 

@@ -14,9 +14,10 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.design import tuning
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.loop_signals import channels
-from platform_ctrl.design.methods.classical import classical_controller, starting_values
+from platform_ctrl.design.methods.classical import Classical
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.job.requirements import loop_requirements
 
 GIMBALS = ("outer", "inner")
@@ -51,7 +52,7 @@ def test_options_stay_within_reach_of_their_start(direction: float, monkeypatch:
 
     def build(options: dict[str, float]) -> System:
         tried.append(options["crossover_hz"] / start["crossover_hz"])
-        return classical_controller(options, channel, plants.period)
+        return Classical().of_directions(options, channel, plants.period)
 
     def downhill(*anything: Any) -> float:
         return 9.0 / (1.0 + math.exp(0.01 * direction * math.log(tried[-1])))
@@ -63,6 +64,13 @@ def test_options_stay_within_reach_of_their_start(direction: float, monkeypatch:
     assert max(direction * math.log10(one) for one in tried) > 5.9
     assert all(0.99e-6 <= one <= 1.01e6 for one in tried)
     assert math.isfinite(tuned["crossover_hz"])
+
+
+def starting_values(given, channel, nutation, period):
+    """All options of a classical design, those not given from rules of thumb."""
+    return Classical().defaults(
+        DesignSpec(name="classical", method="classical", options=given), channel, nutation, period
+    )
 
 
 def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:
@@ -77,7 +85,7 @@ def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:
     required = loop_requirements(spec.limits | {"disk_margin": 0.01})
 
     def build(options: dict[str, float]) -> System:
-        return classical_controller(options, channel, plants.period)
+        return Classical().of_directions(options, channel, plants.period)
 
     tuner = tuning.Tuner(movable=list(start), build=build, plants=plants, requirements=required, evaluations=5)
     assert tuner.run(start) == start

@@ -21,7 +21,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.method import LoopProblem, designed
-from platform_ctrl.design.methods.classical import classical_controller
+from platform_ctrl.design.methods.classical import Classical
 from platform_ctrl.design.methods.structured import pid_structure
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.job.job import Job
@@ -73,7 +73,7 @@ def classical_entry(job: Job, gimbals: tuple[str, ...], **other: float) -> dict[
 def pid_entry(job: Job, gimbals: tuple[str, ...]) -> dict[str, Any]:
     """A matrix PID as the structured design makes it: no sections."""
     channel = channels(model := linearise(job.platform), rows_of(model, gimbals))
-    like = classical_controller(CLASSICAL[gimbals], channel, job.sampling.period)
+    like = Classical().of_directions(CLASSICAL[gimbals], channel, job.sampling.period)
     family = pid_structure(like, channel, job.sampling.period, 500.0, 12.6, 5000.0)
     return entry(job, f"caging {'-'.join(gimbals)}", family.block(family.start), gimbals) | {"design": "structured"}
 

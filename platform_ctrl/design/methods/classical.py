@@ -22,11 +22,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.system import System
 from platform_ctrl.design.loop_signals import Channels
-from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz, number
-from platform_ctrl.design.sections import Section, between, first_order, flattened, gain, notch
+from platform_ctrl.design.method import Option, SectionedMethod, hertz, number
+from platform_ctrl.design.sections import Section, first_order, gain, notch
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.methods import DesignSpec
 
@@ -63,7 +61,7 @@ OPTIONS: dict[str, Option] = {
 }
 
 
-class Classical(TunedMethod):
+class Classical(SectionedMethod):
     """The classical caging loop."""
 
     key = "classical"
@@ -102,10 +100,6 @@ class Classical(TunedMethod):
         "robustness": dict.fromkeys(("integral_hz", "lead_hz", "lag_hz", "inertial_lead_hz"), -1.0),
     }
 
-    def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
-        """Return the sampled controller of complete options."""
-        return classical_controller(options, channel, plants.period)
-
     def movable(self, options: dict[str, float], channel: Channels) -> list[str]:
         """Return the options that the tuner moves: without a gyroscopic pair nothing crosses over across."""
         return [name for name in super().movable(options, channel) if name != "crossover_hz" or len(channel.momenta)]
@@ -125,56 +119,56 @@ class Classical(TunedMethod):
         }
 
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
-        """Return all options, those that are not given by rules of thumb."""
-        return starting_values(design.options, channel, nutation, period)
+        """Return all options, those that are not given from rules of thumb: the nutation frequency sets the scale."""
+        given = design.options
+        nutation_hz, rate_hz = nutation / (2.0 * np.pi), 1.0 / period
+        out: dict[str, float] = {"crossover_hz": 0.6 * nutation_hz}
+        # The slowest crossover that the loop has: the integral acts in all of its directions.
+        acting = ["crossover_hz"] * bool(len(channel.momenta)) + ["inertial_crossover_hz"] * bool(channel.inertial)
+        slowest = min(given.get(name, 0.6 * nutation_hz) for name in acting or ["crossover_hz"])
+        out["integral_hz"] = 0.04 * slowest
+        if len(channel.momenta):
+            out |= {
+                "damping_hz": 0.9 * nutation_hz,
+                "damping2_hz": 1.1 * nutation_hz,
+                "lead_hz": 0.12 * nutation_hz,
+                "rolloff_hz": 0.4 * rate_hz,
+            }
+            if any(name.startswith("notch") for name in given):
+                out |= {"notch_hz": nutation_hz, "notch_depth": 0.7, "notch_width": 0.3}
+        if any(name.startswith("lag") for name in given):
+            out |= {"lag_hz": 0.1 * slowest, "lag_ratio": 3.0}
+        if any(name.startswith("spin_notch") for name in given):
+            out |= {"spin_notch_hz": _spin_hz(given, channel), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
+        if channel.inertial:
+            out |= {
+                "inertial_crossover_hz": 0.6 * nutation_hz,
+                "inertial_lead_hz": 0.2 * nutation_hz,
+                "inertial_rolloff_hz": 0.4 * rate_hz,
+            }
+        out = self.completed(given, out, period)
+        if not out.get("lag_ratio", 2.0) > 1.0:
+            raise DesignError(
+                f"classical: lag_ratio, the gain at low frequencies, must exceed 1, got {out['lag_ratio']:g}"
+            )
+        return out
 
-    def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
-        """Return the controller section by section, from the readings to the torques of the loop."""
-        channel, plants = problem.channel, problem.plant_set
-        assert plants is not None, "a caging loop has plants"
-        count = range(len(channel.basis))
-        into, out = tuple(_measured(k) for k in count), tuple(_set(k) for k in count)
-        directions = channel.basis if channel.sense is None else channel.basis @ channel.sense
-        return (
-            Section(
-                "directions", "mix", "angles in the directions of the gyros", gain(directions), plants.angles, into
-            ),
-            *_along(options, channel, plants.period),
-            Section("torques", "mix", "torques back on the gimbals", gain(channel.basis.T), out, plants.torques),
-        )
-
-
-def starting_values(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options, those not given from rules of thumb: the nutation frequency sets the scale."""
-    nutation_hz, rate_hz = nutation / (2.0 * np.pi), 1.0 / period
-    out: dict[str, float] = {"crossover_hz": 0.6 * nutation_hz}
-    # The slowest crossover that the loop has: the integral acts in all of its directions.
-    acting = ["crossover_hz"] * bool(len(channel.momenta)) + ["inertial_crossover_hz"] * bool(channel.inertial)
-    slowest = min(given.get(name, 0.6 * nutation_hz) for name in acting or ["crossover_hz"])
-    out["integral_hz"] = 0.04 * slowest
-    if len(channel.momenta):
-        out |= {
-            "damping_hz": 0.9 * nutation_hz,
-            "damping2_hz": 1.1 * nutation_hz,
-            "lead_hz": 0.12 * nutation_hz,
-            "rolloff_hz": 0.4 * rate_hz,
-        }
-        if any(name.startswith("notch") for name in given):
-            out |= {"notch_hz": nutation_hz, "notch_depth": 0.7, "notch_width": 0.3}
-    if any(name.startswith("lag") for name in given):
-        out |= {"lag_hz": 0.1 * slowest, "lag_ratio": 3.0}
-    if any(name.startswith("spin_notch") for name in given):
-        out |= {"spin_notch_hz": _spin_hz(given, channel), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
-    if channel.inertial:
-        out |= {
-            "inertial_crossover_hz": 0.6 * nutation_hz,
-            "inertial_lead_hz": 0.2 * nutation_hz,
-            "inertial_rolloff_hz": 0.4 * rate_hz,
-        }
-    out = Classical.completed(given, out, period)
-    if not out.get("lag_ratio", 2.0) > 1.0:
-        raise DesignError(f"classical: lag_ratio, the gain at low frequencies, must exceed 1, got {out['lag_ratio']:g}")
-    return out
+    def along(
+        self, options: dict[str, float], channel: Channels, period: float, inputs: Sequence[str], outputs: Sequence[str]
+    ) -> list[Section]:
+        """Return the sections from what is measured in the directions to the torques there."""
+        inputs, out = list(inputs), list[Section]()
+        if "spin_notch_hz" in options:
+            for k, source in enumerate(inputs):
+                inputs[k] = f"quiet_{k + 1}"
+                out.append(notch_stage(options, "spin_notch", f"_{k + 1}", "rotors' spin", source, inputs[k], period))
+        pairs = len(channel.momenta)
+        for pair in range(pairs):
+            own = slice(2 * pair, 2 * pair + 2)
+            out += _pair(options, channel, pair, inputs[own], outputs[own], period)
+        for k in range(2 * pairs, len(inputs)):
+            out += _inertial(options, channel, k, inputs[k], outputs[k], period)
+        return out
 
 
 def _spin_hz(given: dict[str, float], channel: Channels) -> float:
@@ -189,37 +183,13 @@ def _spin_hz(given: dict[str, float], channel: Channels) -> float:
     return float(channel.spins.mean() / (2.0 * np.pi))
 
 
-def classical_controller(options: dict[str, float], channel: Channels, period: float) -> System:
-    """Return the sampled controller (u = K y, positive feedback) for complete `options` (see `starting_values`).
-
-    Frequencies in Hz: ``crossover_hz`` ωc; ``integral_hz`` ωi; ``damping_hz``, ``damping2_hz`` d_1 and d_2 of the
-    pair's axes; ``lead_hz`` ωz; ``rolloff_hz`` ωr; ``lag_hz`` ωl and ``lag_ratio``, ``notch_hz``, ``notch_depth``,
-    ``notch_width``, and the same with ``spin_``, where there is one; ``inertial_...`` of the inertial directions.
-    """
-    count = range(len(channel.basis))
-    directions, torques = [_measured(k) for k in count], [_set(k) for k in count]
-    along = flattened(_along(options, channel, period), directions, torques)
-    return between(channel.basis, along, channel.basis.T)
-
-
-def _along(options: dict[str, float], channel: Channels, period: float) -> list[Section]:
-    """Return the sections between the measured directions and the torques in these directions."""
-    inputs = [_measured(k) for k in range(len(channel.basis))]
-    out: list[Section] = []
-    if "spin_notch_hz" in options:
-        for k, source in enumerate(inputs):
-            inputs[k] = f"quiet_{k + 1}"
-            out.append(notch_stage(options, "spin_notch", f"_{k + 1}", "rotors' spin", source, inputs[k], period))
-    pairs = len(channel.momenta)
-    for pair in range(pairs):
-        out += _pair(options, channel, pair, inputs[2 * pair : 2 * pair + 2], period)
-    for k in range(2 * pairs, len(inputs)):
-        out += _inertial(options, channel, k, inputs[k], period)
-    return out
-
-
 def _pair(
-    options: dict[str, float], channel: Channels, pair: int, inputs: Sequence[str], period: float
+    options: dict[str, float],
+    channel: Channels,
+    pair: int,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    period: float,
 ) -> list[Section]:
     """Return the sections of a gyroscopic pair: a torque about one axis turns the other, so integrals act across."""
     out: list[Section] = []
@@ -247,11 +217,13 @@ def _pair(
         f"{options['damping_hz']:.6g} and {options['damping2_hz']:.6g} Hz"
     )
     sources = (crosses[0], rates[0], crosses[1], rates[1])
-    out.append(Section(f"pair_{pair + 1}", "mix", note, gain(mix), sources, (_set(2 * pair), _set(2 * pair + 1))))
+    out.append(Section(f"pair_{pair + 1}", "mix", note, gain(mix), sources, tuple(outputs)))
     return out
 
 
-def _inertial(options: dict[str, float], channel: Channels, k: int, source: str, period: float) -> list[Section]:
+def _inertial(
+    options: dict[str, float], channel: Channels, k: int, source: str, target: str, period: float
+) -> list[Section]:
     """Return the sections of a direction without gyroscopic action: a PID."""
     number = k + 1 - 2 * len(channel.momenta)
     name, where = f"_inertial_{number}", f"inertial direction {number}"
@@ -263,7 +235,7 @@ def _inertial(options: dict[str, float], channel: Channels, k: int, source: str,
     note = f"{where}: (s/wz + 1)/(s/wr + 1), zero at {zero:.6g} Hz, pole at {pole:.6g} Hz, by Tustin's rule"
     out.append(Section(f"lead{name}", "lead", note, lead, out[-1].outputs, (f"rate{name}",)))
     note = f"inertia {channel.inertias[k]:.6g} kg m2, crossover at {options['inertial_crossover_hz']:.6g} Hz"
-    out.append(Section(f"gain{name}", "mix", note, gain(-strength), out[-1].outputs, (_set(k),)))
+    out.append(Section(f"gain{name}", "mix", note, gain(-strength), out[-1].outputs, (target,)))
     return out
 
 
@@ -293,11 +265,3 @@ def notch_stage(
 
 def _rad(options: dict[str, float], name: str) -> float:
     return 2.0 * np.pi * options[name]
-
-
-def _measured(k: int) -> str:
-    return f"direction_{k + 1}"
-
-
-def _set(k: int) -> str:
-    return f"torque_{k + 1}"

@@ -16,13 +16,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.system import System
 from platform_ctrl.design.loop_signals import Channels
-from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz
+from platform_ctrl.design.method import Option, SectionedMethod, hertz
 from platform_ctrl.design.methods.classical import OPTIONS as CLASSICAL
 from platform_ctrl.design.methods.classical import integrated, notch_stage
-from platform_ctrl.design.sections import Section, first_order, flattened, gain
+from platform_ctrl.design.sections import Section, first_order, gain
 from platform_ctrl.job.methods import DesignSpec
 
 # Default crossover over the reference frequency of the plants' grids, and the integral's corner over the crossover.
@@ -40,7 +38,7 @@ OPTIONS: dict[str, Option] = {
 }
 
 
-class PI(TunedMethod):
+class PI(SectionedMethod):
     """The classical rate loop."""
 
     key = "pi"
@@ -59,57 +57,29 @@ class PI(TunedMethod):
         "robustness": dict.fromkeys(("integral_hz", "double_integral_hz", "lag_hz"), -1.0),
     }
 
-    def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
-        """Return the sampled controller of complete options."""
-        return rate_controller(options, channel, plants.period)
-
     def upper_bounds(self, period: float) -> dict[str, float]:
         """Return the largest values that the tuner may use."""
         return {"crossover_hz": 0.2 / period, "notch_hz": 0.4 / period, "notch_depth": 0.999, "notch_width": 1.0}
 
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
         """Return all options, those that are not given by rules of thumb."""
-        return rate_options(design.options, channel, nutation, period)
+        given = design.options
+        crossover = given.get("crossover_hz", _CROSSOVER * nutation / (2.0 * np.pi))
+        out = {"crossover_hz": crossover, "integral_hz": _INTEGRAL * crossover, "rolloff_hz": 0.4 / period}
+        if "double_integral_hz" in given:
+            out["double_integral_hz"] = 0.5 * _INTEGRAL * crossover
+        if any(name.startswith("lag") for name in given):
+            out |= {"lag_hz": 0.1 * crossover, "lag_ratio": 3.0}
+        if any(name.startswith("notch") for name in given):
+            out |= {"notch_hz": 3.0 * crossover, "notch_depth": 0.3, "notch_width": 0.3}
+        return self.completed(given, out, period)
 
-    def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
-        """Return the controller section by section, from the readings to the torques of the loop."""
-        channel, plants = problem.channel, problem.plant_set
-        assert plants is not None, "a rate loop has plants"
-        if channel.sense is None:
-            return _along(options, channel, plants.period, plants.angles, plants.torques)
-        rates = tuple(f"rate_{k + 1}" for k in range(len(channel.sense)))
-        into = Section("directions", "mix", "readings along the channels", gain(channel.sense), plants.angles, rates)
-        return (into, *_along(options, channel, plants.period, rates, plants.torques))
-
-
-def rate_options(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options of the rate loop, those not given from rules of thumb."""
-    crossover = given.get("crossover_hz", _CROSSOVER * nutation / (2.0 * np.pi))
-    out = {"crossover_hz": crossover, "integral_hz": _INTEGRAL * crossover, "rolloff_hz": 0.4 / period}
-    if "double_integral_hz" in given:
-        out["double_integral_hz"] = 0.5 * _INTEGRAL * crossover
-    if any(name.startswith("lag") for name in given):
-        out |= {"lag_hz": 0.1 * crossover, "lag_ratio": 3.0}
-    if any(name.startswith("notch") for name in given):
-        out |= {"notch_hz": 3.0 * crossover, "notch_depth": 0.3, "notch_width": 0.3}
-    return PI.completed(given, out, period)
-
-
-def rate_controller(options: dict[str, float], channel: Channels, period: float) -> System:
-    """Return the sampled controller (u = K y, positive feedback) of the channels for complete `options`."""
-    names = [f"{name}_{k + 1}" for name in ("rate", "torque") for k in range(len(channel.inertias))]
-    inputs, outputs = names[: len(channel.inertias)], names[len(channel.inertias) :]
-    return flattened(_along(options, channel, period, inputs, outputs), inputs, outputs)
-
-
-def _along(
-    options: dict[str, float], channel: Channels, period: float, inputs: Sequence[str], outputs: Sequence[str]
-) -> tuple[Section, ...]:
-    """Return the sections of all channels."""
-    signals = enumerate(zip(inputs, outputs, strict=True))
-    return tuple(
-        one for k, (source, target) in signals for one in _channel(options, channel, k, period, source, target)
-    )
+    def along(
+        self, options: dict[str, float], channel: Channels, period: float, inputs: Sequence[str], outputs: Sequence[str]
+    ) -> list[Section]:
+        """Return the sections from what is measured in the directions to the torques there."""
+        signals = enumerate(zip(inputs, outputs, strict=True))
+        return [one for k, (source, target) in signals for one in _channel(options, channel, k, period, source, target)]
 
 
 def _channel(

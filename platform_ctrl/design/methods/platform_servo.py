@@ -15,7 +15,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import parallel
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
-from platform_ctrl.design.sections import Section, between, first_order, flattened, gain, low_pass
+from platform_ctrl.design.sections import Section, first_order, flattened, gain, low_pass
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel
@@ -60,21 +60,15 @@ class PlatformServo(Method):
             "filter_damping": 0.7,
         }
         options = self.completed(design.options, defaults, job.sampling.period)
-        estimate, used = rate_estimate(model)
+        _, used = rate_estimate(model)
         torquers, roots = _torquers(job)
         missing = [model.gimbal_names[k] for k in used if model.gimbal_names[k] not in torquers]
         if missing or set(roots) != {1, 2, 3}:
             wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
             raise DesignError(f"{spec.name}: there is no torquer on {wanted}; add one to the plant file", model)
-        period = job.sampling.period
-        turns, speeds = _per_axis("turn"), _per_axis("speed")
-        servo = between(estimate, flattened(_axis_sections(options, period), turns, speeds), _strength(options, model))
-        return problem.made(
-            servo,
-            options,
-            inputs=tuple(torquers[model.gimbal_names[k]] for k in used),
-            outputs=tuple(roots[k] for k in (1, 2, 3)),
-        )
+        sections = self.sections(problem, options)
+        inputs, outputs = sections[0].inputs, sections[-1].outputs
+        return problem.made(flattened(sections, inputs, outputs), options, inputs=inputs, outputs=outputs)
 
     def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
         """Return the servo section by section, from the gyros' torques to those on the root."""
@@ -84,10 +78,11 @@ class PlatformServo(Method):
         measured, set_ = tuple(gimbals[model.gimbal_names[k]] for k in used), tuple(roots[axis] for axis in (1, 2, 3))
         turns, speeds = _per_axis("turn"), _per_axis("speed")
         note = f"inertia of the platform times {options['crossover_hz']:.6g} Hz"
+        strength = -2.0 * np.pi * options["crossover_hz"] * model.root_inertia
         return (
             Section("rates", "mix", "platform rates by least squares from L Omega", gain(estimate), measured, turns),
             *_axis_sections(options, period),
-            Section("servo", "mix", note, gain(_strength(options, model)), speeds, set_),
+            Section("servo", "mix", note, gain(strength), speeds, set_),
         )
 
 
@@ -131,12 +126,6 @@ def _axis_sections(options: dict[str, float], period: float) -> list[Section]:
             Section(f"integral_{k}", "integral", "1/s, angle from rate, by Tustin's rule", integral, (rate,), (angle,))
         )
         out.append(Section(f"sum_{k}", "mix", summed, mix, (rate, angle), (speed,)))
-    return out
-
-
-def _strength(options: dict[str, float], model: LinearModel) -> FloatArray:
-    """Return −J ωc, (3, 3)."""
-    out: FloatArray = -(2.0 * np.pi * options["crossover_hz"]) * model.root_inertia
     return out
 
 

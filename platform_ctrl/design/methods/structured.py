@@ -23,10 +23,10 @@ from platform_ctrl.design.fixed_structure.sections import PID, Named, Sampled, S
 from platform_ctrl.design.fixed_structure.structures import Parametrised, StateSpaceOrder, Units
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels
-from platform_ctrl.design.method import LoopProblem, Method, Option, TunedMethod, hertz, number
-from platform_ctrl.design.methods.classical import Classical, classical_controller, starting_values
+from platform_ctrl.design.method import LoopProblem, Method, Option, SectionedMethod, hertz, number
+from platform_ctrl.design.methods.classical import Classical
 from platform_ctrl.design.methods.hinf import hinf_controller
-from platform_ctrl.design.methods.pi import PI, rate_controller, rate_options
+from platform_ctrl.design.methods.pi import PI
 from platform_ctrl.design.sections import between, first_order, side_by_side
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.judging import STABLE
@@ -95,12 +95,7 @@ class Structured(Method):
         spec, design, channel = problem.spec, problem.design, problem.channel
         plants, structure = problem.plants, design.structure or DEFAULT
         options = self.defaults(design, channel, plants.nutation, plants.period)
-        kept = {"integral_hz": options["integral_hz"]}
-        if channel.order == 1:
-            cross_axis = rate_structure(kept, channel, plants)
-        else:
-            first = starting_values(kept, channel, plants.nutation, plants.period)
-            cross_axis = classical_structure(first, channel, plants.period)
+        cross_axis = cross_axis_structure(options["integral_hz"], channel, plants)
         full_order = dataclasses.replace(problem, design=DesignSpec(name=design.name, method="hinf", options={}))
 
         def progress(limits: float, goals: float) -> None:
@@ -185,27 +180,22 @@ def tuned_controller(
     return controller, options, claims
 
 
-def classical_structure(options: dict[str, float], channel: Channels, period: float) -> Parametrised:
-    """Return the classical loop over the numbers that its tuner moves."""
-    return _named(Classical(), options, lambda trial: classical_controller(trial, channel, period), period)
-
-
-def rate_structure(given: dict[str, float], channel: Channels, plants: PlantSet) -> Parametrised:
-    """Return the classical rate loop, with a second integral, over the numbers that its tuner moves."""
-    period = plants.period
-    given = given | {"double_integral_hz": 0.3 * given["integral_hz"]}
-    options = rate_options(given, channel, plants.nutation, period)
-    return _named(PI(), options, lambda trial: rate_controller(trial, channel, period), period)
-
-
-def _named(
-    method: TunedMethod, options: dict[str, float], build: Callable[[dict[str, float]], System], period: float
-) -> Parametrised:
-    """Return a controller that a function builds, over those of its options that its method's tuner moves."""
+def cross_axis_structure(integral_hz: float, channel: Channels, plants: PlantSet) -> Parametrised:
+    """Return the classical loop, of rates with a second integral, over the numbers that its tuner moves."""
+    period, given = plants.period, {"integral_hz": integral_hz}
+    method: SectionedMethod = Classical()
+    if channel.order == 1:
+        method, given = PI(), given | {"double_integral_hz": 0.3 * integral_hz}
+    design = DesignSpec(name="first", method=method.key, options=given)
+    options = method.defaults(design, channel, plants.nutation, period)
     moved = [name for name in method.tunable if name in options]
     fixed = {name: number for name, number in options.items() if name not in moved}
+
+    def build(trial: dict[str, float]) -> System:
+        return method.of_directions(trial, channel, period)
+
     values = {name: options[name] for name in (*moved, *fixed)}
-    size = build(values).D.shape[0]
+    size = len(channel.basis)
     structure = Named(build=build, values=values, largest=method.upper_bounds(period), fixed=fixed)
     return Parametrised(structure, size, size, Units(gain=np.ones((size, size)), rate=1.0))
 
