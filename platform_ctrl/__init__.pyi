@@ -9,6 +9,7 @@ from .design.methods import read_job as read_job
 from .errors import PlatformCtrlError as PlatformCtrlError
 from .mechanics.equations import forward_dynamics as forward_dynamics
 from .mechanics.equations import inverse_dynamics as inverse_dynamics
+from .mechanics.equations import rotor_momenta as rotor_momenta
 from .mechanics.equations import with_free_rotors as with_free_rotors
 from .mechanics.equations import with_regulated_rotors as with_regulated_rotors
 from .mechanics.forces import element_forces as element_forces

@@ -4,7 +4,7 @@ numba is loaded, and the kernel compiled or taken from its cache, with the first
 """
 
 from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine, TimeTable, Vibration
 from platform_ctrl.simulation.batch import simulate_batch
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.simulation.free_motion import rollout
@@ -13,6 +13,7 @@ __all__ = [
     "Fault",
     "HalfCosine",
     "Scenario",
+    "Sine",
     "TimeTable",
     "Vibration",
     "rollout",

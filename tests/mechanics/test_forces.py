@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from body_geometry import directions
+from plant_parts import Friction, Unbalance
 from platform_ctrl import element_forces, forward_dynamics, inverse_dynamics, linearise, read_platform, state_space
-from platform_ctrl.mechanics.kinematics import kinematics
-from platform_ctrl.plant.force_elements import Friction, Unbalance
 from tree_cases import platforms, slope, with_elements
 
 quick = settings(max_examples=30, deadline=None)
@@ -63,13 +63,13 @@ def test_unbalance_turns_by_the_gradient_of_its_potential(platform, seed):
     )
 
     def potential(q):
-        at = kinematics(platform, q)
+        at = directions(platform, q)
         return np.array([f @ np.einsum("bij,bj->i", at.rotations, moments)])
 
     q = rng.uniform(-3, 3, len(platform.gimbals))
     torque = element_forces(loaded, q)
     np.testing.assert_allclose(torque[3:], -slope(potential, q)[0], atol=1e-8)
-    at = kinematics(platform, q)
+    at = directions(platform, q)
     whole = np.einsum("bij,bj->i", at.rotations, moments)
     np.testing.assert_allclose(torque[:3], np.cross(f, whole), atol=1e-12 * (1 + np.abs(whole).max()))
 

@@ -20,8 +20,7 @@ from oracle_trees import (
     sprung,
     unbalanced,
 )
-from platform_ctrl import Platform, element_forces, inverse_dynamics, matrices
-from platform_ctrl.mechanics.equations import rotor_momenta
+from platform_ctrl import Platform, element_forces, inverse_dynamics, matrices, rotor_momenta
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
 

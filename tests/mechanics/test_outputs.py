@@ -7,8 +7,12 @@ from scipy.linalg import logm
 from scipy.spatial.transform import Rotation
 
 import platform_ctrl as pc
+from camera_job import camera_plant
+from every_key import every_plant_key
 from platform_ctrl.mechanics.outputs import observed
+from platform_ctrl.mechanics.state_space import coupled_while_changing
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
+from platform_ctrl.simulation.packing import skeleton
 
 GIMBAL = {
     "schema": 1,
@@ -107,3 +111,21 @@ def test_a_slow_gyro_is_a_butterworth_low_pass_with_its_scale_factor():
         rows = np.asarray(out(s))
         expected = 1.01 * low_pass(s) * (np.array(list(weights.values())) @ rows[1:])
         np.testing.assert_allclose(rows[0], expected, rtol=1e-9)
+
+
+def test_yaw_and_pitch_of_a_balanced_gimbal_act_on_one_another_only_while_the_platform_rate_changes():
+    """M_Omega_q: azimuth feels the derivative of the roll rate times the elevation angle."""
+    model = pc.linearise(pc.read_platform(camera_plant()))
+    assert pc.subsystems(model) == (("az",), ("el",))
+    assert coupled_while_changing(model) == (("az", "el"),)
+    assert coupled_while_changing(pc.linearise(pc.read_platform("three_gyro_platform"))) == ()
+
+
+def test_every_sensor_is_in_linear_models_and_in_simulations() -> None:
+    platform = pc.read_platform(every_plant_key())
+    free = pc.state_space(pc.linearise(platform), root="free")
+    packed = skeleton(platform).sensors
+    assert len(packed) == len(platform.sensors) > 0
+    every = [sensor.name for sensor in platform.sensors]
+    assert observed(free, platform, every).output_labels == every
+    assert {sensor.unit for sensor in platform.sensors} <= {"rad", "rad/s"}

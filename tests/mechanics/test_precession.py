@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from plant_parts import Erection, Friction
 from platform_ctrl import linearise, precession, read_platform, state_space
 from platform_ctrl.errors import MechanicsError
-from platform_ctrl.plant.force_elements import Erection, Friction
 from tree_cases import platforms, with_torquers
 
 L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4

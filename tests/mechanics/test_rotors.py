@@ -5,8 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl import inverse_dynamics, matrices, read_platform, with_free_rotors, with_regulated_rotors
-from platform_ctrl.mechanics.equations import rotor_momenta
+from platform_ctrl import (
+    inverse_dynamics,
+    matrices,
+    read_platform,
+    rotor_momenta,
+    with_free_rotors,
+    with_regulated_rotors,
+)
 from rotors_as_gimbals import with_rotors_as_gimbals
 from tree_cases import platforms, state
 

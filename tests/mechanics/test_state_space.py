@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camera_job import camera_plant
 from platform_ctrl import (
     element_forces,
     forward_dynamics,
@@ -16,7 +15,6 @@ from platform_ctrl import (
     subsystems,
 )
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.state_space import coupled_while_changing
 from small_trees import tree
 from tree_cases import platforms, with_elements, with_torquers
 
@@ -105,11 +103,3 @@ def test_a_free_root_with_force_elements_moves_as_the_non_linear_equations_about
     motion = np.vstack([angles, rates, s * angles, inputs])
     scale = 1 + (np.abs(slope) @ np.abs(motion)).max()
     np.testing.assert_allclose(slope @ motion, s * np.vstack([rates, s * angles]), atol=1e-7 * scale)
-
-
-def test_yaw_and_pitch_of_a_balanced_gimbal_act_on_one_another_only_while_the_platform_rate_changes():
-    """M_Omega_q: azimuth feels the derivative of the roll rate times the elevation angle."""
-    model = linearise(read_platform(camera_plant()))
-    assert subsystems(model) == (("az",), ("el",))
-    assert coupled_while_changing(model) == (("az", "el"),)
-    assert coupled_while_changing(linearise(read_platform("three_gyro_platform"))) == ()

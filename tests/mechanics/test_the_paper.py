@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import three_gyro_paper
-from platform_ctrl import inverse_dynamics, linearise, matrices
-from platform_ctrl.mechanics.equations import rotor_momenta
-from platform_ctrl.mechanics.kinematics import kinematics, topology
+from body_geometry import directions, guides, inertias
+from platform_ctrl import inverse_dynamics, linearise, matrices, rotor_momenta
 from rotors_as_gimbals import with_rotors_as_gimbals
 from small_trees import tree
 from three_gyro_energy import (
@@ -49,10 +48,9 @@ def energy_of_bodies(platform, q, u):
     """½ Σ ωᵀ I ω over all bodies, the rotors among them."""
     bodies = with_rotors_as_gimbals(platform)
     spins = rotor_momenta(platform, q, u).spin
-    at = kinematics(bodies, np.concatenate([q, np.zeros(len(spins))]))
-    rates = at.jacobians @ np.concatenate([u, spins])
-    inertias = at.rotations @ topology(bodies).inertias @ at.rotations.transpose(0, 2, 1)
-    return 0.5 * np.einsum("bi,bij,bj", rates, inertias, rates)
+    angles = np.concatenate([q, np.zeros(len(spins))])
+    rates = directions(bodies, angles).jacobians @ np.concatenate([u, spins])
+    return 0.5 * np.einsum("bi,bij,bj", rates, inertias(bodies, angles), rates)
 
 
 # Sections 2 and 3: any platform.
@@ -72,8 +70,8 @@ def test_01_energy_is_that_of_the_carriers_and_of_the_rotors_about_their_axes(pl
 def test_02_rotors_turn_at_their_spin_and_what_carries_them(platform, seed):
     """Against the body rates themselves: the rotor's rate along its axis."""
     q, u, _ = state(platform, seed)
-    at, tree, now = kinematics(platform, q), topology(platform), rotor_momenta(platform, q, u)
-    carriers = at.jacobians[tree.carriers] @ u
+    at, now = directions(platform, q), rotor_momenta(platform, q, u)
+    carriers = at.jacobians[1 + platform.carriers] @ u
     np.testing.assert_allclose(now.rate, now.spin + np.einsum("ri,ri->r", carriers, at.spin_axes), atol=1e-10)
 
 
@@ -81,12 +79,11 @@ def test_02_rotors_turn_at_their_spin_and_what_carries_them(platform, seed):
 @given(platforms(), seeds)
 def test_03_B_holds_cosines_between_rotor_axes_and_guiding_axes(platform, seed):
     q, _, _ = state(platform, seed)
-    at, tree, B = kinematics(platform, q), topology(platform), matrices(platform, q).B
-    for rotor, body in enumerate(tree.carriers):
+    at, B = directions(platform, q), matrices(platform, q).B
+    for rotor, body in enumerate(1 + platform.carriers):
         np.testing.assert_allclose(B[rotor, :3], at.spin_axes[rotor], atol=1e-14)
         for k in range(len(q)):
-            guides = tree.on_path[body, k]
-            cosine = at.axes[k] @ at.spin_axes[rotor] if guides else 0.0
+            cosine = at.axes[k] @ at.spin_axes[rotor] if guides(platform, body, k) else 0.0
             assert B[rotor, 3 + k] == pytest.approx(cosine, abs=1e-14)
     assert np.abs(B).max(initial=0.0) <= 1 + 1e-14
 

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from platform_ctrl import Platform, platform_source
+from plant_parts import Gimbal, Rotor
+from platform_ctrl import Platform, platform_source, rotor_momenta
 from platform_ctrl.errors import InputError, MechanicsError
-from platform_ctrl.mechanics.equations import rotor_momenta
-from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.platform import Rotor
 from platform_ctrl.simulation import rollout
 from report_jobs import page_html
 

@@ -10,9 +10,9 @@ import pytest
 from matplotlib.colors import to_hex
 
 import platform_ctrl as pc
+from plant_parts import Spring
 from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.job.manoeuvre import Manoeuvre
-from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.report import figures, style
 from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
 from single_runs import simulated

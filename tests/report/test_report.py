@@ -21,6 +21,7 @@ import narrow_loops
 import platform_ctrl as pc
 from legend_entries import without_a_curve
 from passive_gimbal import passive_job
+from plant_parts import Spring
 from platform_ctrl.analysis.metrics import Sense
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
@@ -30,7 +31,6 @@ from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
 from platform_ctrl.mechanics import modes
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.report import blocks, captions, comparison, curves, style, tables
 from platform_ctrl.report.campaign_tables import chances
 from platform_ctrl.report.figures.job import platform_compliance

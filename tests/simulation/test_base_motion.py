@@ -12,8 +12,7 @@ from commanded_gimbal import commanded_job
 from platform_ctrl import Platform, design, element_forces, read_job, read_platform
 from platform_ctrl.campaign.single_run import metric_of
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.scenario import Sine
-from platform_ctrl.simulation import Scenario, Vibration, simulate, simulate_batch
+from platform_ctrl.simulation import Scenario, Sine, Vibration, simulate, simulate_batch
 from platform_ctrl.verification.simulated import simulate_manoeuvre
 from sighted_gimbal import FRICTION, GAIN, HZ, JOB, PLANT, damped, sighted
 

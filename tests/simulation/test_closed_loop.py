@@ -8,12 +8,12 @@ import control
 import numpy as np
 import pytest
 
+from plant_parts import PickOff, Torquer
 from platform_ctrl import Platform
 from platform_ctrl.analysis import interconnection
 from platform_ctrl.analysis.interconnection import BackCalculation, back_calculation
 from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.plant.platform import PickOff, Torquer
 from single_runs import simulated
 from small_trees import tree
 

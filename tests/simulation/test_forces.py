@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from body_geometry import directions
 from kernel_entries import state_derivative
+from plant_parts import Cage, Erection, Friction, PickOff, Spring, Torquer, Unbalance
 from platform_ctrl import Platform, element_forces, forward_dynamics, matrices
-from platform_ctrl.mechanics.kinematics import kinematics
-from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.platform import PickOff, Torquer
 from platform_ctrl.simulation import rollout
 from single_runs import simulated
 from small_trees import tree
@@ -134,7 +133,7 @@ def energy(platform, q, u):
     m = matrices(platform, q)
     index = {name: k for k, name in enumerate(platform.gimbal_names)}
     V = sum(0.5 * s.stiffness * (q[index[s.gimbal]] - s.rest) ** 2 for s in platform.springs)
-    rotations = kinematics(platform, q).rotations
+    rotations = directions(platform, q).rotations
     V += sum(platform.specific_force @ rotations[1 + index[b.body]] @ b.moment for b in platform.unbalances)
     return 0.5 * u @ m.A_star @ u + V
 

@@ -1,4 +1,4 @@
-"""The kernel as such: its elementary functions, and runs that stand beside each other."""
+"""The kernel as such: its elementary functions, its random numbers, and runs that stand beside each other."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from platform_ctrl import Platform
 from platform_ctrl.simulation import rollout
 from platform_ctrl.simulation.kernel import arithmetic
+from platform_ctrl.simulation.kernel.devices import philox
 from simulation.test_forces import furnished
 from small_trees import tree
 
@@ -35,6 +36,20 @@ def test_elementary_functions_are_those_of_mpmath_in_the_last_places():
             away = np.array([float(abs(mpmath.mpf(g) - t)) for g, t in zip(row[small], true, strict=True)])
         last_place = np.spacing(np.maximum(np.abs([float(t) for t in true]), 1.0 if function is mpmath.tanh else 0.0))
         assert (away / last_place).max() <= 2.0
+
+
+def test_philox_gives_the_published_words() -> None:
+    @numba.njit
+    def words(c, k):  # type: ignore[no-untyped-def]
+        return philox(c[0], c[1], c[2], c[3], k[0], k[1])
+
+    for counter, key, expected in (
+        ("00000000 " * 4, "00000000 " * 2, "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
+        ("ffffffff " * 4, "ffffffff " * 2, "408f276d 41c83b0e a20bc7c6 6d5451fd"),
+        ("243f6a88 85a308d3 13198a2e 03707344", "a4093822 299f31d0", "d16cfe09 94fdcceb 5001e420 24126ea1"),
+    ):
+        c, k = (np.array([int(word, 16) for word in text.split()], dtype=np.uint64) for text in (counter, key))
+        assert " ".join(f"{word:08x}" for word in words(c, k)) == expected
 
 
 THREE = tree(

@@ -7,33 +7,17 @@ import itertools
 from typing import Any
 
 import control
-import numba
 import numpy as np
 import pytest
 from scipy import stats
 
 import platform_ctrl as pc
+from plant_parts import PickOff
 from platform_ctrl import simulation
-from platform_ctrl.plant.platform import PickOff
 from platform_ctrl.simulation import Scenario, TimeTable
-from platform_ctrl.simulation.kernel.devices import philox
 from signal_and_gimbal import PERIOD, RMS, J, fault, flown, gain, plant, scenario, within
 
 # Noise.
-
-
-def test_philox_gives_the_published_words() -> None:
-    @numba.njit
-    def words(c, k):  # type: ignore[no-untyped-def]
-        return philox(c[0], c[1], c[2], c[3], k[0], k[1])
-
-    for counter, key, expected in (
-        ("00000000 " * 4, "00000000 " * 2, "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
-        ("ffffffff " * 4, "ffffffff " * 2, "408f276d 41c83b0e a20bc7c6 6d5451fd"),
-        ("243f6a88 85a308d3 13198a2e 03707344", "a4093822 299f31d0", "d16cfe09 94fdcceb 5001e420 24126ea1"),
-    ):
-        c, k = (np.array([int(word, 16) for word in text.split()], dtype=np.uint64) for text in (counter, key))
-        assert " ".join(f"{word:08x}" for word in words(c, k)) == expected
 
 
 def readings(seed: int = 1, run: int = 0) -> np.ndarray:

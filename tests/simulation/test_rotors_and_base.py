@@ -11,8 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import platform_ctrl as pc
+from plant_parts import Unbalance
 from platform_ctrl import Platform, simulation
-from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.simulation import Fault, HalfCosine, Scenario, TimeTable, Vibration
 from small_trees import tree
 

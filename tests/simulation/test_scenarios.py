@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from plant_parts import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl import Platform, simulation
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.scenario import Sine
-from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.simulation import Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.simulation import Fault, HalfCosine, Scenario, Sine, TimeTable, Vibration
 
 PERIOD, STEP = 5e-4, 1e-4
 

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from plant_parts import Spring, Unbalance
 from platform_ctrl import Platform, element_forces, forward_dynamics, inverse_dynamics, matrices
-from platform_ctrl.plant.force_elements import Spring, Unbalance
 from platform_ctrl.simulation import HalfCosine, rollout
 from rotors_as_gimbals import with_rotors_as_gimbals
 from single_runs import simulated

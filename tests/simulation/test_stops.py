@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from plant_parts import Friction
 from platform_ctrl import Platform, simulation
-from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.simulation import Scenario
 from signal_and_gimbal import PERIOD, J, fault, flown, gain, plant, scenario, within
 from small_trees import tree

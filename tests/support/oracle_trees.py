@@ -15,10 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from plant_parts import Friction, Gimbal, Rotor, Spring, Unbalance
 from platform_ctrl import Platform
-from platform_ctrl.plant.force_elements import Friction, Spring, Unbalance
-from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.platform import Rotor
 
 EPS = np.finfo(float).eps
 DEPTH = 6  # longest chain of gimbals

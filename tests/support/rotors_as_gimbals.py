@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from plant_parts import Gimbal
 from platform_ctrl import Platform
-from platform_ctrl.plant.gimbals import Gimbal
 
 
 def with_rotors_as_gimbals(platform: Platform) -> Platform:

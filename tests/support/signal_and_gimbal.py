@@ -5,8 +5,8 @@ from __future__ import annotations
 import control
 import numpy as np
 
+from plant_parts import PickOff, RateSensor, Torquer
 from platform_ctrl import Platform, simulation
-from platform_ctrl.plant.platform import PickOff, RateSensor, Torquer
 from platform_ctrl.simulation import Fault, Scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
 from small_trees import tree

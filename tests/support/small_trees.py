@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from plant_parts import Gimbal, Rotor
 from platform_ctrl import Platform
-from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.platform import Rotor
 
 
 def along(axis: int | Sequence[float]) -> np.ndarray:

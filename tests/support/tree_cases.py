@@ -5,10 +5,8 @@ import dataclasses
 import numpy as np
 from hypothesis import strategies as st
 
+from plant_parts import Cage, Erection, Friction, Gimbal, Rotor, Spring, Torquer, Unbalance
 from platform_ctrl import Platform
-from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.platform import Rotor, Torquer
 
 
 def platform_of_case(tree):
@@ -112,6 +110,16 @@ def with_elements(platform, rng):
         erections=(Erection(gimbal=names[0], senses=names[-1], axis=np.array([0.6, 0.0, 0.8]), gain=0.7),),
         specific_force=rng.normal(size=3) * 3,
     )
+
+
+def exact_slope(function, at, k):
+    """Return the derivative in angle k, to rounding, of what is of second degree in its sine and cosine."""
+    quarter, eighth = (
+        (function(at + size * step) - function(at - size * step)) / 2
+        for step in [np.eye(len(at))[k]]
+        for size in (np.pi / 2, np.pi / 4)
+    )
+    return quarter + 2 * (eighth - quarter / np.sqrt(2))
 
 
 def slope(function, at, step=1e-6):
