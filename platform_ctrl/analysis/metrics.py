@@ -52,7 +52,6 @@ class Quantity:
     unit: str = ""  # of limits and verdicts
     sense: Sense = "at most"  # smaller is better; ``"at least"``: larger is better
     meaning: str  # one sentence for the documentation
-    best: float | None = None  # the best value that any loop can have, in `unit`
 
 
 @value
@@ -65,6 +64,7 @@ class Metric(Quantity):
     # which limits a job file may set: ``""``: of the nominal plant; ``"worst_case"`` and ``"faults"``: with the key's
     # ending ``_worst_case`` or ``_faults``
     scopes: tuple[str, ...] = ("",)
+    best: float | None = None  # the best value that any loop can have, in `unit`
     # what has to be known: ``"plants"`` and the controller, or the ``"controller"`` alone
     of: Literal["plants", "controller"] = "plants"
     needs_frequency: bool = False  # whether the frequency must be given
@@ -296,7 +296,6 @@ COUPLED_METRICS: dict[str, Quantity] = {
         key="disk_margin",
         sense="at least",
         meaning="disk margin of all torquer channels at once, each with its own perturbation",
-        best=2.0,
     ),
     "coupling cost": Quantity(
         name="disk margin lost by coupling",

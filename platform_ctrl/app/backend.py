@@ -41,7 +41,6 @@ from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import out_of_reach
-from platform_ctrl.verification.budget_result import holds
 from platform_ctrl.verification.controllers import differing_origin
 from platform_ctrl.verification.simulated import limit_results
 
@@ -194,7 +193,7 @@ class Backend:
         if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 < number <= LARGEST:
             raise ArgumentError(f"{key} must be a positive finite number, got {short(number)}")
         table, _, name = key.rpartition(".")
-        for _, words in out_of_reach({name: number}) if table.endswith(".limits") else ():
+        for _, words in out_of_reach({name: number}):
             raise ArgumentError(f"{table}: {words}")
         return settings.but(limits={**settings.limits, key: float(number)})
 
@@ -318,7 +317,7 @@ class Backend:
             return ratios(self.moved(settings, slider.name, slider.value + step))
 
         # No slider moves a value that the linear budget cannot judge.
-        judged = {one.name for one in self.budget_results(settings) if holds(one)}
+        judged = {one.name for one in self.budget_results(settings) if one.valid}
 
         def of_sight(now: Settings) -> list[CheckResult]:
             return [one for one in self.budget_results(now) if one.name in judged]

@@ -21,7 +21,7 @@ from platform_ctrl.design.tuning import SHARE, OptionEffects, OptionValue, candi
 from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import BOUND, DASH, HZ, MINUS, compared, count, plain
-from platform_ctrl.verification.budget_result import holds, left_to_runs
+from platform_ctrl.verification.budget_result import left_to_runs
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -124,7 +124,7 @@ def job_verdict(states: Sequence[ChipState]) -> tuple[str, str]:
 
 def _least(worst: CheckResult) -> str:
     """Return the margin of a chip, or why there is none."""
-    if not holds(worst):
+    if not worst.valid:
         return "not valid"
     return percent(worst.margin) if worst.margin > -math.inf else compared(worst)[0]
 
@@ -142,7 +142,7 @@ def _chip(one: ChipState, loop: str) -> dict[str, Any]:
     else:
         met = f"{one.missed} of {one.count} missed" if one.missed else f"{one.checked} of {one.count} met"
         words = f"{met}; nearest limit: {worst.name}" + (f", {worst.subject}" if worst.subject != chip.label else "")
-        words += "" if holds(worst) else f"; {worst.reason}"
+        words += "" if worst.valid else f"; {worst.reason}"
     return {
         **chip._asdict(),
         "verdict": "bad" if one.missed else "good" if whole else "open",
@@ -311,7 +311,7 @@ def table(
     rows = []
     for one in results:
         # Roots, so that the last per cent before a limit can be seen.
-        room = one.margin if math.isfinite(one.margin) else -1.0 if holds(one) else 0.0
+        room = one.margin if math.isfinite(one.margin) else -1.0 if one.valid else 0.0
         bar = math.copysign(math.sqrt(min(1.0, abs(room))), room)
         cells = [_cell(slider, one.name, effects) for slider in every]
         more = {"left": 50.0 + 50.0 * min(bar, 0.0), "width": max(0.8, 50.0 * abs(bar)), "cells": cells}

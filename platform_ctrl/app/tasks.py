@@ -26,7 +26,6 @@ from platform_ctrl.common.arguments import known_name, short
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.verification.budget_result import holds
 
 if TYPE_CHECKING:
     from bokeh.document import Document
@@ -237,7 +236,7 @@ class PageTasks:
                 influence = effects()
                 self._measure_parts(settings, expect_shown)
                 # The first budget takes long: what sliders do to it is known now.
-                known = {one.name for one in self._backend.budget_results(settings) if holds(one)}
+                known = {one.name for one in self._backend.budget_results(settings) if one.valid}
                 if not known <= set(influence.requirements):
                     effects()
             except _Superseded:

@@ -11,7 +11,6 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import COUPLED_METRICS
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.job.budget import BudgetSpec
@@ -202,8 +201,7 @@ class CoupledLimits:
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        for metric in COUPLED_METRICS.values():
-            yield from out_of_reach(table, metric.key, metric)
+        yield from out_of_reach(table)
 
 
 @input_value

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import METRICS, Sense
+from platform_ctrl.analysis.metrics import METRICS, Quantity, Sense
 from platform_ctrl.common.values import input_value, value
 
 Stage = Literal["decoupled", "coupled", "simulated"]
@@ -44,6 +44,8 @@ class CheckResult:
         How the value is found: ``"exact"``, ``"bound"``, ``"proved"``, ``"refined"``, ``"sampled"``, ``"simulated"``.
     reason
         Why the value is not better, where that is known; the evidence has it too.
+    valid
+        Whether the value can judge the limit: none is met by one that cannot.
     """
 
     name: str
@@ -60,6 +62,7 @@ class CheckResult:
     hard: bool = True
     method: Method = "sampled"
     reason: str = ""
+    valid: bool = True
 
     def because(self, reason: str) -> CheckResult:
         """Return the result with a reason, or as it is without one."""
@@ -69,8 +72,8 @@ class CheckResult:
     def margin(self) -> float:
         """Distance to the limit, relative to the limit, positive when met; infinite where that is no number."""
         distance = self.value - self.limit if self.sense == "at least" else self.limit - self.value
-        if distance >= 0.0 and not self.passed:
-            return float("-inf")  # the value does not hold
+        if not self.valid:
+            return float("-inf")
         if distance == 0.0:
             return 0.0
         if not np.isfinite(self.value) or not np.isfinite(self.limit) or self.limit == 0.0:
@@ -97,6 +100,11 @@ class Requirement:
     unit: str
     sense: Sense
     hard: bool = True
+
+    @classmethod
+    def of(cls, quantity: Quantity, limit: float, name: str = "") -> Requirement:
+        """Return the limit on a quantity, under its name or another one."""
+        return cls(name=name or quantity.name, limit=limit, unit=quantity.unit, sense=quantity.sense)
 
     def ratio(self, measured: float) -> float:
         """Return a number that is at most 1 when the bound is met."""
@@ -139,5 +147,4 @@ class Requirement:
 
 
 # Stable, and by more than rounding: what decays more slowly takes an hour.
-_DECAY = METRICS["stability"]
-STABLE = Requirement(name=_DECAY.name, limit=1e-3, unit=_DECAY.unit, sense=_DECAY.sense)
+STABLE = Requirement.of(METRICS["stability"], 1e-3)

@@ -14,7 +14,7 @@ import numpy as np
 
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
-from platform_ctrl.analysis.metrics import METRICS, Metric, Quantity
+from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import known_name, nearest, one_of, positive
@@ -355,9 +355,7 @@ def limit_keys() -> dict[str, tuple[str, str]]:
 def limit_misfits(limits: Mapping[str, float]) -> Iterator[Misfit]:
     """Yield what is wrong with the limits or the goals of a loop: keys, and edges of bands without their metric."""
     known = limit_keys()
-    for key, (name, scope) in known.items():
-        if scope in SCOPES:
-            yield from out_of_reach(limits, key, METRICS[name])
+    yield from out_of_reach(limits)
     # A key that is mistyped is not missing as well.
     meant = {key if key in known else nearest(key, known) for key in limits}
     for key in sorted(limits):
@@ -380,10 +378,12 @@ def limit_misfits(limits: Mapping[str, float]) -> Iterator[Misfit]:
             yield wrong(limits, lowest, f"below {edge} = {limits[edge]:g}", "; the band begins there")
 
 
-def out_of_reach(limits: Mapping[str, float], key: str, quantity: Quantity) -> Iterator[Misfit]:
-    """Yield a limit or a goal that no loop can meet."""
-    if quantity.best is not None and limits.get(key, 0.0) > quantity.best:
-        yield wrong(limits, key, f"at most {quantity.best:g}", "; no loop has more")
+def out_of_reach(limits: Mapping[str, float]) -> Iterator[Misfit]:
+    """Yield the limits or goals of a loop, or of all loops together, that no loop can meet."""
+    for key, (name, scope) in limit_keys().items():
+        best = METRICS[name].best
+        if key in limits and scope in SCOPES and best is not None and limits[key] > best:
+            yield wrong(limits, key, f"at most {best:g}", "; no loop has more")
 
 
 def loop_requirements(limits: Mapping[str, float], kind: str = "caging") -> tuple[LoopRequirement, ...]:

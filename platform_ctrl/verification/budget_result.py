@@ -312,54 +312,48 @@ def judged(
         one.judge(measured[key][0], subject=LINE_OF_SIGHT, stage="coupled", evidence=measured[key][1], method="exact")
         for key, one in budget_requirements(budget)
     ]
-    return tuple(judgements) if valid else tuple(_not_held(one) for one in judgements)
+    return tuple(judgements) if valid else tuple(_not_valid(one) for one in judgements)
 
 
-def _not_held(one: CheckResult) -> CheckResult:
+def _not_valid(one: CheckResult) -> CheckResult:
     cure = "state runs in [budget], or a limit of a manoeuvre"
-    changes = {
-        "ratio": math.inf,
-        "passed": False,
-        "evidence": f"{one.evidence}; not met by a value that does not hold: {cure}",
-        "reason": f"with this dry friction the linear budget does not hold: {cure}",
-    }
-    return replaced(one, changes)
-
-
-def holds(one: CheckResult) -> bool:
-    """Return whether the linear budget can judge a limit: not where a bearing with dry friction hardly slides."""
-    of_budget = (one.subject, one.stage) == (LINE_OF_SIGHT, "coupled")
-    return not of_budget or one.passed or math.isfinite(one.ratio) or not math.isfinite(one.value)
+    return replaced(
+        one,
+        {
+            "valid": False,
+            "ratio": math.inf,
+            "passed": False,
+            "evidence": f"{one.evidence}; not met by a value that does not hold: {cure}",
+            "reason": f"with this dry friction the linear budget does not hold: {cure}",
+        },
+    )
 
 
 def left_to_runs(one: CheckResult, budget: BudgetSpec | None) -> bool:
     """Return whether `check` judges a limit by the runs of the budget, as the linear budget cannot: `by_simulation`."""
     of_runs = (BUDGET_METRICS["jitter"].name, BUDGET_METRICS["jitter_per_axis"].name)
-    return budget is not None and bool(budget.runs) and one.name in of_runs and not holds(one)
+    return budget is not None and bool(budget.runs) and one.name in of_runs and not one.valid
 
 
 def by_simulation(results: Sequence[CheckResult], simulated: SimulatedBudget) -> tuple[CheckResult, ...]:
     """Return limits that a linear budget cannot decide, judged by runs where these show them."""
     axis = int(np.argmax(simulated.rms[:2]))
+    both, single = BUDGET_METRICS["jitter"], BUDGET_METRICS["jitter_per_axis"]
     found = {
-        BUDGET_METRICS["jitter"].name: (across(simulated.rms), across(simulated.high), "both axes"),
-        BUDGET_METRICS["jitter_per_axis"].name: (
-            float(simulated.rms[axis]),
-            float(simulated.high[axis]),
-            LOS_ANGLES[axis],
-        ),
+        both.name: (both, across(simulated.rms), across(simulated.high), "both axes"),
+        single.name: (single, float(simulated.rms[axis]), float(simulated.high[axis]), LOS_ANGLES[axis]),
     }
     out = []
     for one in results:
-        if one.passed or math.isfinite(one.ratio) or one.name not in found:
+        if one.valid or one.name not in found:
             out.append(one)
             continue
-        rms, high, axes = found[one.name]
+        metric, rms, high, axes = found[one.name]
         evidence = (
             f"{axes}, {simulated.runs} runs of {simulated.time:g} s, at most {high:.4g} {one.unit} with 95 %, about "
             f"the mean; the linear budget, {one.value:.4g} {one.unit}, does not hold"
         )
-        limit = Requirement(name=one.name, limit=one.limit, unit=one.unit, sense=one.sense)
+        limit = Requirement.of(metric, one.limit)
         out.append(limit.judge(rms, subject=one.subject, stage="simulated", evidence=evidence, method="simulated"))
     return tuple(out)
 
@@ -368,12 +362,10 @@ def budget_requirements(budget: BudgetSpec) -> list[tuple[tuple[str, str], Requi
     """Return the limits with their keys and the names of the sources that they are of, if they are of one."""
     out = []
     for key, metric in BUDGET_METRICS.items():
-        of = [("", metric.name, getattr(budget.limits, key, None))]
+        of = [("", "", getattr(budget.limits, key, None))]
         if key == "limit":
             of = [(one.name, f"{metric.name} from {one.name}", one.limit) for one in budget.sources]
-        for source, name, limit in of:
-            if limit is not None:
-                out.append(((key, source), Requirement(name=name, limit=limit, unit=metric.unit, sense=metric.sense)))
+        out += [((key, source), Requirement.of(metric, limit, name)) for source, name, limit in of if limit is not None]
     return out
 
 

@@ -338,8 +338,7 @@ def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:
     for metric in COUPLED_METRICS.values():
         limit = getattr(job.coupled, metric.key)
         if limit is not None:
-            required = Requirement(name=metric.name, limit=limit, unit=metric.unit, sense=metric.sense)
-            out.append((ALL_LOOPS, required))
+            out.append((ALL_LOOPS, Requirement.of(metric, limit)))
     for spec in job.loops:
         if spec.kind == "stabilisation":
             out += [(spec.name, one) for one in spec.requirements if one.metric.of_torquers]

@@ -201,12 +201,13 @@ def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tup
         )
     for key, limit in manoeuvre.limits.items():
         metric, (number, signal) = RUN_METRICS[key], found[key]
-        limited = Requirement(name=metric.name, limit=limit, unit=metric.unit, sense=metric.sense)
         evidence = (
             f"{signal}; non-linear plant{_start(job, manoeuvre)}, {trajectory.ended}, seed {trajectory.seed}, "
             f"substep {trajectory.step:g} s"
         ) + ("; with dry friction" if job.platform.dry_frictions else "")
-        result = limited.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
+        result = Requirement.of(metric, limit).judge(
+            number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated"
+        )
         reasons = (lost, _filter_words(job, signal) if metric.commanded and not lost else "")
         out.append(result if result.passed else result.because("; ".join(filter(None, reasons))))
     return tuple(out)

@@ -294,7 +294,7 @@ def _results(problem: LoopProblem, design: Design, data: MeasuredResponses, plan
         worst = np.maximum(*peaks)
         k = int(worst.argmax())
         reached = float(worst[k]) if count == 0 else np.inf
-        asked = Requirement(name=one.metric.name + _ON_DATA, limit=one.limit, unit=one.unit, sense=one.sense)
+        asked = Requirement.of(one.metric, one.limit, one.metric.name + _ON_DATA)
         found = 1.0 / reached if key == "disk_margin" else reached
         out.append(asked.judge(found, evidence=f"{evidence}, at {_HZ * data.frequency[k]:.4g} Hz", **stated))  # type: ignore[arg-type]
     return out
