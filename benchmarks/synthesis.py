@@ -31,12 +31,13 @@ from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.design.methods.hinf import hinf_options, weighted_plant
+from platform_ctrl.design.methods.hinf import MixedSensitivity, weighted_plant
 from platform_ctrl.design.partition import Partition, autoscale, partition
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.design.riccati import hinf_riccati
 from platform_ctrl.design.synthesis import Synthesis, h2, hinf
 from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import linearise
 
 JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
@@ -79,10 +80,12 @@ def platform_plants() -> list[Case]:
     for spec in job.loops:
         if spec.kind != "caging":
             continue
-        plants = loop_plants(job, spec.gimbals)
+        plants = plants_of(job, spec)
+        assert plants is not None, "a caging loop has plants"
         channel = channels(model, rows_of(model, spec.gimbals))
-        given = next((d.options for d in spec.designs if d.method == "hinf"), {})
-        weighted = weighted_plant(hinf_options(given, channel, plants.nutation, plants.period), channel, plants)
+        given = next((d for d in spec.designs if d.method == "hinf"), DesignSpec(name="hinf", method="hinf"))
+        options = MixedSensitivity().defaults(given, channel, plants.nutation, plants.period)
+        weighted = weighted_plant(options, channel, plants)
         k = weighted.size
         P = weighted.arrays.to_control([f"w{i}" for i in range(3 * k)], [f"z{i}" for i in range(4 * k)])
         out.append((spec.name, P, k, k))

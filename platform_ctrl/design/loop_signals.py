@@ -54,25 +54,17 @@ class LoopSignals:
         return 1 if self.sensors[0].unit == "rad/s" else 2
 
 
-def caging_signals(platform: Platform, gimbals: tuple[str, ...]) -> LoopSignals:
-    """Return the signals of a caging loop: one torquer and one pick-off on each gimbal."""
-    return LoopSignals(
-        gimbals=gimbals,
-        torquers=tuple(platform.torquer_on(name) for name in gimbals),
-        sensors=tuple(platform.pickoff_on(name) for name in gimbals),
-    )
-
-
 def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
-    """Return the gimbals, sensors and torquers of a caging, rate or pointing loop."""
+    """Return the gimbals, sensors and torquers of a loop: a caging loop has one of each on every gimbal."""
+    own = tuple(platform.torquer_on(name) for name in spec.gimbals) if not spec.torquers else ()
     if spec.kind == "caging":
-        return caging_signals(platform, spec.gimbals)
+        pickoffs = tuple(platform.pickoff_on(name) for name in spec.gimbals)
+        return LoopSignals(gimbals=spec.gimbals, torquers=own, sensors=pickoffs)
     sensors = {sensor.name: sensor for sensor in platform.sensors}
     torquers = {torquer.name: torquer for torquer in platform.torquers}
     out = LoopSignals(
         gimbals=spec.gimbals,
-        torquers=tuple(torquers[name] for name in spec.torquers)
-        or tuple(platform.torquer_on(name) for name in spec.gimbals),
+        torquers=tuple(torquers[name] for name in spec.torquers) or own,
         sensors=tuple(sensors[name] for name in spec.sensors),
         held=True,
     )

@@ -34,7 +34,6 @@ from platform_ctrl.design.cases import (
 from platform_ctrl.design.loop_signals import (
     Channels,
     LoopSignals,
-    caging_signals,
     expect_no_keyhole,
     loop_channels,
     loop_signals,
@@ -59,11 +58,16 @@ _LARGEST_ANGLE = 1e6
 
 
 def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
-    """Return the plants of a loop of the job; None for a loop that is checked in the coupled system alone."""
+    """Return the sampled plants of a loop; None for a loop that is checked in the coupled system alone."""
     if spec.kind in ("stabilisation", "tracking"):
         return None
     try:
-        return loop_plants(job, spec)
+        signals = job_signals(job, spec)
+        if signals.held:
+            # An error says which gimbals its sensors do not show.
+            loop_channels(linearise(job.platform), signals, job.period_of(spec))
+            expect_no_keyhole(job, signals)
+        return _sampled_plants(job, signals, job.every(spec))
     except ArgumentError as error:
         raise InputError(f"loop {spec.name!r}: {error}") from None
 
@@ -225,7 +229,7 @@ def tracking_plants(
     by_name = {sensor.name: sensor for sensor in job.platform.sensors}
     own, sensors = job_signals(job, dataclasses.replace(inner, sensors=inside.angles)), spec.sensors
     both = dataclasses.replace(own, sensors=(*own.sensors, *(by_name[name] for name in sensors)))
-    plants = _loop_plants(job, both, job.every(inner), dict.fromkeys(sensors, job.every(spec)))
+    plants = _sampled_plants(job, both, job.every(inner), dict.fromkeys(sensors, job.every(spec)))
     p, m = len(inside.angles), len(plants.torques)
     K, feedforward = controller, inside.feedforward
     K = K if K.D.shape[1] == 2 * p else with_error_alone(K)
@@ -304,22 +308,10 @@ def loop_reference(linear: LinearPlants, period: float) -> float:
     return fastest if fastest > _SLOW_MOTION * nyquist else 0.1 * nyquist
 
 
-def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
-    """Return the sampled plants of a loop, or of the caging loop on some gimbals, signals in the loop's order."""
+def job_signals(job: Job, spec: LoopSpec) -> LoopSignals:
+    """Return the signals of a loop of a job."""
     platform = job.platform
-    signals = job_signals(job, loop)
-    every = job.every(loop) if isinstance(loop, LoopSpec) else 1
-    if signals.held:
-        # An error says which gimbals its sensors do not show.
-        loop_channels(linearise(platform), signals, every * job.sampling.period)
-        expect_no_keyhole(job, signals)
-    return _loop_plants(job, signals, every)
-
-
-def job_signals(job: Job, loop: LoopSpec | tuple[str, ...]) -> LoopSignals:
-    """Return the signals of a loop of a job, or of the caging loop on some gimbals."""
-    platform = job.platform
-    signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
+    signals = loop_signals(platform, spec)
     torquers = {torquer.name for torquer in signals.torquers}
     passive = _passive(job, signals)
     # A rate of the root feeds nothing back: fed forward, it takes off torque that friction brings in.
@@ -365,7 +357,7 @@ def _drive_gains(linear: LinearPlants) -> FloatArray:
     return np.array([none if one.feedback is None else one.feedback / one.torque[:, None] for one in linear.cases])
 
 
-def _loop_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str, int] | None = None) -> PlantSet:
+def _sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str, int] | None = None) -> PlantSet:
     return sampled_plants(linear_plants(signals, loop_cases(job, signals)), job.sampling, job.Omega, every, used)
 
 

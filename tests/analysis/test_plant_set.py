@@ -9,7 +9,7 @@ from platform_ctrl import linearise, matrices, read_job, state_space
 from platform_ctrl.analysis import frequency_response, sampled
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import cases
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Faults, Uncertainty
 from platform_ctrl.plant.platform import OMEGA_NAMES
@@ -17,6 +17,11 @@ from platform_ctrl.plant.platform import OMEGA_NAMES
 PERIOD = 5e-4
 L, J9, J10 = 0.15, 5e-4, 2e-4
 NUTATION = L / np.sqrt(J9 * J10)
+
+
+def loop_plants(job, gimbals=("9", "10")):
+    """The plants of the caging loop on some gimbals."""
+    return plants_of(job, dataclasses.replace(job.loops[1], gimbals=gimbals))
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +40,7 @@ def with_everything(job, **changes):
 
 @pytest.fixture(scope="module")
 def full(job):
-    return loop_plants(with_everything(job), ("9", "10"))
+    return loop_plants(with_everything(job))
 
 
 def motions(A):
@@ -85,7 +90,7 @@ def test_the_grid_of_Omega_holds_its_corners_and_leaves_out_rest(job):
 
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.9])
 def test_a_slow_rotor_lowers_the_nutation_in_proportion(job, share):
-    plants = loop_plants(with_everything(job, faults=Faults(slow_rotor=share)), ("9", "10"))
+    plants = loop_plants(with_everything(job, faults=Faults(slow_rotor=share)))
     slow = plants.groups.index("faults")
     assert motions(plants.A[0])[0] == pytest.approx(NUTATION, rel=1e-6)
     assert motions(plants.A[slow])[0] == pytest.approx(share * NUTATION, rel=1e-6)
@@ -115,7 +120,7 @@ def test_Omega_acts_without_delay_and_lag_held_in_state_space_and_continuous_in_
 
 def test_one_gimbal_that_holds_still_turns_against_a_slow_platform_rate(job):
     """Free of torque a gyro keeps its direction in space: the gimbal angle is minus the integral of Omega."""
-    plants = loop_plants(job, ("9", "10"))
+    plants = loop_plants(job)
     w = plants.frequency[:5]
     found = plants.disturbed_on_grid().read[0, :5, :, -3:]
     np.testing.assert_allclose(np.abs(found).max(axis=(-2, -1)), 1.0 / w, rtol=1e-3)
@@ -124,7 +129,7 @@ def test_one_gimbal_that_holds_still_turns_against_a_slow_platform_rate(job):
 def test_a_controller_is_joined_by_the_names_of_its_signals(job):
     import control
 
-    plants = loop_plants(job, ("9", "10"))
+    plants = loop_plants(job)
     D = np.array([[1.0, 2.0], [3.0, 4.0]])
     named = control.ss([], [], [], D, PERIOD, inputs=["beta10", "alpha9"], outputs=["Q9", "Q10"])
     np.testing.assert_array_equal(plants.joined(named).D, D[:, ::-1])

@@ -21,7 +21,7 @@ from platform_ctrl.app.link import decode_state, encode_state
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.loop import closed_loop_poles, measured, sampled_plant
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.mechanics.linearisation import linearise
@@ -55,7 +55,7 @@ def _closed(bench: Backend, settings: Settings) -> tuple[Job, LoopSpec, PlantSet
     job = bench.job(settings)
     spec = next(one for one in job.loops if one.name == settings.loop)
     loop = ClosedLoops(bench.read, None).caged(settings)[0]
-    plants = loop_plants(job, spec.gimbals)
+    plants = plants_of(job, spec)
     return job, spec, plants, loop.controller
 
 

@@ -14,7 +14,7 @@ from platform_ctrl.design.method import instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.methods.classical import Classical
 from platform_ctrl.design.methods.platform_servo import rate_estimate
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.design.sections import first_order, gain, low_pass, notch
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.methods import DesignSpec
@@ -51,7 +51,7 @@ def classical(job, channel, two_axis):
 
 @pytest.fixture(scope="module")
 def two_axis(job):
-    return loop_plants(job, ("9", "10"))
+    return plants_of(job, job.loops[1])
 
 
 def response(block, w):

@@ -12,7 +12,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification.coupled_plant import coupled_plant
@@ -22,14 +22,14 @@ TACHO = FRICTION | {"sensors": ["tacho"], "friction_rate": 0.1}
 
 
 def test_a_loop_at_any_elevation_is_that_at_zero_where_the_inner_inertia_is_a_sphere() -> None:
-    plants = loop_plants(read := read_job(driven_job(SECANT, operation=ANGLES)), read.loops[0])
+    plants = plants_of(read := read_job(driven_job(SECANT, operation=ANGLES)), read.loops[0])
     labels = ("nominal", "pitch = -0.5 rad", "pitch = 1 rad", "pitch = 1.4 rad")
     zero, low, high, beyond = (plants.response[plants.labels.index(label)] for label in labels)
     for one in (low, high):
         np.testing.assert_allclose(one, zero, rtol=0.0, atol=1e-12 * np.abs(zero).max())
     # Beyond the limit of 5 only a part of the cosine is undone.
     np.testing.assert_allclose(beyond[:, 0, 0], 5.0 * np.cos(1.4) * zero[:, 0, 0], rtol=1e-9)
-    without = loop_plants(read := read_job(driven_job(operation=ANGLES)), read.loops[0])
+    without = plants_of(read := read_job(driven_job(operation=ANGLES)), read.loops[0])
     np.testing.assert_allclose(
         without.response[without.labels.index("pitch = 1 rad")][:, 0, 0], np.cos(1.0) * zero[:, 0, 0], rtol=1e-9
     )
@@ -52,7 +52,7 @@ def test_the_coupled_check_has_the_secant_gain() -> None:
 
 def test_friction_that_is_fed_back_is_a_slope_of_further_plants() -> None:
     job = read_job(driven_job(TACHO, operation=ANGLES))
-    plants = loop_plants(job, job.loops[0])
+    plants = plants_of(job, job.loops[0])
     fed = [k for k, label in enumerate(plants.labels) if label.startswith("friction that is fed forward at rest")]
     assert len(fed) == 4
     assert {plants.groups[k] for k in fed} == {"friction"}
@@ -68,8 +68,7 @@ def test_friction_that_is_fed_back_is_a_slope_of_further_plants() -> None:
 
 def test_what_the_base_shows_feeds_nothing_back() -> None:
     with_drive, without = (
-        loop_plants(job := read_job(driven_job(*drives, operation=ANGLES)), job.loops[0])
-        for drives in ((FRICTION,), ())
+        plants_of(job := read_job(driven_job(*drives, operation=ANGLES)), job.loops[0]) for drives in ((FRICTION,), ())
     )
     assert with_drive.labels == without.labels
     scale = np.abs(without.response).max()
@@ -110,7 +109,7 @@ def test_what_is_left_of_friction_is_the_balance_of_harmonics_of_the_simulation(
     # The hold is late by half a sample.
     expected = whole * (1.0 - share * np.exp(-1j * w * (late + 0.5) / RATE_HZ))
     assert kept == pytest.approx(expected, abs=3e-3 * whole)
-    plants = loop_plants(job, job.loops[0])
+    plants = plants_of(job, job.loops[0])
     found = from_base(plants, plants.labels.index(f"dry friction at {size} rad/s"), w) * 1j * w * 2.0 * heavy
     # There the base's rate is held as well: friction and feedforward are late by half a sample together.
     expected = whole * (1.0 - share * np.exp(-1j * w * late / RATE_HZ)) * np.exp(-0.5j * w / RATE_HZ)

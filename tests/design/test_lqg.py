@@ -13,8 +13,8 @@ from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.design.methods.lqg import LQG, lqg_gains, lqg_options, quadratic_problem
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.methods.lqg import LQG, lqg_gains, quadratic_problem
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import NotStabilisableError
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import linearise
@@ -40,7 +40,7 @@ def problems(job: Job) -> dict[str, LoopProblem]:
     model = linearise(job.platform)
     return {
         spec.name: LoopProblem(
-            job=job, spec=spec, design=spec.designs[0], model=model, plant_set=loop_plants(job, spec).only(range(1))
+            job=job, spec=spec, design=spec.designs[0], model=model, plant_set=plants_of(job, spec).only(range(1))
         )
         for spec in job.loops
     }
@@ -60,7 +60,7 @@ def test_the_gains_are_those_of_python_control_called_by_hand(problems: dict[str
     problem = problems[name]
     options, plants = problem.design.options, problem.plants
     posed = quadratic_problem(
-        lqg_options(problem.design.options, problem.channel, plants.nutation, plants.period), problem.channel, plants
+        LQG().defaults(problem.design, problem.channel, plants.nutation, plants.period), problem.channel, plants
     )
     A, B, C, D, T = posed.plant
     assert not D.any()

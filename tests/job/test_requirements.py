@@ -16,7 +16,7 @@ from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import Group
 from platform_ctrl.design.loop import measured
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Faults
 from platform_ctrl.job.requirements import (
@@ -56,7 +56,7 @@ def job():
 
 @pytest.fixture(scope="module")
 def plants(job):
-    return loop_plants(job, ("9", "10"))
+    return plants_of(job, job.loops[0])
 
 
 @pytest.fixture(scope="module")
@@ -253,7 +253,7 @@ def test_goals_are_soft_and_no_verdict_rests_on_them(job, plants, controller):
 
 def test_a_stopped_rotor_that_nothing_is_asked_of_fails_no_loop(job, controller):
     """Without the gyro's stiffness the cross-axis loop is unstable: seen where it is asked for, and nowhere else."""
-    stopped = loop_plants(dataclasses.replace(job, faults=Faults(slow_rotor=0.0)), ("9", "10"))
+    stopped = plants_of(dataclasses.replace(job, faults=Faults(slow_rotor=0.0)), job.loops[0])
     (spec,) = job.loops
     lenient = {"damping": 0.01}
     assert measured(dataclasses.replace(spec, limits=lenient), "K", "given", controller, stopped).passed

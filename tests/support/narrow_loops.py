@@ -18,7 +18,7 @@ from platform_ctrl.analysis.loop_metrics import measured
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.system import System
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.design.sections import first_order, notch, side_by_side
 from platform_ctrl.job.requirements import LoopRequirement
 
@@ -33,20 +33,20 @@ HIGHEST = np.log([100.0, 600.0, 100.0, 600.0, 250.0, 300.0, 20.0, 5e-2])
 def plants(delay: float) -> PlantSet:
     """The nominal plant, the corners of ±10 % in J and L, and those of the platform's rate."""
     loop = {"name": "9-10", "kind": "caging", "gimbals": ["9", "10"], "use": "K"}
-    return loop_plants(
-        read_job(
-            {
-                "schema": 2,
-                "name": "9-10",
-                "plant": "three_gyro_platform",
-                "operation": {"Omega": [1.0, 1.0, 1.0]},
-                "uncertainty": {"inertia": 0.1, "spin": 0.1},
-                "sampling": {"rate_hz": 2000, "delay": delay},
-                "loop": [loop | {"design": [{"name": "K", "method": "classical"}]}],
-            }
-        ),
-        ("9", "10"),
+    job = read_job(
+        {
+            "schema": 2,
+            "name": "9-10",
+            "plant": "three_gyro_platform",
+            "operation": {"Omega": [1.0, 1.0, 1.0]},
+            "uncertainty": {"inertia": 0.1, "spin": 0.1},
+            "sampling": {"rate_hz": 2000, "delay": delay},
+            "loop": [loop | {"design": [{"name": "K", "method": "classical"}]}],
+        }
     )
+    found = plants_of(job, job.loops[0])
+    assert found is not None, "a caging loop has plants"
+    return found
 
 
 def controller(numbers: np.ndarray) -> System:

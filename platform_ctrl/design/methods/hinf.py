@@ -160,16 +160,11 @@ class MixedSensitivity(Method):
 
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
         """Return all options, those that are not given by rules of thumb."""
-        return hinf_options(design.options, channel, nutation, period)
+        return self.completed(design.options, default_weights(channel, nutation) | {"backoff": 0.05}, period)
 
     def design(self, problem: LoopProblem) -> Design:
         """Return the H-infinity loop. Claims: ``gamma`` and ``gamma_optimal``."""
         return problem.made(*hinf_controller(problem))
-
-
-def hinf_options(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options of the H-infinity loop, those not given from rules of thumb."""
-    return MixedSensitivity.completed(given, default_weights(channel, nutation) | {"backoff": 0.05}, period)
 
 
 def hinf_controller(
@@ -177,7 +172,7 @@ def hinf_controller(
 ) -> tuple[System, dict[str, float], dict[str, float]]:
     """Return the H-infinity controller, its options and its claims; `method` as for `design.hinf`."""
     channel, plants = problem.channel, problem.plants.regular()
-    options = hinf_options(problem.design.options, channel, plants.nutation, plants.period)
+    options = MixedSensitivity().defaults(problem.design, channel, plants.nutation, plants.period)
     weighted = weighted_plant(options, channel, plants)
     P = weighted.arrays.to_control(*signal_names(weighted.size))
     found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])

@@ -17,8 +17,10 @@ The gains are those that python-control returns for the matrices of `QuadraticPr
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,21 +96,51 @@ class LQG(TunedMethod):
         return plants.regular()
 
     def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
-        """Return the sampled controller of complete options."""
-        return lqg_controller(options, channel, plants)
+        """Return the sampled controller of complete options; states are x̂(k|k−1) and the sums."""
+        problem = quadratic_problem(options, channel, plants)
+        (A, B, C, D, period), (K, L, M) = problem.plant, lqg_gains(problem)
+        n, p = len(A), len(C)
+        feedback, sums = K[:, :n], K[:, n:]
+        try:
+            solved: FloatArray = np.asarray(np.linalg.inv(np.eye(len(K)) - feedback @ M @ D), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            raise DesignError("lqg: the loop has no solution at one instant; try a delay of one sample") from None
+        C_K, D_K = -solved @ np.hstack([feedback @ (np.eye(n) - M @ C), sums]), -solved @ feedback @ M
+        into = np.vstack([B - L @ D, np.zeros((p, B.shape[1]))])
+        own = np.block([[A - L @ C, np.zeros((n, p))], [np.zeros((p, n)), np.eye(p)]])
+        made = System(own + into @ C_K, np.vstack([L, np.diag(problem.sums)]) + into @ D_K, C_K, D_K, period)
+        return between(channel.basis / problem.error[:, None], made, channel.basis.T * problem.torque)
 
     def starts(self, problem: LoopProblem, options: dict[str, float]) -> list[dict[str, float]]:
         """Return other starts of the tuner: torques around those by the rules of thumb."""
         design, channel, plants = problem.design, problem.channel, problem.plants
         movable = self.movable(options, channel)
         kept = {name: x for name, x in design.options.items() if name not in movable}
-        by_rule = lqg_options(kept, channel, plants.nutation, plants.period)
+        by_rule = self.defaults(replace(design, options=kept), channel, plants.nutation, plants.period)
         torques = [name for name in movable if "largest_torque" in name]
         return [by_rule | {name: factor * by_rule[name] for name in torques} for factor in _STARTS]
 
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
         """Return all options, those that are not given by rules of thumb."""
-        return lqg_options(design.options, channel, nutation, period)
+        given = design.options
+        pairs = 2 * len(channel.momenta)
+        measured = 0.0 if channel.noise is None else float(channel.noise.max(initial=0.0))
+        unit = 1.0 if channel.order > 1 else nutation
+        error = given.get("largest_error", _ERROR * measured if measured > 0.0 else _NO_NOISE * unit)
+        noise = measured if measured > 0.0 else error / _ERROR
+        out = {"largest_error": error, "largest_rate": 10.0 * nutation * error, "integral_hz": 0.003 * nutation}
+        if pairs:
+            torque = float(channel.momenta.max()) * nutation
+            out |= {"largest_torque": _PAIR_TORQUE * torque * error, "recovery": _PAIR_RECOVERY * torque * noise}
+            out |= {f"{name}2": given.get(name, out[name]) for name in ("largest_torque", "recovery")}
+            out["platform_rate"] = _PLATFORM_RATE * nutation * noise
+        if channel.inertial:
+            torque = float(channel.inertias[pairs:].max()) * (_CROSSOVER * nutation) ** channel.order
+            out |= {
+                "inertial_largest_torque": torque * error,
+                "inertial_recovery": _RECOVERY[channel.order] * torque * noise,
+            }
+        return self.completed(given, out, period)
 
 
 @value
@@ -150,30 +182,8 @@ class Gains(NamedTuple):
     M: FloatArray
 
 
-def lqg_options(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options of the LQG loop, those not given from rules of thumb."""
-    pairs = 2 * len(channel.momenta)
-    measured = 0.0 if channel.noise is None else float(channel.noise.max(initial=0.0))
-    unit = 1.0 if channel.order > 1 else nutation
-    error = given.get("largest_error", _ERROR * measured if measured > 0.0 else _NO_NOISE * unit)
-    noise = measured if measured > 0.0 else error / _ERROR
-    out = {"largest_error": error, "largest_rate": 10.0 * nutation * error, "integral_hz": 0.003 * nutation}
-    if pairs:
-        torque = float(channel.momenta.max()) * nutation
-        out |= {"largest_torque": _PAIR_TORQUE * torque * error, "recovery": _PAIR_RECOVERY * torque * noise}
-        out |= {f"{name}2": given.get(name, out[name]) for name in ("largest_torque", "recovery")}
-        out["platform_rate"] = _PLATFORM_RATE * nutation * noise
-    if channel.inertial:
-        torque = float(channel.inertias[pairs:].max()) * (_CROSSOVER * nutation) ** channel.order
-        out |= {
-            "inertial_largest_torque": torque * error,
-            "inertial_recovery": _RECOVERY[channel.order] * torque * noise,
-        }
-    return LQG.completed(given, out, period)
-
-
 def quadratic_problem(options: dict[str, float], channel: Channels, plants: PlantSet) -> QuadraticProblem:
-    """Return the problem of the nominal plant for complete `options` (see `lqg_options`)."""
+    """Return the problem of the nominal plant for complete `options`."""
     pairs, size, period = len(channel.momenta), len(channel.basis), plants.period
 
     def by_channel(name: str) -> FloatArray:
@@ -213,12 +223,12 @@ def lqg_gains(problem: QuadraticProblem) -> Gains:
 
     A, _, C, _, _ = problem.plant
     K, _ = _solved(
-        lambda method: control.dlqr(problem.A, problem.B, problem.Q, problem.R, method=method),
+        lambda: control.dlqr(problem.A, problem.B, problem.Q, problem.R, method="scipy"),
         "control.dlqr finds no state feedback that stabilises the plant: try a larger largest_torque or integral_hz",
         problem,
     )
     L, P = _solved(
-        lambda method: control.dlqe(A, problem.G, C, problem.QN, problem.RN, method=method),
+        lambda: control.dlqe(A, problem.G, C, problem.QN, problem.RN, method="scipy"),
         "control.dlqe finds no estimator of the plant that is stable: try a larger recovery, or more sensors",
         problem,
     )
@@ -227,34 +237,12 @@ def lqg_gains(problem: QuadraticProblem) -> Gains:
 
 
 def _solved(
-    solve: Callable[[str | None], tuple[Any, Any, Any]], advice: str, problem: QuadraticProblem
+    solve: Callable[[], tuple[Any, Any, Any]], advice: str, problem: QuadraticProblem
 ) -> tuple[FloatArray, FloatArray]:
-    """Return gain and Riccati solution, by python-control's own choice of a solver or, where that fails, by SciPy's."""
-    for method in (None, "scipy"):
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)  # of balancing in SciPy, before it finds no solution
-                gain, solution, poles = solve(method)
-        except (ArithmeticError, RuntimeError, ValueError, UserWarning):
-            # Slycot's warnings are raised: a solution that may be inaccurate is rejected.
-            continue
+    """Return gain and Riccati solution of a call of python-control."""
+    with warnings.catch_warnings(), contextlib.suppress(ArithmeticError, RuntimeError, ValueError):
+        warnings.simplefilter("ignore", RuntimeWarning)  # of balancing in SciPy, before it finds no solution
+        gain, solution, poles = solve()
         if np.isfinite(gain).all() and np.abs(poles).max() < 1.0 - _ON_CIRCLE:
             return np.asarray(gain), np.asarray(solution)
     raise NotStabilisableError(f"lqg: {advice}", problem)
-
-
-def lqg_controller(options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
-    """Return the sampled controller u = K y for complete `options`; states are x̂(k|k−1) and the sums."""
-    problem = quadratic_problem(options, channel, plants)
-    (A, B, C, D, period), (K, L, M) = problem.plant, lqg_gains(problem)
-    n, p = len(A), len(C)
-    feedback, sums = K[:, :n], K[:, n:]
-    try:
-        solved: FloatArray = np.asarray(np.linalg.inv(np.eye(len(K)) - feedback @ M @ D), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        raise DesignError("lqg: the loop has no solution at one instant; try a delay of one sample") from None
-    C_K, D_K = -solved @ np.hstack([feedback @ (np.eye(n) - M @ C), sums]), -solved @ feedback @ M
-    into = np.vstack([B - L @ D, np.zeros((p, B.shape[1]))])
-    own = np.block([[A - L @ C, np.zeros((n, p))], [np.zeros((p, n)), np.eye(p)]])
-    made = System(own + into @ C_K, np.vstack([L, np.diag(problem.sums)]) + into @ D_K, C_K, D_K, period)
-    return between(channel.basis / problem.error[:, None], made, channel.basis.T * problem.torque)
