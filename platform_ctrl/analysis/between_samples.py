@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, split_delay, with_lag
-from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.system import ComplexArray, System, block
 from platform_ctrl.common.values import FloatArray, value
 
 # Points of Gauss's rule on each part of a period. The plant's own motions are slow against half a period, torquers
@@ -383,21 +383,11 @@ class RateFeedforward:
     def joined_to(self, controller: System) -> System:
         """Return K (or K with commands) together with F: inputs of K, then the sensors; states of K, then of F."""
         A, B, C, D, dt = controller
-        n, p, f = len(A), D.shape[1], len(self.path.A)
-        if self.into == "torque":
-            cross, driven = np.zeros((n, f)), np.zeros((n, len(self.sensors)))
-            out, direct = self.path.C, self.path.D
-        else:
-            read = slice(len(self.path.C))
-            cross, driven = B[:, read] @ self.path.C, B[:, read] @ self.path.D
-            out, direct = D[:, read] @ self.path.C, D[:, read] @ self.path.D
-        return System(
-            np.block([[A, cross], [np.zeros((f, n)), self.path.A]]),
-            np.block([[B, driven], [np.zeros((f, p)), self.path.B]]),
-            np.hstack([C, out]),
-            np.hstack([D, direct]),
-            dt,
-        )
+        A_F, B_F, C_F, D_F, _ = self.path
+        p = len(C_F)
+        into, onto = (np.zeros((len(A), p)), np.eye(p)) if self.into == "torque" else (B[:, :p], D[:, :p])
+        whole = block([[A, into @ C_F, B, into @ D_F], [0, A_F, 0, B_F], [C, onto @ C_F, D, onto @ D_F]])
+        return System.split(whole, len(A) + len(A_F), dt)
 
     def taken_up(self, whole: System, m: int, p: int) -> System:
         """Return plants (N, ...) that have it.
@@ -405,21 +395,15 @@ class RateFeedforward:
         Inputs are `m` torques and the platform's rate, the first `p` outputs are what the controller reads.
         """
         A, B, C, D, dt = whole
-        A_f, B_f, C_f, D_f, _ = self.from_rate
-        N, n, f = A.shape[0], A.shape[-1], len(A_f)
-        new_A, new_B = np.zeros((N, n + f, n + f)), np.zeros((N, n + f, m + 3))
-        new_A[:, :n, :n], new_A[:, n:, n:] = A, A_f
-        new_B[:, :n], new_B[:, n:, m:] = B, B_f
-        new_C, new_D = np.concatenate([C, np.zeros((N, C.shape[-2], f))], axis=-1), D.copy()
-        if self.into == "torque":
-            new_A[:, :n, n:] = B[..., :m] @ C_f
-            new_B[:, :n, m:] += B[..., :m] @ D_f
-            new_C[..., n:] = D[..., :m] @ C_f
-            new_D[..., m:] += D[..., :m] @ D_f
-        else:
-            new_C[:, :p, n:] = C_f
-            new_D[:, :p, m:] += D_f
-        return System(new_A, new_B, new_C, new_D, dt)
+        A_F, B_F, C_F, D_F, _ = self.from_rate
+        n, outputs = A.shape[-1], C.shape[-2]
+        into, onto = B[..., :m], D[..., :m]
+        if self.into == "reading":
+            into, onto = np.zeros((n, p)), np.eye(outputs)[:, :p]
+        driven = block([[B[..., :m], B[..., m:] + into @ D_F], [0, B_F]])
+        seen = block([[C, onto @ C_F, D[..., :m], D[..., m:] + onto @ D_F]])
+        n += len(A_F)
+        return System(block([[A, into @ C_F], [0, A_F]]), driven, seen[..., :n], seen[..., n:], dt)
 
     def noise_of_torques(self, closed: System) -> System:
         """Return the loops from independent samples of unit rms, one for each sensor, to the torques.

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.response import NamedSystem, frequency_response, linear_arrays
-from platform_ctrl.analysis.system import ComplexArray, System, seen_states
+from platform_ctrl.analysis.system import ComplexArray, System, block, seen_states
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.errors import ArgumentError
 
@@ -225,17 +225,7 @@ def commanded_loop(plants: System, controller: System, torques: Sequence[int], a
     """Return plants (N, ...) with u = K y + H r closed: inputs the plants', then r; outputs u, then the plants'."""
     A, B, C, D, dt = plants
     p, inputs, outputs = len(angles), B.shape[-1], C.shape[-2]
-    many = A.shape[:-2]
     # The commands go through the plant as what is measured without noise.
-    through = np.zeros((*many, outputs + p, inputs + p))
-    through[..., :outputs, :inputs] = D
-    through[..., outputs:, inputs:] = np.eye(p)
-    whole = System(
-        A,
-        np.concatenate([B, np.zeros((*B.shape[:-1], p))], axis=-1),
-        np.concatenate([C, np.zeros((*many, p, C.shape[-1]))], axis=-2),
-        through,
-        dt,
-    )
+    whole = System.split(block([[A, B, 0], [C, D, 0], [0, 0, np.eye(p)]]), A.shape[-1], dt)
     found = whole.feedback(controller, torques, [*angles, *range(outputs, outputs + p)])
     return found.part(slice(len(torques) + outputs), slice(inputs + p))

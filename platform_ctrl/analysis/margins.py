@@ -26,7 +26,7 @@ from platform_ctrl.analysis.norms import hinf_norm, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, search_grid, spectral_abscissa
 from platform_ctrl.analysis.response import NamedSystem, StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import boundary_poles, largest_singular_values, pencil_crossings
-from platform_ctrl.analysis.system import ComplexArray, System, frequencies
+from platform_ctrl.analysis.system import ComplexArray, System, block, frequencies
 from platform_ctrl.common.arguments import number, positive, real_numbers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -393,11 +393,9 @@ def _real_frequencies(L: System) -> FloatArray:
     from scipy.linalg import eigvals
 
     A, B, C, _, dt = L
-    n = len(A)
-    E, F = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, 2 * n + 1))
-    E[:n, :n], E[n : 2 * n, n : 2 * n], E[n : 2 * n, 2 * n :] = np.eye(n), A.T, C.T
-    F[:n, :n], F[:n, 2 * n :], F[n : 2 * n, n : 2 * n] = A, B, np.eye(n)
-    F[2 * n :, :n], F[2 * n :, n : 2 * n] = C, -B.T
+    n, one = len(A), np.eye(len(A))
+    E = block([[one, 0, np.zeros((n, 1))], [0, A.T, C.T], [np.zeros((1, n)), 0, 0]])
+    F = block([[A, 0, B], [0, one, 0], [C, -B.T, np.zeros((1, 1))]])
     with np.errstate(all="ignore"):
         z: ComplexArray = np.asarray(eigvals(F, E), dtype=np.complex128)
     angles = np.angle(z[np.isfinite(z)])

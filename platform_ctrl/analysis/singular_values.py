@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.poles import continuous_poles, resonances
 from platform_ctrl.analysis.response import AxisResponse
 from platform_ctrl.analysis.sampling import to_w_plane
-from platform_ctrl.analysis.system import ComplexArray, System, scaled
+from platform_ctrl.analysis.system import ComplexArray, System, block, scaled
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -184,20 +185,11 @@ def pencil_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     from scipy.linalg import eigvals
 
     n, m, p = len(A), B.shape[1], len(C)
-    size = 2 * n + m + p
-    x, q, u, y = np.split(np.arange(size), [n, 2 * n, 2 * n + m])
-    M, N = np.zeros((size, size)), np.zeros((size, size))
-    M[np.ix_(x, x)], M[np.ix_(x, u)] = A, B
-    M[np.ix_(u, q)], M[np.ix_(u, y)] = B.T, D.T
-    M[np.ix_(y, x)], M[np.ix_(y, u)] = C, D
-    M[u, u] = M[y, y] = -1.0
-    N[x, x] = 1.0
-    if dt == 0.0:
-        M[np.ix_(q, q)], M[np.ix_(q, y)] = -A.T, -C.T
-        N[q, q] = 1.0
-    else:
-        M[q, q] = 1.0
-        N[np.ix_(q, q)], N[np.ix_(q, y)] = A.T, C.T
+    costates: list[FloatArray | Literal[0]] = [0, -A.T, 0, -C.T] if dt == 0.0 else [0, np.eye(n), 0, 0]
+    M = block([[A, 0, B, 0], costates, [0, B.T, -np.eye(m), D.T], [C, 0, D, -np.eye(p)]])
+    N = np.diag([1.0] * 2 * n + [0.0] * (m + p))
+    if dt:
+        N[n : 2 * n, n : 2 * n], N[n : 2 * n, 2 * n + m :] = A.T, C.T
     if not (np.all(np.isfinite(M)) and np.all(np.isfinite(N))):
         return np.zeros(0)
     with np.errstate(all="ignore"):

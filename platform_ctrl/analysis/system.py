@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -66,6 +66,12 @@ class System(NamedTuple):
                 raise ArgumentError(f"{where}: {name} of the system is not finite; check how the system was made")
         return out
 
+    @classmethod
+    def split(cls, whole: FloatArray, states: int, dt: float) -> System:
+        """Return the system of [A B; C D], matrices (..., n + p, n + m)."""
+        n = states
+        return cls(whole[..., :n, :n], whole[..., :n, n:], whole[..., n:, :n], whole[..., n:, n:], dt)
+
     def at(self, index: Index) -> System:
         """Return a system of a stack, or a stack of some of its systems."""
         return System(self.A[index], self.B[index], self.C[index], self.D[index], self.dt)
@@ -79,20 +85,10 @@ class System(NamedTuple):
         """Return `sign` times the second system after this one; the sample period is that of the first that has one."""
         A1, B1, C1, D1, dt = self
         A2, B2, C2, D2, second_dt = second
-        n1, n2 = A1.shape[-1], A2.shape[-1]
-        batch = _batch(self, second)
-        A = np.zeros((*batch, n1 + n2, n1 + n2))
-        A[..., :n1, :n1] = A1
-        A[..., n1:, :n1] = B2 @ C1
-        A[..., n1:, n1:] = A2
-        B = np.zeros((*batch, n1 + n2, B1.shape[-1]))
-        B[..., :n1, :] = B1
-        B[..., n1:, :] = B2 @ D1
-        C = np.zeros((*batch, C2.shape[-2], n1 + n2))
-        C[..., :n1] = sign * (D2 @ C1)
-        C[..., n1:] = sign * C2
-        D = np.array(np.broadcast_to(sign * (D2 @ D1), (*batch, C2.shape[-2], B1.shape[-1])))
-        return System(A, B, C, D, dt or second_dt)
+        whole = block([[A1, 0, B1], [B2 @ C1, A2, B2 @ D1], [D2 @ C1, C2, D2 @ D1]], _batch(self, second))
+        n = A1.shape[-1] + A2.shape[-1]
+        whole[..., n:, :] *= sign
+        return System.split(whole, n, dt or second_dt)
 
     def feedback(
         self, controller: System, inputs: Sequence[int] | None = None, outputs: Sequence[int] | None = None
@@ -105,35 +101,23 @@ class System(NamedTuple):
         """
         A, B, C, D, dt = self
         A_K, B_K, C_K, D_K, _ = controller
-        m, p = B.shape[-1], C.shape[-2]
+        n, n_K, m, p = A.shape[-1], A_K.shape[-1], B.shape[-1], C.shape[-2]
         at, seen = (range(size) if some is None else list(some) for some, size in ((inputs, m), (outputs, p)))
-        n, n_K, k, q = A.shape[-1], A_K.shape[-1], len(at), len(seen)
-        batch = _batch(self, controller)
-        # u and y as functions of [x, x_K, d, n]: u = E (C_K x_K + D_K (C x + D d + n)), y = C x + D (d + u).
-        direct = np.zeros((*batch, q, n + n_K + m + q))
-        direct[..., :n] = C[..., seen, :]
-        direct[..., n + n_K : n + n_K + m] = D[..., seen, :]
-        direct[..., n + n_K + m :] = np.eye(q)
-        u = D_K @ direct
-        u[..., n : n + n_K] += C_K
-        D_loop = D[..., seen, :][..., :, at]
+        N, k, q = n + n_K, len(at), len(seen)
+        # Rows of the states' rates, of u and of y over [x, x_K, d, n]: first of the open loop.
+        whole = block(
+            [[A, 0, B, np.zeros((n, q))], [0, A_K, 0, 0], [0, C_K, 0, 0], [C, 0, D, 0]], _batch(self, controller)
+        )
+        u, y = whole[..., N : N + k, :], whole[..., N + k :, :]
+        read, D_loop = y[..., seen, :], D[..., seen, :][..., :, at]
+        read[..., N + m :] += np.eye(q)
+        u += D_K @ read
         if np.any(D_loop) and np.any(D_K):
-            u = _solve_algebraic_loop(np.eye(k) - D_K @ D_loop, u)
-        y = np.zeros((*batch, p, n + n_K + m + q))
-        y[..., :n] = C
-        y[..., n + n_K : n + n_K + m] = D
+            u[:] = _solve_algebraic_loop(np.eye(k) - D_K @ D_loop, u)
+        whole[..., :n, :] += B[..., :, at] @ u
+        whole[..., n:N, :] += B_K @ (read + D_loop @ u)
         y += D[..., :, at] @ u
-        seen_y = y[..., seen, :].copy()
-        seen_y[..., n + n_K + m :] += np.eye(q)
-        rate = np.empty((*batch, n + n_K, n + n_K + m + q))
-        rate[..., :n, :] = B[..., :, at] @ u
-        rate[..., :n, :n] += A
-        rate[..., :n, n + n_K : n + n_K + m] += B
-        rate[..., n:, :] = B_K @ seen_y
-        rate[..., n:, n : n + n_K] += A_K
-        shown = np.concatenate([u, y], axis=-2)
-        N = n + n_K
-        return System(rate[..., :N], rate[..., N:], shown[..., :N], shown[..., N:], dt)
+        return System.split(whole, N, dt)
 
     def to_control(
         self,
@@ -160,6 +144,17 @@ class System(NamedTuple):
             **options,
         )
         return portable(system)
+
+
+def block(rows: Sequence[Sequence[FloatArray | Literal[0]]], batch: tuple[int, ...] = ()) -> FloatArray:
+    """Return matrices (..., p, m) from blocks whose leading axes broadcast, with `batch` too; 0 stands for zeros."""
+    given = [(i, j, one) for i, row in enumerate(rows) for j, one in enumerate(row) if isinstance(one, np.ndarray)]
+    heights, widths = {i: one.shape[-2] for i, _, one in given}, {j: one.shape[-1] for _, j, one in given}
+    down, right = (np.cumsum([0, *(sizes[k] for k in range(len(sizes)))]) for sizes in (heights, widths))
+    out = np.zeros((*np.broadcast_shapes(batch, *(one.shape[:-2] for *_, one in given)), down[-1], right[-1]))
+    for i, j, one in given:
+        out[..., down[i] : down[i + 1], right[j] : right[j + 1]] = one
+    return out
 
 
 def _batch(one: System, other: System) -> tuple[int, ...]:
