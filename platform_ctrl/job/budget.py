@@ -376,7 +376,7 @@ def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
     taken: dict[frozenset[str], int] = {}
     for k, one in enumerate(budget.correlations):
         pair = frozenset(one.between)
-        if len(one.between) != 2 or len(pair) != 2:
+        if len(pair) != 2:
             yield from within(("correlation", k), [wrong(one, "between", "the names of two sources")])
         elif not pair <= set(names):
             misfits = strange("between", one.between, "[[budget.source]] of the job", names)

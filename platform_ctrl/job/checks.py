@@ -6,7 +6,6 @@ Each table alone has been checked by then: keys and values by the reader, what f
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
@@ -69,15 +68,10 @@ def job_mistakes(job: Job) -> list[Mistake]:
 
 def locked_mistakes(locked: tuple[str, ...], loops: tuple[LoopSpec, ...], platform: Platform) -> list[Mistake]:
     """Return mistakes about gimbals to be locked, and with loops on locked ones; `platform` still has them."""
-    twice = [name for name, count in Counter(locked).items() if count > 1]
-    wrong_names = [
-        *strange("locked", locked, "gimbal of the plant", platform.gimbal_names),
-        *(("locked", f"locked: {given(name)} is in the list twice; leave one of them out") for name in twice),
-    ]
     words = "is locked in [operation]; leave it out here, or do not lock it"
     held = [(k, name) for k, loop in enumerate(loops) for name in loop.gimbals if name in locked]
     return [
-        *at(("operation",), wrong_names),
+        *at(("operation",), strange("locked", locked, "gimbal of the plant", platform.gimbal_names)),
         *(Mistake(("loop", k, "gimbals"), f"gimbals: {given(name)} {words}") for k, name in held),
     ]
 
@@ -90,17 +84,22 @@ def _operation(job: Job) -> Iterator[Misfit]:
         if name not in platform.angle_names:
             yield ("angles", name), f"{name} is no angle of the plant; {suggestion(name, platform.angle_names)}"
             continue
-        low, high = platform.gimbals[platform.angle_names.index(name)].stops or (-TURN, TURN)
-        outside = [x for x in values if not low <= x <= high]
-        if outside:
-            beyond = f"outside the stops, {low:.6g} to {high:.6g} rad" if high != TURN else "more than a turn"
-            degrees = f"angles are in rad: {outside[0]:g} degrees are {math.radians(outside[0]):.4g}"
-            cure = degrees if abs(outside[0]) > TURN else "choose angles between them"
-            yield ("angles", name), f"{name}: {outside[0]:g} rad is {beyond}; {cure}"
+        for words in _beyond(name, values, platform):
+            yield ("angles", name), words
     count = math.prod(len(set(values)) for values in job.angles.values())
     if count > MOST_TRIMS:
         words = f"{count} combinations of gimbal angles are more than {MOST_TRIMS}; give fewer angles"
         yield "angles", f"angles: {words}"
+
+
+def _beyond(name: str, values: Iterable[float], platform: Platform) -> Iterator[str]:
+    """Yield what is wrong with the first of some angles that lies beyond the stops, or a turn."""
+    stops = platform.gimbals[platform.angle_names.index(name)].stops
+    low, high = stops or (-TURN, TURN)
+    for x in [x for x in values if not low <= x <= high][:1]:
+        beyond = f"outside the stops, {low:.6g} to {high:.6g} rad" if stops else "more than a turn"
+        degrees = f"angles are in rad: {x:g} degrees are {math.radians(x):.4g}"
+        yield f"{name}: {x:g} rad is {beyond}; {degrees if abs(x) > TURN else 'choose an angle between them'}"
 
 
 def _delay(job: Job) -> Iterator[Misfit]:
@@ -178,8 +177,7 @@ def _limits(job: Job, loop: LoopSpec, limits: Mapping[str, float]) -> Iterator[M
 def _caging(job: Job, k: int) -> Iterator[Misfit]:
     loop, platform = job.loops[k], job.platform
     if not loop.gimbals:
-        words = "gimbals must be the names of the gimbals that the loop cages"
-        yield "gimbals", f"{words}; {listed(platform.gimbal_names)}"
+        yield _no_names("gimbals", "the gimbals that the loop cages", platform.gimbal_names)
     before = [j for j, one in enumerate(job.loops[:k]) if one.kind == "stabilisation"]
     if before:
         words = f"kind: a caging loop must be before the stabilisation loop, [[loop]] {before[0] + 1}"
@@ -221,14 +219,14 @@ def _fitting_sensors(platform: Platform, kind: str) -> list[str]:
     return [sensor.name for sensor in platform.sensors if sensor.unit == unit]
 
 
-def _no_names(key: str, words: str, known: list[str]) -> Misfit:
+def _no_names(key: str, words: str, known: Iterable[str]) -> Misfit:
     return key, f"{key} must be a list of names, {words}; {listed(known)}"
 
 
 def _signals(platform: Platform, loop: LoopSpec) -> Iterator[Misfit]:
     """Yield what is wrong with what a rate or pointing loop turns, reads and sets."""
     if not loop.gimbals:
-        yield _no_names("gimbals", "the gimbals that the loop turns", list(platform.gimbal_names))
+        yield _no_names("gimbals", "the gimbals that the loop turns", platform.gimbal_names)
     if not loop.sensors:
         yield _no_names("sensors", "what the loop reads", _fitting_sensors(platform, loop.kind))
     torquers = {t.name: t.gimbal for t in platform.torquers if t.gimbal is not None}
@@ -288,14 +286,12 @@ def _feedforward(job: Job, fed: Feedforward) -> Iterator[Misfit]:
     rates = [one for one in platform.sensors if one.unit == "rad/s"]
     # Those of the root, which no torquer on a gimbal moves.
     fitting = [one.name for one in rates if set(one.signals(platform)) <= set(OMEGA_NAMES)]
-    for k, name in enumerate(fed.sensors):
+    for name in fed.sensors:
         if name not in every:
             yield unknown("sensors", name, "sensor of the plant", fitting)
         elif name not in fitting:
             words = f"sensors: {given(name)} does not measure a rate of the root alone: torquers move what it reads"
             yield "sensors", f"{words}; {suggestion(name, fitting)}"
-        elif name in fed.sensors[:k]:
-            yield "sensors", f"sensors: {given(name)} is in the list twice; leave one of them out"
 
 
 def _drive(job: Job, drive: Drive) -> Iterator[Misfit]:
@@ -357,10 +353,7 @@ def _run(job: Job, k: int) -> Iterator[Misfit]:
             yield from within((key, i), strange("gimbal", [name], "gimbal of the plant", gimbals))
     for i, command in enumerate(run.commands):
         yield from within(("command", i), _command(job, command))
-    faults = Counter(run.faults)
-    yield from strange("faults", faults, "[[fault]] of the job", [fault.name for fault in job.fault_events])
-    for name in (name for name, count in faults.items() if count > 1):
-        yield "faults", f"faults: {given(name)} is listed twice; leave one of them out"
+    yield from strange("faults", run.faults, "[[fault]] of the job", [fault.name for fault in job.fault_events])
 
 
 def _run_limits(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
@@ -376,10 +369,9 @@ def _run_limits(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
 
 def _initial(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
     free = run.mode == "stabilised"
-    stops = {gimbal.angle: gimbal.stops for gimbal in platform.gimbals}
-    known = [*stops, *(f"{angle}_rate" for angle in stops), *(OMEGA_NAMES if free else ())]
+    angles = platform.angle_names
+    known = [*angles, *(f"{angle}_rate" for angle in angles), *(OMEGA_NAMES if free else ())]
     for key, number in run.initial.items():
-        bounds = stops.get(key)
         if key in OMEGA_NAMES and not free:
             words = "the rate of a caged platform is prescribed; use Omega_table, or"
             yield key, f'{key} = {number:g} has no effect: {words} mode = "stabilised"'
@@ -387,11 +379,8 @@ def _initial(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
             yield key, f"unknown key {given(key)}; {suggestion(key, known)}"
         elif key in OMEGA_NAMES:
             yield from too_large(key, number, "base-rate")
-        elif key in stops and bounds is None and abs(number) > TURN:
-            words = f"angles are in rad: {number:g} degrees are {math.radians(number):.4g}"
-            yield key, f"{key}: {number:g} rad is more than a turn; {words}"
-        elif bounds is not None and not bounds[0] <= number <= bounds[1]:
-            yield wrong(run.initial, key, f"between the stops of the gimbal, {bounds[0]:.6g} to {bounds[1]:.6g} rad")
+        elif key in angles:
+            yield from ((key, words) for words in _beyond(key, [number], platform))
 
 
 def _command(job: Job, command: Command) -> Iterator[Misfit]:

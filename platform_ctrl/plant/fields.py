@@ -294,6 +294,9 @@ def rows(*fits: Callable[[float], bool]) -> Callable[[object], FloatArray]:
 def _names(item: object) -> tuple[str, ...]:
     if not isinstance(item, list) or not all(isinstance(name, str) for name in item):
         raise Unfit
+    for k, name in enumerate(item):
+        if name in item[:k]:
+            raise Unfit(f"{given(name)} is listed twice; leave one of them out")
     return tuple(item)
 
 

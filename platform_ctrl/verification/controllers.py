@@ -98,13 +98,9 @@ def differing_origin(path: Path, job: Job) -> str:
     _, data = read_json(path, _EXPECTED)
     if not isinstance(data, Mapping):
         return ""
-    hashes, now = data.get("sha256"), job_hashes(job)
-    for key, words in (
-        ("plant", "was made for another plant: the plant has changed since, or it is another job's"),
-        ("design", "was made for another job: loops, limits, sampling or operation have changed since"),
-    ):
-        if isinstance(hashes, Mapping) and key in hashes and hashes[key] != now[key]:
-            return words
+    for key, same in _origin(data, job).items():
+        if same is False:
+            return _OTHER[key]
     closed, failed = _designs(data.get("controllers")), _designs(data.get("failed"))
     for spec in job.loops:
         names = [design.name for design in spec.designs]
@@ -118,11 +114,22 @@ def differing_origin(path: Path, job: Job) -> str:
 def is_of_job(path: Path, job: Job) -> bool:
     """Return whether a file says that its controllers are those of this job and its plant."""
     try:
-        _, data = read_json(path, _EXPECTED)
+        return all(_origin(read_json(path, _EXPECTED)[1], job).values())
     except InputError:
         return False
+
+
+_OTHER = {
+    "plant": "was made for another plant: the plant has changed since, or it is another job's",
+    "design": "was made for another job: loops, limits, sampling or operation have changed since",
+}
+
+
+def _origin(data: object, job: Job) -> dict[str, bool | None]:
+    """Return whether a file says that it was made for this plant and these designs; None where it does not say it."""
     hashes, now = (data.get("sha256") if isinstance(data, Mapping) else None), job_hashes(job)
-    return isinstance(hashes, Mapping) and all(hashes.get(key) == now[key] for key in ("plant", "design"))
+    said = hashes if isinstance(hashes, Mapping) else {}
+    return {key: said[key] == now[key] if key in said else None for key in _OTHER}
 
 
 def _designs(entries: object) -> list[tuple[object, object]]:
