@@ -20,10 +20,8 @@ half circle are no further restriction: what is bounded on the axis is bounded t
 
 from __future__ import annotations
 
-import csv
-import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from itertools import product
 from typing import TYPE_CHECKING, TextIO
@@ -48,6 +46,8 @@ _FORMS = (
     *({size, phase} for size in ("magnitude", "magnitude_db") for phase in ("phase_deg", "phase_rad")),
 )
 _FEWEST = 3
+# Fewest frequencies of a design, and what its signals may be, by the units in which the names of columns state them.
+_FEWEST_POINTS, _SIGNALS = 10, ("angle", "rate", "torque")
 
 
 def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float | None = None) -> control.FRD:
@@ -118,22 +118,44 @@ def parsed(label: str, text: str, period: float) -> MeasuredResponses:
     return MeasuredResponses(frequency=unit * rising[1:], response=H, inputs=inputs, outputs=outputs)
 
 
+def read_responses(
+    text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float
+) -> MeasuredResponses:
+    """Return the responses of a file's text, its signals in the order of a loop's; an InputError says what is wrong."""
+    data = parsed(label, text, period)
+    inputs, per_input = _in_SI(data.inputs, torques)
+    outputs, per_output = _in_SI(data.outputs, readings)
+    for what, needed, there in (("inputs", torques, inputs), ("outputs", readings, outputs)):
+        if sorted(needed) != sorted(there):
+            raise InputError(f"{label}: must have the {what} {', '.join(needed)} of the loop, got {', '.join(there)}")
+    rows, columns = [outputs.index(name) for name in readings], [inputs.index(name) for name in torques]
+    P = (data.response * (per_output[:, None] / per_input))[:, rows][..., columns]
+    if len(P) < _FEWEST_POINTS:
+        raise InputError(f"{label}: must have {_FEWEST_POINTS} or more frequencies, got {len(P)}")
+    if not np.all(np.abs(P).max(axis=(1, 2)) > 0.0):
+        raise InputError(f"{label}: must have a response that is not zero at every frequency")
+    return MeasuredResponses(frequency=data.frequency, response=P, inputs=tuple(torques), outputs=tuple(readings))
+
+
+def _in_SI(labels: Sequence[str], names: Sequence[str]) -> tuple[list[str], FloatArray]:
+    """Return the labels of a file without their units, except those that are names as they are; and the units in SI."""
+    out, factors = [], []
+    for label in labels:
+        name, unit = column_unit(label)
+        stated = label not in names and name in names and unit is not None and unit.quantity in _SIGNALS
+        out.append(name if stated else label)
+        factors.append(unit.factor if stated and unit is not None else 1.0)
+    return out, np.array(factors)
+
+
 def _lines(label: str, text: str) -> list[tuple[int, list[str]]]:
     """Return the lines that are neither empty nor comments, with their numbers; the header is the first."""
     numbered = enumerate(text.removeprefix("\ufeff").splitlines(), 1)
     kept = [(k, line) for k, line in numbered if line.strip() and not line.lstrip().startswith("#")]
     if not kept:
         raise InputError(f"{label}: is empty; write a header such as: frequency_hz,alpha9/Q9 re,alpha9/Q9 im")
-    head = kept[0][1]
-    mark = max(",;\t", key=head.count)
-    out = []
-    for k, line in kept:
-        try:
-            [cells] = csv.reader(io.StringIO(line), delimiter=mark, strict=True)
-        except (csv.Error, ValueError) as error:
-            raise InputError(f"{label}, line {k}: is not CSV: {one_line(str(error))}") from None
-        out.append((k, [cell.strip() for cell in cells]))
-    return out
+    mark = max(",;\t", key=kept[0][1].count)
+    return [(k, [cell.strip() for cell in line.split(mark)]) for k, line in kept]
 
 
 def _columns(where: str, header: list[str]) -> tuple[float, dict[tuple[str, str], dict[str, int]]]:

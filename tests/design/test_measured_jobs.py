@@ -13,8 +13,9 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.design.methods.measured import MeasuredPID, read_responses
+from platform_ctrl.design.methods.measured import MeasuredPID
 from platform_ctrl.design.plants import plants_of
+from platform_ctrl.design.responses import read_responses
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.mechanics.linearisation import linearise

@@ -8,20 +8,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
-from platform_ctrl.analysis.logs import column_unit
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import following_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
-from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.convex_step import CENTRES
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.measured_pid import MeasuredDesign, measured_pid
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
-from platform_ctrl.design.responses import MeasuredResponses, contour, parsed, unstable_poles
-from platform_ctrl.errors import DesignError, InputError, NotCertifiedError
+from platform_ctrl.design.responses import MeasuredResponses, contour, read_responses, unstable_poles
+from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.job.requirements import LoopRequirement
@@ -41,12 +40,8 @@ _INTEGRATOR = 1e-5
 _SLOW = 0.2
 # The grid on which plants are described: points beside resonances, and the share of the slowest pole that it begins at.
 _POINTS, _BELOW = 100, 0.05
-# Fewest frequencies of a file.
-_FEWEST_POINTS = 10
 _HZ = 1.0 / (2.0 * np.pi)
 _ON_DATA = ", measured responses"
-# What the signals of a loop may be, by the units in which the names of columns state them.
-_SIGNALS = ("angle", "rate", "torque")
 
 
 OPTIONS: dict[str, Option] = {
@@ -236,39 +231,14 @@ def _unstable(A: FloatArray) -> int:
     return int(np.count_nonzero((np.abs(poles) > 1.0 + _INTEGRATOR) & (np.abs(poles - 1.0) > _INTEGRATOR)))
 
 
-def read_responses(
-    text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float
-) -> MeasuredResponses:
-    """Return the responses of a file's text, its signals in the order of a loop's; an InputError says what is wrong."""
-    data = parsed(label, text, period)
-    inputs, per_input = _in_SI(data.inputs, torques)
-    outputs, per_output = _in_SI(data.outputs, readings)
-    for what, needed, there in (("inputs", torques, inputs), ("outputs", readings, outputs)):
-        if sorted(needed) != sorted(there):
-            raise InputError(f"{label}: must have the {what} {', '.join(needed)} of the loop, got {', '.join(there)}")
-    rows, columns = [outputs.index(name) for name in readings], [inputs.index(name) for name in torques]
-    P = (data.response * (per_output[:, None] / per_input))[:, rows][..., columns]
-    if len(P) < _FEWEST_POINTS:
-        raise InputError(f"{label}: must have {_FEWEST_POINTS} or more frequencies, got {len(P)}")
-    if not np.all(np.abs(P).max(axis=(1, 2)) > 0.0):
-        raise InputError(f"{label}: must have a response that is not zero at every frequency")
-    return MeasuredResponses(frequency=data.frequency, response=P, inputs=tuple(torques), outputs=tuple(readings))
-
-
-def _in_SI(labels: Sequence[str], names: Sequence[str]) -> tuple[list[str], FloatArray]:
-    """Return the labels of a file without their units, except those that are names as they are; and the units in SI."""
-    out, factors = [], []
-    for label in labels:
-        name, unit = column_unit(label)
-        stated = label not in names and name in names and unit is not None and unit.quantity in _SIGNALS
-        out.append(name if stated else label)
-        factors.append(unit.factor if stated and unit is not None else 1.0)
-    return out, np.array(factors)
-
-
 def _results(problem: LoopProblem, design: Design, data: MeasuredResponses, plants: PlantSet) -> list[CheckResult]:
     """Return the limits that responses can be held against, and stability, on a file's responses."""
     K = plants.feedback(plants.joined(design.own_controller))
+    responding = K.to_control(plants.angles, plants.torques)
+
+    def controller(s: ComplexArray) -> ComplexArray:
+        return np.asarray(np.moveaxis(responding(np.exp(s * K.dt), squeeze=False), -1, 0), dtype=np.complex128)
+
     sense = np.eye(len(plants.angles)) if problem.channel.sense is None else problem.channel.sense
     back = np.linalg.pinv(sense)
     P_own = np.asarray(sense @ data.response, dtype=np.complex128)
@@ -277,7 +247,7 @@ def _results(problem: LoopProblem, design: Design, data: MeasuredResponses, plan
         if np.count_nonzero(np.abs(np.linalg.eigvals(K.A) - 1.0) < _INTEGRATOR) < len(P_own[0]):
             raise NotCertifiedError("stability from data: the controller must integrate in every direction")
         count: float = unstable_poles(
-            contour(data.frequency, P_own), lambda s: _at(K, s) @ back, _unstable(plants.A[0])
+            contour(data.frequency, P_own), lambda s: controller(s) @ back, _unstable(plants.A[0])
         )
         why = evidence
     except NotCertifiedError as error:
@@ -287,7 +257,7 @@ def _results(problem: LoopProblem, design: Design, data: MeasuredResponses, plan
     if count != 0:
         stable = Requirement(name=f"unstable poles{_ON_DATA}", limit=0.0, unit="", sense="at most")
         out.append(stable.judge(count, evidence=why, **stated))  # type: ignore[arg-type]
-    S, S_input = sensitivities_of_plants(data.response, _at(K, np.asarray(1j * data.frequency)))
+    S, S_input = sensitivities_of_plants(data.response, controller(np.asarray(1j * data.frequency)))
     for key, one in _strictest(problem.spec.requests).items():
         c = CENTRES[key]
         peaks = [largest_singular_values(part - c * np.eye(part.shape[-1])) for part in (S, S_input)]
@@ -298,10 +268,3 @@ def _results(problem: LoopProblem, design: Design, data: MeasuredResponses, plan
         found = 1.0 / reached if key == "disk_margin" else reached
         out.append(asked.judge(found, evidence=f"{evidence}, at {_HZ * data.frequency[k]:.4g} Hz", **stated))  # type: ignore[arg-type]
     return out
-
-
-def _at(K: System, s: ComplexArray) -> ComplexArray:
-    """Return the response of a sampled controller at points s, complex (F, m, p)."""
-    z = np.exp(s * K.dt)
-    found = K.C @ np.linalg.solve(z[:, None, None] * np.eye(len(K.A)) - K.A, K.B.astype(np.complex128)[None]) + K.D
-    return np.asarray(found, dtype=np.complex128)
