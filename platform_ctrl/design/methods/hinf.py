@@ -112,19 +112,24 @@ def mixed_sensitivity(
 
 def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:
     """Return the weighted w-plane plant of the nominal loop for complete `options`."""
-    pairs, single = 2 * len(channel.momenta), channel.inertial
-    size = pairs + single
-
-    def by_channel(name: str) -> FloatArray:
-        return np.array([options.get(name, 0.0)] * pairs + [options.get(f"inertial_{name}", 0.0)] * single)
-
-    unit = torque_units(channel, plants.nutation)
+    unit, size = torque_units(channel, plants.nutation), len(channel.basis)
     flat = to_w_plane(between(channel.basis.T * unit, plants.of_torques(), channel.basis))
-    gain, rate = np.full(size, 1.0 / options["sensitivity_peak"]), 2.0 * np.pi * by_channel("bandwidth_hz")
-    disturbed = between(np.diag(by_channel("disturbance")), flat, np.eye(size))
-    constant = options["complementary"] * np.eye(size), np.diag(by_channel("torque"))
+    gain, rate, disturbance, torque = by_direction(options, channel)
+    disturbed = between(np.diag(disturbance), flat, np.eye(size))
+    constant = options["complementary"] * np.eye(size), np.diag(torque)
     arrays = mixed_sensitivity(flat, disturbed, gain, rate, constant)
     return WeightedPlant(arrays=arrays, size=size, weight_gain=gain, weight_rate=rate, torque_unit=unit)
+
+
+def by_direction(options: dict[str, float], channel: Channels) -> FloatArray:
+    """Return gain and rate of W_e, scale of d, and W_u, (4, size)."""
+    pairs = 2 * len(channel.momenta)
+    of = [
+        [options.get(name, 0.0)] * pairs + [options.get(f"inertial_{name}", 0.0)] * channel.inertial
+        for name in ("bandwidth_hz", "disturbance", "torque")
+    ]
+    rate = 2.0 * np.pi * np.array(of[0])
+    return np.array([np.full(len(rate), 1.0 / options["sensitivity_peak"]), rate, of[1], of[2]])
 
 
 def default_weights(channel: Channels, nutation: float) -> dict[str, float]:

@@ -20,7 +20,6 @@ number of states. D̂ = 0: the controller has a zero at the Nyquist frequency, a
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -39,6 +38,7 @@ from platform_ctrl.design.method import LoopProblem, Method, Option, number, tun
 from platform_ctrl.design.methods.hinf import (
     BACKOFF,
     WEIGHTS,
+    by_direction,
     default_weights,
     error_weight,
     mixed_sensitivity,
@@ -46,7 +46,7 @@ from platform_ctrl.design.methods.hinf import (
     torque_units,
 )
 from platform_ctrl.design.partition import Partition, autoscale, balance, closed_loop, split, unscale, whole
-from platform_ctrl.design.sections import between
+from platform_ctrl.design.sections import between, side_by_side
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import DesignError, InfeasibleError, UnscalableError
 from platform_ctrl.job.methods import DesignSpec
@@ -131,8 +131,6 @@ def _synthesis(
     problem: LoopProblem, options: dict[str, float], channel: Channels, plants: PlantSet
 ) -> tuple[System, dict[str, float]]:
     """Return the sampled controller of the plants, and claims."""
-    from scipy.linalg import block_diag
-
     unit = torque_units(channel, plants.nutation)
     flat = _flat(channel, plants, unit)
     noise = channel.basis.T * unit * np.sqrt(np.mean(plants.noise**2) * plants.period)
@@ -141,12 +139,11 @@ def _synthesis(
             "the least torque noise is asked for, but no sensor of the loop has noise: give noise_rms of its"
             " [[pickoff]] or noise_density of its [[rate_sensor]], or take another method"
         )
-    parts = [_weighted(flat, group, 2 * len(channel.momenta), noise, options) for group in _uncoupled(flat, len(unit))]
+    weights = by_direction(options, channel)
+    parts = [_weighted(flat, group, weights, options["complementary"], noise) for group in _uncoupled(flat, len(unit))]
     found = [_designed(problem, part, options) for part in parts]
     back = np.argsort([k for part in parts for k in part.channels])
-    A, B, C, D = (block_diag(*(K[k] for K, _, _ in found)) for k in range(4))
-    W_e = error_weight(*(np.concatenate([part.weight[k] for part in parts])[back] for k in (0, 1)))
-    K = W_e.series(System(A, B[:, back], C[back], D[np.ix_(back, back)]))
+    K = error_weight(*weights[:2]).series(side_by_side(*(K for K, _, _ in found)).part(back, back))
     claims = {
         "gamma": max(_gamma(part, made) for part, (made, _, _) in zip(parts, found, strict=True)),
         "gamma_optimal": max(gamma for _, gamma, _ in found),
@@ -196,55 +193,43 @@ class _Weighted:
 
     channels: list[int]
     plant: Partition
-    weight: tuple[FloatArray, FloatArray]  # gain and rate of W_e = gain + rate/s
     unit: float  # of the torques among z, for n as white noise of unit density, N m √s
 
     @property
     def w(self) -> list[list[int]]:
         """Indices of n, d and Omega in w."""
         k = len(self.channels)
-        return _ranges([k, k, self.plant.B1.shape[1] - 2 * k])
+        return [part.tolist() for part in np.split(np.arange(self.plant.B1.shape[1]), [k, 2 * k])]
 
     @property
     def z(self) -> list[list[int]]:
         """Indices in z: performance, disk margin, angle, torques."""
         k = len(self.channels)
-        return _ranges([3 * k, k, k, len(self.plant.C1) - 5 * k])
+        return [part.tolist() for part in np.split(np.arange(len(self.plant.C1)), [3 * k, 4 * k, 5 * k])]
 
 
-def _ranges(sizes: list[int]) -> list[list[int]]:
-    return [list(range(end - size, end)) for size, end in zip(sizes, itertools.accumulate(sizes), strict=True)]
-
-
-def _weighted(flat: System, rows: list[int], pairs: int, noise: FloatArray, options: dict[str, float]) -> _Weighted:
-    """Return the weighted plant of the channels `rows`; the first `pairs` of all channels are gyroscopic."""
-    gains, rates, disturbance, torque = (
-        np.array([options[name if k < pairs or name == "sensitivity_peak" else f"inertial_{name}"] for k in rows])
-        for name in ("sensitivity_peak", "bandwidth_hz", "disturbance", "torque")
-    )
-    gains, rates, size, k = 1.0 / gains, 2.0 * np.pi * rates, len(flat.C), len(rows)
+def _weighted(flat: System, rows: list[int], weights: FloatArray, complementary: float, noise: FloatArray) -> _Weighted:
+    """Return the weighted plant of the channels `rows`, with `weights` of all channels (see `by_direction`)."""
+    (gains, rates, disturbance, torque), size, k = weights[:, rows], len(flat.C), len(rows)
     own = _seen(flat, rows)
-    d = (
-        np.hstack([own.B[:, rows] * disturbance, own.B[:, size:]]),
-        np.hstack([own.D[:, rows] * disturbance, own.D[:, size:]]),
+    disturbed = own._replace(
+        B=np.hstack([own.B[:, rows] * disturbance, own.B[:, size:]]),
+        D=np.hstack([own.D[:, rows] * disturbance, own.D[:, size:]]),
     )
-    constant = np.eye(k), np.diag(torque)
-    plant = mixed_sensitivity(own.part(slice(None), rows), own._replace(B=d[0], D=d[1]), gains, rates, constant)
-    A, B, C, D, _ = plant
-    error, angle, control, y = ((C[j : j + k], D[j : j + k]) for j in range(0, 4 * k, k))
-    # e = n + angle, and so (S − T)/2 n = n/2 + angle.
-    middle, share = angle[1] + 0.5 * np.eye(k, D.shape[1]), options["complementary"]
+    A, B, C, D, _ = mixed_sensitivity(
+        own.part(slice(None), rows), disturbed, gains, rates, (np.eye(k), np.diag(torque))
+    )
     unit = float(np.linalg.norm(noise[:, rows], 2) / torque.min())
-    torques = noise[:, rows] / unit @ np.eye(k, D.shape[1], D.shape[1] - k)
-    still = np.zeros((len(noise), C.shape[1]))
-    C = np.vstack([error[0], share * angle[0], control[0], angle[0], angle[0], still, y[0]])
-    D = np.vstack([error[1], share * angle[1], control[1], middle, angle[1], torques, y[1]])
-    return _Weighted(
-        channels=rows,
-        plant=split(System(A, B, C, D), len(C) - k, B.shape[1] - k),
-        weight=(gains, rates),
-        unit=unit,
-    )
+
+    def shown(X: FloatArray) -> FloatArray:
+        error, angle, control, y = np.split(X, 4)
+        torques = noise[:, rows] / unit / torque @ control
+        return np.vstack([error, complementary * angle, control, angle, angle, torques, y])
+
+    C, D = shown(C), shown(D)
+    # e = n + angle, and so (S − T)/2 n = n/2 + angle.
+    D[3 * k : 4 * k, :k] += 0.5 * np.eye(k)
+    return _Weighted(channels=rows, plant=split(System(A, B, C, D), len(C) - k, B.shape[1] - k), unit=unit)
 
 
 class _Norm(NamedTuple):
@@ -296,38 +281,34 @@ def _designed(problem: LoopProblem, part: _Weighted, options: dict[str, float]) 
         rest = [*loop.outputs_below(part.z[-1], noise), *(loop.poles_in(*region) for region in regions)]
         return loop, own, [loop.separated(separation), *rest]
 
-    def least_noise(separation: float) -> tuple[LinearLoop, float]:
-        noise = cp.Variable()
-        loop, own, rest = posed(noise, 1.0, separation)
-        run(noise, own + rest, "the least torque noise")
-        return loop, float(noise.value)
-
     def run(goal: Any, inequalities: list[Any], step: str) -> None:
         problem = cp.Problem(cp.Minimize(goal), inequalities)
         solve(problem, f"{where}: {step}", CURE, options["time_limit"], TOLERANCE, part.plant)
 
-    try:
+    failure: DesignError | None = None
+    for separation in SEPARATIONS:
+        noise = cp.Variable()
+        loop, own, rest = posed(noise, 1.0, separation)
         try:
-            loop, least = least_noise(SEPARATIONS[0])
-        except (InfeasibleError, UnscalableError):
-            loop, least = least_noise(SEPARATIONS[1])
-    except (InfeasibleError, UnscalableError) as error:
-        looser = cp.Variable()
-        _, own, rest = posed(cp.Variable(), looser, SEPARATIONS[1])
-        run(looser, own + rest, "the nearest bounds")
-        if looser.value <= 1.0:
-            raise error from None
-        k = range(len(norms))
-        tightest = max(
-            k, key=lambda k: np.trace(own[k].dual_value[-len(norms[k].z) :, -len(norms[k].z) :]) * norms[k].beta
-        )
-        raise InfeasibleError(
-            f"{where}: none found: with one Lyapunov matrix, {', '.join(one.name for one in norms)} are possible at "
-            f"{(1.0 + SLACK) * np.sqrt(looser.value):.4g} times their bounds at best; the tightest is "
-            f"{norms[tightest].name}; {CURE}",
-            part.plant,
-        ) from None
-    return unscale(loop.controller(), scaled), gamma, float(np.sqrt(least * scaled.rate)) * part.unit
+            run(noise, own + rest, "the least torque noise")
+        except (InfeasibleError, UnscalableError) as error:
+            failure = error
+        else:
+            return unscale(loop.controller(), scaled), gamma, float(np.sqrt(noise.value * scaled.rate)) * part.unit
+    looser = cp.Variable()
+    _, own, rest = posed(cp.Variable(), looser, SEPARATIONS[-1])
+    run(looser, own + rest, "the nearest bounds")
+    if looser.value <= 1.0 and failure is not None:
+        raise failure
+    prices = [
+        np.trace(x.dual_value[-len(one.z) :, -len(one.z) :]) * one.beta for one, x in zip(norms, own, strict=True)
+    ]
+    raise InfeasibleError(
+        f"{where}: none found: with one Lyapunov matrix, {', '.join(one.name for one in norms)} are possible at "
+        f"{(1.0 + SLACK) * np.sqrt(looser.value):.4g} times their bounds at best; the tightest is "
+        f"{norms[int(np.argmax(prices))].name}; {CURE}",
+        part.plant,
+    )
 
 
 def _performance(part: _Weighted) -> Partition:
@@ -339,8 +320,7 @@ def _performance(part: _Weighted) -> Partition:
 def _least(part: _Weighted) -> float:
     """Return the least γ of the performance alone, by Riccati equations."""
     k = len(part.channels)
-    found = hinf(whole(_performance(part)).to_control(*signal_names(k)), k, k, method="riccati")
-    return found.level / (1.0 + found.backoff)
+    return hinf(whole(_performance(part)).to_control(*signal_names(k)), k, k, method="riccati").gamma_optimal
 
 
 def _gamma(part: _Weighted, controller: System) -> float:
