@@ -20,6 +20,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.files import write_json, write_whole
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import one_line
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate
@@ -156,19 +157,22 @@ def read_systems(path: str | os.PathLike[str]) -> list[control.StateSpace]:
         The file, the system and the key, what is wrong, and what it must be, in one line.
     """
     table = JSONTable(*read_json(path_of(path, "the path of a JSON file"), "a JSON file with systems or controllers"))
-    table.expect_schema()
+    table.value("schema", fields.SCHEMA)
     key = "systems" if "systems" in table.data else "controllers"
-    return [system_of(one) for one in table.tables(key, "a list of systems")]
+    return [system_of(one) for one in table.tables(key, "systems")]
+
+
+_PERIOD = fields.Expected("a finite number >= 0, s", fields.where(lambda dt: dt >= 0.0, fields.finite))
 
 
 def system_of(table: JSONTable) -> control.StateSpace:
     """Return the system that a table of a file describes: ``A`` to ``D`` are lists of rows."""
     inputs, outputs = table.names("inputs"), table.names("outputs")
-    arrays = table.arrays(len(inputs), len(outputs), table.number("dt", "a finite number >= 0, s", least=0.0))
+    arrays = table.arrays(len(inputs), len(outputs), table.value("dt", _PERIOD))
     states = table.names("states") if table.data.get("states") else None
     if states is not None and len(states) != len(arrays.A):
         raise InputError(f"{table.where}: states: has {len(states)} names, but A has {len(arrays.A)} rows")
-    return arrays.to_control(inputs, outputs, states, name=table.text("name", "a name"))
+    return arrays.to_control(inputs, outputs, states, name=table.value("name", fields.TEXT))
 
 
 # The text at the head of the file, in place of the date that would make every file another one.

@@ -376,4 +376,5 @@ OneOrRange = Annotated[
 Lines = Annotated[int, Expected("a whole number from 1 to 4096", integer(1, 4096))]
 Runs = Annotated[int, Expected("a whole number from 1 to 2^30", integer(1, 2**30))]
 SeveralRuns = Annotated[int, Expected("a whole number from 2 to 100000", integer(2, 100_000))]
-Names = Annotated[tuple[str, ...], Expected("a list of names", _names)]
+NAMES = Expected("a list of names", _names)
+Names = Annotated[tuple[str, ...], NAMES]

@@ -31,6 +31,7 @@ from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.job.reading import job_hashes
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import given, suggestion
 from platform_ctrl.plant.platform import is_rate
 from platform_ctrl.plant.source import read_json
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     import control
 
 _EXPECTED = "a JSON file with controllers"
+_SECONDS = fields.Expected("a finite number, s", fields.finite)
 
 
 def read_controllers(
@@ -69,10 +71,10 @@ def read_controllers(
     given_as_dict = isinstance(source, Mapping)
     label, data = ("controllers given as a dict", source) if given_as_dict else read_json(source, _EXPECTED)  # type: ignore[arg-type]
     table = JSONTable(label, data)
-    table.expect_schema()
-    entries = list(table.tables(key, "a list of controllers")) if key in table.data or key == "controllers" else []
+    table.value("schema", fields.SCHEMA)
+    entries = list(table.tables(key, "controllers")) if key in table.data or key == "controllers" else []
     if not entries and key == "controllers":
-        raise table.must_be(key, "a list of controllers", [])
+        raise table.mistake(f"{key} must be a list of controllers, got []")
     known = [s.name for s in job.platform.sensors]
     known += [f"{name}{COMMAND}" for name in known]
     made_by: dict[str, str] = {}
@@ -140,7 +142,7 @@ def _designs(entries: object) -> list[tuple[object, object]]:
 
 def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.StateSpace:
     """Return one controller of a file, its inputs among `known`."""
-    name, inputs, outputs = entry.text("name", "a name"), entry.names("inputs"), entry.names("outputs")
+    name, inputs, outputs = entry.value("name", fields.TEXT), entry.names("inputs"), entry.names("outputs")
     for one in inputs:
         if one not in known and is_rate(one):
             wrong = f"{given(one)} is a rate that no sensor of the plant measures"
@@ -162,7 +164,7 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
         ("dt", f"{whose} sample period", period),
         ("delay", "the job's delay", job.sampling.delay),
     ):
-        found = entry.number(key, "a finite number, s")
+        found = entry.value(key, _SECONDS)
         if not math.isclose(found, expected, rel_tol=1e-9, abs_tol=0.0 if key == "dt" else 1e-9 * period):
             raise entry.mistake(f"{key}: {found:g} s is not {words}, {expected:g} s")
     arrays = entry.arrays(len(inputs), len(outputs), period)

@@ -24,7 +24,8 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.reading import data_hash, job_hashes
-from platform_ctrl.plant.fields import finite_number
+from platform_ctrl.plant import fields
+from platform_ctrl.plant.fields import Expected, Unfit, finite_number
 from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.budget_result import LineOfSightBudget, SimulatedBudget
@@ -187,7 +188,7 @@ def with_sections(record: Record, source: str | os.PathLike[str]) -> Record:
 def read_record(path: str | os.PathLike[str]) -> Record:
     """Return the content of a ``result.json`` as it was written; InputError where it is empty or was altered since."""
     label, data = read_json(path, "a result.json")
-    JSONTable(label, data).expect_schema()
+    JSONTable(label, data).value("schema", fields.SCHEMA)
     assert isinstance(data, dict)
     written = data.get("sha256")
     if not isinstance(written, dict) or "result" not in written or not data.get("requirements"):
@@ -292,6 +293,18 @@ def _is_of(entry: Mapping[str, Any], design: Design) -> bool:
     return same and entry.get("outputs") == list(K.output_labels)
 
 
+def _list(item: object) -> list[Any]:
+    if not isinstance(item, list):
+        raise Unfit
+    return item
+
+
+_ROWS = Expected("a matrix as a list of rows", _list)
+_SIGNALS = Expected(
+    "a list of signal names", fields.where(lambda names: bool(names) and all(names), fields.NAMES.judge)
+)
+
+
 class JSONTable:
     """A table of a file, with its place for messages."""
 
@@ -304,51 +317,24 @@ class JSONTable:
         """Return the error with `text` about this table."""
         return InputError(one_line(f"{self.where}: {text}"))
 
-    def must_be(self, key: str, expected: str, item: object) -> InputError:
-        """Return the error for an item that is not as expected."""
-        return self.mistake(f"{key} must be {expected}, got {given(item)}")
-
-    def item(self, key: str, expected: str) -> Any:
-        """Return what is under `key`."""
+    def value(self, key: str, expected: Expected) -> Any:
+        """Return what is under `key`, judged."""
         if key not in self.data:
-            raise self.mistake(f'the key "{key}" is missing; it must be {expected}')
-        return self.data[key]
-
-    def expect_schema(self) -> None:
-        """Refuse another format."""
-        expected = f"{SCHEMA}, the format that this version reads"
-        schema = self.item("schema", expected)
-        if isinstance(schema, bool) or schema != SCHEMA:
-            raise self.must_be("schema", expected, schema)
-
-    def text(self, key: str, expected: str, *, empty: bool = False) -> str:
-        """Return a printable text."""
-        item = self.item(key, expected)
-        if not isinstance(item, str) or not item.isprintable() or not (item.strip() or empty):
-            raise self.must_be(key, expected, item)
-        return item
-
-    def number(self, key: str, expected: str, *, least: float = -np.inf) -> float:
-        """Return a finite number of at least `least`."""
-        out = finite_number(self.item(key, expected))
-        if out is None or out < least:
-            raise self.must_be(key, expected, self.data[key])
-        return out
+            raise self.mistake(f'the key "{key}" is missing; it must be {expected.words}')
+        try:
+            return expected.judge(self.data[key])
+        except Unfit as error:
+            why = f" ({error})" if str(error) else ""
+            raise self.mistake(f"{key} must be {expected.words}, got {given(self.data[key])}{why}") from None
 
     def names(self, key: str) -> tuple[str, ...]:
         """Return signal names, each once."""
-        expected = "a list of signal names"
-        item = self.item(key, expected)
-        if not isinstance(item, list) or not item or not all(isinstance(name, str) and name for name in item):
-            raise self.must_be(key, expected, item)
-        for k, name in enumerate(item):
-            if name in item[:k]:
-                raise self.mistake(f"{key}: {given(name)} is listed twice; leave one of them out")
-        return tuple(item)
+        out: tuple[str, ...] = self.value(key, _SIGNALS)
+        return out
 
     def arrays(self, inputs: int, outputs: int, dt: float) -> System:
         """Return the matrices A to D of a system with so many signals."""
-        rows = self._rows("A")
+        rows = self.value("A", _ROWS)
         order = 0 if rows == [[]] else len(rows)
         if order > MOST_STATES:
             raise self.mistake(f"A: has {order} rows; at most {MOST_STATES} states are allowed")
@@ -360,15 +346,8 @@ class JSONTable:
             dt=dt,
         )
 
-    def _rows(self, key: str) -> list[Any]:
-        expected = "a matrix as a list of rows"
-        item = self.item(key, expected)
-        if not isinstance(item, list):
-            raise self.must_be(key, expected, item)
-        return item
-
     def _matrix(self, key: str, rows: int, columns: int) -> FloatArray:
-        item = self._rows(key)
+        item = self.value(key, _ROWS)
         expected = f"{key} must be {rows} x {columns}" + (" (square)" if key == "A" else " (by inputs, outputs and A)")
         if rows * columns == 0 and all(row == [] for row in item):
             return np.zeros((rows, columns))
@@ -376,23 +355,15 @@ class JSONTable:
             raise self.mistake(f"{expected}, has {len(item)} row{'' if len(item) == 1 else 's'}")
         out = np.zeros((rows, columns))
         for i, row in enumerate(item):
-            if not isinstance(row, list):
-                raise self.mistake(f"{expected}, row {i + 1} is {given(row)}")
-            if len(row) != columns:
-                raise self.mistake(f"{expected}, row {i + 1} has {len(row)} element{'' if len(row) == 1 else 's'}")
-            for j, entry in enumerate(row):
-                number = finite_number(entry)
-                if number is None:
-                    raise self.must_be(f"{key}: element ({i + 1}, {j + 1})", "a finite number", entry)
-                out[i, j] = number
+            try:
+                out[i] = fields.numbers(row, columns, fields.finite)
+            except Unfit as error:
+                raise self.mistake(f"{expected}, row {i + 1} {str(error) or f'is {given(row)}'}") from None
         return out
 
-    def tables(self, key: str, expected: str) -> Iterator[JSONTable]:
+    def tables(self, key: str, what: str) -> Iterator[JSONTable]:
         """Yield a list of tables."""
-        item = self.item(key, expected)
-        if not isinstance(item, list):
-            raise self.must_be(key, expected, item)
-        for number, entry in enumerate(item, 1):
+        for number, entry in enumerate(self.value(key, Expected(f"a list of {what}", _list)), 1):
             name = entry.get("name", entry.get("loop")) if isinstance(entry, Mapping) else None
             title = f" {given(name)}" if isinstance(name, str) else ""
             yield JSONTable(f"{self.where}: {key} {number}{title}", entry)

@@ -92,9 +92,11 @@ def test_json_that_makes_no_sense_is_one_line(systems: list[control.StateSpace],
 
     assert refused(A="gone") == 'the key "A" is missing; it must be a matrix as a list of rows'
     assert refused(B=[[1.0, 2.0]]).startswith("B must be 4 x 2")
-    assert refused(D=[[1.0, None], [0.0, 0.0]]).startswith("D: element (1, 2) must be a finite number")
+    assert refused(D=[[1.0, None], [0.0, 0.0]]).startswith(
+        "D must be 2 x 2 (by inputs, outputs and A), row 1 element 2, None,"
+    )
     assert refused(inputs=["a"]).startswith("B must be 4 x 1")
-    assert refused(outputs=["a", "a"]) == 'outputs: "a" is listed twice; leave one of them out'
+    assert refused(outputs=["a", "a"]).endswith('("a" is listed twice; leave one of them out)')
     (tmp_path / "list.json").write_text("[]")
     with pytest.raises(InputError, match="must be a table"):
         export.read_systems(tmp_path / "list.json")
@@ -125,7 +127,9 @@ def test_mat_that_is_no_plain_linear_system_is_refused_in_one_line(tmp_path: Pat
     matrices = {"A": -1.0, "B": 1.0, "C": 1.0, "D": 0.0}
     assert refused({"x": 1.0}).startswith("holds no structs; save structs")
     assert refused({"s": matrices | {"A": "text"}}).startswith("s: A must be 1 x 1 (square)")
-    assert refused({"s": matrices | {"A": np.nan}}).startswith("s: A: element (1, 1) must be a finite number")
+    assert refused({"s": matrices | {"A": np.nan}}).startswith(
+        "s: A must be 1 x 1 (square), row 1 element 1, nan, is not finite"
+    )
     for more in ({"InputName": 3.0}, {"OutputDelay": 2.0}, {"Ts": [1.0, 2.0]}):
         assert refused({"s": matrices | more}).startswith("s: is not one plain linear system; save")
     assert refused(b"\x89HDF\r\n").startswith("cannot be read")

@@ -165,7 +165,7 @@ MISTAKES: dict[str, tuple[Change, str]] = {
     ),
     "D not finite": (
         lambda r: second(r)["D"][0].__setitem__(1, math.inf),
-        "D: element (1, 2) must be a finite number, got inf",
+        "D must be 2 x 2 (by inputs, outputs and A), row 1 element 2, inf, is not finite",
     ),
 }
 

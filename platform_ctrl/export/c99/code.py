@@ -25,6 +25,7 @@ from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export.c99.c_text import Identifiers, comment, field, joined, rendered
 from platform_ctrl.job.job import Job
+from platform_ctrl.plant.fields import TEXT, Expected, where
 from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.result_file import SCHEMA, JSONTable
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 # How far what sections multiply out to may be from the matrices of the controller: rounding of a few operations.
 _SAME = 1e-11
+_NOTE = Expected("a note", where(lambda note: isinstance(note, str) and note.isprintable(), lambda note: note))
 
 
 @value
@@ -101,8 +103,8 @@ def _sections(
         return (whole,), ""
     table = JSONTable(f"controller {record['name']!r}", record)
     known, found = set(inputs), list[Section]()
-    for one in table.tables("sections", "a list of sections"):
-        name, taken, given = one.text("name", "a name"), one.names("inputs"), one.names("outputs")
+    for one in table.tables("sections", "sections"):
+        name, taken, given = one.value("name", TEXT), one.names("inputs"), one.names("outputs")
         for signal in taken:
             if signal not in known:
                 raise one.mistake(f"inputs: {signal!r} is neither an input nor an output of a section before it")
@@ -110,9 +112,7 @@ def _sections(
             raise one.mistake("its name, or one of its outputs, exists already; rename it")
         known |= set(given)
         block = one.arrays(len(taken), len(given), K.dt)
-        found.append(
-            Section(name, one.text("kind", "a kind"), one.text("note", "a note", empty=True), block, taken, given)
-        )
+        found.append(Section(name, one.value("kind", TEXT), one.value("note", _NOTE), block, taken, given))
     if set(outputs) <= known:
         made = flattened(found, inputs, outputs)
         if all(
