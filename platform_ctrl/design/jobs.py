@@ -87,7 +87,7 @@ def attempted_loops(
     job = job if isinstance(job, Job) else read_job(job)
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
-    plants_of_all = {spec.name: _plants_of_designs(job, spec) for spec in job.loops}
+    plants_of_all = {spec.name: plants_of_designs(job, spec) for spec in job.loops}
     specs, made = {spec.name: spec for spec in job.loops}, dict[str, LoopOutcome]()
     with shown(progress) as say:
         # A tracking loop has the rate loop that it commands in its plants.
@@ -99,7 +99,7 @@ def attempted_loops(
                     made[name] = _without_inner(spec, inner.failure)
                 elif (spec.kind == "tracking") is tracking:
                     around = None if inner is None else inner.closed
-                    problems[name] = _problems(job, spec, model, plants_of_all[name], around, say)
+                    problems[name] = problems_of(job, spec, model, plants_of_all[name], around, say)
             found = iter(_made_of([one for own in problems.values() for one in own], processes, say))
             for name, own in problems.items():
                 made[name] = _outcome(specs[name], [(problem.design, next(found)) for problem in own])
@@ -130,13 +130,13 @@ def _failed(spec: LoopSpec, errors: Sequence[tuple[DesignSpec, Exception | None]
     )
 
 
-def _problems(
+def problems_of(
     job: Job,
     spec: LoopSpec,
     model: LinearModel,
     plants: Sequence[PlantSet | None],
     inner: Design | None,
-    progress: Progress,
+    progress: Progress = lambda line: None,
 ) -> list[LoopProblem]:
     """Return the problems of a loop's designs.
 
@@ -223,7 +223,7 @@ def _killed(problem: LoopProblem) -> DesignError:
     )
 
 
-def _plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
+def plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
     """Return the plants of every design of a loop: those of designs that read the same are made once."""
     bare: dict[tuple[str, ...], PlantSet | None] = {}
     out = []

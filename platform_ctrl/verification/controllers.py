@@ -5,32 +5,29 @@ No claim of a file is trusted.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
-from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.jobs import in_order
+from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.design.jobs import in_order, plants_of_designs, problems_of
 from platform_ctrl.design.loop import (
     Design,
     FailedDesign,
     LoopOutcome,
     measured,
-    with_commands,
     with_largest_rates,
 )
-from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
-from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError, began_with_interrupt
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.job.reading import job_hashes
-from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import given, suggestion
 from platform_ctrl.plant.platform import is_rate
@@ -179,93 +176,67 @@ def outcomes_from(
     alternatives: Sequence[control.StateSpace] = (),
 ) -> tuple[LoopOutcome, ...]:
     """Return existing controllers as the outcome of the job's loops, measured again."""
-    placed: dict[str, control.StateSpace] = {}
+    placed: dict[str, list[control.StateSpace]] = {}
     for K in controllers:
         spec = _loop_of(job, K)
         if spec.name in placed:
             raise InputError(
-                f"controllers: {given(placed[spec.name].name)} and {given(K.name)} both close the loop "
+                f"controllers: {given(placed[spec.name][0].name)} and {given(K.name)} both close the loop "
                 f"{given(spec.name)}; give one for each loop"
             )
-        placed[spec.name] = K
+        placed[spec.name] = [K]
     for spec in job.loops:
         if spec.name not in placed:
             wanted = ", ".join(sorted(job.channels_of(spec)))
             raise InputError(
                 f"controllers: none closes the loop {given(spec.name)} of the job; add one with the outputs {wanted}"
             )
-    specs = {spec.name: spec for spec in job.loops}
-    others: dict[str, list[control.StateSpace]] = {name: [] for name in placed}
     for K in alternatives:
-        others[_loop_of(job, K).name].append(K)
-    made: dict[str, LoopOutcome] = {}
+        placed[_loop_of(job, K).name].append(K)
+    model, made = linearise(job.platform), dict[str, LoopOutcome]()
     # The plants of a tracking loop have the rate loop inside them.
-    for tracking in (False, True):
-        found: list[Design | FailedDesign] = []
-        for name, closed in placed.items():
-            if (specs[name].kind == "tracking") is tracking:
-                inner = made.get(specs[name].around or "")
-                found += _remeasured(job, specs[name], (closed, *others[name]), inner)
-        for name in dict.fromkeys(one.loop for one in found):
-            designs = tuple(one for one in found if one.loop == name and isinstance(one, Design))
-            failed = tuple(one for one in found if one.loop == name and isinstance(one, FailedDesign))
-            made[name] = LoopOutcome(spec=specs[name], designs=designs, use=designs[0].name, failed=failed)
-    return in_order(job, list(made.values()))
+    for spec in sorted(job.loops, key=lambda spec: spec.kind == "tracking"):
+        inner = made.get(spec.around or "")
+        made[spec.name] = _outcome(job, spec, model, placed[spec.name], None if inner is None else inner.closed)
+    return in_order(job, [made[name] for name in placed])
 
 
-def _remeasured(
-    job: Job, spec: LoopSpec, controllers: Sequence[control.StateSpace], inner: LoopOutcome | None
-) -> Iterator[Design | FailedDesign]:
-    """Measure the controllers of a loop again, the closed one first."""
-    inside, directions = None, None
-    if inner is not None and inner.closed.plants is not None:
-        inner_K = with_commands(inner.closed.plants, inner.closed.controller)
-        inside, directions = tracking_plants(job, spec, inner.spec, inner.closed.plants, inner_K)
-    bare: dict[tuple[str, ...], PlantSet | None] = {}
+def _outcome(
+    job: Job, spec: LoopSpec, model: LinearModel, controllers: Sequence[control.StateSpace], inner: Design | None
+) -> LoopOutcome:
+    """Return the controllers of a loop, measured again, the closed one first."""
     names: list[str] = []
     for K in controllers:
-        name = _free_name(str(K.name).removeprefix(f"{spec.name}, "), names)
-        if inside is not None or not spec.has_plants:
-            plants = inside
-        else:
-            of = _design_of(job, spec, K)
-            read = spec.read_by(of)
-            if read.sensors not in bare:
-                bare[read.sensors] = plants_of(job, read)
-            plants = design_plants(job, spec, of, bare[read.sensors])
-        yield (_attempted if names else _measured)(job, spec, name, K, plants, directions, not names)
-        names.append(name)
+        names.append(_free_name(_name_of(spec, K), names))
+    read = dataclasses.replace(spec, designs=tuple(_design_of(job, spec, K) for K in controllers))
+    problems = problems_of(job, read, model, plants_of_designs(job, read), inner)
+    found: list[Design | FailedDesign] = []
+    for problem, name, K in zip(problems, names, controllers, strict=True):
+        try:
+            found.append(_measured(problem, name, K, not found))
+        except Exception as error:
+            # One that is not closed does not end the others.
+            if not found or began_with_interrupt(error):
+                raise
+            found.append(FailedDesign(loop=spec.name, name=name, method="given", error=error))
+    designs = tuple(one for one in found if isinstance(one, Design))
+    failed = tuple(one for one in found if isinstance(one, FailedDesign))
+    return LoopOutcome(spec=spec, designs=designs, use=designs[0].name, failed=failed)
 
 
-def _attempted(job: Job, spec: LoopSpec, name: str, *given: Any) -> Design | FailedDesign:
-    """Return a controller that is not closed, measured again, or why it cannot be: that does not end the others."""
-    try:
-        return _measured(job, spec, name, *given)
-    except Exception as error:
-        if began_with_interrupt(error):
-            raise
-        return FailedDesign(loop=spec.name, name=name, method="given", error=error)
-
-
-def _measured(
-    job: Job,
-    spec: LoopSpec,
-    name: str,
-    K: control.StateSpace,
-    plants: PlantSet | None,
-    directions: Channels | None,
-    closed: bool,
-) -> Design:
+def _measured(problem: LoopProblem, name: str, K: control.StateSpace, closed: bool) -> Design:
     """Return a controller as a design of a loop, measured again."""
+    spec, design, plants = problem.spec, problem.design, problem.plant_set
     if plants is None:
         return Design(loop=spec.name, name=name, method="given", controller=K)
     made = measured(spec, name, "given", K, plants)
-    for own in spec.designs:
-        if own.name == name and own.responses is not None:
-            model = linearise(job.platform)
-            problem = LoopProblem(job=job, spec=spec, design=own, model=model, plant_set=plants, directions=directions)
-            made = METHODS[own.method].judged(problem, made)
+    if design.name == name and design.responses is not None:
+        made = METHODS[design.method].judged(problem, made)
     return with_largest_rates(made) if spec.kind == "caging" and closed else made
+
+
+def _name_of(spec: LoopSpec, K: control.StateSpace) -> str:
+    return str(K.name).removeprefix(f"{spec.name}, ")
 
 
 def _free_name(name: str, taken: Sequence[str]) -> str:
@@ -293,7 +264,7 @@ def _taken(K: control.StateSpace) -> set[str]:
 
 def _design_of(job: Job, spec: LoopSpec, K: control.StateSpace) -> DesignSpec:
     """Return the design of the job that reads what a controller reads: the one of its name, if several do."""
-    name, taken = str(K.name).removeprefix(f"{spec.name}, "), _taken(K)
+    name, taken = _name_of(spec, K), _taken(K)
     fitting = [design for design in spec.designs if _read(job, spec, design) == taken]
     named = [design for design in fitting if design.name == name]
     bare = DesignSpec(name=name, method=spec.closed.method)
