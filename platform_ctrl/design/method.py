@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import System, block
 from platform_ctrl.common.arguments import known_name, nearest
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
@@ -429,10 +429,11 @@ def shaped(K: System, shaping: CommandShaping, directions: Channels, sense: Floa
                 torque = strength[:, None] * sense
                 fed_C += torque @ block_diag(*(one.C,) * p)
                 fed_D += torque @ block_diag(*(one.D,) * p)
-    return System(
-        np.block([[K.A, -K.B @ C], [np.zeros((len(A), len(K.A))), A]]),
-        np.block([[K.B, -K.B @ D], [np.zeros((len(A), p)), B]]),
-        np.hstack([K.C, fed_C - K.D @ C]),
-        np.hstack([K.D, fed_D - K.D @ D]),
-        K.dt,
+    whole = block(
+        [
+            [K.A, -K.B @ C, K.B, -K.B @ D],
+            [0, A, 0, B],
+            [K.C, fed_C - K.D @ C, K.D, fed_D - K.D @ D],
+        ]
     )
+    return System.split(whole, len(K.A) + len(A), K.dt)

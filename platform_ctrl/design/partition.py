@@ -9,7 +9,6 @@ is: poles are found block by block, and a rank is that of rows and columns of un
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,7 @@ from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.sections import gain
 from platform_ctrl.errors import ArgumentError, IllPosedError, NotStabilisableError, UnscalableError
 
 if TYPE_CHECKING:
@@ -70,17 +70,6 @@ class Partition:
             D11=self.D11.T, D12=self.D21.T, D21=self.D12.T, D22=self.D22.T, dt=self.dt,
         )  # fmt: skip
 
-    def with_gain(self, gain: FloatArray) -> Partition:
-        """Return the plant with u = gain y + u' closed, for D22 = 0."""
-        into, out = self.B2 @ gain, self.D12 @ gain
-        return dataclasses.replace(
-            self,
-            A=self.A + into @ self.C2,
-            B1=self.B1 + into @ self.D21,
-            C1=self.C1 + out @ self.C2,
-            D11=self.D11 + out @ self.D21,
-        )
-
 
 def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Partition:
     """Split a plant at its last `nmeas` outputs and last `ncon` inputs; `sampled`: it may have dt > 0."""
@@ -117,17 +106,6 @@ def in_w_plane(plant: Partition) -> Partition:
 def out_of_w_plane(K: System, period: float) -> System:
     """Return a controller of the plant that `in_w_plane` made as a sampled one; for `period` 0 as it is."""
     return K if period == 0.0 else from_w_plane(K, period)
-
-
-def with_direct_path(K: System, D22: FloatArray) -> System:
-    """Return the controller u = K y for a plant whose D22 was left out when K was made: K (y − D22 u), solved for u."""
-    shift = np.linalg.inv(np.eye(len(K.D)) + K.D @ D22)
-    return System(
-        A=K.A - K.B @ D22 @ shift @ K.C,
-        B=K.B @ (np.eye(K.B.shape[1]) - D22 @ shift @ K.D),
-        C=shift @ K.C,
-        D=shift @ K.D,
-    )
 
 
 def closed_loop(plant: Partition, K: System) -> System:
@@ -293,7 +271,9 @@ def unscale(controller: System, scaled: ScaledPlant) -> System:
     """Return a controller of the scaled plant in the units of the plant as given."""
     A, B = scaled.rate * controller.A, scaled.rate * controller.B @ scaled.measurement
     C, D = scaled.control @ controller.C, scaled.control @ controller.D @ scaled.measurement
-    return with_direct_path(System(A=A, B=B, C=C, D=D), scaled.D22)
+    # Of D22, which was left out when the controller was made, u = K (y − D22 u) is solved for u.
+    ny = len(scaled.D22)
+    return System(A, B, C, D).feedback(gain(-scaled.D22)).part(slice(ny, None), slice(ny))
 
 
 def blocks(A: FloatArray) -> list[tuple[ComplexArray, FloatArray, float]]:

@@ -341,13 +341,10 @@ def _with_drives(whole: System, linear: LinearPlants) -> System:
     count, m = len(linear.signals.fed), len(linear.signals.torquers)
     if not count:
         return whole
-    A, B, C, D, dt = whole
-    back = _drive_gains(linear) @ np.concatenate([C[:, -count:], D[:, -count:]], axis=-1)
-    n = A.shape[-1]
-    moved, shown = B[..., :m] @ back, D[:, :-count, :m] @ back
-    return System(
-        A + moved[..., :n], B + moved[..., n:], C[:, :-count] + shown[..., :n], D[:, :-count] + shown[..., n:], dt
-    )
+    gains, inputs, outputs = _drive_gains(linear), whole.B.shape[-1], whole.C.shape[-2]
+    back = System(np.zeros((0, 0)), np.zeros((0, count)), np.zeros((m, 0)), gains)
+    closed = whole.feedback(back, range(m), range(outputs - count, outputs))
+    return closed.part(slice(m, m + outputs - count), slice(inputs))
 
 
 def _drive_gains(linear: LinearPlants) -> FloatArray:

@@ -27,7 +27,8 @@ import numpy as np
 
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Partition, autoscaled_with_gain, require_assumptions, unscale
+from platform_ctrl.design.partition import Partition, autoscaled_with_gain, require_assumptions, split, unscale, whole
+from platform_ctrl.design.sections import gain as static
 from platform_ctrl.errors import IllPosedError, UnscalableError
 
 if TYPE_CHECKING:
@@ -386,8 +387,10 @@ def _solutions(p: Partition) -> list[Solution]:
 def _without_direct_path(plant: Partition, P: StateSpace) -> tuple[Partition, FloatArray]:
     """Return the plant with the gain D_K closed that cancels D11, and D_K; D12 and D21 are orthonormal."""
     gain = -plant.D12.T @ plant.D11 @ plant.D21.T
-    closed = plant.with_gain(gain)
-    rest = closed.D11
+    nz, nw = plant.D11.shape
+    (ny, nu), one = plant.D22.shape, whole(plant)
+    closed = one.feedback(static(gain), range(nw, nw + nu), range(nz, nz + ny)).part(slice(nu, None), slice(nw + nu))
+    rest = closed.D[:nz, :nw]
     if np.linalg.norm(rest) > NO_DIRECT_PATH * np.linalg.norm(plant.D11):
         z, w = np.unravel_index(int(np.argmax(np.abs(rest))), rest.shape)
         raise IllPosedError(
@@ -395,4 +398,4 @@ def _without_direct_path(plant: Partition, P: StateSpace) -> tuple[Partition, Fl
             f"{P.input_labels[int(w)]} to {P.output_labels[int(z)]}; put a low-pass on that w or z",
             P,
         )
-    return dataclasses.replace(closed, D11=np.zeros_like(rest)), gain
+    return dataclasses.replace(split(closed, nz, nw), D11=np.zeros_like(rest)), gain

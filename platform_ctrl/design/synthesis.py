@@ -205,7 +205,7 @@ def hinf(
 
                 made, least, residual = hinf_riccati(flat, backoff, P)
             made = out_of_w_plane(made, plant.dt)
-        except np.linalg.LinAlgError as error:
+        except (ArgumentError, np.linalg.LinAlgError) as error:
             raise UnscalableError(f"hinf, {route}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
         name = f"hinf, {route}"
         found = certify(P, plant, made, least=least, backoff=backoff, method=name, residual=residual)

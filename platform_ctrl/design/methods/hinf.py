@@ -24,13 +24,13 @@ bounds T.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import System, block
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design, LoopOutcome, measured
 from platform_ctrl.design.loop_signals import Channels
@@ -96,18 +96,23 @@ def mixed_sensitivity(
     W_u.
     """
     A, B, C, D, _ = plant
-    B_d, D_d = disturbed.B, disturbed.D
-    n, size = len(A), len(C)
-    eye, none, wide = np.eye(size), np.zeros((size, size)), np.zeros((n, size))
-    angle, torque = constant
-    A_w = np.block([[A, wide], [C, none]])
-    B_w = np.block([[wide, B_d, B], [eye, D_d, D]])
-    error, error_direct = np.hstack([gain[:, None] * C, np.diag(rate)]), gain[:, None] * np.hstack([eye, D_d, D])
-    C_w = np.vstack([error, angle @ np.hstack([C, none]), np.zeros((size, n + size)), error])
-    D_w = np.vstack(
-        [error_direct, angle @ np.hstack([none, D_d, D]), np.hstack([none, np.zeros_like(D_d), torque]), error_direct]
+    B_d, D_d, (angle, torque) = disturbed.B, disturbed.D, constant
+    error: list[FloatArray | Literal[0]] = [
+        gain[:, None] * C,
+        np.diag(rate),
+        *(gain[:, None] * D_j for D_j in (np.eye(len(C)), D_d, D)),
+    ]
+    whole = block(
+        [
+            [A, 0, 0, B_d, B],
+            [C, 0, np.eye(len(C)), D_d, D],
+            error,
+            [angle @ C, 0, 0, angle @ D_d, angle @ D],
+            [0, 0, 0, 0, torque],
+            error,
+        ]
     )
-    return System(A_w, B_w, C_w, D_w, 0.0)
+    return System.split(whole, len(A) + len(C), 0.0)
 
 
 def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:

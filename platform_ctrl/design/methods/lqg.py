@@ -26,12 +26,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.system import System, seen_states, state_scaling
+from platform_ctrl.analysis.system import System, block, seen_states, state_scaling
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Option, TunedMethod, hertz
-from platform_ctrl.design.sections import between
-from platform_ctrl.errors import DesignError, NotStabilisableError
+from platform_ctrl.design.sections import between, gain
+from platform_ctrl.errors import ArgumentError, DesignError, NotStabilisableError
 from platform_ctrl.job.methods import DesignSpec
 
 # Rules of thumb. The largest error over the noise of a sample; without noise the largest error, rad or rad per sample.
@@ -99,16 +99,22 @@ class LQG(TunedMethod):
         """Return the sampled controller of complete options; states are x̂(k|k−1) and the sums."""
         problem = quadratic_problem(options, channel, plants)
         (A, B, C, D, period), (K, L, M) = problem.plant, lqg_gains(problem)
-        n, p = len(A), len(C)
-        feedback, sums = K[:, :n], K[:, n:]
+        # From y and u to the present estimate and the sums, of which u is the state feedback.
+        one = np.eye(len(C))
+        estimator = block(
+            [
+                [A - L @ C, 0, L, B - L @ D],
+                [0, one, np.diag(problem.sums), 0],
+                [np.eye(len(A)) - M @ C, 0, M, -M @ D],
+                [0, one, 0, 0],
+            ]
+        )
+        n, p, m = len(A) + len(C), len(C), len(K)
         try:
-            solved: FloatArray = np.asarray(np.linalg.inv(np.eye(len(K)) - feedback @ M @ D), dtype=np.float64)
-        except np.linalg.LinAlgError:
+            closed = System.split(estimator, n, period).feedback(gain(-K), range(p, p + m))
+        except ArgumentError:
             raise DesignError("lqg: the loop has no solution at one instant; try a delay of one sample") from None
-        C_K, D_K = -solved @ np.hstack([feedback @ (np.eye(n) - M @ C), sums]), -solved @ feedback @ M
-        into = np.vstack([B - L @ D, np.zeros((p, B.shape[1]))])
-        own = np.block([[A - L @ C, np.zeros((n, p))], [np.zeros((p, n)), np.eye(p)]])
-        made = System(own + into @ C_K, np.vstack([L, np.diag(problem.sums)]) + into @ D_K, C_K, D_K, period)
+        made = closed.part(slice(m), slice(p))
         return between(channel.basis / problem.error[:, None], made, channel.basis.T * problem.torque)
 
     def starts(self, problem: LoopProblem, options: dict[str, float]) -> list[dict[str, float]]:
@@ -204,9 +210,9 @@ def quadratic_problem(options: dict[str, float], channel: Channels, plants: Plan
     noise = np.where(noise > 0.0, noise, 1.0 / _ERROR)
     return QuadraticProblem(
         plant=System(A, B, C, D, period),
-        A=np.block([[A, np.zeros((n, size))], [sums[:, None] * C, np.eye(size)]]),
+        A=block([[A, 0], [sums[:, None] * C, np.eye(size)]]),
         B=np.vstack([B, sums[:, None] * D]),
-        Q=np.block([[C.T @ C + rate.T @ rate, np.zeros((n, size))], [np.zeros((size, n)), np.eye(size)]]),
+        Q=block([[C.T @ C + rate.T @ rate, 0], [0, np.eye(size)]]),
         R=np.eye(B.shape[1]),
         G=np.hstack([B * (by_channel("recovery") / torque), from_rate * options.get("platform_rate", 0.0)]),
         QN=np.eye(B.shape[1] + 3),
