@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import io
 import os
 import signal
 from collections.abc import Iterator
@@ -33,11 +35,10 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 
 def _compile_kernel() -> None:
-    from platform_ctrl import read_platform, simulation
-    from platform_ctrl.simulation.batch import compile_kernel
+    from platform_ctrl.cli import main
 
-    compile_kernel()
-    simulation.rollout(read_platform("rate_gyro"), q=[[0.0]], velocity=[[0.0] * 4], step=1e-4, steps=1)
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert main(["warm-up", "--quiet"]) == 0
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -16,7 +16,6 @@ import pytest
 import one_gyro_job
 import platform_ctrl as pc
 from platform_ctrl import analysis, design, simulation
-from platform_ctrl.analysis.system import System
 
 MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
 PERIOD = 0.0005
@@ -47,9 +46,10 @@ def test_names_of_states_last(loop: Any) -> None:
     assert loop.plant is not None
     gyro = pc.state_space(MODEL, gimbals=("9", "10"))
     assert gyro.state_labels == STATES
-    whole = System.of(gyro, "gyro")
-    at = list(gyro.output_labels).index("beta10"), list(gyro.input_labels).index("Q9")
-    part = whole.part([at[0]], [at[1]]).to_control(["Q9"], ["beta10"], gyro.state_labels)
+    i, j = [gyro.output_labels.index("beta10")], [gyro.input_labels.index("Q9")]
+    part = control.ss(
+        gyro.A, gyro.B[:, j], gyro.C[i], gyro.D[i][:, j], inputs=["Q9"], outputs=["beta10"], states=gyro.state_labels
+    )
     assert part.state_labels == STATES
     for made in (part, gyro, loop.plant):
         assert made.state_labels[:4] == STATES

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,7 +17,6 @@ import pytest
 import platform_ctrl as pc
 from campaign_runs import TEXT, processes_here
 from platform_ctrl.cli import main
-from platform_ctrl.job.quantities import quantity
 from refused_command import refused
 
 pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
@@ -106,7 +106,9 @@ def test_a_run_again_shows_its_draws_and_the_figures_of_its_row(
     assert out.startswith("run 17 of the campaign\n")
     assert lines["manoeuvre"] == row["manoeuvre"]
     assert float(lines["rotor.11.spin"]) == pytest.approx(row["rotor.11.spin"], rel=1e-5)
-    assert f"largest gimbal angle           {quantity(row['angle'], 'rad')} (" in out
+    shown = re.search(r"^largest gimbal angle +([\d.]+) mrad \(", out, re.MULTILINE)
+    assert shown is not None
+    assert float(shown[1]) == pytest.approx(1e3 * row["angle"], rel=1e-3)
     assert f"the values are those of {Path('campaign') / 'campaign.parquet'}" in out
     assert (there / "campaign" / "run-17.svg").read_text().lstrip().startswith("<?xml")
 

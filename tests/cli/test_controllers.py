@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import tomlkit
 
 from camera_job import camera_job, camera_loop, camera_plant
 from campaign_runs import processes_here
 from cli.test_cli import undrawn  # noqa: F401
 from platform_ctrl.cli import main
-from platform_ctrl.common.files import toml
 from refused_command import refused
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -35,8 +35,8 @@ def write(folder: Path, plant: dict[str, Any] | None = None, **changes: Any) -> 
     """Write job.toml and plant.toml."""
     data = camera_job(**{"manoeuvre": [RUN], "campaign": {"runs": 2}, "budget": BUDGET} | changes)
     data["plant"] = "plant.toml"
-    (folder / "job.toml").write_text(toml(data), encoding="utf-8")
-    (folder / "plant.toml").write_text(toml(plant or camera_plant()), encoding="utf-8")
+    (folder / "job.toml").write_text(tomlkit.dumps(data), encoding="utf-8")
+    (folder / "plant.toml").write_text(tomlkit.dumps(plant or camera_plant()), encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

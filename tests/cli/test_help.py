@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import re
 import shlex
-from typing import Any
 
 import pytest
-import typer
 
 from platform_ctrl.cli import main
-from platform_ctrl.cli.commands import app
 
-GROUP: Any = typer.main.get_command(app)
-COMMANDS: dict[str, Any] = GROUP.commands
+ARGUMENTS = {"JOB", "NAME", "PLANT"}
 
 
 def help_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -21,34 +17,39 @@ def help_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return capsys.readouterr().out
 
 
-def names(command: Any) -> list[list[str]]:
-    """Every argument by its metavar, every option by its spellings."""
-    return [p.opts if p.param_type_name == "option" else [p.metavar] for p in command.params]
+def entries(text: str, head: str) -> dict[str, str]:
+    """What is listed under a head, by what stands before two blanks, in a line each."""
+    block = text.partition(f"\n{head}:\n")[2].partition("\n\n")[0]
+    items = [" ".join(one.split("\n")) for one in re.split(r"\n  (?=\S)", f"\n{block}")[1:]]
+    return {
+        name: " ".join(words.split()) for name, _, words in (re.sub(r"\s{2,}", "  ", x).partition("  ") for x in items)
+    }
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_argument_and_option_is_described(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    shown = help_of(capsys, name)
-    for param in COMMANDS[name].params:
-        assert param.help, param.name
-        assert param.help.endswith(".") or param.help.endswith(")"), param.help
-    for spellings in names(COMMANDS[name]):
-        assert max(spellings, key=len) in shown
+def commands(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return list(entries(help_of(capsys), "Commands"))
 
 
-def examples() -> list[str]:
-    texts = [GROUP.callback.__doc__, *(command.callback.__doc__ for command in COMMANDS.values())]
-    lines = [line for text in texts for line in text.splitlines() if line.startswith("    platform-ctrl ")]
-    return [re.split(r"  +", line.strip())[0] for line in lines]
+def test_every_argument_and_option_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    listed = commands(capsys)
+    assert len(listed) == 11
+    for name in listed:
+        text = help_of(capsys, name)
+        described = entries(text, "Arguments") | entries(text, "Options")
+        assert any(one.endswith("--help") for one in described), name
+        for spelling, words in described.items():
+            assert re.search(r"[.)]( \[[^\]]*\])*$", words), (name, spelling, words)
 
 
-@pytest.mark.parametrize("line", examples())
-def test_every_example_is_a_command_line_that_is_understood(line: str) -> None:
-    words = shlex.split(re.split(r" [|>] | && ", line)[0])
-    assert words[0] == "platform-ctrl"
-    if words[1].startswith("--"):
-        assert words[1:] in (["--install-completion"], ["--version"])
-        return
-    with COMMANDS[words[1]].make_context(words[1], words[2:]) as context:
-        given = {name: item for name, item in context.params.items() if item not in (None, False)}
-    assert given or words[1] in ("models", "warm-up")
+def test_every_example_is_a_command_line_that_is_understood(capsys: pytest.CaptureFixture[str]) -> None:
+    listed = commands(capsys)
+    texts = [help_of(capsys), *(help_of(capsys, name) for name in listed)]
+    lines = [line.strip() for text in texts for line in text.splitlines() if line.startswith("  platform-ctrl ")]
+    assert len(lines) > 30
+    for line in lines:
+        _, command, *words = shlex.split(re.split(r"  +| [|>] | && ", line)[0])
+        text = help_of(capsys, command)
+        given = [word.partition("=")[0] for word in words if word.startswith("-")]
+        assert set(given) <= set(re.findall(r"(?<!\S)--?[a-z][a-z-]*", text.partition("\nOptions:")[2])), line
+        positional = ARGUMENTS & {one.split()[0] for one in entries(text, "Arguments")}
+        assert bool(positional) == bool(words) or not positional, line

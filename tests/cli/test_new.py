@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.cli import main
-from platform_ctrl.cli.commands import KINDS
 from refused_command import refused
+
+KINDS = {
+    "caged-gyro": "caged_gyro",
+    "camera-gimbal": "camera_gimbal",
+    "multirotor-gimbal": "multirotor_gimbal",
+    "seeker-head": "seeker_head",
+    "steering-mirror": "fast_steering_mirror",
+    "floated-gyro": "floated_gyro_platform",
+    "stabilised-platform": "three_gyro_platform",
+    "control-moment-gyro": "control_moment_gyro",
+}
 
 
 @pytest.fixture
@@ -37,9 +48,14 @@ def test_what_is_copied_is_designed_simulated_and_varied_as_it_is(
     assert len(job.campaign.vary) == 2
 
 
-@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_offered(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", "--help"]) == 0
+    assert f"Whatyouhave:{','.join(KINDS)}." in re.sub(r"\s", "", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(("kind", "example"), KINDS.items())
 def test_each_kind_is_an_example_under_another_name_with_its_comments(
-    kind: str, there: Path, capsys: pytest.CaptureFixture[str]
+    kind: str, example: str, there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["new", "mine", "--kind", kind, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
@@ -48,9 +64,9 @@ def test_each_kind_is_an_example_under_another_name_with_its_comments(
     assert (job.name, job.plant) == ("mine", "mine_plant.toml")
     text = (there / "mine.toml").read_text(encoding="utf-8")
     assert text.count("#") > 5
-    assert f"{KINDS[kind]}.toml" not in text
-    example = pc.read_job(Path(__file__).parents[2] / "examples" / f"{KINDS[kind]}.toml")
-    assert [loop.name for loop in job.loops] == [loop.name for loop in example.loops]
+    assert f"{example}.toml" not in text
+    copied = pc.read_job(Path(__file__).parents[2] / "examples" / f"{example}.toml")
+    assert [loop.name for loop in job.loops] == [loop.name for loop in copied.loops]
     assert any(loop.limits for loop in job.loops)
 
 

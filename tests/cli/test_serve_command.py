@@ -20,15 +20,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import platform_ctrl as pc
-from browser import chromium, screen, served
+from browser import chromium, screen, served_job
 from plain_web import OpenPage
 from platform_ctrl.cli import main
 from refused_command import refused
 
 pytest.importorskip("bokeh")
 
-from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.session import page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -122,11 +120,7 @@ def test_the_page_is_loaded_without_what_compiles_draws_or_solves() -> None:
 def test_pages_are_apart_load_nothing_from_elsewhere_and_leave_nothing(job: Path, browser: Browser) -> None:
     made: list[weakref.ref[Any]] = []
 
-    def make(backend: Any, document: Any) -> None:
-        page(backend, document)
-        made.append(weakref.ref(document))
-
-    with served(Backend(job), make=make) as server:
+    with served_job(job, lambda document: made.append(weakref.ref(document))) as server:
         with screen(browser, server.address) as one, screen(browser, server.address, dark=True) as two:
             for shown in (one, two):
                 shown.page.get_by_text("limits are met").first.wait_for()

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
-import tomllib
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import platform_ctrl as pc
 from one_gyro_job import JOB, SLOWER, TOO_MUCH
-from platform_ctrl.verification.result_file import result_record, write_record
+from platform_ctrl.cli import main
 
 pytest_plugins = ["pytester"]
 
@@ -62,19 +60,21 @@ def plugged_in(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.fixture(scope="module")
-def record() -> dict[str, Any]:
+def record(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The result of the job, made before pytester forgets the modules that a test was the first to load."""
-    job = pc.read_job(tomllib.loads(JOB))
-    return result_record(pc.verification.check_job(job, pc.design.loops(job)))
+    folder = tmp_path_factory.mktemp("accepted")
+    (folder / "gyro.toml").write_text(JOB, encoding="utf-8")
+    assert main(["design", str(folder / "gyro.toml"), "-o", str(folder / "out"), "-q"]) == 0
+    return (folder / "out" / "result.json").read_text(encoding="utf-8")
 
 
 def test_a_job_in_a_test_is_compared_with_its_requirements_and_with_an_accepted_result(
-    record: dict[str, Any], pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+    record: str, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plugged_in(pytester, monkeypatch)
     for name, text in (("gyro", JOB), ("slower", SLOWER), ("too_much", TOO_MUCH)):
         (pytester.path / f"{name}.toml").write_text(text, encoding="utf-8")
-    write_record(record, pytester.path / "accepted.json")
+    (pytester.path / "accepted.json").write_text(record, encoding="utf-8")
     pytester.makepyfile(TESTS)
     # The regression test among the examples, which is there to be copied.
     for name in ("test_closed_loop.py", "gyro_9_10.json"):

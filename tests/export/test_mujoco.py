@@ -20,7 +20,6 @@ from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, read_job, shipped_models, simulation
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
-from platform_ctrl.job.job import Faults, Uncertainty
 from single_runs import simulated
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
@@ -133,13 +132,15 @@ def test_a_prescribed_root_turns_as_prescribed_whatever_reacts(name: str, tmp_pa
 @pytest.fixture(scope="module")
 def main_job() -> tuple[Any, list[control.StateSpace]]:
     """The main job with its classical controllers as they stand there."""
-    job = read_job(MAIN_JOB)
+    given = tomllib.loads(MAIN_JOB.read_text(encoding="utf-8"))
+    nominal = {key: table for key, table in given.items() if key not in ("uncertainty", "faults")}
+    job = read_job(nominal | {"operation": {"Omega": [0.0, 0.0, 0.0]}})
     chosen = [next(d for d in loop.designs if d.method in ("classical", "platform-servo")) for loop in job.loops]
     loops = tuple(
         dataclasses.replace(loop, designs=(dataclasses.replace(made, tune=False),), use=made.name)
         for loop, made in zip(job.loops, chosen, strict=True)
     )
-    job = dataclasses.replace(job, loops=loops, uncertainty=Uncertainty(), faults=Faults(), Omega=np.zeros(3))
+    job = dataclasses.replace(job, loops=loops)
     return job, [outcome.closed.controller for outcome in design.loops(job)]
 
 

@@ -8,21 +8,29 @@ import re
 from html.parser import HTMLParser
 from typing import Any
 
+import control
 import numpy as np
 import pytest
+from matplotlib import pyplot
+from matplotlib.colors import to_hex
 
+import platform_ctrl as pc
 from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.single_run import simulate_runs
-from platform_ctrl.campaign.statistics import clopper_pearson
+from platform_ctrl.campaign.statistics import clopper_pearson, statistics
 from platform_ctrl.campaign.summary import Summary, summarise
 from platform_ctrl.cli.campaign_command import show_campaign
-from platform_ctrl.report import blocks, job_page
+from platform_ctrl.job.manoeuvre import Manoeuvre
+from platform_ctrl.report import blocks, figures, job_page, style
 from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report.blocks import html as as_html
 from platform_ctrl.report.campaign_page import campaign_document
 from platform_ctrl.report.captions import opening, tightest
+from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
+from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
 from report_jobs import caging, checked, classical, job, turn
+from single_runs import simulated
 
 AGAIN = "platform-ctrl simulate a.toml --run"
 JOB = job(
@@ -220,3 +228,78 @@ def test_the_campaigns_section_shows_what_the_campaigns_own_page_does(
     assert not with_campaign.passed
     assert tables.campaign_words(summary) in with_campaign.verdict
     assert tables.campaign_words(summary) in text_of(as_html(with_campaign).split('id="requirements"')[0])
+
+
+# Pictures of runs and campaigns for scripts
+
+
+@pytest.fixture(scope="module")
+def gyro():
+    return pc.read_platform("gimballed_gyro")
+
+
+@pytest.fixture(scope="module")
+def flown(gyro):
+    turn = pc.simulation.HalfCosine(axis=1, rate=0.01, rise=0.01, hold=0.0)
+    return simulated(gyro, [], period=0.001, delay=0.0, duration=0.05, mode="caged", profile=turn, noise=False)
+
+
+def shaded(axes):
+    """The edges of the shaded regions that are not at infinity."""
+    edges = []
+    for patch in axes.patches:
+        if to_hex(patch.get_facecolor()) == BEYOND:
+            bottom, top = patch.get_y(), patch.get_y() + patch.get_height()
+            edges.append(min((bottom, top), key=abs))
+    return sorted(edges)
+
+
+def test_a_run_is_shaded_beyond_the_limits_of_its_manoeuvre(flown, gyro):
+    limit = 1.5 * float(np.abs(flown.q).max())
+    manoeuvre = Manoeuvre(name="turn", mode="caged", duration=0.05, limits={"angle": limit})
+    figure = figures.time_run(Run(manoeuvre=manoeuvre, trajectory=flown, results=()), gyro)
+    scale = {"mrad": 1e3, "µrad": 1e6}[figure.axes[0].get_ylabel()]
+    assert shaded(figure.axes[0]) == pytest.approx([-scale * limit, scale * limit])
+    assert figure.axes[0].get_xlim() == (0.0, 0.05)
+
+
+def columns_of_runs(runs=200):
+    rng = np.random.default_rng(3)
+    angle = 1e-3 * (1.0 + 0.2 * rng.standard_normal(runs))
+    return {
+        "run": np.arange(runs),
+        "manoeuvre": np.array(["turn"] * runs, dtype=object),
+        "angle": angle,
+        "attitude": np.zeros(runs),
+        "torque_share": np.full(runs, 0.5),
+        "angle_passed": angle <= 1.2e-3,
+        "passed": angle <= 1.2e-3,
+        "ended": np.array(["completed"] * runs, dtype=object),
+    }
+
+
+ANGLE_LIMIT = {"turn": {"angle": 1.2e-3}}
+
+
+def test_histograms_count_every_run_and_colour_those_beyond_the_limit():
+    columns = columns_of_runs()
+    beyond = int(np.count_nonzero(columns["angle"] > 1.2e-3))
+    figure = figures.campaign_histograms(statistics(columns, ANGLE_LIMIT))
+    [axes] = [axes for axes in figure.axes if axes.get_visible()]
+    stairs = {to_hex(patch.get_facecolor()): patch.get_data() for patch in axes.patches if hasattr(patch, "get_data")}
+    assert stairs[SERIES[0]].values.sum() == 200
+    assert abs(stairs[LIMIT].values.sum() - beyond) <= 1
+    assert f"{beyond} beyond" in [text.get_text() for axes in figure.axes for text in axes.texts]
+    [start] = [patch.get_x() for patch in axes.patches if to_hex(patch.get_facecolor()) == BEYOND]
+    assert start == pytest.approx(1.2)
+
+
+def test_pyplot_knows_the_plots_of_scripts_and_those_of_pages_not(gyro):
+    pyplot.close("all")
+    loop = figures.nichols(control.tf([1.0], [1.0, 1.0])).figure
+    assert [pyplot.figure(number) for number in pyplot.get_fignums()] == [loop]
+    bode = figures.bode(control.tf([1.0], [1.0, 1.0])).figure
+    assert bode is not loop
+    with style.settings():
+        figures.campbell(gyro)
+    assert len(pyplot.get_fignums()) == 2

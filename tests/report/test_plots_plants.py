@@ -1,21 +1,15 @@
-"""Plots of plants and runs for scripts: Campbell diagram, simulated runs, campaigns, windows."""
+"""The Campbell diagram, against the poles of the model at each speed."""
 
 from __future__ import annotations
 
 import dataclasses
 
-import control
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
 import platform_ctrl as pc
 from plant_parts import Spring
-from platform_ctrl.campaign.statistics import statistics
-from platform_ctrl.job.manoeuvre import Manoeuvre
-from platform_ctrl.report import figures, style
-from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
-from single_runs import simulated
+from platform_ctrl.report import figures
 
 HZ = 1.0 / (2.0 * np.pi)
 RPM = 60.0 * HZ
@@ -51,7 +45,7 @@ def curves(figure):
     by_colour = {
         line.get_color(): (np.asarray(line.get_xdata()), np.asarray(line.get_ydata()))
         for line in axes.lines
-        if line.get_color() in SERIES and len(line.get_xdata()) > 10
+        if line.get_color() in {handle.get_color() for handle in legend.legend_handles} and len(line.get_xdata()) > 10
     }
     return {
         text.get_text(): by_colour[handle.get_color()]
@@ -100,74 +94,3 @@ def test_a_spin_line_meets_a_mode_where_frequency_is_a_multiple_of_the_speed(gyr
         away = [abs(np.interp(rpm, x, y) - hz) for x, y in curves(figure).values()]
         assert min(away) < 1e-3 * hz
     assert sum(text.endswith(" rpm") for text in written(figure)) == 4
-
-
-@pytest.fixture(scope="module")
-def flown(gyro):
-    turn = pc.simulation.HalfCosine(axis=1, rate=0.01, rise=0.01, hold=0.0)
-    return simulated(gyro, [], period=0.001, delay=0.0, duration=0.05, mode="caged", profile=turn, noise=False)
-
-
-def shaded(axes):
-    """The edges of the shaded regions that are not at infinity."""
-    edges = []
-    for patch in axes.patches:
-        if to_hex(patch.get_facecolor()) == BEYOND:
-            bottom, top = patch.get_y(), patch.get_y() + patch.get_height()
-            edges.append(min((bottom, top), key=abs))
-    return sorted(edges)
-
-
-def test_a_run_is_shaded_beyond_the_limits_of_its_manoeuvre(flown, gyro):
-    from platform_ctrl.verification.simulated import Run
-
-    limit = 1.5 * float(np.abs(flown.q).max())
-    manoeuvre = Manoeuvre(name="turn", mode="caged", duration=0.05, limits={"angle": limit})
-    figure = figures.time_run(Run(manoeuvre=manoeuvre, trajectory=flown, results=()), gyro)
-    scale = {"mrad": 1e3, "µrad": 1e6}[figure.axes[0].get_ylabel()]
-    assert shaded(figure.axes[0]) == pytest.approx([-scale * limit, scale * limit])
-    assert figure.axes[0].get_xlim() == (0.0, 0.05)
-
-
-def table(runs=200):
-    rng = np.random.default_rng(3)
-    angle = 1e-3 * (1.0 + 0.2 * rng.standard_normal(runs))
-    return {
-        "run": np.arange(runs),
-        "manoeuvre": np.array(["turn"] * runs, dtype=object),
-        "angle": angle,
-        "attitude": np.zeros(runs),
-        "torque_share": np.full(runs, 0.5),
-        "angle_passed": angle <= 1.2e-3,
-        "passed": angle <= 1.2e-3,
-        "ended": np.array(["completed"] * runs, dtype=object),
-    }
-
-
-LIMITS = {"turn": {"angle": 1.2e-3}}
-
-
-def test_histograms_count_every_run_and_colour_those_beyond_the_limit():
-    columns = table()
-    beyond = int(np.count_nonzero(columns["angle"] > 1.2e-3))
-    figure = figures.campaign_histograms(statistics(columns, LIMITS))
-    [axes] = [axes for axes in figure.axes if axes.get_visible()]
-    stairs = {to_hex(patch.get_facecolor()): patch.get_data() for patch in axes.patches if hasattr(patch, "get_data")}
-    assert stairs[SERIES[0]].values.sum() == 200
-    assert abs(stairs[LIMIT].values.sum() - beyond) <= 1
-    assert f"{beyond} beyond" in written(figure)
-    [start] = [patch.get_x() for patch in axes.patches if to_hex(patch.get_facecolor()) == BEYOND]
-    assert start == pytest.approx(1.2)
-
-
-def test_pyplot_knows_the_plots_of_scripts_and_those_of_pages_not(gyro):
-    from matplotlib import pyplot
-
-    assert pyplot.get_fignums() == []
-    loop = figures.nichols(control.tf([1.0], [1.0, 1.0])).figure
-    assert [pyplot.figure(number) for number in pyplot.get_fignums()] == [loop]
-    bode = figures.bode(control.tf([1.0], [1.0, 1.0])).figure
-    assert bode is not loop
-    with style.settings():
-        figures.campbell(gyro)
-    assert len(pyplot.get_fignums()) == 2

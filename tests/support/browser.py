@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -98,6 +99,21 @@ def screen(
         yield seen
     finally:
         context.close()
+
+
+@contextmanager
+def served_job(job: Path, made: Callable[[Any], None]) -> Iterator[PageServer]:
+    """Yield a server of the designer's page for a job; `made` gets every document that becomes one."""
+    pytest.importorskip("bokeh", reason="Bokeh is not installed")
+    from platform_ctrl.app.backend import Backend
+    from platform_ctrl.app.session import page
+
+    def make(backend: Any, document: Any) -> None:
+        page(backend, document)
+        made(document)
+
+    with served(Backend(job), make=make) as server:
+        yield server
 
 
 @contextmanager

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
 
 Say = Callable[[str], None]
 
 
-@value
+@dataclass(frozen=True)
 class Sleeping:
     """An answer that never comes."""
 
@@ -21,7 +21,7 @@ class Sleeping:
         time.sleep(600.0)
 
 
-@value
+@dataclass(frozen=True)
 class Who:
     """Which process answers; with `wrong` it refuses."""
 
@@ -33,7 +33,7 @@ class Who:
         return os.getpid()
 
 
-@value
+@dataclass(frozen=True)
 class Dying:
     """The process that is asked dies."""
 

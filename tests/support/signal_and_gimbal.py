@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import control
 import numpy as np
 
 from plant_parts import PickOff, RateSensor, Torquer
 from platform_ctrl import Platform, simulation
 from platform_ctrl.simulation import Fault, Scenario
-from platform_ctrl.simulation.closed_loop import Trajectory
 from small_trees import tree
 
 PERIOD = 1e-3
@@ -47,7 +48,7 @@ def scenario(platform: Platform, level: float = 1.0, slope: float = 0.0, **more:
     return Scenario(platform=platform, **(given | more))  # type: ignore[arg-type]
 
 
-def flown(platform: Platform, *faults: Fault, step: float = 1e-4, **more: object) -> Trajectory:
+def flown(platform: Platform, *faults: Fault, step: float = 1e-4, **more: object) -> Any:
     return simulation.simulate(scenario(platform, faults=faults, **more), [gain()], period=PERIOD, step=step)
 
 

@@ -9,7 +9,6 @@ import control
 
 from platform_ctrl import Platform
 from platform_ctrl.simulation import Scenario, simulate
-from platform_ctrl.simulation.closed_loop import Trajectory
 
 
 def simulated(
@@ -20,6 +19,6 @@ def simulated(
     step: float = 1e-4,
     noise: bool = True,
     **scenario: Any,
-) -> Trajectory:
+) -> Any:
     """The run of a scenario with this plant; the other arguments are those of `Scenario`."""
     return simulate(Scenario(platform=platform, **scenario), controllers, period=period, step=step, noise=noise)
