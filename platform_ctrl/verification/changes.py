@@ -26,7 +26,6 @@ from platform_ctrl.design.loop import (
     takes_commands,
     with_commands,
 )
-from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.plants import tracking_plants
@@ -201,7 +200,6 @@ class _Trials:
         self._coupled = keyed(() if result.coupled is None else result.coupled.results)
         own = keyed([one for outcome in result.loops for one in outcome.closed.results])
         self.before = own | self._coupled | self._budgeted
-        self._problems: dict[str, LoopProblem | None] = {}
         self._effects: dict[tuple[str, Scope], OptionEffects] = {}
         self._results: dict[tuple[_Trial, bool, Scope], Results | None] = {}
 
@@ -272,7 +270,7 @@ class _Trials:
         out = self.before | own
         around = self._around.get(trial.loop)
         if around is not None:
-            plants, _ = self._plants_around(around, outcome, design)
+            plants = self._plants_around(around, outcome, design)
             out |= _own(around, dataclasses.replace(around.closed, plants=plants), exact)
         controllers = [
             design.controller if name == trial.loop else one.closed.controller for name, one in self._outcomes.items()
@@ -337,29 +335,24 @@ class _Trials:
 
     def _problem(self, outcome: LoopOutcome) -> LoopProblem | None:
         """Return what the method of a closed design is given; None where it does not build a design from options."""
-        loop = outcome.spec.name
-        if loop not in self._problems:
-            self._problems[loop] = self._problem_of(outcome)
-        return self._problems[loop]
-
-    def _problem_of(self, outcome: LoopOutcome) -> LoopProblem | None:
         closed, method = outcome.closed, METHODS.get(outcome.closed.method)
         spec = next((one for one in outcome.spec.designs if one.name == closed.name), None)
         if spec is None or method is None or not method.instant or method.key != spec.method or not closed.options:
             return None
-        plants = closed.plants
-        problem = LoopProblem(job=self._job, spec=outcome.spec, design=spec, model=self._model, plant_set=plants)
-        if plants is None:
-            return problem
-        inner = self._outcomes.get(outcome.spec.around or "")
-        directions = problem.channel if inner is None else self._plants_around(outcome, inner, inner.closed)[1]
-        return dataclasses.replace(problem, directions=directions)
+        return LoopProblem(
+            job=self._job,
+            spec=outcome.spec,
+            design=spec,
+            model=self._model,
+            plant_set=closed.plants,
+            directions=closed.directions,
+        )
 
-    def _plants_around(self, outcome: LoopOutcome, inner: LoopOutcome, design: Design) -> tuple[PlantSet, Channels]:
-        """Return the plants of a tracking loop around a `design` of the loop inside, and their directions."""
+    def _plants_around(self, outcome: LoopOutcome, inner: LoopOutcome, design: Design) -> PlantSet:
+        """Return the plants of a tracking loop around a `design` of the loop inside."""
         assert design.plants is not None, "a rate loop has plants"
         K = with_commands(design.plants, design.controller)
-        return tracking_plants(self._job, outcome.spec, inner.spec, design.plants, K)
+        return tracking_plants(self._job, outcome.spec, inner.spec, design.plants, K)[0]
 
 
 def _own(outcome: LoopOutcome, design: Design, exact: bool) -> Results:
