@@ -321,6 +321,11 @@ class Job:
             return tuple(self.platform.pickoff_on(name).name for name in spec.gimbals)
         return spec.sensors
 
+    def read_in(self, spec: LoopSpec, design: DesignSpec) -> tuple[str, ...]:
+        """Return the names of the sensors that a design of a loop reads, those of its feedforward too."""
+        fed = design.feedforward
+        return (*self.readings_of(spec.read_by(design)), *(() if fed is None else fed.sensors))
+
     @property
     def often_read(self) -> dict[str, int]:
         """At every how many samples the sensors of slower loops are read, by their names: the common divisor."""
@@ -329,8 +334,7 @@ class Job:
         for spec in self.loops:
             if not spec.designs:
                 continue  # a loop of which no more than what it turns is known
-            fed = spec.closed.feedforward
-            for name in (*spec.read_by(spec.closed).sensors, *(fed.sensors if fed is not None else ())):
+            for name in self.read_in(spec, spec.closed):
                 out[name] = math.gcd(out.get(name, 0), self.every(spec))
         return out
 

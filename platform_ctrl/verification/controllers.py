@@ -248,14 +248,6 @@ def _free_name(name: str, taken: Sequence[str]) -> str:
     return new
 
 
-def _read(job: Job, spec: LoopSpec, design: DesignSpec | None) -> set[str]:
-    """Return what a design of a loop reads, or the loop without any; of a stabilisation loop none: it may read all."""
-    if design is None:
-        return {*job.readings_of(spec)}
-    fed = () if design.feedforward is None else design.feedforward.sensors
-    return {*job.readings_of(spec.read_by(design)), *fed}
-
-
 def _taken(K: control.StateSpace) -> set[str]:
     """Return what a controller reads, without commands of what it reads."""
     names = set(K.input_labels)
@@ -265,7 +257,7 @@ def _taken(K: control.StateSpace) -> set[str]:
 def _design_of(job: Job, spec: LoopSpec, K: control.StateSpace) -> DesignSpec:
     """Return the design of the job that reads what a controller reads: the one of its name, if several do."""
     name, taken = _name_of(spec, K), _taken(K)
-    fitting = [design for design in spec.designs if _read(job, spec, design) == taken]
+    fitting = [design for design in spec.designs if {*job.read_in(spec, design)} == taken]
     named = [design for design in fitting if design.name == name]
     bare = DesignSpec(name=name, method=spec.closed.method)
     return next(iter((*named, *fitting)), bare)
@@ -276,7 +268,7 @@ def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
     for spec in job.loops:
         if outputs != set(job.channels_of(spec)):
             continue
-        every = [_read(job, spec, design) for design in (None, *spec.designs)]
+        every = [{*job.readings_of(spec)}, *({*job.read_in(spec, design)} for design in spec.designs)]
         if every[0] and _taken(K) not in every:
             several = " or ".join(dict.fromkeys(", ".join(sorted(read)) for read in every))
             raise InputError(

@@ -310,6 +310,7 @@ def test_the_generated_code_is_the_simulated_computer(
 def test_rates_that_do_not_fit_are_one_line(loop: int, rate: float, words: str) -> None:
     data = tracking_job()
     data["loop"][loop]["rate_hz"] = rate
+    data["loop"][1]["design"][0]["crossover_hz"] = 0.1
     with pytest.raises(InputError, match=words) as caught:
         read_job(data)
     assert "\n" not in str(caught.value)
