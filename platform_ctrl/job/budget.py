@@ -79,6 +79,16 @@ def too_large(key: str, numbers: ArrayLike, kind: str, unit: str | None = None) 
         yield key, f"{key}: {worst:.4g} {known[0]} cannot be meant, at most {most:g} {known[0]}; {cure}"
 
 
+def misplaced(table: Mapping[str, Any], kind: str) -> Iterator[Misfit]:
+    """Yield what is wrong with the place where a kind of source, which the table may call otherwise, acts."""
+    of, place = f"kind = {given(table['kind'])}", SOURCE_KINDS[kind].place
+    for key, words in (("axis", "the root axis, 1 to 3"), ("gimbal", "the name of the gimbal")):
+        if key == place and key not in table:
+            yield missing(key, f"{of} needs {words}")
+        elif key != place and key in table:
+            yield useless(table, key, f"with {of}, which takes {place}")
+
+
 def unit_mistake(kind: str, unit: str | None, column: str | None) -> str:
     """Return in words how the unit that the name of a log's column states contradicts kind or unit of a source."""
     stated = None if column is None else column_unit(column)[1]
@@ -146,11 +156,7 @@ class Source:
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
         kind, of, unit = SOURCE_KINDS[table["kind"]], f"kind = {given(table['kind'])}", table.get("unit")
-        for key, words in (("axis", "the root axis, 1 to 3"), ("gimbal", "the name of the gimbal")):
-            if key == kind.place and key not in table:
-                yield missing(key, f"{of} needs {words}")
-            elif key != kind.place and key in table:
-                yield useless(table, key, f"with {of}, which takes {kind.place}")
+        yield from misplaced(table, table["kind"])
         if unit is not None and unit not in kind.units:
             yield wrong(table, "unit", f"{' or '.join(map(given, kind.units))} with {of}")
         elif contradiction := unit_mistake(table["kind"], unit, table.get("column")):

@@ -199,9 +199,7 @@ class LoopRequirement(Requirement):
                 words.append("with dry friction" if has else "without dry friction")
         return "".join(f"; {one}" for one in words)
 
-    def check(
-        self, plants: PlantSet, controller: control.StateSpace | System, *, subject: str = "", design: str = ""
-    ) -> CheckResult:
+    def check(self, plants: PlantSet, controller: control.StateSpace | System) -> CheckResult:
         """Close `controller` around the plants and judge, peaks as norms: ``assert requirement.check(...).passed``.
 
         Parameters
@@ -210,8 +208,6 @@ class LoopRequirement(Requirement):
             The plants.
         controller
             u = K y with the set's sample period. A `control.StateSpace` is joined by its signals' names.
-        subject, design
-            Names for the result.
 
         Returns
         -------
@@ -231,7 +227,7 @@ class LoopRequirement(Requirement):
             )
         loops = Loop(plants, K)
         values = self.metric.in_unit(measured(loops, self, exact=True))
-        return self._worst(plants, values, subject, design, True, loops.free_angles)
+        return self._worst(plants, values, "", "", True, loops.free_angles)
 
 
 # Names of gains of a loop whose sensors measure rates, by those for angles.

@@ -15,7 +15,7 @@ from platform_ctrl.analysis.logs import column_unit, pieces, read_log
 from platform_ctrl.common.arguments import number, real_array, real_numbers, short
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.budget import too_large
+from platform_ctrl.job.budget import misplaced, too_large
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.spectra import interpolated
@@ -192,19 +192,15 @@ class TimeTable:
         return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
 
 
-# What shakes in a run, by the kinds of a budget's sources.
-_KINDS = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
+# What shakes in a run, and what the sources of a budget call it.
+_KINDS: dict[VibrationKind, str] = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
 
 
 def _shaking(table: Mapping[str, Any]) -> Iterator[Misfit]:
     """Yield what is wrong with a vibration or a sine."""
-    kind = table["kind"]
-    needed, other = ("gimbal", "axis") if kind == "torque" else ("axis", "gimbal")
-    if needed not in table:
-        yield missing(needed, f"kind = {given(kind)} needs it")
-    if other in table:
-        yield useless(table, other, f"with kind = {given(kind)}; leave the key out")
-    yield from too_large("amplitude", table.get("amplitude", 0.0), _KINDS[kind])
+    kind = _KINDS[table["kind"]]
+    yield from misplaced(table, kind)
+    yield from too_large("amplitude", table.get("amplitude", 0.0), kind)
     yield from of_length(table, "densities", "frequencies_hz")
 
 

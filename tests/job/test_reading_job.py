@@ -22,8 +22,6 @@ from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.plant.platform import plant_data
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
-
 
 def job() -> dict[str, Any]:
     """Return a small valid job on a shipped plant."""
@@ -200,14 +198,6 @@ def test_names_that_are_no_bare_keys_stand_in_quotes() -> None:
     again = read_job(tomllib.loads(toml(job_data(found))))
     assert job_data(again) == job_data(found)
     assert again.angles == {name: (0.1, 0.2)}
-
-
-def test_the_example_is_read_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    read = read_job(EXAMPLE)
-    assert [loop.name for loop in read.loops] == ["caging 4-5-7", "caging 9-10", "stabilisation"]
-    assert {gimbal for loop in read.loops for gimbal in loop.gimbals} == set(read.platform.gimbal_names)
-    assert len(read.manoeuvres) == 6
 
 
 def test_a_plant_is_found_beside_the_job_or_in_the_folder_given(
