@@ -16,8 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from platform_ctrl.analysis.budget_records import Density, RandomDisturbance
-from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.hybrid_plant import Density, HybridPlant, RandomDisturbance
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.sampling import held_input
 from platform_ctrl.analysis.system import System

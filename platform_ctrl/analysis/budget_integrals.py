@@ -1,6 +1,25 @@
 """How the budget of a loop is put together: powers of its controls, and integrals over panels of frequency.
 
 Integrals are taken by Gauss and Kronrod's rule of 21 nodes, over many panels at once.
+
+Over a window of length T a motion x(t) is split by least squares into its mean (displacement), a linear trend (smear)
+and the rest (jitter). The parts are orthogonal. Of a component at the frequency ω, averaged over its phase, they hold
+the shares, with a = ωT/2 and the spherical Bessel functions j_n,
+
+    displacement j₀(a)²,        smear 3 j₁(a)²,        jitter Σ (2 n + 1) j_n(a)²,  n = 2, 3, ...,
+
+the coefficients of exp(jωt) in Legendre polynomials; they add up to one. Its jitter, one minus the other two, loses all
+digits for short windows (the share is a⁴/45); the sum does not.
+
+References
+----------
+S. W. Sirlin, A. M. San Martin, A new definition of pointing stability, JPL EM 343-1189, 1990.
+
+R. L. Lucke, S. W. Sirlin, A. M. San Martin, New definitions of pointing stability: ac and dc effects, Journal of the
+Astronautical Sciences 40, 1992.
+
+M. E. Pittelkau, W. G. McKinley, Optical transfer functions, weighting functions, and metrics for images with
+two-dimensional line-of-sight motion, Optical Engineering 55, 2016.
 """
 
 from __future__ import annotations
@@ -10,51 +29,39 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.budget_records import BudgetResult, Disturbance, RandomDisturbance, SampleNoise, Window
-from platform_ctrl.analysis.hybrid_plant import HybridPlant, Modulator
+from platform_ctrl.analysis.hybrid_plant import Disturbance, HybridPlant, RandomDisturbance, SampleNoise
+from platform_ctrl.analysis.interconnection import Modulator
 from platform_ctrl.analysis.system import ComplexArray
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.arguments import positive, real_numbers
+from platform_ctrl.common.values import FloatArray, value
 
-# QUADPACK (Piessens and de Doncker, 1983): Kronrod's nodes above zero from the outside, then their weights; every
-# second one from the second on is a node of Gauss's rule of ten.
-_NODES = (
-    0.995657163025808080735527280689003,
-    0.973906528517171720077964012084452,
-    0.930157491355708226001207180059508,
-    0.865063366688984510732096688423493,
-    0.780817726586416897063717578345042,
-    0.679409568299024406234327365114874,
-    0.562757134668604683339000099272694,
-    0.433395394129247190799265943165784,
-    0.294392862701460198131126603103866,
-    0.148874338981631210884826001129720,
-)
-_WEIGHTS = (
-    0.011694638867371874278064396062192,
-    0.032558162307964727478818972459390,
-    0.054755896574351996031381300244580,
-    0.075039674810919952767043140916190,
-    0.093125454583697605535065465083366,
-    0.109387158802297641899210590325805,
-    0.123491976262065851077958109831074,
-    0.134709217311473325928054001771707,
-    0.142775938577060080797094273138717,
-    0.147739104901338491374841515972068,
-)
-_MIDDLE = 0.149445554002916905664936468389821
 
-NODES = np.array([*(-x for x in _NODES), 0.0, *reversed(_NODES)])
-KRONROD = np.array([*_WEIGHTS, _MIDDLE, *reversed(_WEIGHTS)])
+def _kronrod() -> tuple[FloatArray, FloatArray]:
+    """Return the 21 nodes of Kronrod's rule, every second one a node of Gauss's of ten, and their weights.
+
+    The others are the zeros of Stieltjes's polynomial P₁₁ + Σ c_k P_k, orthogonal to P₁₀ P_j for j < 10 (Monegato, SIAM
+    Review 24, 1982).
+    """
+    x, weights = legendre.leggauss(16)
+    P, odd = legendre.legvander(x, 11), np.arange(1, 10, 2)
+    triple = np.einsum("n,nj,nk->jk", weights * P[:, 10], P, P)
+    stieltjes = np.eye(12)[11]
+    stieltjes[odd] = np.linalg.solve(triple[np.ix_(odd, odd)], -triple[odd, 11])
+    nodes = np.sort(np.concatenate([legendre.leggauss(10)[0], legendre.legroots(stieltjes).real]))
+    nodes = 0.5 * (nodes - nodes[::-1])
+    return nodes, np.linalg.solve(legendre.legvander(nodes, 20).T, 2.0 * np.eye(21)[0])
+
+
+NODES, KRONROD = _kronrod()
 GAUSS = np.zeros(21)
-GAUSS[1::2] = np.polynomial.legendre.leggauss(10)[1]
+GAUSS[1::2] = legendre.leggauss(10)[1]
 
 # Integrals of a polynomial through the nodes, from -1 to each node and to 1, in terms of its values there.
-_DEGREES = np.polynomial.legendre.legvander(NODES, len(NODES) - 1)
-_INTEGRALS = np.polynomial.legendre.legvander(np.append(NODES, 1.0), len(NODES)) @ np.polynomial.legendre.legint(
-    np.eye(len(NODES)), lbnd=-1.0
-)
+_DEGREES = legendre.legvander(NODES, len(NODES) - 1)
+_INTEGRALS = legendre.legvander(np.append(NODES, 1.0), len(NODES)) @ legendre.legint(np.eye(len(NODES)), lbnd=-1.0)
 UP_TO = np.linalg.solve(_DEGREES.T, _INTEGRALS.T).T
 
 Panel = tuple[float, float]
@@ -137,6 +144,89 @@ def joined(blocks: list[NodeResponses]) -> NodeResponses:
     return NodeResponses(**fields, inside=blocks[0].inside, weights=weights)
 
 
+# Below this a the jitter is summed; above it one minus the other two has lost less than a digit.
+_SUMMED = 2.0
+# Terms of the sum: the next one is below 1e-20 of the first.
+_ORDERS = np.arange(2, 14)
+
+
+class WindowShares(NamedTuple):
+    """Shares of a component's mean square that are displacement, smear and jitter; each has the frequencies' shape."""
+
+    displacement: FloatArray
+    smear: FloatArray
+    jitter: FloatArray
+
+
+def window_shares(frequency: ArrayLike, exposure: float) -> WindowShares:
+    """Return a component's shares of mean square in displacement, smear and jitter in a window of length `exposure`, s.
+
+    At frequencies in rad/s, of any shape; each share is right to rounding. The smear is the mean square of the fitted
+    line about its middle: a line of extent E, end to end, has E²/12.
+    """
+    from scipy.special import spherical_jn
+
+    a = (
+        0.5
+        * positive("window_shares: exposure", exposure)
+        * np.abs(real_numbers("window_shares: frequency", frequency))
+    )
+    displacement, smear = spherical_jn(0, a) ** 2, 3.0 * spherical_jn(1, a) ** 2
+    jitter = 1.0 - displacement - smear
+    short = a < _SUMMED
+    if np.any(short):
+        orders = _ORDERS.reshape(-1, *(1,) * np.ndim(a[short]))
+        jitter[short] = np.sum((2 * orders + 1) * spherical_jn(orders, a[short]) ** 2, axis=0)
+    return WindowShares(displacement, smear, jitter)
+
+
+def motion_transfer(spatial_frequency: ArrayLike, jitter: float, smear: float = 0.0) -> FloatArray:
+    """Return the modulation transfer function of image motion along one axis; 1 at ν = 0.
+
+    `spatial_frequency` ν is in cycles per radian, of any shape. Gaussian jitter of rms σ, rad: the factor exp(−2 π² σ²
+    ν²). `smear` is the rms of the fitted line within the window, rad: its extent is Gaussian with the standard
+    deviation √12 `smear`, and the mean factor over many exposures is E[sin(πνE)/(πνE)] = √(2π)/k erf(k/√8), k = 2 πν
+    √12 `smear` (Pittelkau and McKinley, Optical Engineering 55, 2016).
+    """
+    from scipy.special import erf
+
+    nu = np.abs(real_numbers("motion_transfer: spatial_frequency", spatial_frequency))
+    k = 2.0 * math.pi * math.sqrt(12.0) * smear * nu
+    # Below, the next term of 1 − k²/24 is under rounding.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drawn = np.where(k > 1e-4, math.sqrt(2.0 * math.pi) / k * erf(k / math.sqrt(8.0)), 1.0 - k * k / 24.0)
+    return np.asarray(np.exp(-2.0 * (math.pi * jitter * nu) ** 2) * drawn)
+
+
+@value
+class Window:
+    """Displacement, smear and jitter within an exposure; root mean squares over its instants and over exposures."""
+
+    exposure: float  # s
+    # displacement, smear, jitter: (q,): of all sources together, in the outputs' units.
+    displacement: FloatArray
+    smear: FloatArray
+    jitter: FloatArray
+
+
+@value
+class BudgetResult:
+    """What each of G sources does to each of q outputs."""
+
+    names: tuple[str, ...]  # of the sources
+    rms: FloatArray  # (G, q): in the outputs' units
+    total: FloatArray  # (q,): of all sources together; sines that add coherently are not the root of the sum of squares
+    lowest: float  # motion below this frequency, rad/s, does not count in `rms`, `total` and displacements
+    windows: tuple[Window, ...]  # one for each exposure
+    edges: FloatArray  # (E,): frequencies, rad/s, rising, up to which `cumulative` sums
+    cumulative: FloatArray  # (G, q, E): variance of each source up to the edges, sines included
+    total_cumulative: FloatArray  # (q, E): the same of all sources
+    error: float  # bound on the error of integration, the largest relative to a variance
+    # Bound on the share of an integrated output's variance that images beyond those kept would add; what they add to
+    # other outputs is included.
+    remaining: float
+
+
 # Edges of cumulative variances that are nearer to each other than this, relative, are one where there are many images.
 _NEAR = 1e-3
 
@@ -158,13 +248,18 @@ class Contribution(NamedTuple):
 
     def chosen(self, good: NDArray[np.bool_]) -> Contribution:
         """Return those of some panels."""
-        return self._replace(
-            panels=self.panels[good],
-            variance=self.variance[good],
-            error=self.error[good],
-            remaining=self.remaining[good],
-            steps=[one for one, kept in zip(self.steps, good, strict=False) if kept],
-        )
+        steps = [one for one, kept in zip(self.steps, good, strict=False) if kept]
+        return self._replace(**{name: getattr(self, name)[good] for name in _BY_PANEL}, steps=steps)
+
+    @staticmethod
+    def joined(parts: list[Contribution]) -> Contribution:
+        """Return the contributions of the panels of all parts."""
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in _BY_PANEL}
+        return parts[0]._replace(**arrays, steps=[step for one in parts for step in one.steps])
+
+
+# Fields whose first axis is that of the panels.
+_BY_PANEL = ("panels", "variance", "error", "remaining")
 
 
 def assembled(
@@ -280,36 +375,17 @@ def between_nodes(
     return np.maximum(at[1:], at[:-1]).ravel(), parts.reshape(-1, G, q)
 
 
-def _pairs(m: int) -> list[tuple[int, int]]:
-    return [(r, s) for r in range(m) for s in range(r + 1, m)]
+def packed(matrices: ComplexArray) -> FloatArray:
+    """Return Hermitian matrices (..., m, m) as m² real numbers whose sums of products are traces of products."""
+    row, column = np.triu_indices(matrices.shape[-1], 1)
+    upper = math.sqrt(2.0) * matrices[..., row, column]
+    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
+    return np.concatenate([diagonal.real, upper.real, upper.imag], axis=-1)
 
 
-def packed(rows: ComplexArray) -> FloatArray:
-    """Return the conjugate rows' outer products (..., m) as m² real numbers whose sums of products are traces."""
-    return _stacked([rows[..., r] for r in range(rows.shape[-1])], conjugate=True, axis=-1)
-
-
-def packed_product(V: ComplexArray) -> FloatArray:
-    """Return V V' of columns (N, m, ...) as m² real numbers (N, m², ...)."""
-    return _stacked([V[:, r] for r in range(V.shape[1])], conjugate=False, axis=1)
-
-
-def _stacked(parts: list[ComplexArray], conjugate: bool, axis: int) -> FloatArray:
-    out = [one.real**2 + one.imag**2 for one in parts]
-    for r, s in _pairs(len(parts)):
-        product = math.sqrt(2.0) * (parts[r] * parts[s].conj())
-        out += [product.real, -product.imag if conjugate else product.imag]
-    return np.stack(out, axis=axis)
-
-
-def packed_matrix(matrices: ComplexArray) -> FloatArray:
-    """Return Hermitian matrices L' L (..., m, m) in the same way."""
-    m = matrices.shape[-1]
-    out = [matrices[..., r, r].real for r in range(m)]
-    for r, s in _pairs(m):
-        item = math.sqrt(2.0) * matrices[..., r, s]
-        out += [item.real, item.imag]
-    return np.stack(out, axis=-1)
+def outer(V: ComplexArray) -> FloatArray:
+    """Return V V' of columns (..., m), packed (..., m²)."""
+    return packed(V[..., :, None] * V.conj()[..., None, :])
 
 
 def exclusive(each: NDArray[Any], axis: int) -> NDArray[Any]:
@@ -332,7 +408,7 @@ def alike(M: Modulator) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
 def through(held: ComplexArray, signals: ComplexArray) -> FloatArray:
     """Return packed powers (N, m², R, G) of controls, `held` (N, R, m, h) of signals with powers (N, R, h, h, G)."""
     found = np.einsum("nrah,nrhkg->nragk", held, signals) @ held.conj().swapaxes(-1, -2)[:, :, None]
-    return np.moveaxis(packed_matrix(found.swapaxes(2, 3)), -1, 1)
+    return np.moveaxis(packed(found.swapaxes(2, 3)), -1, 1)
 
 
 def moved_by_samples(M: Modulator, measured: int) -> FloatArray:
@@ -345,12 +421,12 @@ def moved_by_samples(M: Modulator, measured: int) -> FloatArray:
         others = exclusive(seen[..., :, None] * seen[..., None, :].conj(), 1)
         out[:, :, some] = through(M.held[:, some], others[:, some, ..., None])[..., 0]
         u[:, some] += (M.held[:, some] @ seen[:, some, :, None])[..., 0]
-    return out + packed_product(np.moveaxis(u, 2, 1))
+    return out + np.moveaxis(outer(u), -1, 1)
 
 
-def aliased(outer: FloatArray, moved: FloatArray) -> FloatArray:
-    """Return densities (N, F, G, q) of rows (N, F, q, m²), and what moves the controls (N, m², F or 1, G)."""
-    N, F, q, packed = outer.shape
+def aliased(held: FloatArray, moved: FloatArray) -> FloatArray:
+    """Return densities (N, F, G, q) of rows (N, F, q, m²), packed, and what moves the controls (N, m², F or 1, G)."""
+    N, F, q, size = held.shape
     if moved.shape[2] == 1:
-        return (outer.reshape(N, F * q, packed) @ moved[:, :, 0]).reshape(N, F, q, -1).swapaxes(-1, -2)
-    return (outer @ moved.swapaxes(1, 2)).swapaxes(-1, -2)
+        return (held.reshape(N, F * q, size) @ moved[:, :, 0]).reshape(N, F, q, -1).swapaxes(-1, -2)
+    return (held @ moved.swapaxes(1, 2)).swapaxes(-1, -2)

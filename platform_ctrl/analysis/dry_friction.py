@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.budget_integrals import KRONROD, between, nodes
-from platform_ctrl.analysis.budget_records import Density
+from platform_ctrl.analysis.hybrid_plant import Density
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.arguments import positive, real_array, short
 from platform_ctrl.common.values import FloatArray, value
@@ -38,8 +38,8 @@ from platform_ctrl.plant.force_elements import Friction
 _FAR = 9.0
 # The describing function counts as valid where the rate is within ±coulomb_rate for no more of the time.
 _MOST_STICKING = 0.1
-# Rounds of the balance of friction at most: a handful is the rule.
-_ITERATIONS = 200
+# Relative change of the rates at which the balance of friction is found; rounds at most: a handful is the rule.
+_ALIKE, _ITERATIONS = 1e-8, 200
 
 
 @value
@@ -195,7 +195,6 @@ def friction_balance(
     frictions: Sequence[Friction],
     rate_rms: Callable[[FloatArray], FloatArray],
     start: FloatArray | None = None,
-    tolerance: float = 1e-8,
     drives: Sequence[FedFriction | None] = (),
 ) -> FrictionBalance:
     """Return the equivalent damping of J dry frictions at which the linear loop moves as assumed.
@@ -206,8 +205,8 @@ def friction_balance(
     default ten times coulomb_rate; `drives` is what is fed forward against each friction, or None.
 
     The remainder is that of the friction alone: how much of it a drive takes off depends on the spectra of the rates,
-    see `friction_noise`. Raises `NotFoundError` where the rates still change by more than `tolerance`, relative, after
-    200 iterations.
+    see `friction_noise`. Raises `NotFoundError` where the rates still change by more than 1e-8, relative, after 200
+    iterations.
     """
     drives = tuple(drives) or (None,) * len(frictions)
     driven = [k for k, one in enumerate(drives) if one is not None]
@@ -220,7 +219,7 @@ def friction_balance(
         found = [describing_function(one, float(at)) for one, at in zip(torques, rate, strict=True)]
         gains = np.array([one.viscous for one in found])
         new = np.asarray(rate_rms(gains), dtype=np.float64)
-        if np.all(np.abs(new - rate) <= tolerance * np.maximum(new, 1e-9 * near)):
+        if np.all(np.abs(new - rate) <= _ALIKE * np.maximum(new, 1e-9 * near)):
             break
         # Secants of each bearing in logarithms: rates are positive, and dampings go as their inverse.
         x, y = np.log(np.maximum(rate, least)), np.log(np.maximum(new, least))

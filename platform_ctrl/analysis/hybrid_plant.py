@@ -1,5 +1,7 @@
 """A continuous plant behind a sampler and a hold: responses at a frequency and at all its images, without averaging.
 
+Disturbances are spectra, sines and noise of samples: frequencies in rad/s, densities one-sided per hertz.
+
 ::
 
         w(t) ──►┌───┐──► z(t)
@@ -29,18 +31,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.interconnection import MultiRate
+from platform_ctrl.analysis.interconnection import Modulator, MultiRate, at_several_rates
 from platform_ctrl.analysis.periodic import pruned
 from platform_ctrl.analysis.poles import over_a_cycle, poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import energy_rows, late_outputs, sampled, with_lag
-from platform_ctrl.analysis.system import ComplexArray, System, scaled
+from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -50,6 +53,83 @@ MOST_OF_SOURCES = 1_000  # images on each side that sources may need
 _BOUNDARY, _UNSEEN = 1e-10, 1e-11
 # Remainders of sums over all images below this share of the whole are rounding.
 _ROUNDING = 1e-13
+
+
+@value
+class Density:
+    """A one-sided power spectral density: its integral over frequency in hertz is the variance."""
+
+    # (n,): frequencies, rad/s, >= 0, rising: where the density changes its law. It is zero below the first and above
+    # the last.
+    knots: FloatArray
+    # In the square of the signal's unit per Hz, of frequencies (N,), rad/s; smooth between the knots.
+    density: Callable[[FloatArray], FloatArray]
+
+    def at(self, frequency: FloatArray) -> FloatArray:
+        """Return the density at frequencies of any shape, rad/s, of any sign."""
+        w = np.abs(frequency)
+        out = np.zeros(w.shape)
+        inside = (w >= self.knots[0]) & (w <= self.knots[-1])
+        out[inside] = self.density(w[inside])
+        return out
+
+
+@value
+class RandomDisturbance:
+    """A stationary random disturbance on one input or, correlated, on several."""
+
+    name: str  # of the source
+    inputs: tuple[int, ...]  # indices among the disturbance inputs
+    spectra: tuple[Density, ...]  # one for each of them
+    # complex (n, n): Hermitian, positive semidefinite, ones on the diagonal: the cross spectral density of inputs i and
+    # j is coherence[i, j] √(S_i S_j). Default: uncorrelated.
+    coherence: ComplexArray | None = None
+
+    def columns(self, frequency: FloatArray, inputs: int) -> ComplexArray:
+        """Return F (..., inputs, n), F F' the cross spectral density at frequencies (...) with their signs."""
+        n = len(self.inputs)
+        root = np.sqrt(np.stack([one.at(frequency) for one in self.spectra], axis=-1))
+        factor = np.eye(n, dtype=np.complex128)
+        if self.coherence is not None:
+            values, vectors = np.linalg.eigh(self.coherence)
+            factor = vectors * np.sqrt(np.maximum(values, 0.0))
+        signed = np.where((frequency < 0.0)[..., None, None], factor.conj(), factor)
+        out = np.zeros((*frequency.shape, inputs, n), dtype=np.complex128)
+        for i, at in enumerate(self.inputs):
+            out[..., at, :] += root[..., i, None] * signed[..., i, :]
+        return out
+
+
+@value
+class SineDisturbance:
+    """A sine amplitude · sin(frequency · t + phase) on one or several inputs."""
+
+    name: str  # of the source
+    inputs: tuple[int, ...]  # indices among the disturbance inputs
+    frequency: float  # rad/s, > 0
+    amplitude: FloatArray  # (n,): of each input, in its unit
+    # (n,), optional: rad. Sines of one frequency whose phases are given add as they come; without a phase a sine is
+    # independent of all others, and its inputs are in phase.
+    phase: FloatArray | None = None
+
+    def vector(self, inputs: int) -> ComplexArray:
+        """Return the complex amplitude of every disturbance input (inputs,)."""
+        out = np.zeros(inputs, dtype=np.complex128)
+        phase = np.zeros(len(self.inputs)) if self.phase is None else self.phase
+        np.add.at(out, list(self.inputs), self.amplitude * np.exp(1j * phase))
+        return out
+
+
+@value
+class SampleNoise:
+    """White noise that every sample of a measured output adds: of the sensor, its quantisation (step/√12), its bits."""
+
+    name: str  # of the source
+    measured: int  # index of the measured output
+    rms: float  # standard deviation of a sample, in the output's unit
+
+
+Disturbance = RandomDisturbance | SineDisturbance | SampleNoise
 
 
 @value
@@ -113,24 +193,6 @@ class Family(NamedTuple):
     integral: ComplexArray  # complex (N, F, q, 1): 1/(jω) where z is integrated, 1 elsewhere
     measured: ComplexArray  # complex (N, F, p, k): from w to y
     sampled: ComplexArray  # complex (N, R, p, m): P_d of each component
-
-
-class Modulator(NamedTuple):
-    """The map from the readings y of R components to the controls u of each, at N frequencies.
-
-    Signals that slower loops hold have S components; those of the h signals that component r sees are `place[r]`.
-    """
-
-    own: ComplexArray  # (N, R, m, p): from y of a component to u of the same one, by the loops at every sample
-    held: ComplexArray  # (N, R, m, h): from what the slower loops hold to u of a component
-    heard: ComplexArray  # (N, R, S, p): from y of a component to what the slower loops hold
-    place: NDArray[np.intp]  # (R, h)
-
-    def of(self, k: int, component: int, y: ComplexArray) -> ComplexArray:
-        """Return u of all components (R, m, c) at one of the frequencies, of y (p, c) of one component."""
-        out = self.held[k] @ (self.heard[k, component] @ y)[self.place]
-        out[component] += self.own[k, component] @ y
-        return np.asarray(out)
 
 
 class OpenLoop:
@@ -202,7 +264,7 @@ class OpenLoop:
         w, (m, p) = self._components(omega), (self.plant.controls, self.plant.measured)
         late = np.exp(-1j * self.plant.period * w[:, :, None] * np.array(self.plant.reading_delay, dtype=np.float64))
         if self.plant.cycle > 1:
-            return _at_several_rates(controller, self.plant.cycle, w, P, late)
+            return at_several_rates(controller, self.plant.cycle, w, P, late)
         K, P = _signed_response(controller.fast, omega) * late, P[:, 0]
         if p == 1:
             M = K / (1.0 - P @ K)
@@ -290,83 +352,3 @@ def _signed_response(system: System, omega: FloatArray) -> ComplexArray:
     found = frequency_response(system, w, -3)[place.reshape(omega.shape)]
     out: ComplexArray = np.where((omega < 0.0)[..., None, None], found.conj(), found)
     return out
-
-
-def _at_several_rates(controller: MultiRate, R: int, w: FloatArray, P: ComplexArray, late: ComplexArray) -> Modulator:
-    """Return M of controllers at several rates over R samples, at components w (N, R), P_d and reading delays.
-
-    An integrator makes some directions of K infinite at zero and not others: controllers stay state equations.
-    """
-    N, _, p, m = P.shape
-    period, h = controller.fast.dt, controller.held
-    D = controller.fast.D
-    A, B, C = scaled(*controller.fast[:3])
-    n = len(A)
-    # The loops at every sample, closed: states and controls of each component, from readings and from what is held.
-    z, path = np.exp(1j * period * w)[..., None, None], late[..., None] * P
-    loop = np.zeros((N, R, n + m, n + m), dtype=np.complex128)
-    loop[..., :n, :n], loop[..., :n, n:] = z * np.eye(n) - A, -B[:, :p] @ path
-    loop[..., n:, :n], loop[..., n:, n:] = -C[:m], np.eye(m) - D[:m, :p] @ path
-    right = np.zeros((N, R, n + m, p + h), dtype=np.complex128)
-    right[..., :n, :p], right[..., :n, p:] = B[:, :p] * late[..., None, :], B[:, p:]
-    right[..., n:, :p], right[..., n:, p:] = D[:m, :p] * late[..., None, :], D[:m, p:]
-    found: ComplexArray = np.linalg.solve(loop, right).astype(np.complex128)
-    u = found[..., n:, :]
-    # Inputs of the slower controllers from y and from held signals; each component has a share of them.
-    e = C[m:] @ found[..., :n, :] + D[m:, :p] @ path @ u
-    e[..., :p] += D[m:, :p] * late[..., None, :]
-    e[..., p:] += D[m:, p:]
-    every = np.repeat(controller.every, [len(K.C) for K in controller.slow]).astype(np.float64)
-    turned = 0.5 * period * w[..., None]
-    share = np.exp(-1j * turned * (every - 1.0)) * np.sinc(turned * every / np.pi) / np.sinc(turned / np.pi)
-    e[..., p:] *= share[..., None, :]
-    heard, place = _slower(controller, w, e)
-    return Modulator(u[..., :p], u[..., p:] * share[..., None, :], heard, place)
-
-
-def _slower(controller: MultiRate, w: FloatArray, e: ComplexArray) -> tuple[ComplexArray, NDArray[np.intp]]:
-    """Return the held signals of the slower loops from y of each component (N, R, S, p), and its places (R, h) in them.
-
-    They read e (N, R, read, p + h): components that a slow loop cannot tell apart add up.
-    """
-    from scipy.linalg import block_diag
-
-    N, R, _, width = e.shape
-    h, read = controller.held, controller.read
-    p = width - h
-    # Number of components that each loop can tell apart: first those of one loop, then those of the next.
-    apart = [R // n for n in controller.every]
-    own = [(*scaled(*K[:3]), K.D) for K in controller.slow]
-    A, B, C, D = (
-        block_diag(np.zeros((0, 0)), *(np.kron(np.eye(L), K[k]) for K, L in zip(own, apart, strict=True)))
-        for k in range(4)
-    )
-    turns = [
-        np.repeat(np.exp(1j * n * controller.fast.dt * w[:, :L]), len(K[0]), axis=1)
-        for K, L, n in zip(own, apart, controller.every, strict=True)
-    ]
-    z = np.concatenate([np.zeros((N, 0)), *turns], axis=1)
-    read_at = _places([K[1].shape[1] for K in own], apart, R)
-    held_at = _places([len(K[2]) for K in own], apart, R)
-    alike = math.lcm(1, *apart)
-    summed = e[..., p:].reshape(N, R // alike, alike, read, h).sum(axis=1)
-    around = np.zeros((N, B.shape[1], len(C)), dtype=np.complex128)
-    for k in range(alike):
-        around[:, read_at[k][:, None], held_at[k]] += summed[:, k]
-    n, S = len(A), len(C)
-    loop = np.zeros((N, n + S, n + S), dtype=np.complex128)
-    loop[:, :n, :n], loop[:, :n, n:] = z[:, :, None] * np.eye(n) - A, -B @ around
-    loop[:, n:, :n], loop[:, n:, n:] = -C, np.eye(S) - D @ around
-    set_by = np.linalg.solve(loop, np.vstack([B, D]).astype(np.complex128))[:, n:]
-    heard = np.zeros((N, R, S, p), dtype=np.complex128)
-    for k in range(alike):
-        heard[:, k::alike] = set_by[:, None, :, read_at[k]] @ e[:, k::alike, :, :p]
-    return heard, held_at
-
-
-def _places(sizes: list[int], apart: list[int], R: int) -> NDArray[np.intp]:
-    """Return the places (R, sum of sizes) of each component's signals among those of all that loops tell apart."""
-    r = np.arange(R)[:, None]
-    first = np.cumsum([0, *(size * L for size, L in zip(sizes, apart, strict=True))])
-    parts = [at + r % L * size + np.arange(size) for at, size, L in zip(first[:-1], sizes, apart, strict=True)]
-    return np.hstack([np.zeros((R, 0), dtype=np.intp), *parts]).astype(np.intp)

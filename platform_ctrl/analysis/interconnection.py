@@ -17,10 +17,11 @@ from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import schur, solve_sylvester
 
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.analysis.system import System, scaled, state_scaling
+from platform_ctrl.analysis.system import ComplexArray, System, block, scaled, state_scaling
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import is_rate
@@ -70,6 +71,24 @@ class MultiRate(NamedTuple):
         p, m = self.fast.B.shape[1] - self.held, len(self.fast.C) - self.read
         joined = self.fast.feedback(System(A, B, C, D), range(p, p + self.held), range(m, m + self.read))
         return joined.part(slice(self.held, self.held + m), slice(p))
+
+
+class Modulator(NamedTuple):
+    """The map from the readings y of R components to the controls u of each, at N frequencies.
+
+    Signals that slower loops hold have S components; those of the h signals that component r sees are `place[r]`.
+    """
+
+    own: ComplexArray  # (N, R, m, p): from y of a component to u of the same one, by the loops at every sample
+    held: ComplexArray  # (N, R, m, h): from what the slower loops hold to u of a component
+    heard: ComplexArray  # (N, R, S, p): from y of a component to what the slower loops hold
+    place: NDArray[np.intp]  # (R, h)
+
+    def of(self, k: int, component: int, y: ComplexArray) -> ComplexArray:
+        """Return u of all components (R, m, c) at one of the frequencies, of y (p, c) of one component."""
+        out = self.held[k] @ (self.heard[k, component] @ y)[self.place]
+        out[component] += self.own[k, component] @ y
+        return np.asarray(out)
 
 
 def interconnected(
@@ -289,3 +308,77 @@ def _integral_share(t: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
         D = D + C[:, k:] @ np.linalg.solve(np.eye(len(t) - k) - t[k:, k:], B[k:])
     slow, proportional = (float(np.linalg.norm(part, 2)) for part in (C[:, :k] @ B[:k], D))
     return float(np.clip(slow / proportional if proportional > 0.0 else _FASTEST, _SLOWEST, _FASTEST))
+
+
+def at_several_rates(controller: MultiRate, R: int, w: FloatArray, P: ComplexArray, late: ComplexArray) -> Modulator:
+    """Return M of controllers at several rates over R samples, at components w (N, R), P_d and reading delays.
+
+    An integrator makes some directions of K infinite at zero and not others: controllers stay state equations.
+    """
+    p, m = P.shape[-2:]
+    period = controller.fast.dt
+    D = controller.fast.D
+    A, B, C = scaled(*controller.fast[:3])
+    n = len(A)
+    # The loops at every sample, closed: states and controls of each component, from readings and from what is held.
+    z, path = np.exp(1j * period * w)[..., None, None], late[..., None] * P
+    loop = block([[z * np.eye(n) - A, -B[:, :p] @ path], [-C[:m], np.eye(m) - D[:m, :p] @ path]])
+    of_y = late[..., None, :]
+    found: ComplexArray = np.linalg.solve(loop, block([[B[:, :p] * of_y, B[:, p:]], [D[:m, :p] * of_y, D[:m, p:]]]))
+    u = found[..., n:, :]
+    # Inputs of the slower controllers from y and from held signals; each component has a share of them.
+    e = C[m:] @ found[..., :n, :] + D[m:, :p] @ path @ u
+    e[..., :p] += D[m:, :p] * of_y
+    e[..., p:] += D[m:, p:]
+    every = np.repeat(controller.every, [len(K.C) for K in controller.slow]).astype(np.float64)
+    turned = 0.5 * period * w[..., None]
+    share = np.exp(-1j * turned * (every - 1.0)) * np.sinc(turned * every / np.pi) / np.sinc(turned / np.pi)
+    e[..., p:] *= share[..., None, :]
+    heard, place = _slower(controller, w, e)
+    return Modulator(u[..., :p], u[..., p:] * share[..., None, :], heard, place)
+
+
+def _slower(controller: MultiRate, w: FloatArray, e: ComplexArray) -> tuple[ComplexArray, NDArray[np.intp]]:
+    """Return the held signals of the slower loops from y of each component (N, R, S, p), and its places (R, h) in them.
+
+    They read e (N, R, read, p + h): components that a slow loop cannot tell apart add up.
+    """
+    from scipy.linalg import block_diag
+
+    N, R, _, width = e.shape
+    h, read = controller.held, controller.read
+    p = width - h
+    # Number of components that each loop can tell apart: first those of one loop, then those of the next.
+    apart = [R // n for n in controller.every]
+    own = [(*scaled(*K[:3]), K.D) for K in controller.slow]
+    A, B, C, D = (
+        block_diag(np.zeros((0, 0)), *(np.kron(np.eye(L), K[k]) for K, L in zip(own, apart, strict=True)))
+        for k in range(4)
+    )
+    turns = [
+        np.repeat(np.exp(1j * n * controller.fast.dt * w[:, :L]), len(K[0]), axis=1)
+        for K, L, n in zip(own, apart, controller.every, strict=True)
+    ]
+    z = np.concatenate([np.zeros((N, 0)), *turns], axis=1)
+    read_at = _places([K[1].shape[1] for K in own], apart, R)
+    held_at = _places([len(K[2]) for K in own], apart, R)
+    alike = math.lcm(1, *apart)
+    summed = e[..., p:].reshape(N, R // alike, alike, read, h).sum(axis=1)
+    around = np.zeros((N, B.shape[1], len(C)), dtype=np.complex128)
+    for k in range(alike):
+        around[:, read_at[k][:, None], held_at[k]] += summed[:, k]
+    n, S = len(A), len(C)
+    loop = block([[z[:, :, None] * np.eye(n) - A, -B @ around], [-C, np.eye(S) - D @ around]])
+    set_by = np.linalg.solve(loop, np.vstack([B, D]).astype(np.complex128))[:, n:]
+    heard = np.zeros((N, R, S, p), dtype=np.complex128)
+    for k in range(alike):
+        heard[:, k::alike] = set_by[:, None, :, read_at[k]] @ e[:, k::alike, :, :p]
+    return heard, held_at
+
+
+def _places(sizes: list[int], apart: list[int], R: int) -> NDArray[np.intp]:
+    """Return the places (R, sum of sizes) of each component's signals among those of all that loops tell apart."""
+    r = np.arange(R)[:, None]
+    first = np.cumsum([0, *(size * L for size, L in zip(sizes, apart, strict=True))])
+    parts = [at + r % L * size + np.arange(size) for at, size, L in zip(first[:-1], sizes, apart, strict=True)]
+    return np.hstack([np.zeros((R, 0), dtype=np.intp), *parts]).astype(np.intp)

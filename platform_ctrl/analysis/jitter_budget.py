@@ -25,6 +25,7 @@ from platform_ctrl.analysis.budget_integrals import (
     GAUSS,
     KRONROD,
     WIDE,
+    BudgetResult,
     Contribution,
     NodeResponses,
     Panel,
@@ -39,22 +40,22 @@ from platform_ctrl.analysis.budget_integrals import (
     joined,
     moved_by_samples,
     nodes,
+    outer,
     packed,
-    packed_matrix,
-    packed_product,
     thinned,
     through,
+    window_shares,
 )
-from platform_ctrl.analysis.budget_records import (
-    BudgetResult,
+from platform_ctrl.analysis.hybrid_plant import (
+    MOST_OF_SOURCES,
     Disturbance,
+    HybridPlant,
+    OpenLoop,
     RandomDisturbance,
     SampleNoise,
     SineDisturbance,
-    window_shares,
 )
-from platform_ctrl.analysis.hybrid_plant import MOST_OF_SOURCES, HybridPlant, Modulator, OpenLoop
-from platform_ctrl.analysis.interconnection import MultiRate
+from platform_ctrl.analysis.interconnection import Modulator, MultiRate
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import positive, within
@@ -190,45 +191,34 @@ class JitterBudget:
     def _contributions(self, panels: list[Panel], controller: MultiRate, over_frequency: bool) -> Contribution:
         """Return the contributions of panels, some after the other: their densities are large."""
         step = max(1, _MOST_AT_ONCE // (21 * self._size))
-        parts = [
-            self._contribution(panels[k : k + step], controller, over_frequency) for k in range(0, len(panels), step)
-        ]
-        return Contribution(
-            panels=np.array(panels),
-            variance=np.concatenate([one.variance for one in parts]),
-            error=np.concatenate([one.error for one in parts]),
-            remaining=np.concatenate([one.remaining for one in parts]),
-            steps=[step for one in parts for step in one.steps],
+        every = range(0, len(panels), step)
+        return Contribution.joined(
+            [self._contribution(panels[k : k + step], controller, over_frequency) for k in every]
         )
 
     def _contribution(self, panels: list[Panel], controller: MultiRate, over_frequency: bool) -> Contribution:
         prepared = self._prepared(panels)
-        nodes_at_once = max(1, _MOST_AT_ONCE // self._size)
-        rows = [slice(k, k + nodes_at_once) for k in range(0, len(prepared.theta), nodes_at_once)]
-        found = [self._densities(prepared.rows(some), controller) for some in rows]
-        density, rest = (np.concatenate(one) for one in zip(*found, strict=True))
-        _, half = nodes(panels)
-        P, (W, _, F) = len(panels), prepared.weights.shape
-        by_panel = density.reshape(P, 21, F, *density.shape[2:])
-        weights = prepared.weights.reshape(W, P, 21, F)
-        tail = rest.reshape(P, 21, *rest.shape[1:])
+        density, tail = self._densities(prepared, controller)
+        half, P = nodes(panels)[1], len(panels)
+        by_panel, tail = (one.reshape(P, 21, *one.shape[1:]) for one in (density, tail))
+        frequency = np.abs(prepared.frequency).reshape(P, 21, -1)
+        weights = prepared.weights.reshape(-1, *frequency.shape)
         scale = (half / (2.0 * math.pi))[:, None, None]
-        sums = []
-        for rule in (KRONROD, GAUSS):
-            seen = np.einsum("wpkf,pkfgi->pwgi", weights * rule[:, None], by_panel, optimize=False)
-            sums.append(seen * scale[:, None])
+        fine, coarse = (
+            np.einsum("wpkf,pkfgi->pwgi", weights * rule[:, None], by_panel, optimize=False) * scale[:, None]
+            for rule in (KRONROD, GAUSS)
+        )
         steps = []
         if over_frequency:
             members = np.einsum("k,pkf,pkfgi->pfgi", KRONROD, weights[0], by_panel) * scale[:, None]
-            frequency = np.abs(prepared.frequency).reshape(P, 21, F)
             for k, panel in enumerate(panels):
                 step = between_nodes(panel, frequency[k], by_panel[k], members[k], self.plant.turn)
                 # Every image has the nodes that any of them needs.
                 steps.append(step if self.plant.cycle == 1 else thinned(*step, self.plant.turn))
         return Contribution(
             panels=np.array(panels),
-            variance=sums[0],
-            error=np.abs(sums[0] - sums[1]),
+            variance=fine,
+            error=np.abs(fine - coarse),
             remaining=np.einsum("k,pkgi->pgi", KRONROD, tail) * scale,
             steps=steps,
         )
@@ -237,16 +227,13 @@ class JitterBudget:
     def _size(self) -> int:
         """Numbers at one node."""
         sources, packed = len(self._random) + len(self._noise), self.plant.controls**2
-        return (2 * self._images + 1) * (self.plant.outputs + packed) * (sources + packed)
+        return (2 * self._images + 1) * ((self.plant.outputs + packed) * (sources + packed) + self.open_loop.size)
 
     def _prepared(self, panels: list[Panel]) -> NodeResponses:
         new = [one for one in panels if one not in self._known]
         made: dict[Panel, NodeResponses] = {}
         if new:
-            points = nodes(new)[0].ravel()
-            size = self.open_loop.size + 2 * self.plant.outputs * self.plant.controls**2
-            step = max(1, _MOST_AT_ONCE // ((2 * self._images + 1) * size))
-            block = joined([self._evaluated(points[k : k + step]) for k in range(0, len(points), step)])
+            block = self._evaluated(nodes(new)[0].ravel())
             for k, one in enumerate(new):
                 made[one] = block.rows(slice(21 * k, 21 * (k + 1)))
             size = sum(item.size for item in block if isinstance(item, np.ndarray))
@@ -282,8 +269,8 @@ class JitterBudget:
             (family.direct * family.integral)[:, list(inside)] @ columns,
             measured,
             held[:, list(inside)],
-            packed(held),
-            packed_matrix(self.open_loop.remaining_images(theta, family.held)),
+            outer(held.conj()),
+            packed(self.open_loop.remaining_images(theta, family.held)),
             family.sampled,
             self._weights(family.frequency),
         )
@@ -300,10 +287,10 @@ class JitterBudget:
     def _densities(self, at: NodeResponses, controller: MultiRate) -> tuple[FloatArray, FloatArray]:
         """Return one-sided densities of the outputs (N, F, G, q) and what the images beyond add (N, G, q)."""
         M = self.open_loop.modulator(controller, at.theta, at.sampled)
-        N, F, q, packed = at.outer.shape
+        N, F, q, size = at.outer.shape
         R, count = self.plant.cycle, len(self._random)
         # The controls of each component, and all its images.
-        moved = np.zeros((N, packed, R, count + len(self._noise)))
+        moved = np.zeros((N, size, R, count + len(self._noise)))
         component = (np.arange(F) - F // 2) % R
         inside = np.array(at.inside, dtype=np.intp)
         own = np.zeros((N, 0, count, q))
@@ -313,7 +300,7 @@ class JitterBudget:
             moved[..., count + j] = 2.0 * self.plant.period * one.rms**2 * moved_by_samples(M, one.measured)
         density = aliased(at.outer, moved[:, :, component] if R > 1 else moved)
         density[:, inside, :count] = own
-        rest = at.rest.swapaxes(1, 2).reshape(N, q, -1) @ moved.swapaxes(1, 2).reshape(N, R * packed, -1)
+        rest = at.rest.swapaxes(1, 2).reshape(N, q, -1) @ moved.swapaxes(1, 2).reshape(N, R * size, -1)
         return density, rest.swapaxes(-1, -2)
 
     def _moved(self, at: NodeResponses, M: Modulator, component: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
@@ -340,7 +327,7 @@ class JitterBudget:
             out[:, :, some] = through(M.held[:, some], others[:, some])
             here = np.isin(active, some)
             u[:, here] += M.held[:, active[here], None] @ seen[:, here]
-        each = self._of_sources(packed_product(np.moveaxis(u, 3, 1)))
+        each = self._of_sources(np.moveaxis(outer(u.swapaxes(-1, -2)), -1, 1))
         # Sums over the others, not the whole less its own: what feedback cancels would leave rounding.
         others = out[:, :, active, None] + exclusive(each, 3)
         out[:, :, active] += each.sum(axis=3)

@@ -71,8 +71,8 @@ class DiskMargin:
     unstructured: float
     frequency: float
     proved: bool
-    skew: float
-    reason: str
+    skew: float = 0.0
+    reason: str = ""
     perturbation: ComplexArray
     frequencies: FloatArray
     lower_response: FloatArray
@@ -211,7 +211,6 @@ def disk_margin(
         frequency=peak.frequency,
         proved=proved,
         skew=float(skew),
-        reason="",
         perturbation=disk_factors(delta, skew),
         frequencies=grid[shown],
         lower_response=lower_response,

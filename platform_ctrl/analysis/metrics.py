@@ -346,7 +346,7 @@ BUDGET_METRICS: dict[str, Quantity] = {
 class RunMetric(Quantity):
     """A metric of a simulated run; the limits are in ``[manoeuvre.limits]``."""
 
-    on_demand: bool = False  # whether it is shown only where a manoeuvre limits it
+    always: bool = False  # whether it is shown also where no manoeuvre limits it
     sight: bool = False  # whether the plant needs a line of sight
     commanded: bool = False  # whether the run needs a command in its unit
 
@@ -355,25 +355,30 @@ RUN_METRICS: dict[str, RunMetric] = {
     one.key: one
     for one in (
         RunMetric(
-            name="largest gimbal angle", key="angle", unit="rad", meaning="largest magnitude of a gimbal's angle"
+            name="largest gimbal angle",
+            key="angle",
+            unit="rad",
+            meaning="largest magnitude of a gimbal's angle",
+            always=True,
         ),
         RunMetric(
             name="largest platform angle",
             key="attitude",
             unit="rad",
             meaning="largest component of the platform's rotation vector",
+            always=True,
         ),
         RunMetric(
             name="largest torque over its limit",
             key="torque_share",
             meaning="largest commanded torque over its torquer's limit",
+            always=True,
         ),
         RunMetric(
             name="largest gimbal rate",
             key="gimbal_rate",
             unit="rad/s",
             meaning="largest magnitude of a gimbal's rate",
-            on_demand=True,
         ),
         RunMetric(
             name="largest error behind a commanded angle",
@@ -381,7 +386,6 @@ RUN_METRICS: dict[str, RunMetric] = {
             unit="rad",
             meaning="largest magnitude of an angle that is read, without the sensor's bias and scale error, less its "
             "command after `settle`",
-            on_demand=True,
             commanded=True,
         ),
         RunMetric(
@@ -390,7 +394,6 @@ RUN_METRICS: dict[str, RunMetric] = {
             unit="rad/s",
             meaning="largest magnitude of a rate that is read, without the sensor's bias and scale error, less its "
             "command after `settle`",
-            on_demand=True,
             commanded=True,
         ),
         RunMetric(
@@ -399,7 +402,6 @@ RUN_METRICS: dict[str, RunMetric] = {
             unit="rad",
             meaning="rms of `los_angle1` or `los_angle2` after `settle`, the larger: about zero, but about the mean in "
             "a run with commands",
-            on_demand=True,
             sight=True,
         ),
         RunMetric(
@@ -408,7 +410,6 @@ RUN_METRICS: dict[str, RunMetric] = {
             unit="rad/s",
             meaning="rms of `los_rate1` or `los_rate2` after `settle`, the larger: about zero, but about the mean in a "
             "run with commands",
-            on_demand=True,
             sight=True,
         ),
         RunMetric(
@@ -418,7 +419,6 @@ RUN_METRICS: dict[str, RunMetric] = {
             sense="at least",
             meaning="rms of the platform rate over that of `los_rate1` or `los_rate2`, the larger, both about their "
             "means, in dB, caged",
-            on_demand=True,
             sight=True,
         ),
     )
@@ -428,7 +428,7 @@ RUN_METRICS: dict[str, RunMetric] = {
 def run_metrics(limits: Iterable[Mapping[str, float]]) -> tuple[str, ...]:
     """Return the keys of the metrics that are shown of runs with these limits, in the order of the table."""
     limited = {key for one in limits for key in one}
-    return tuple(key for key, metric in RUN_METRICS.items() if not metric.on_demand or key in limited)
+    return tuple(key for key, metric in RUN_METRICS.items() if metric.always or key in limited)
 
 
 def over_limit(key: str, values: FloatArray, limits: FloatArray) -> FloatArray:

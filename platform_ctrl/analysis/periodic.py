@@ -331,8 +331,6 @@ class PeriodicLoop:
             unstructured=1.0 / max(norm, plain),
             frequency=_worst_frequency(at_worst, norm),
             proved=True,
-            skew=0.0,
-            reason="",
             perturbation=np.full(m, np.inf + 0j),
             frequencies=grid,
             lower_response=lower,

@@ -231,6 +231,12 @@ class AxisResponse:
         return H.transpose(2, 1, 0) if self._turned else H.transpose(2, 0, 1)
 
     @cached_property
+    def _modes(self) -> tuple[ComplexArray, ComplexArray]:
+        """Eigenvalues (n,) of A, and eigenvectors of length one (n, n)."""
+        values, vectors = np.linalg.eig(self._A)
+        return values.astype(np.complex128), vectors.astype(np.complex128)
+
+    @cached_property
     def _schur(self) -> tuple[ComplexArray, ComplexArray]:
         """T, upper triangular, and Q, unitary: A = Q T Q*."""
         from scipy.linalg import rsf2csf, schur
@@ -244,33 +250,26 @@ class AxisResponse:
     @property
     def oldest(self) -> int:
         """Age, in samples, of the oldest values on which the system depends, 0 where no long delay is in it."""
-        return 0 if self._late is None else max(1, *self._late.ages)
+        return 0 if self._late is None else int(self._late.ages.max(initial=1))
 
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles, in the plane of s or z."""
-        return np.asarray(np.diag(self._schur[0]) + (1.0 if self._dt > 0.0 else 0.0))
+        return self._modes[0] + (1.0 if self._dt > 0.0 else 0.0)
 
     @cached_property
     def _residues(self) -> ComplexArray | None:
         """What each mode contributes, (p m, n) over z less its pole; None where modes do not tell them apart."""
-        from scipy.linalg.lapack import ztrtri
-
-        T, Q = self._schur
-        own = np.diag(T)
-        vectors = np.eye(len(T), dtype=np.complex128)
-        with np.errstate(all="ignore"):
-            for i in range(len(T) - 2, -1, -1):
-                vectors[i, i + 1 :] = T[i, i + 1 :] @ vectors[i + 1 :, i + 1 :] / (own[i + 1 :] - own[i])
-            vectors /= np.sqrt(np.sum(vectors.real**2 + vectors.imag**2, axis=0))
-            if not np.isfinite(vectors).all():
-                return None
-            inverse, failed = ztrtri(vectors)
-            # Columns have length one: this is about the condition number.
-            if failed or not np.sqrt(len(T)) * float(np.abs(inverse).max()) < _MODAL:
-                return None
-        out = (self._C @ Q @ vectors)[:, None, :] * (inverse @ (Q.conj().T @ self._B)).T
-        return np.asarray(out.reshape(-1, len(T)), dtype=np.complex128)
+        vectors = self._modes[1]
+        try:
+            inverse = np.linalg.inv(vectors)
+        except np.linalg.LinAlgError:
+            return None
+        # Columns have length one: this is about the condition number.
+        if not np.sqrt(len(vectors)) * float(np.abs(inverse).max()) < _MODAL:
+            return None
+        out = (self._C @ vectors)[:, None, :] * (inverse @ self._B).T
+        return np.asarray(out.reshape(-1, len(vectors)), dtype=np.complex128)
 
     def _strictly_proper(self, exact: NDArray[np.clongdouble]) -> ComplexArray:
         """Return C (z I - A)^-1 B, (p, m, N)."""
@@ -281,7 +280,7 @@ class AxisResponse:
             growth = (np.linalg.norm(X, axis=0) / np.repeat(np.linalg.norm(self._B, axis=0), len(z))).reshape(m, -1)
             near = (size * growth > _GROWN).any(axis=0)
         else:
-            gap = z - np.diag(self._schur[0])[:, None]
+            gap = z - self._modes[0][:, None]
             square = gap.real**2 + gap.imag**2
             nearest = np.sqrt(square.min(axis=0))
             shares = gap.conj() * (1.0 / square)
@@ -309,19 +308,13 @@ class AxisResponse:
         """Return (z I - A)^-1 B, (N, n, m); inf where z is a pole."""
         every, B, eye = exact[:, None, None], self._B.astype(np.complex128), np.eye(len(self._A))
         M = every.astype(np.complex128) * eye - self._A
-        singular = np.zeros(len(M), dtype=np.bool_)
-        try:
-            X = np.linalg.solve(M, B)
-        except np.linalg.LinAlgError:
-            singular = np.linalg.slogdet(M)[0] == 0.0
-            M[singular] = eye
-            X = np.linalg.solve(M, B)
+        X = _solved(M, B)
         grown = np.linalg.norm(X, axis=1) * np.linalg.norm(self._A) > _GROWN * np.linalg.norm(B, axis=0)
         far = np.flatnonzero(grown.any(axis=1))
         if far.size:
             X[far] += np.linalg.solve(M[far], (B - (every[far] * X[far] - self._exact @ X[far])).astype(np.complex128))
-        X[singular] = np.inf
-        return np.asarray(X, dtype=np.complex128)
+        X[~np.isfinite(X)] = np.inf
+        return X
 
 
 class _Late:
@@ -330,27 +323,17 @@ class _Late:
     def __init__(self, system: System, late: NDArray[np.bool_], source: NDArray[np.intp]) -> None:
         A, B, C, self._D, self._dt = system
         core = np.flatnonzero(~late)
-        place = np.cumsum(~late) - 1
         seen = np.flatnonzero(late & (np.any(A[core] != 0.0, axis=0) | np.any(C != 0.0, axis=0)))
         # A delayed state is `gain` times another state `age` samples before.
-        gain, age, head = np.ones(len(seen)), np.zeros(len(seen), dtype=int), seen.copy()
+        gain, self.ages, head = np.ones(len(seen)), np.zeros(len(seen), dtype=int), seen.copy()
         while (inside := late[head]).any():
             gain[inside] *= A[head[inside], source[head[inside]]]
-            age[inside] += 1
+            self.ages[inside] += 1
             head[inside] = source[head[inside]]
-        self.ages = np.unique(age)
-        own = A[core]
-        self._A, self._C = own[:, core] - np.eye(len(core)), C[:, core]
-        self._aged = []
-        for d in self.ages:
-            into, onto = np.zeros_like(self._A), np.zeros_like(self._C)
-            for k in np.flatnonzero(age == d):
-                into[:, place[head[k]]] += own[:, seen[k]] * gain[k]
-                onto[:, place[head[k]]] += C[:, seen[k]] * gain[k]
-            self._A, self._C = self._A + into, self._C + onto
-            columns = np.flatnonzero(np.any(into, axis=0) | np.any(onto, axis=0))
-            self._aged.append((int(d), columns, into[:, columns], onto[:, columns]))
-        self._B = B[core].astype(np.complex128)
+        self._of = gain[:, None] * (head[:, None] == core)
+        self._into, self._onto = A[np.ix_(core, seen)], C[:, seen]
+        self._A = A[np.ix_(core, core)] - np.eye(len(core)) + self._into @ self._of
+        self._B, self._C = B[core].astype(np.complex128), C[:, core] + self._onto @ self._of
 
     @staticmethod
     def of(system: System) -> _Late | None:
@@ -377,21 +360,21 @@ class _Late:
         step = max(1, _TOGETHER // max(1, n * n))
         for k in range(0, len(frequency), step):
             w = frequency[k : k + step]
+            change = _less_one(-np.outer(w, self.ages), self._dt).astype(np.complex128)[:, None, :]
             M = _less_one(w, self._dt).astype(np.complex128)[:, None, None] * np.eye(n) - self._A
-            C = np.repeat(self._C[None].astype(np.complex128), len(w), axis=0)
-            for d, columns, into, onto in self._aged:
-                change = _less_one(-d * w, self._dt).astype(np.complex128)[:, None, None]
-                M[:, :, columns] -= change * into
-                C[:, :, columns] += change * onto
-            try:
-                X = np.linalg.solve(M, np.broadcast_to(self._B, (len(w), *self._B.shape)))
-            except np.linalg.LinAlgError:
-                # At a pole: next to it the response is beyond all bounds, too.
-                M = np.where((np.linalg.det(M) == 0.0)[:, None, None], np.full((n, n), np.nan), M)
-                X = np.linalg.solve(M, np.broadcast_to(self._B, (len(w), *self._B.shape)))
-            H[k : k + step] = C @ X + self._D
+            X = _solved(M - (self._into * change) @ self._of, self._B)
+            H[k : k + step] = (self._C + (self._onto * change) @ self._of) @ X + self._D
         H[~np.isfinite(H)] = np.inf
         return H
+
+
+def _solved(M: ComplexArray, B: ComplexArray) -> ComplexArray:
+    """Return M^-1 B (N, n, m) of matrices (N, n, n); not a number where one is singular."""
+    try:
+        return np.linalg.solve(M, np.broadcast_to(B, (len(M), *B.shape))).astype(np.complex128)
+    except np.linalg.LinAlgError:
+        singular = (np.linalg.slogdet(M)[0] == 0.0)[:, None, None]
+        return np.where(singular, np.nan, np.linalg.solve(np.where(singular, np.eye(M.shape[-1]), M), B))
 
 
 def _less_one(w: FloatArray, dt: float) -> NDArray[np.clongdouble]:

@@ -146,12 +146,13 @@ class System(NamedTuple):
         return portable(system)
 
 
-def block(rows: Sequence[Sequence[FloatArray | Literal[0]]], batch: tuple[int, ...] = ()) -> FloatArray:
+def block(rows: Sequence[Sequence[NDArray[Any] | Literal[0]]], batch: tuple[int, ...] = ()) -> NDArray[Any]:
     """Return matrices (..., p, m) from blocks whose leading axes broadcast, with `batch` too; 0 stands for zeros."""
     given = [(i, j, one) for i, row in enumerate(rows) for j, one in enumerate(row) if isinstance(one, np.ndarray)]
     heights, widths = {i: one.shape[-2] for i, _, one in given}, {j: one.shape[-1] for _, j, one in given}
     down, right = (np.cumsum([0, *(sizes[k] for k in range(len(sizes)))]) for sizes in (heights, widths))
-    out = np.zeros((*np.broadcast_shapes(batch, *(one.shape[:-2] for *_, one in given)), down[-1], right[-1]))
+    shape = *np.broadcast_shapes(batch, *(one.shape[:-2] for *_, one in given)), down[-1], right[-1]
+    out = np.zeros(shape, dtype=np.result_type(*(one for *_, one in given)))
     for i, j, one in given:
         out[..., down[i] : down[i + 1], right[j] : right[j + 1]] = one
     return out

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.response import StateSystem, is_rational, linear_arrays
 from platform_ctrl.analysis.sampling import held_input
-from platform_ctrl.analysis.system import System, state_scaling
+from platform_ctrl.analysis.system import System, block, state_scaling
 from platform_ctrl.common.arguments import one_of, real_numbers
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -143,8 +143,8 @@ def step_matrices(A: FloatArray, B: FloatArray, step: float, hold: Hold) -> tupl
         return transition, held, np.zeros_like(held)
     # The inputs are states that rise during the step.
     n, m = B.shape
-    whole = np.block([[A, B], [np.zeros((m, n + m))]])
-    power, rise = held_input(whole, np.vstack([np.zeros((n, m)), np.eye(m) / step]), step)
+    whole = block([[A, B, np.zeros((n, m))], [np.zeros((m, n)), 0, np.eye(m) / step]])
+    power, rise = held_input(whole[:, : n + m], whole[:, n + m :], step)
     return power[:n, :n], power[:n, n:] - rise[:n], rise[:n]
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.budget_records import BudgetResult, Density, RandomDisturbance, motion_transfer
+from platform_ctrl.analysis.budget_integrals import BudgetResult, motion_transfer
 from platform_ctrl.analysis.dry_friction import (
     FedFriction,
     FoundRate,
@@ -24,7 +24,7 @@ from platform_ctrl.analysis.dry_friction import (
     friction_balance,
     friction_noise,
 )
-from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.hybrid_plant import Density, HybridPlant, RandomDisturbance
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.poles import poles

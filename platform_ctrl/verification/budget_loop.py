@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.budget_records import (
+from platform_ctrl.analysis.hybrid_plant import (
     Density,
     Disturbance,
+    HybridPlant,
     RandomDisturbance,
     SampleNoise,
     SineDisturbance,
 )
-from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.system import System

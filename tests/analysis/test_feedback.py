@@ -11,11 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.poles import (
-    continuous_poles,
-    damping_ratio,
-    minimum_damping,
-)
 
 seeds = st.integers(0, 2**31 - 1)
 W = np.geomspace(0.05, 30.0, 25)
@@ -86,16 +81,8 @@ def test_a_singular_algebraic_loop_is_named() -> None:
         analysis.closed_loop(plant, control.ss([], [], [], [[0.5]]))
 
 
-def test_minimum_damping_counts_slow_and_unstable_poles() -> None:
-    slow, fast = [-0.01 + 1j, -0.01 - 1j], [-30.0 + 40j, -30.0 - 40j]
-    poles = np.array([slow + fast, [2.0, 3.0, *fast], [*fast, *fast]])
-    np.testing.assert_allclose(minimum_damping(poles), [0.01, -1.0, 0.6], rtol=1e-3)
-    # What rounding makes of a double pole next to z = 1 has no damping.
-    np.testing.assert_allclose(minimum_damping(np.array([1.0 - 1e-9 + 1e-8j, 1.0 - 1e-9 - 1e-8j, 0.5]), 1e-3), 1.0)
-    assert minimum_damping(np.zeros(0, dtype=complex)) == 1.0
-
-
 def test_a_pole_on_the_negative_axis_of_z_oscillates_at_the_nyquist_frequency() -> None:
-    s = continuous_poles(np.array([-0.5, 0.0, 1.0]), 0.1)
-    np.testing.assert_allclose(s[0], (math.log(0.5) + 1j * math.pi) / 0.1)
-    np.testing.assert_allclose(damping_ratio(s), [math.log(2.0) / math.hypot(math.log(2.0), math.pi), 1.0, 0.0])
+    found = analysis.damping(control.ss(np.diag([-0.5, 0.0, 1.0]), np.ones((3, 1)), np.ones((1, 3)), 0, 0.1))
+    oscillating = (math.log(0.5) + 1j * math.pi) / 0.1
+    np.testing.assert_allclose(found.poles[:2], [0.0, oscillating], atol=1e-12)
+    np.testing.assert_allclose(found.ratio, [0.0, -oscillating.real / abs(oscillating), 1.0], atol=1e-12)

@@ -80,11 +80,10 @@ def of(outcome: LoopOutcome, name: str) -> Design:
 
 def sight_per_base(one: Design, hz: float) -> np.ndarray:
     """Return the closed loop's response from Omega2, Omega3 to the rates across the line of sight."""
-    loops = Loop(one.plants, one.plants.joined(one.controller))
-    A, B, C, D, dt = (item[0] if np.ndim(item) else item for item in loops.arrays)
-    z = np.exp(2j * np.pi * hz * dt)
-    found = C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D
-    return found[-2:, 3:5]
+    plants = one.plants
+    m, p = len(plants.torques), len(plants.angles)
+    loop = plants.whole.at(0).feedback(plants.joined(one.controller), range(m), range(p))
+    return analysis.frequency_response(loop.part([m + p, m + p + 1], [3, 4]), [2.0 * np.pi * hz])[..., 0]
 
 
 def loop_gain(J: float, s: complex) -> complex:

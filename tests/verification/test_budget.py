@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from platform_ctrl.analysis.budget_records import Density, RandomDisturbance, SampleNoise
-from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.hybrid_plant import Density, HybridPlant, RandomDisturbance, SampleNoise
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.system import System
 from platform_ctrl.cli import main
