@@ -17,8 +17,8 @@ A peak between grid points is followed to its top. `minimax.minimise` minimises 
 and only pieces of one requirement and plant continue each other. The bandwidth has no smooth pieces of its own where S
 lies along the level; so the problem is reversed: S is at most 1/√2 up to ω_b, and log ω_b is one more variable.
 
-A search is on the active plants, the nominal one and the worst few of the set; after it all plants are
-measured. Where angles drift the search is on regular plants, in which they decay slowly; its result is checked exactly
+A search is on the active plants, the nominal one and the worst of each requirement; a step must leave all plants
+stable, and every few steps all are measured: those that exceed a limit become active. Where angles drift the search is on regular plants, in which they decay slowly; its result is checked exactly
 on the plants as given.
 """
 
@@ -51,12 +51,16 @@ _UNSTABLE = 1e6
 _PENALTY = 5.0
 # Pieces below this ratio are not computed; plants are ranked by their excess over the second number.
 _FLOOR, _RANKED = 0.8, 0.5
-# Active plants at first, beside the nominal one; added at a time; steps until all plants are measured.
-_FIRST, _MORE, _STEPS = 6, 3, 25
+# Active plants of each requirement at first, unstable ones that join them at a step, steps until all plants are measured.
+_FIRST, _MORE, _STEPS = 2, 3, 12
 # Share of the reserve that is left in the end: plants that are not active, and peaks between grid points, take some.
 _SPARED = 0.8
-# How often a search that has ended is tried again, and how often on a finer grid.
-_TRIES, _FINER = 3, 10
+# How often a search goes on without a decrease by more than the second number, and how often on a finer grid.
+_TRIES, _WORTH, _FINER = 2, 1e-3, 10
+# Trust region at first, and where a search starts once more.
+_RADIUS, _CLOSE = 0.05, 0.02
+# Goals count as met a little before they are, and are set as much higher.
+_TARGET = 1.001
 # How often a search whose goals are missed starts again from about its best point, and how far from it: a search may
 # end at a kink from which no quadratic program leads on, and which kink that is depends on rounding.
 _AGAIN, _SCATTER = 2, 0.1
@@ -78,7 +82,8 @@ class Found:
     # without any.
     hard: float
     soft: float
-    evaluations: int  # how often pieces were computed
+    at: Evaluation  # all plants there
+    evaluations: int = 0  # how often pieces were computed
 
     def better_than(self, other: Found | None, reserve: float) -> bool:
         """Whether this one meets more, or the same with smaller soft ratios."""
@@ -107,7 +112,6 @@ class _State:
     H: FloatArray
     radius: float
     ended: bool = False
-    tries: int = 0
 
 
 class Search:
@@ -144,6 +148,8 @@ class Search:
         slow = {"tracking", "Omega rejection", "torque rejection"}
         self._guarded = self._wanted is not None and not any(r.kind in slow for r in requirements)
         self._reserve, self._left, self._progress = reserve, evaluations, progress
+        self._view = np.zeros(1, dtype=np.intp)
+        self._chosen = self._view[:0], self._plants
 
     def run(self, family: Parametrised) -> Found:
         """Return the best parameters of `family`."""
@@ -161,18 +167,17 @@ class Search:
     def _run(self, family: Parametrised, start: FloatArray) -> Found:
         """Return where the search from one start ends."""
         x = np.append(start, np.log(self._bandwidth(family, start))) if self._moving else start
-        hard, soft, worst = self._all(family, x)
-        self._tell(hard, soft)
-        best = Found(x=x, hard=hard, soft=soft, evaluations=0)
+        best = self._all(family, x)
+        self._tell(best)
         for _ in range(_FINER):
-            best = self._searched(family, best, worst)
+            best = self._searched(family, best)
             missed = self._missed(family, best)
             if missed is None:
                 break
             # Between the grid's points a limit is exceeded: they join the grid, and the search goes on from there.
             self._plants = self._plants.finer(missed)
-            hard, soft, worst = self._all(family, best.x)
-            best = dataclasses.replace(best, hard=hard, soft=soft)
+            self._chosen = self._view[:0], self._plants
+            best = self._all(family, best.x)
         return dataclasses.replace(best, x=best.x[: len(family.start)])
 
     def _missed(self, family: Parametrised, found: Found) -> FloatArray | None:
@@ -187,42 +192,42 @@ class Search:
         more = np.setdiff1d(loops.peak_frequencies, plants.frequency)
         return None if met or not len(more) else more
 
-    def _searched(self, family: Parametrised, best: Found, worst: list[int]) -> Found:
-        """Return where a search on the present grid ends that starts from `best`, with `worst` the worst plants."""
-        x = best.x
-        view = sorted({0, *worst[:_FIRST]})
-        state = _State(H=np.eye(len(x)), radius=0.05)
-        while self._left > 0 and not self._enough(best):
-            x = self._honest(family, self._descended(family, best.x, self._plants.only(view), state))
-            hard, soft, worst = self._all(family, x)
-            found = Found(x=x, hard=hard, soft=soft, evaluations=0)
-            added = [k for k in worst if k not in view][:_MORE]
-            better = found.better_than(best, self._reserve)
-            if better:
-                best = found
-                self._tell(hard, soft)
-            elif state.ended and (not added or len(view) >= len(self._plants.labels)):
-                break
-            else:
-                # Plants that were out of view have become the worst: once more from where all was better.
-                view = sorted({*view, *added})
-                state = _State(H=state.H, radius=0.02)
-                continue
-            if state.ended:
-                if not added:
-                    break
-                view = sorted({*view, *added[:1]})
-                state = _State(H=state.H, radius=0.02, tries=state.tries + 1)
-                if state.tries > _TRIES:
-                    break
+    def _searched(self, family: Parametrised, best: Found) -> Found:
+        """Return where a search on the present grid ends that starts from `best`."""
+        at, self._view = best, self._worst(best.at, _FIRST, -np.inf)
+        state, tries = _State(H=np.eye(len(best.x)), radius=_RADIUS), 0
+        while self._left > 0 and tries < _TRIES and not self._enough(best):
+            seen = len(self._view)
+            x = self._honest(family, self._descended(family, at, state))
+            before, at = at, self._all(family, x)
+            gained = at.hard < before.hard - _WORTH or at.soft < before.soft - _WORTH
+            # Plants out of view that have become the worst.
+            self._view = np.union1d(self._view, self._worst(at.at, 1, 1.0))
+            tries = 0 if gained or len(self._view) > seen else tries + 1
+            if at.better_than(best, self._reserve):
+                best = at
+                self._tell(best)
+            if state.ended or not gained:
+                at, state = best, _State(H=np.eye(len(x)), radius=_CLOSE)
         return best
 
-    def _tell(self, hard: float, soft: float) -> None:
-        unstable = hard >= _UNSTABLE
-        self._progress(np.inf if unstable else hard, np.inf if unstable else soft)
+    def _worst(self, at: Evaluation, count: int, floor: float) -> NDArray[np.intp]:
+        """Return the nominal plant and the worst ones of each hard requirement from `floor` on, numbers (k,)."""
+        chosen = np.zeros(1, dtype=np.intp)
+        counted = at.hard | (not self._soft) | (not at.stable)
+        for number in np.unique(at.owner[:, 0]):
+            own = np.flatnonzero((at.owner[:, 0] == number) & counted & (at.values >= floor))
+            order = at.owner[own[np.argsort(-at.values[own], kind="stable")], 1]
+            _, first = np.unique(order, return_index=True)
+            chosen = np.union1d(chosen, order[np.sort(first)[:count]])
+        return chosen
+
+    def _tell(self, found: Found) -> None:
+        unstable = found.hard >= _UNSTABLE
+        self._progress(np.inf if unstable else found.hard, np.inf if unstable else found.soft)
 
     def _enough(self, found: Found) -> bool:
-        return found.hard <= 1.0 - _SPARED * self._reserve and found.soft <= 1.0 + 1e-6
+        return found.hard <= 1.0 - _SPARED * self._reserve and found.soft <= _TARGET
 
     def _bandwidth(self, family: Parametrised, x: FloatArray) -> float:
         """Return the bandwidth in Hz, roughly, as a start for the wanted one."""
@@ -241,40 +246,40 @@ class Search:
         there = np.log(self._bandwidth(family, x)) if level > 1.0 + _FAR else x[-1]
         return np.append(x[:-1], min(x[-1], there))
 
-    def _all(self, family: Parametrised, x: FloatArray) -> tuple[float, float, list[int]]:
-        """Return the largest hard piece and soft ratio over all plants, and the plants, the worst first."""
-        found = self._evaluated(family, x, self._plants, _RANKED)
-        by_plant = np.zeros(len(self._plants.labels))
-        counted = found.hard | (not self._soft) | (not found.stable)
-        np.maximum.at(by_plant, found.owner[:, 1], np.where(counted, found.values, 0.0))
-        worst = [int(k) for k in np.argsort(-by_plant, kind="stable")]
+    def _all(self, family: Parametrised, x: FloatArray) -> Found:
+        """Return what there is with all plants."""
+        found = self._evaluated(family, x, np.arange(len(self._plants.labels)), _RANKED)
+        largest = _ratio(float(found.values[found.hard].max(initial=0.0))) - self._reserve
+        others = _ratio(float(found.values[~found.hard].max(initial=0.0)))
         if not found.stable:
-            return _UNSTABLE + float(found.values.max()), _UNSTABLE, worst
-        if self._soft:
-            hard = _ratio(float(found.values[found.hard].max(initial=0.0))) - self._reserve
-            soft = _ratio(float(found.values[~found.hard].max(initial=0.0)))
+            hard, soft = _UNSTABLE + float(found.values.max()), _UNSTABLE
+        elif self._soft:
+            hard, soft = largest, others
         else:
-            level = _ratio(float(found.values[found.hard].max(initial=0.0))) - self._reserve
-            hard, soft = max(_ratio(float(found.values[~found.hard].max())), level), 0.0
-        return hard, soft, worst
+            hard, soft = max(others, largest), 0.0
+        return Found(x=x, hard=hard, soft=soft, at=found)
 
-    def _evaluated(self, family: Parametrised, x: FloatArray, plants: PlantSet, floor: float) -> Evaluation:
-        """Return all pieces; hard ones with the reserve added, so that 1 is their limit.
+    def _evaluated(self, family: Parametrised, x: FloatArray, view: NDArray[np.intp], floor: float) -> Evaluation:
+        """Return all pieces of the plants in view; hard ones with the reserve added, so that 1 is their limit.
 
-        Where a loop is not stable, its growth is all that counts.
+        Where a loop with any plant is not stable, its growth is all that counts, and the plant comes into view.
         """
         self._left -= 1
         own = x[: len(family.start)]
-        loops = LoopGradients(plants, family.block(own), self._regular)
-        if not np.all(loops.poles().s.real < 0.0):
-            parts = [_Part(_GROWTH, loops.decay(0.0, np.arange(len(plants.labels))), False)]
+        K = family.block(own)
+        unstable = LoopGradients(self._plants, K).unstable()
+        view = np.union1d(view, unstable[:_MORE])
+        self._view = np.union1d(self._view, unstable[:_MORE])
+        loops = LoopGradients(self._only(view), K, self._regular)
+        if len(unstable):
+            parts = [_Part(_GROWTH, loops.decay(0.0, np.arange(len(view))), False)]
             stable = False
         else:
             parts, stable = [], True
             for number, requirement in enumerate(self._requirements):
                 hard = requirement.hard and self._soft
                 found = pieces(loops, requirement, floor)
-                parts.append(_Part(number, found.raised(self._reserve * hard), hard))
+                parts.append(_Part(number, found.raised(self._reserve * hard) if hard else found.times(_TARGET), hard))
             parts += self._bandwidth_parts(loops, float(np.exp(x[-1])), floor) if self._moving else []
         hards = np.concatenate([np.full(len(one.pieces.ratio), one.hard) for one in parts])
         if np.all(hards):
@@ -289,7 +294,7 @@ class Search:
         if self._moving:
             slopes = [np.broadcast_to(one.slope, len(one.pieces.ratio)) for one in parts]
             gradients = np.column_stack([gradients, np.concatenate(slopes)])
-        owner = [np.column_stack([np.full(len(one.pieces.ratio), one.number), one.pieces.plant]) for one in parts]
+        owner = [np.column_stack([np.full(len(one.pieces.ratio), one.number), view[one.pieces.plant]]) for one in parts]
         # Far from met, ratios grow like 1/margin; their logarithm is nearer to a straight line.
         beyond = np.maximum(ratios, 1.0)
         return Evaluation(
@@ -299,6 +304,12 @@ class Search:
             owner=np.concatenate(owner).astype(np.intp),
             stable=stable,
         )
+
+    def _only(self, view: NDArray[np.intp]) -> PlantSet:
+        """Return the plants in view, the same set as long as these are the same."""
+        if not np.array_equal(view, self._chosen[0]):
+            self._chosen = view, self._plants.only(list(view))
+        return self._chosen[1]
 
     def _bandwidth_parts(self, loops: LoopGradients, bandwidth: float, floor: float) -> list[_Part]:
         """Return what requires S to stay below its level up to `bandwidth`, Hz, and a bandwidth as wanted."""
@@ -322,7 +333,7 @@ class Search:
                 parts.append(_Part(number, loops.constant(share + self._reserve * hard), hard, -share))
         return parts
 
-    def _descended(self, family: Parametrised, x: FloatArray, plants: PlantSet, state: _State) -> FloatArray:
+    def _descended(self, family: Parametrised, start: Found, state: _State) -> FloatArray:
         """Return the result of a search on the active plants; `state.ended` where it has ended."""
         lower, upper = family.lower, family.upper
         if self._moving:
@@ -330,9 +341,9 @@ class Search:
         effort = Effort(
             evaluations=max(self._left, 1),
             steps=_STEPS,
-            target=1.0 if self._soft else 1.0 - self._reserve,
+            target=_TARGET if self._soft else 1.0 - self._reserve,
             excess=0.1 * self._reserve,
-            tolerance=1e-5,
+            tolerance=1e-4,
             unit=1.0,
             penalty=_PENALTY,
             radius=state.radius,
@@ -341,8 +352,9 @@ class Search:
             larger=2.0,
             smaller=0.4,
             hessian=state.H,
+            start=start.at.only(np.isin(start.at.owner[:, 1], self._view)),
         )
-        found = minimise(lambda y: self._evaluated(family, y, plants, _FLOOR), x, (lower, upper), effort)
+        found = minimise(lambda y: self._evaluated(family, y, self._view, _FLOOR), start.x, (lower, upper), effort)
         at = found.at
         met = at.stable and at.largest(hard=False) <= effort.target and at.largest(hard=True) <= 1.0 + effort.excess
         state.H, state.radius, state.ended = found.hessian, found.radius, found.finished and not met

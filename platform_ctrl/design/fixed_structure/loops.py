@@ -5,6 +5,7 @@ The formulas are in `descent`.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +43,7 @@ _SPIKE = 1.1
 # Decay rates are counted in this share of the nutation frequency, or in their limit over the second number if that is
 # less; poles as many units from their limit are active.
 _DECAY_UNIT, _NO_DECAY = 0.02, 20.0
-_SLOW = 2.0
+_SLOW = 20.0
 # Poles this near to that of the angles of regular plants, relative, are theirs: a loop's gain hardly moves them.
 _NEARLY = 0.1
 # Relative step in frequency for the slope of a singular value.
@@ -92,9 +93,31 @@ class LoopGradients:
         self.M = np.block([[self.A_K, self.B_K], [self.C_K, self.D_K]])
         self.order = len(self.A_K)
         self.p, self.m = plants.C.shape[-2], plants.B.shape[-1]
-        self.K = self.controller_response(np.exp(1j * plants.frequency * plants.period))[0]
-        self.S_output, self.S_input = sensitivities_of_plants(plants.response, self.K)
         self._poles: Poles | None = None
+
+    @cached_property
+    def K(self) -> ComplexArray:
+        """The controller's response on the grid, (F, m, p)."""
+        return self.controller_response(np.exp(1j * self.plants.frequency * self.plants.period))[0]
+
+    @cached_property
+    def _sensitivities(self) -> tuple[ComplexArray, ComplexArray]:
+        return sensitivities_of_plants(self.plants.response, self.K)
+
+    @property
+    def S_output(self) -> ComplexArray:
+        """The sensitivities at the plants' outputs, (N, F, p, p)."""
+        return self._sensitivities[0]
+
+    @property
+    def S_input(self) -> ComplexArray:
+        """The same at their inputs, (N, F, m, m)."""
+        return self._sensitivities[1]
+
+    def unstable(self) -> Numbers:
+        """Return the plants whose loops are not stable, the fastest growing first."""
+        largest = np.abs(np.linalg.eigvals(self._stacked()[0])).max(axis=-1, initial=0.0)
+        return np.argsort(-largest, kind="stable")[: int(np.sum(largest >= 1.0))]
 
     def controller_response(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Return K (k, m, p), C_K R (k, m, n_K) and R B_K (k, n_K, p) at the points `z`."""
@@ -144,7 +167,7 @@ class LoopGradients:
             np.broadcast_to(self.fed(w[cut]), (len(members), len(inside), self.m, 3)),
             *((one[members, cut] for one in self.plants.disturbed_on_grid()) if of.disturbed else _UNDISTURBED),
         )
-        sizes = largest_singular_values(of.response(response))
+        sizes = _sizes(of.response(response), floor)
         padded = np.pad(sizes, ((0, 0), (1, 1)), constant_values=-np.inf if ends else np.inf)
         chosen = (sizes >= padded[:, :-2]) & (sizes > padded[:, 2:]) & (sizes >= floor)
         if ends:
@@ -344,6 +367,19 @@ class LoopGradients:
             gradient=(own + inner) * scale[:, None, None],
             plant=np.full(self.m, plant, dtype=np.intp),
         )
+
+
+def _sizes(X: ComplexArray, floor: float) -> FloatArray:
+    """Return the largest singular values of matrices (N, F, p, m); Frobenius norms of those far below the floor."""
+    rank = min(X.shape[-2:])
+    if rank < 3:
+        return largest_singular_values(X)
+    out: FloatArray = np.sqrt(np.sum(X.real**2 + X.imag**2, axis=(-2, -1)))
+    # The largest value is at least this; the neighbours of a top say where it is.
+    high = np.pad(~(out < min(floor, float(out.max()) / np.sqrt(rank))), ((0, 0), (1, 1)))
+    high = high[:, 1:-1] | high[:, :-2] | high[:, 2:]
+    out[high] = largest_singular_values(X[high])
+    return out
 
 
 class Poles(NamedTuple):

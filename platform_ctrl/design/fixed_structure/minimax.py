@@ -42,6 +42,16 @@ class Evaluation:
         chosen = self.values[self.hard == hard]
         return float(np.max(chosen, initial=0.0)) if hard else float(np.max(chosen))
 
+    def only(self, chosen: NDArray[np.bool_]) -> Evaluation:
+        """Return some of the functions."""
+        return Evaluation(
+            values=self.values[chosen],
+            gradients=self.gradients[chosen],
+            hard=self.hard[chosen],
+            owner=self.owner[chosen],
+            stable=self.stable,
+        )
+
 
 Function = Callable[[FloatArray], Evaluation]
 
@@ -68,6 +78,7 @@ class Effort:
     larger: float = 2.5
     smaller: float = 0.5
     hessian: FloatArray | None = None  # curvature of an earlier search
+    start: Evaluation | None = None  # the functions at the start, where they are known
 
 
 @value
@@ -115,7 +126,8 @@ class _Search:
     ) -> None:
         self.function, self.effort, self.x = function, effort, x
         self.lower, self.upper = bounds
-        self.here, self.spent, self.small, self.radius = function(x), 1, 0, effort.radius
+        self.here, self.spent = (effort.start, 0) if effort.start is not None else (function(x), 1)
+        self.small, self.radius = 0, effort.radius
         size = abs(self.here.largest(hard=False))
         self.penalty = effort.penalty or 10.0 * max(1.0, size)
         first = _FIRST_CURVATURE * max(size, 1e-12) / effort.radius**2 * np.eye(len(x))

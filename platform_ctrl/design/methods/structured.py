@@ -42,8 +42,8 @@ _FILTER_DAMPING = 0.4
 _NEGLIGIBLE = 1e-7
 # Poles this near to z = 1 are integrators.
 _INTEGRATOR = 1e-5
-# Shares of the evaluations that each structure gets on the way to the next.
-_SHARES = {"cross-axis": 0.2, "pid": 0.3, "state-space": 0.5}
+# Shares of the evaluations that a structure gets on the way to the next one, which has the rest.
+_SHARES = {"cross-axis": 0.05, "pid": 0.3}
 
 
 # Options of some structures alone.
@@ -164,7 +164,7 @@ def tuned_controller(
                 continue
             inner = of_order(inner, int(options["order"]), plants.nutation * plants.period)
             free = free_structure(inner, channel, plants.period, plants.nutation, integral)
-            found = search(free, _SHARES["state-space"])
+            found = search(free, 1.0 - sum(_SHARES.values()))
             if found.better_than(best[0], options["reserve"]):
                 best = found, free
     found, family = best
