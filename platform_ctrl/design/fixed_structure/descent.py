@@ -17,9 +17,9 @@ A peak between grid points is followed to its top. `minimax.minimise` minimises 
 and only pieces of one requirement and plant continue each other. The bandwidth has no smooth pieces of its own where S
 lies along the level; so the problem is reversed: S is at most 1/√2 up to ω_b, and log ω_b is one more variable.
 
-A search is on the active plants, the nominal one and the worst of each requirement; a step must leave all plants
-stable, and every few steps all are measured: those that exceed a limit become active. Where angles drift the search is on regular plants, in which they decay slowly; its result is checked exactly
-on the plants as given.
+A search is on the active plants, the nominal one and the worst of each requirement. A step must leave all plants
+stable, and every few steps all are measured: those that exceed a limit become active. Where angles drift the search is
+on regular plants, in which they decay slowly; its result is checked exactly on the plants as given.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _UNSTABLE = 1e6
 _PENALTY = 5.0
 # Pieces below this ratio are not computed; plants are ranked by their excess over the second number.
 _FLOOR, _RANKED = 0.8, 0.5
-# Active plants of each requirement at first, unstable ones that join them at a step, steps until all plants are measured.
+# Active plants of each requirement at first; unstable ones that join them at a step; steps until all are measured.
 _FIRST, _MORE, _STEPS = 2, 3, 12
 # Share of the reserve that is left in the end: plants that are not active, and peaks between grid points, take some.
 _SPARED = 0.8
