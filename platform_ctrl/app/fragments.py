@@ -396,7 +396,7 @@ def budget(state: BudgetState, spec: BudgetSpec | None) -> str:
         _row(one, spec) | {"reached": number(1e6 * one.value, 4), "required": f"≤ {number(1e6 * one.limit, 4)}"}
         for one in found.results
     ]
-    friction = [] if found.friction is None else found.friction.statement
+    friction = found.friction.statement
     return fragment(
         "budget", line=state.line, exact=state.exact, axes=found.axes, rows=rows, limits=limits, friction=friction
     )

@@ -84,7 +84,7 @@ class SightBudgets:
             return BudgetState(found=None, exact=False, line=str(error))
         if quick is None:
             return BudgetState(found=None, exact=False, line=_WAITING)
-        return BudgetState(found=quick, exact=False, line=_QUICK + (_FRICTION if quick.friction is not None else ""))
+        return BudgetState(found=quick, exact=False, line=_QUICK + (_FRICTION if quick.friction.frictions else ""))
 
     def quick_results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the limits with the budget that is computed within some milliseconds; none before there is one."""

@@ -165,7 +165,7 @@ def show_budget(
     for window in found.windows:
         console.print()
         show_block(console, window_table(window, job.budget.spatial_frequencies))
-    for line in () if found.friction is None else found.friction.statement:
+    for line in found.friction.statement:
         console.print()
         show_words(console, line)
     console.print()

@@ -64,7 +64,7 @@ def budget_blocks(result: JobResult) -> list[Block]:
         blocks.append(Subsection(title="Within an exposure", blocks=windows))
     if result.simulated_budget is not None:
         blocks.append(_simulated(result.simulated_budget))
-    if found.friction is not None:
+    if found.friction.frictions:
         lines = tuple(Paragraph(text=f"{sentence(line)}") for line in found.friction.statement)
         blocks.append(Subsection(title="Dry friction", blocks=lines))
     return blocks

@@ -36,7 +36,7 @@ from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.verification.budget_loop import BudgetLoop
-from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget, assumption, balance_holds, judged
+from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget, assumption, judged
 
 if TYPE_CHECKING:
     import control
@@ -156,7 +156,7 @@ class PreparedBudget:
         for k in places:
             apart, together = self._prepared[k]
             at = self._balanced[k]
-            closed = self._loop.with_drives(controller, at.fed, at.q)
+            closed = self._loop.with_drives(controller, at.friction.fed, at.q)
             # Only the first is shown over frequency.
             of_all = together.of(closed, tolerance, over_frequency=not found)
             alone = of_all if apart is together else apart.of(closed, tolerance, over_frequency=not found)
@@ -168,7 +168,7 @@ class PreparedBudget:
 
 def _prepared(loop: BudgetLoop, at: Balanced) -> tuple[JitterBudget, JitterBudget]:
     """Return the budgets of the sources as if independent and as they are, one where that is the same."""
-    plant = loop.damped(at.viscous, at.q)
+    plant = loop.damped(at.friction.viscous, at.q)
     together = loop.prepared(plant, [*loop.together, *at.rest], loop.budget.exposure)
     if loop.together is loop.apart:
         return together, together
@@ -212,7 +212,7 @@ def _result(loop: BudgetLoop, at: Balanced, apart: BudgetResult, together: Budge
             [np.interp(apart.edges, together.edges, of_axis) for of_axis in together.total_cumulative[:3]]
         ),
         friction=at.friction,
-        results=judged(budget, rms, together.total[:3], windows, linear, balance_holds(at.friction)),
+        results=judged(budget, rms, together.total[:3], windows, linear, bool(at.friction.valid.all())),
     )
 
 
@@ -228,24 +228,14 @@ class Balanced(NamedTuple):
     """Gimbal angles (n,), and the replacement of dry friction there: damping, feedforward, noise of the rest."""
 
     q: FloatArray
-    friction: FrictionBalance | None
+    friction: FrictionBalance
     rest: tuple[RandomDisturbance, ...]
-
-    @property
-    def viscous(self) -> FloatArray:
-        """Equivalent damping of the dry parts (J,), N m s."""
-        return np.zeros(0) if self.friction is None else self.friction.viscous
-
-    @property
-    def fed(self) -> FloatArray:
-        """Equivalent gain of what drives feed forward (J,), N m s."""
-        return np.zeros(0) if self.friction is None else self.friction.fed
 
 
 def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = None) -> Balanced:
     """Return the replacement of dry friction at gimbal angles (n,); `near` is the balance at others."""
     if not loop.dry:
-        return Balanced(q, None, ())
+        return Balanced(q, friction_balance((), lambda gains: gains), ())
     bearings = [len(LOS_RATES) + loop.job.platform.gimbal(one.gimbal) for one in loop.dry]
     driven = [k for k, law in enumerate(loop.laws) if law is not None]
     first = len(LOS_RATES) + len(loop.job.platform.gimbals)

@@ -75,7 +75,7 @@ class LineOfSightBudget:
     total_cumulative : (3, k)
         The same of all sources together, in rad · rad.
     friction
-        Rates and equivalent dampings of bearings with dry friction; None where there is none.
+        Rates and equivalent dampings of the bearings with dry friction.
     results
         The budget's limits compared with these.
     """
@@ -89,7 +89,7 @@ class LineOfSightBudget:
     frequencies_hz: FloatArray
     cumulative: FloatArray
     total_cumulative: FloatArray
-    friction: FrictionBalance | None
+    friction: FrictionBalance
     results: tuple[CheckResult, ...]
 
     @property
@@ -271,18 +271,12 @@ def across(rms: FloatArray) -> float:
     return float(math.hypot(rms[0], rms[1]))
 
 
-def assumption(friction: FrictionBalance | None, where: str) -> str:
+def assumption(friction: FrictionBalance, where: str) -> str:
     """Return what verdicts rest on, in words."""
-    fed = friction is not None and any(one is not None for one in friction.drives)
-    valid = () if friction is None else zip(friction.statement, friction.valid, strict=True)
-    unsure = [words for words, holds in valid if not holds]
-    dry = "" if friction is None else f", with dry friction{' less what is fed forward' if fed else ''}"
+    fed = " less what is fed forward" if any(one is not None for one in friction.drives) else ""
+    unsure = [words for words, holds in zip(friction.statement, friction.valid, strict=True) if not holds]
+    dry = f", with dry friction{fed}" if friction.frictions else ""
     return "; ".join([f"linear budget{f' at {where}' if where else ''}{dry}", *unsure])
-
-
-def balance_holds(friction: FrictionBalance | None) -> bool:
-    """Return whether the replacement of dry friction in a linear budget is valid."""
-    return friction is None or bool(np.all(friction.valid))
 
 
 def judged(

@@ -104,7 +104,7 @@ def budget_record(
             }
             for one in found.windows
         ],
-        "friction": () if found.friction is None else _friction(found.friction),
+        "friction": _friction(found.friction),
         "requirements": [_requirement(one) for one in found.results],
     }
     if others:

@@ -46,7 +46,6 @@ def test_the_motion_rises_from_rest_so_that_no_step_saturates_a_motor(tmp_path: 
 def test_a_bearing_that_hardly_slides_is_simulated_where_the_budget_does_not_hold(tmp_path: Path) -> None:
     stuck = job(tmp_path, friction=", coulomb = 0.05, coulomb_rate = 0.05")
     budget = line_of_sight_budget(stuck, controllers())
-    assert budget.friction is not None
     assert not budget.friction.valid[0]
     assert "simulate" in budget.friction.statement[0]
     few, again = (simulated_budget(stuck, controllers(), 8, time=0.25) for _ in range(2))
