@@ -111,7 +111,7 @@ def _rows(job: Job) -> Iterator[tuple[tuple[str, str], str]]:
 
 
 def _budget_rows(budget: BudgetSpec | None) -> Iterator[tuple[tuple[str, str], str]]:
-    for (key, source), one in () if budget is None else budget_requirements(budget):
+    for (key, source), one in budget_requirements(budget):
         yield (LINE_OF_SIGHT, one.name), _name("budget", source or "limits", key)
 
 

@@ -352,9 +352,11 @@ def by_simulation(results: Sequence[CheckResult], simulated: SimulatedBudget) ->
     return tuple(out)
 
 
-def budget_requirements(budget: BudgetSpec) -> list[tuple[tuple[str, str], Requirement]]:
+def budget_requirements(budget: BudgetSpec | None) -> list[tuple[tuple[str, str], Requirement]]:
     """Return the limits with their keys and the names of the sources that they are of, if they are of one."""
-    out = []
+    out: list[tuple[tuple[str, str], Requirement]] = []
+    if budget is None:
+        return out
     for key, metric in BUDGET_METRICS.items():
         of = [("", "", getattr(budget.limits, key, None))]
         if key == "limit":
@@ -363,15 +365,10 @@ def budget_requirements(budget: BudgetSpec) -> list[tuple[tuple[str, str], Requi
     return out
 
 
-def is_limited(job: Job) -> bool:
-    """Return whether a job has a budget with limits."""
-    return job.budget is not None and bool(budget_requirements(job.budget))
-
-
 def unstable_results(job: Job) -> tuple[CheckResult, ...]:
     """Return the limits of a job's budget as they are judged where the loop is not stable; none without a budget."""
-    of = [] if job.budget is None else budget_requirements(job.budget)
     evidence = "the loop is not stable"
     return tuple(
-        one.judge(math.inf, subject=LINE_OF_SIGHT, stage="coupled", evidence=evidence, method="exact") for _, one in of
+        one.judge(math.inf, subject=LINE_OF_SIGHT, stage="coupled", evidence=evidence, method="exact")
+        for _, one in budget_requirements(job.budget)
     )

@@ -18,8 +18,8 @@ from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.budget_result import (
     LineOfSightBudget,
     SimulatedBudget,
+    budget_requirements,
     by_simulation,
-    is_limited,
     unstable_results,
 )
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
@@ -134,7 +134,7 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
         if coupled is not None:
             proofs["", ""] = coupled_proofs(coupled, controllers)
     shaken = job.budget.runs if job.budget is not None else None
-    if coupled is not None and coupled.stable and (is_limited(job) or shaken):
+    if coupled is not None and coupled.stable and (budget_requirements(job.budget) or shaken):
         say("budget: every source through the coupled sampled model")
         budget = line_of_sight_budget(job, controllers)
         if shaken:
