@@ -67,21 +67,31 @@ def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> l
     the nominal and with the other parameters, and the faults.
     """
     torquers = torquers or [job.platform.torquer_on(name).name for name in gimbals]
-    platform, still, whole = job.platform, np.zeros(3), np.ones(len(torquers))
-    out = [Case(label="nominal", group="nominal", platform=platform, Omega=still, torque=whole)]
+    platform, whole, replace = job.platform, np.ones(len(torquers)), dataclasses.replace
+    nominal = Case(label="nominal", group="nominal", platform=platform, Omega=np.zeros(3), torque=whole)
+    out = [nominal]
     for label, parameters in _varied(job, gimbals):
-        moved = changed(platform, **parameters)
-        out.append(Case(label=label, group="uncertainty", platform=moved, Omega=still, torque=whole))
+        out.append(replace(nominal, label=label, group="uncertainty", platform=changed(platform, **parameters)))
     for rates in _rates(job.Omega, job.Omega_grid):
         label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
-        out.append(Case(label=label, group="Omega", platform=platform, Omega=np.array(rates), torque=whole))
+        out.append(replace(nominal, label=label, group="Omega", Omega=np.array(rates)))
     varied = [one for one in out if one.group in ("nominal", "uncertainty")]
     for q in job.trims[1:]:
         for one in varied:
             group: Group = "angles" if one.group == "nominal" else "uncertainty"
             label = at_angles(platform, q) if one.group == "nominal" else f"{one.label}, {at_angles(platform, q)}"
-            out.append(dataclasses.replace(one, label=label, group=group, q=q, torque=secant_gains(job, q, torquers)))
-    return [*out, *_faults(job, gimbals, torquers)]
+            out.append(replace(one, label=label, group=group, q=q, torque=secant_gains(job, q, torquers)))
+    slow, weak = job.faults.slow_rotor, job.faults.weak_torquer
+    if slow is not None:
+        for name in carried(platform, gimbals):
+            label, slower = f"rotor {name} at {slow:.0%} of its spin", changed(platform, {}, {name: slow - 1.0})
+            out.append(replace(nominal, label=label, group="faults", platform=slower))
+    if weak is not None:
+        for k, name in enumerate(torquers):
+            torque = np.where(np.arange(len(torquers)) == k, weak, 1.0)
+            label = f"torquer {name} at {weak:.0%} of its torque"
+            out.append(replace(nominal, label=label, group="faults", torque=torque))
+    return out
 
 
 def friction_rate(job: Job) -> float:
@@ -193,21 +203,6 @@ def _rates(Omega: FloatArray, grid: int) -> list[tuple[float, ...]]:
     # An odd grid's middle is 0 up to rounding.
     axes = [np.where(np.abs(axis) < 1e-9 * rate, 0.0, axis) for axis, rate in zip(axes, Omega, strict=True)]
     return [tuple(map(float, rates)) for rates in product(*axes) if any(rates)]
-
-
-def _faults(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str]) -> Iterator[Case]:
-    still, whole = np.zeros(3), np.ones(len(torquers))
-    slow, weak = job.faults.slow_rotor, job.faults.weak_torquer
-    if slow is not None:
-        for name in carried(job.platform, gimbals):
-            platform = changed(job.platform, {}, {name: slow - 1.0})
-            label = f"rotor {name} at {slow:.0%} of its spin"
-            yield Case(label=label, group="faults", platform=platform, Omega=still, torque=whole)
-    if weak is not None:
-        for k, name in enumerate(torquers):
-            label = f"torquer {name} at {weak:.0%} of its torque"
-            torque = np.where(np.arange(len(torquers)) == k, weak, 1.0)
-            yield Case(label=label, group="faults", platform=job.platform, Omega=still, torque=torque)
 
 
 def carried(platform: Platform, gimbals: tuple[str, ...]) -> list[str]:

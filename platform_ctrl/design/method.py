@@ -13,7 +13,7 @@ import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System, block
-from platform_ctrl.common.arguments import known_name, nearest
+from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design, delivered, measured
@@ -231,12 +231,6 @@ def number(label: str, tip: str, low: float, high: float, group: OptionGroup = "
 METHODS = cast("dict[str, Method]", methods.METHODS)
 
 
-def known_method(key: str) -> Method:
-    """Return the method with this key; an `ArgumentError` names those that are there."""
-    keys = tuple(METHODS)
-    return METHODS[keys[known_name("method", key, keys)]]
-
-
 def designed(problem: LoopProblem) -> Design:
     """Return the design that the problem's method makes, with all its values recomputed; a DesignError says why not."""
     out = evaluated(problem)
@@ -247,7 +241,7 @@ def designed(problem: LoopProblem) -> Design:
 
 def evaluated(problem: LoopProblem) -> Design:
     """Return the design of the problem's method, all values recomputed from the closed loops; they may be unstable."""
-    method = known_method(problem.design.method)
+    method = METHODS[problem.design.method]
     out = method.design(problem)
     if (plants := out.plants) is not None:
         found = measured(problem.spec, out.name, out.method, out.controller, plants)
@@ -267,7 +261,7 @@ def instability(design: Design, tuned: bool) -> NotCertifiedError | None:
     measures = design.measures
     if measures is None or measures.decay[0] > 0.0:
         return None
-    advice = known_method(design.method).advice
+    advice = METHODS[design.method].advice
     if tuned:
         advice = "a higher rate_hz, a shorter delay or other limits: no start of the tuner leads to a stable loop"
     return NotCertifiedError(

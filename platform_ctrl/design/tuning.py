@@ -75,11 +75,7 @@ def limiting(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[Loo
     worst = int(decay.argmin())
     if not decay[worst] > 0.0:
         return f"unstable: {plants.labels[worst]} grows at {-decay[worst]:.3g} 1/s"
-    return limited_by([one.result(plants, measures) for one in requirements])
-
-
-def limited_by(results: Sequence[CheckResult]) -> str:
-    """Return words about which requirement is nearest to its limit or farthest beyond it."""
+    results = [one.result(plants, measures) for one in requirements]
     if not results:
         return "stable"
     one = max(results, key=lambda one: one.ratio)
