@@ -49,7 +49,7 @@ import numpy as np
 
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Partition, ScaledPlant, autoscale, closed_loop, unscale, weakest_mode
+from platform_ctrl.design.partition import Partition, ScaledPlant, autoscale, autoscaled_with_gain, closed_loop, unscale
 from platform_ctrl.errors import DesignError, InfeasibleError, TimeLimitError, UnscalableError
 
 if TYPE_CHECKING:
@@ -65,8 +65,8 @@ _STRICT, _TOLERANCE = 0.01, 1e-3
 
 WHERE = "hinf, lmi"
 CURE = 'give a larger backoff, other weights, or method="riccati"'
-# Units of gamma tried until the first solution succeeds; solved again in others until gamma is within 1/8 .. 8.
-GAINS, GAMMA_RANGE, MOST_ROUNDS = (1.0, 1e2, 1e-2, 1e4, 1e-4), 8.0, 6
+# The first solution is found again in other units until gamma is within 1/8 .. 8.
+GAMMA_RANGE, MOST_ROUNDS = 8.0, 6
 # Tolerances of the first solution, which finds the states, and of the others.
 ROUGH, FINE = 1e-4, 1e-7
 # Largest separation; X and Y may grow to this mean, and by this factor, for it.
@@ -191,10 +191,8 @@ def solve(problem: Any, where: str, cure: str, time_limit: float, tolerance: flo
         raise UnscalableError(f"{where}: the solver ended with {problem.status!r}; {cure}", P)
 
 
-def hinf_lmi(
-    plant: Partition, backoff: float, time_limit: float, P: StateSpace
-) -> tuple[System, float, dict[str, float]]:
-    """Return the controller in the units of `plant`, the least gamma, and further values (scaled) by name."""
+def hinf_lmi(plant: Partition, backoff: float, time_limit: float, P: StateSpace) -> tuple[System, float]:
+    """Return the controller in the units of `plant` and the least gamma."""
 
     def minimised(p: Partition, tolerance: float) -> tuple[LinearLoop, float]:
         loop, gamma = LinearLoop(p, direct=True), cp.Variable()
@@ -202,7 +200,7 @@ def hinf_lmi(
         solve(problem, f"{WHERE}: minimising gamma", CURE, time_limit, tolerance, P)
         return loop, float(gamma.value)
 
-    scaled, loop = _near_one(plant, minimised, P)
+    scaled, loop = _near_one(plant, minimised)
     failure: DesignError | None = None
     T = np.eye(len(plant.A))
     for strictness in STRICTNESS:
@@ -227,8 +225,7 @@ def hinf_lmi(
             own = error if isinstance(error, DesignError) else UnscalableError(f"{WHERE}: {error}; {CURE}", P)
             failure = failure or own
             continue
-        residual = {"separation of X and Y": float(t.value)}
-        return unscale(made, scaled), least * scaled.gain, residual
+        return unscale(made, scaled), least * scaled.gain
     assert failure is not None
     raise failure
 
@@ -238,28 +235,17 @@ def _bounded(loop: LinearLoop, gamma: Any, margin: float = 0.0) -> Any:
     return loop.hinf_below(range(nw), range(nz), gamma, gamma, margin)
 
 
-def _near_one(plant: Partition, minimised: Any, P: StateSpace) -> tuple[ScaledPlant, LinearLoop]:
+def _near_one(plant: Partition, minimised: Any) -> tuple[ScaledPlant, LinearLoop]:
     """Return the plant in units in which the least gamma is near one, and a first solution."""
-    failure: DesignError | None = None
-    for first in GAINS:
-        gain = first
-        try:
-            for _ in range(MOST_ROUNDS):
-                scaled = autoscale(plant, gain)
-                loop, gamma = minimised(scaled.plant, ROUGH)
-                if 1 / GAMMA_RANGE <= gamma <= GAMMA_RANGE:
-                    break
-                # Far from one, gamma is inaccurate: a limited step.
-                gain *= float(np.clip(gamma, 1e-3, 1e6))
-            return scaled, loop
-        except TimeLimitError:
-            raise
-        except DesignError as error:
-            failure = failure or error
-    assert failure is not None
-    sigma, word, pole = weakest_mode(autoscale(plant))
-    hint = f"; the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s is hardly {word}" if word and sigma < 1e-4 else ""
-    raise type(failure)(f"{failure}{hint}", P) from None
+    gain = autoscaled_with_gain(plant).gain
+    for _ in range(MOST_ROUNDS):
+        scaled = autoscale(plant, gain)
+        loop, gamma = minimised(scaled.plant, ROUGH)
+        if 1 / GAMMA_RANGE <= gamma <= GAMMA_RANGE:
+            break
+        # Far from one, gamma is inaccurate: a limited step.
+        gain *= float(np.clip(gamma, 1e-3, 1e6))
+    return scaled, loop
 
 
 def sharing(loops: FloatArray, time_limit: float) -> int:

@@ -110,10 +110,7 @@ def out_of_w_plane(K: System, period: float) -> System:
 
 def closed_loop(plant: Partition, K: System) -> System:
     """Return the lower linear fractional transformation of a plant and u = K y, with states [x, xK]."""
-    try:
-        return performance_loop(whole(plant), K)
-    except ArgumentError as error:
-        raise np.linalg.LinAlgError(str(error)) from None
+    return performance_loop(whole(plant), K)
 
 
 def whole(plant: Partition) -> System:

@@ -176,8 +176,8 @@ LARGEST_LOOP_CONDITION = 1e8
 Sides = tuple[Partition, Partition]
 
 
-def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[System, float, dict[str, float]]:
-    """Return the controller in the units of a continuous `plant`, the least gamma, and the residuals (scaled)."""
+def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[System, float]:
+    """Return the controller in the units of a continuous `plant` and the least gamma."""
     scaled = autoscaled_with_gain(plant)
     require_assumptions(scaled, P, WHERE)
     normal = _normal_form(scaled.plant)
@@ -195,16 +195,11 @@ def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[Syste
         refined(equation, V, f"{WHERE}: the Riccati equation of {name}")
         for name, equation, V in zip("XY", _equations(sides, gamma), (found.X, found.Y), strict=True)
     )
-    residual = {
-        "spectral radius of X Y over gamma squared": found.radius / gamma**2,
-        "relative residual of the Riccati equation of X": X.relative,
-        "relative residual of the Riccati equation of Y": Y.relative,
-    }
     made = _central(normal, gamma, X.X, Y.X)
     # The loop around D22, which was left out so far, has to stay well posed.
     around = np.linalg.cond(np.eye(len(made.D)) + scaled.control @ made.D @ scaled.measurement @ scaled.D22)
     if around < LARGEST_LOOP_CONDITION:
-        return unscale(made, scaled), least * scaled.gain, residual
+        return unscale(made, scaled), least * scaled.gain
     raise UnscalableError(
         f"{WHERE}: the loop of u and y is not well posed with the controller at gamma = {gamma * scaled.gain:.6g}; "
         'give a larger backoff, or method="lmi"',
@@ -336,8 +331,8 @@ def _central(p: Partition, gamma: float, X: FloatArray, Y: FloatArray) -> System
     return System(A=p.A + B @ F + B1 @ np.linalg.solve(D21, C2), B=B1, C=C1, D=D11)
 
 
-def h2_riccati(plant: Partition, direct: bool, P: StateSpace) -> tuple[System, float, dict[str, float]]:
-    """Return the controller in the units of `plant`, the least norm, and the residuals (scaled).
+def h2_riccati(plant: Partition, direct: bool, P: StateSpace) -> tuple[System, float]:
+    """Return the controller in the units of `plant` and the least norm.
 
     Of a sampled plant present state and disturbance are estimated as x̂ + Y C2' S⁻¹ e and D21' S⁻¹ e, with S the
     covariance of the innovation e = y − C2 x̂; u is the state feedback F and the disturbance feedback F0 of these.
@@ -366,11 +361,7 @@ def h2_riccati(plant: Partition, direct: bool, P: StateSpace) -> tuple[System, f
     made = System(p.A + p.B2 @ F - into @ p.C2, into, F - present @ p.C2, present + gain)
     # The norm of a slower system: time is counted in units of 1/rate.
     least = scaled.gain * float(np.sqrt(max(square, 0.0) * scaled.rate))
-    residual = {
-        f"relative residual of the Riccati equation of {name}": one.relative
-        for name, one in zip("XY", (for_X, for_Y), strict=True)
-    }
-    return unscale(made, scaled), least, residual
+    return unscale(made, scaled), least
 
 
 def _solutions(p: Partition) -> list[Solution]:

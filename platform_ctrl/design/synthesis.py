@@ -56,8 +56,6 @@ class Synthesis:
     ----------
     plant
         The plant P with inputs [w, u] and outputs [z, y].
-    nmeas, ncon
-        Number of measurements y and of controls u.
     controller
         K, u = K y (positive feedback, as in `control.hinfsyn`).
     closed_loop
@@ -76,8 +74,6 @@ class Synthesis:
         The route.
     poles : complex (n + nK,)
         Poles of the closed loop: rad/s, or in z (dimensionless) where the plant is sampled.
-    residual
-        Figures of merit of the route by name, in scaled units.
     norm
         Which norm `gamma` is: ``"hinf"`` or ``"h2"``.
     reason
@@ -85,8 +81,6 @@ class Synthesis:
     """
 
     plant: StateSpace
-    nmeas: int
-    ncon: int
     controller: StateSpace
     closed_loop: StateSpace
     gamma: float
@@ -96,7 +90,6 @@ class Synthesis:
     level: float
     method: str
     poles: np.ndarray[Any, Any]
-    residual: dict[str, float]
     norm: Norm = "hinf"
     reason: str = ""
 
@@ -199,16 +192,16 @@ def hinf(
             if route == "lmi":
                 from platform_ctrl.design.inequalities import hinf_lmi
 
-                made, least, residual = hinf_lmi(flat, backoff, time_limit, P)
+                made, least = hinf_lmi(flat, backoff, time_limit, P)
             else:
                 from platform_ctrl.design.riccati import hinf_riccati
 
-                made, least, residual = hinf_riccati(flat, backoff, P)
+                made, least = hinf_riccati(flat, backoff, P)
             made = out_of_w_plane(made, plant.dt)
         except (ArgumentError, np.linalg.LinAlgError) as error:
             raise UnscalableError(f"hinf, {route}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
         name = f"hinf, {route}"
-        found = certify(P, plant, made, least=least, backoff=backoff, method=name, residual=residual)
+        found = certify(P, plant, made, least=least, backoff=backoff, method=name)
         return replace(found, reason=reason)
 
     if method is not None:
@@ -257,8 +250,8 @@ def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True) -> Synthesi
 
     plant = partition(P, nmeas, ncon, sampled=True)
     require_stabilisable(plant, P, "h2")
-    made, least, residual = h2_riccati(plant, direct, P)
-    return certify(P, plant, made, least=least, backoff=0.0, method=H2, residual=residual, norm="h2")
+    made, least = h2_riccati(plant, direct, P)
+    return certify(P, plant, made, least=least, backoff=0.0, method=H2, norm="h2")
 
 
 def certify(
@@ -269,7 +262,6 @@ def certify(
     least: float,
     backoff: float,
     method: str,
-    residual: dict[str, float],
     norm: Norm = "hinf",
 ) -> Synthesis:
     """Close the loop with the plant as given; return the result if it is stable and has the promised norm.
@@ -280,7 +272,7 @@ def certify(
         raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
     try:
         loop = closed_loop(plant, controller)
-    except np.linalg.LinAlgError:
+    except ArgumentError:
         raise NotCertifiedError(f"{method}: I − D_K D22 is singular: the loop is not well posed; {CURE}", P) from None
     poles = np.asarray(np.linalg.eigvals(loop.A), dtype=np.complex128)
     decay = -continuous_poles(poles, plant.dt).real
@@ -305,8 +297,6 @@ def certify(
         )
     return Synthesis(
         plant=P,
-        nmeas=plant.C2.shape[0],
-        ncon=plant.B2.shape[1],
         controller=controller_system(P, controller),
         closed_loop=closed_loop_system(P, loop),
         gamma=gamma,
@@ -316,7 +306,6 @@ def certify(
         level=float((1 + backoff) * least),
         method=method,
         poles=poles,
-        residual=dict(residual),
         norm=norm,
     )
 

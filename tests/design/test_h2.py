@@ -38,7 +38,6 @@ def test_slycot_agrees_on_scaled_plants(seed):
     assert result.gamma == pytest.approx(h2_norm(P.lft(K, 2, 2)), rel=1e-10)
     assert result.gamma_optimal == pytest.approx(result.gamma, rel=1e-10)
     assert result.norm == "h2"
-    assert max(result.residual.values()) < 1e-12
 
 
 def test_integrator_has_its_textbook_norm():
