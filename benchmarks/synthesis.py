@@ -86,7 +86,7 @@ def platform_plants() -> list[Case]:
         given = next((d for d in spec.designs if d.method == "hinf"), DesignSpec(name="hinf", method="hinf"))
         options = MixedSensitivity().defaults(given, channel, plants.nutation, plants.period)
         weighted = weighted_plant(options, channel, plants)
-        k = weighted.size
+        k = len(weighted.torque_unit)
         P = weighted.arrays.to_control([f"w{i}" for i in range(3 * k)], [f"z{i}" for i in range(4 * k)])
         out.append((spec.name, P, k, k))
     return out

@@ -67,7 +67,7 @@ def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
             # An error says which gimbals its sensors do not show.
             loop_channels(linearise(job.platform), signals, job.period_of(spec))
             expect_no_keyhole(job, signals)
-        return _sampled_plants(job, signals, job.every(spec))
+        return sampled_plants(job, signals, job.every(spec))
     except ArgumentError as error:
         raise InputError(f"loop {spec.name!r}: {error}") from None
 
@@ -100,8 +100,9 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     columns = [systems[0].input_labels.index(name) for name in [*torques, *OMEGA_NAMES]]
     rows = [systems[0].output_labels.index(name) for name in outputs]
     A, B, C, D = (np.array([getattr(one, name) for one in systems]) for name in "ABCD")
-    share = np.array([[*one.torque, 1.0, 1.0, 1.0] for one in plants])[:, None, :]
-    B, C, D = B[..., columns] * share, C[:, rows], D[:, rows][..., columns] * share
+    A, B, C, D, _ = System(A, B, C, D).part(rows, columns)
+    share = _shares(plants)
+    B, D = B * share, D * share
     states = list(systems[0].state_labels)
     drifting: tuple[str, ...] = ()
     if signals.held:
@@ -121,15 +122,18 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     )
 
 
-def sampled_plants(
-    linear: LinearPlants, sampling: Sampling, Omega: FloatArray, every: int, used: Mapping[str, int] | None
-) -> PlantSet:
-    """Sample linear plants; `Omega` is the largest platform rate about each axis, rad/s.
+def _shares(plants: Sequence[Case]) -> FloatArray:
+    """Return the shares of torques that torquers give, and those of Omega, (N, 1, m + 3)."""
+    return np.array([[[*one.torque, 1.0, 1.0, 1.0]] for one in plants])
 
-    Their loop is computed at every `every`-th sample; `used` has the number of samples between uses of a reading where
-    that is another one.
+
+def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str, int] | None = None) -> PlantSet:
+    """Return the sampled plants that a loop with these signals must control.
+
+    It is computed at every `every`-th sample; `used` has the number of samples between uses of a reading where that is
+    another one.
     """
-    signals = linear.signals
+    linear, sampling = linear_plants(signals, loop_cases(job, signals)), job.sampling
     torques, names = (tuple(one.name for one in part) for part in (signals.torquers, signals.sensors))
     lags = np.array([t.lag for t in signals.torquers])
     m, p, q = len(torques), len(names), len(signals.sight)
@@ -170,7 +174,7 @@ def sampled_plants(
         nutation=nutation,
         noise=np.array([s.sampled_noise(sampling.period, often[s.name]) for s in signals.sensors]),
         groups=tuple(one.group for one in linear.cases),
-        Omega=Omega,
+        Omega=job.Omega,
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in signals.torquers]),
         states=tuple(states),
         sight=signals.sight,
@@ -202,7 +206,7 @@ def _responses(
     """
     p, q = len(linear.signals.sensors), len(linear.signals.sight)
     # Torques that add are not those of torquers, which may be weak.
-    share = np.array([[*one.torque, 1.0, 1.0, 1.0] for one in linear.cases])[:, None, :]
+    share = _shares(linear.cases)
     share = np.where(share > 0.0, share, 1.0)
     C, D = seen
     return PlantResponses(
@@ -229,7 +233,7 @@ def tracking_plants(
     by_name = {sensor.name: sensor for sensor in job.platform.sensors}
     own, sensors = job_signals(job, dataclasses.replace(inner, sensors=inside.angles)), spec.sensors
     both = dataclasses.replace(own, sensors=(*own.sensors, *(by_name[name] for name in sensors)))
-    plants = _sampled_plants(job, both, job.every(inner), dict.fromkeys(sensors, job.every(spec)))
+    plants = sampled_plants(job, both, job.every(inner), dict.fromkeys(sensors, job.every(spec)))
     p, m = len(inside.angles), len(plants.torques)
     K, feedforward = controller, inside.feedforward
     K = K if K.D.shape[1] == 2 * p else with_error_alone(K)
@@ -352,10 +356,6 @@ def _drive_gains(linear: LinearPlants) -> FloatArray:
     none = np.zeros((len(linear.signals.torquers), len(linear.signals.fed)))
     # A torquer's column has the share of its command, which is not that of what the drive adds.
     return np.array([none if one.feedback is None else one.feedback / one.torque[:, None] for one in linear.cases])
-
-
-def _sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str, int] | None = None) -> PlantSet:
-    return sampled_plants(linear_plants(signals, loop_cases(job, signals)), job.sampling, job.Omega, every, used)
 
 
 def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:

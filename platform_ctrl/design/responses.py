@@ -248,21 +248,13 @@ class Contour:
 
 def contour(frequency: FloatArray, P: ComplexArray) -> Contour:
     """Return the contour through the response P (N, n, n) at `frequency`, rad/s."""
-    parts = []
-    start = 0
-    for k in np.flatnonzero(_jumps(P)):
-        parts += [_measured(frequency[start : k + 1], P[start : k + 1]), _around(frequency, P, int(k))]
-        start = int(k) + 1
-    parts.append(_measured(frequency[start:], P[start:]))
-    return Contour(
-        s=np.concatenate([part.s for part in parts]),
-        P=np.concatenate([part.P for part in parts]),
-        residue=np.concatenate([part.residue for part in parts]),
-    )
-
-
-def _measured(frequency: FloatArray, P: ComplexArray) -> Contour:
-    return Contour(s=np.asarray(1j * frequency, dtype=np.complex128), P=P, residue=np.zeros(len(frequency)))
+    s: ComplexArray = np.asarray(1j * frequency, dtype=np.complex128)
+    along, residue = P, np.zeros(len(frequency))
+    for k in reversed(np.flatnonzero(_jumps(P))):
+        round_pole, there, size = _around(frequency, P, int(k))
+        s, along = np.insert(s, k + 1, round_pole), np.insert(along, k + 1, there, axis=0)
+        residue = np.insert(residue, k + 1, np.full(len(there), size))
+    return Contour(s=s, P=along, residue=residue)
 
 
 def _jumps(P: ComplexArray) -> NDArray[np.bool_]:
@@ -280,8 +272,8 @@ def _jumps(P: ComplexArray) -> NDArray[np.bool_]:
     return np.asarray(turned & (higher > _RESONANCE_PEAK * np.maximum(beyond[:-3], beyond[3:])))
 
 
-def _around(w: FloatArray, P: ComplexArray, k: int) -> Contour:
-    """Return the contour between frequencies k and k + 1, round the pole there."""
+def _around(w: FloatArray, P: ComplexArray, k: int) -> tuple[ComplexArray, ComplexArray, float]:
+    """Return points between frequencies k and k + 1, round the pole there, the response, and the residue's size."""
     p = _pole(w, P, k)
     approach = 0.5 * min(p.imag - w[k], w[k + 1] - p.imag) * 0.5 ** np.arange(_HALVINGS)
     near = int(np.sum(approach > _NEAREST_APPROACH * (w[k + 1] - w[k])))
@@ -293,7 +285,7 @@ def _around(w: FloatArray, P: ComplexArray, k: int) -> Contour:
     U, sizes, V = np.linalg.svd((P[k + 1] - P[k]) / (right - left))
     R = (U * np.where(sizes >= _RESIDUE_NOISE * sizes[0], sizes, 0.0)) @ V
     B = 0.5 * (P[k] - R * left + P[k + 1] - R * right)
-    return Contour(s=s, P=B + R / (s - p)[:, None, None], residue=np.full(len(s), sizes[0]))
+    return s, np.asarray(B + R / (s - p)[:, None, None]), float(sizes[0])
 
 
 def _pole(w: FloatArray, P: ComplexArray, k: int) -> complex:

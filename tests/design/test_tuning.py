@@ -40,6 +40,13 @@ JOB = {
 }
 
 
+def starting_values(given, channel, nutation, period):
+    """All options of a classical design, those not given from rules of thumb."""
+    return Classical().defaults(
+        DesignSpec(name="classical", method="classical", options=given), channel, nutation, period
+    )
+
+
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
 def test_options_stay_within_reach_of_their_start(direction: float, monkeypatch: pytest.MonkeyPatch) -> None:
     job = pc.read_job(JOB)
@@ -64,13 +71,6 @@ def test_options_stay_within_reach_of_their_start(direction: float, monkeypatch:
     assert max(direction * math.log10(one) for one in tried) > 5.9
     assert all(0.99e-6 <= one <= 1.01e6 for one in tried)
     assert math.isfinite(tuned["crossover_hz"])
-
-
-def starting_values(given, channel, nutation, period):
-    """All options of a classical design, those not given from rules of thumb."""
-    return Classical().defaults(
-        DesignSpec(name="classical", method="classical", options=given), channel, nutation, period
-    )
 
 
 def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:

@@ -49,19 +49,12 @@ class WeightedPlant:
     """The plant of the synthesis and what leads back."""
 
     arrays: System  # w-plane arrays with inputs [n, d, u] and outputs [z1, z2, z3, measurement]
-    size: int  # number of channels
-    # weight_gain, weight_rate: (size,): W_e = weight_gain + weight_rate/s, channel by channel.
-    weight_gain: FloatArray
-    weight_rate: FloatArray
-    torque_unit: FloatArray  # (size,): N m
+    weight: System  # W_e; its integrator belongs to the controller: W_e is in series before K
+    torque_unit: FloatArray  # (size,): N m, of each channel
 
-    def weight(self) -> System:
-        """Return W_e in the w-plane. Its integrator belongs to the controller: W_e is in series before K."""
-        return error_weight(self.weight_gain, self.weight_rate)
-
-    def at_gimbals(self, controller: System, channel: Channels) -> System:
-        """Return a controller of the channels, in units of torque, as one from angles to torques in N m."""
-        return between(channel.basis, controller, channel.basis.T * self.torque_unit)
+    def at_gimbals(self, K: System, channel: Channels, period: float) -> System:
+        """Return a controller of the channels as a sampled one from angles to torques in N m, W_e before it."""
+        return between(channel.basis, from_w_plane(self.weight.series(K), period), channel.basis.T * self.torque_unit)
 
 
 def signal_names(size: int) -> tuple[list[str], list[str]]:
@@ -123,7 +116,7 @@ def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSe
     disturbed = between(np.diag(disturbance), flat, np.eye(size))
     constant = options["complementary"] * np.eye(size), np.diag(torque)
     arrays = mixed_sensitivity(flat, disturbed, gain, rate, constant)
-    return WeightedPlant(arrays=arrays, size=size, weight_gain=gain, weight_rate=rate, torque_unit=unit)
+    return WeightedPlant(arrays=arrays, weight=error_weight(gain, rate), torque_unit=unit)
 
 
 def by_direction(options: dict[str, float], channel: Channels) -> FloatArray:
@@ -184,11 +177,12 @@ def hinf_controller(
     channel, plants = problem.channel, problem.plants.regular()
     options = MixedSensitivity().defaults(problem.design, channel, plants.nutation, plants.period)
     weighted = weighted_plant(options, channel, plants)
-    P = weighted.arrays.to_control(*signal_names(weighted.size))
-    found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])
-    sampled = from_w_plane(weighted.weight().series(System.of(found.controller, "controller")), plants.period)
+    size = len(weighted.torque_unit)
+    P = weighted.arrays.to_control(*signal_names(size))
+    found = hinf(P, size, size, method=method, backoff=options["backoff"])
     claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
-    return weighted.at_gimbals(sampled, channel), options, claims
+    K = weighted.at_gimbals(System.of(found.controller, "controller"), channel, plants.period)
+    return K, options, claims
 
 
 # Methods whose options are these weights.
@@ -241,7 +235,7 @@ def generalised_plant(loop: LoopOutcome, **weights: float) -> StateSpace:
     >>> with_controller(loop, K).closed.results  # doctest: +SKIP
     """
     weighted, _ = _weighted(loop, weights)
-    return weighted.arrays.to_control(*signal_names(weighted.size))
+    return weighted.arrays.to_control(*signal_names(len(weighted.torque_unit)))
 
 
 def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "given", **weights: float) -> LoopOutcome:
@@ -276,12 +270,13 @@ def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "g
         given = controller
     else:
         (weighted, channel), K = _weighted(loop, weights), System.of(controller, "controller")
-        if K.D.shape != (weighted.size, weighted.size):
+        size = len(weighted.torque_unit)
+        if K.D.shape != (size, size):
             raise ArgumentError(
-                f"controller: must have {weighted.size} inputs and outputs, as the generalised plant has "
-                f"{weighted.size} measurements and controls, got {K.D.shape[1]} and {K.D.shape[0]}"
+                f"controller: must have {size} inputs and outputs, as the generalised plant has "
+                f"{size} measurements and controls, got {K.D.shape[1]} and {K.D.shape[0]}"
             )
-        sampled = weighted.at_gimbals(from_w_plane(weighted.weight().series(K), plants.period), channel)
+        sampled = weighted.at_gimbals(K, channel, plants.period)
         if channel.sense is not None:
             sampled = sampled._replace(B=sampled.B @ channel.sense, D=sampled.D @ channel.sense)
         given = sampled.to_control(plants.angles, plants.torques)

@@ -233,18 +233,13 @@ def _weighted(flat: System, rows: list[int], weights: FloatArray, complementary:
 
 
 class _Norm(NamedTuple):
-    """An H-infinity norm from w to z (indices) that is to be below a bound, with the level α of its inequality."""
+    """An H-infinity norm from w to z (indices) that is to be below √(αβ), with the levels of its inequality."""
 
     name: str
     w: list[int]
     z: list[int]
-    bound: float
+    beta: float
     alpha: float = 1.0
-
-    @property
-    def beta(self) -> float:
-        """Level of z."""
-        return self.bound**2 / self.alpha
 
 
 def _norms(
@@ -252,14 +247,14 @@ def _norms(
 ) -> list[_Norm]:
     """Return the norms: performance, disk margin, rejection."""
     (n, d, Omega), (performance, margin, angle, _) = part.w, part.z
-    out = [_Norm("the performance", n + d, performance, (1.0 + options["backoff"]) * gamma)]
+    out = [_Norm("the performance", n + d, performance, ((1.0 + options["backoff"]) * gamma) ** 2)]
     if "disk_margin" in limits:
-        out.append(_Norm("the disk margin", n, margin, 1.0 / (options["share"] * limits["disk_margin"])))
+        out.append(_Norm("the disk margin", n, margin, (options["share"] * limits["disk_margin"]) ** -2.0))
     if "Omega_rejection" in limits and "rejection_share" in options:
         # One matrix serves all norms best where their inputs are of similar size.
         of_n, of_d, of_Omega = (float(np.linalg.norm(p.B1[:, w])) for w in part.w)
-        bound = limits["Omega_rejection"] / options["rejection_share"]
-        out.append(_Norm("the rejection of Omega", Omega, angle, bound, of_Omega**2 / (of_n * of_d)))
+        bound, alpha = limits["Omega_rejection"] / options["rejection_share"], of_Omega**2 / (of_n * of_d)
+        out.append(_Norm("the rejection of Omega", Omega, angle, bound**2 / alpha, alpha))
     return out
 
 

@@ -95,12 +95,9 @@ class MeasuredPID(Method):
 
     def judged(self, problem: LoopProblem, design: Design) -> Design:
         """Return a design that is judged on its measured responses too: a plant beside those of the model."""
-        if problem.design.responses is None:
+        data, plants = _of_file(problem), problem.plant_set
+        if data is None or plants is None:
             return design
-        plants = problem.plant_set
-        assert plants is not None, "the loop has plants"
-        where = f"responses of {problem.spec.name}, {problem.design.name}"
-        data = read_responses(problem.design.responses, where, plants.torques, plants.angles, plants.period)
         model = plants.on(data.frequency).response[0]
         apart = largest_singular_values(data.response - model) / largest_singular_values(model)
         k = int(apart.argmax())
@@ -111,6 +108,15 @@ class MeasuredPID(Method):
             f"nominal plant's (at {_HZ * data.frequency[k]:.4g} Hz)"
         )
         return dataclasses.replace(design, claims=design.claims | claims, results=(*design.results, *results))
+
+
+def _of_file(problem: LoopProblem) -> MeasuredResponses | None:
+    """Return the responses of the file that a design names, if it does, in the order of the loop's signals."""
+    own, text = problem.plant_set, problem.design.responses
+    if own is None or text is None:
+        return None
+    where = f"responses of {problem.spec.name}, {problem.design.name}"
+    return read_responses(text, where, own.torques, own.angles, own.period)
 
 
 def _strictest(requirements: Sequence[LoopRequirement]) -> dict[str, LoopRequirement]:
@@ -141,16 +147,14 @@ def _searched(
     It is measured with all plants. Those with which it is the worst join, unless there is a file; where a limit is
     missed that no frequency decides alone, the peak that it depends on is bounded, in turn.
     """
-    plants, own = problem.plants.regular(), problem.plant_set
-    assert own is not None, "the loop has plants"
+    plants = problem.plants.regular()
     requirements = problem.spec.requests
     counts = [_unstable(A) for A in plants.A]
     plants = plants.on(_frequencies(plants))
     data = [(plants.frequency, P) for P in plants.response]
-    if of_file := problem.design.responses:
-        where = f"responses of {problem.spec.name}, {problem.design.name}"
-        read, sense = read_responses(of_file, where, own.torques, own.angles, own.period), problem.channel.sense
-        data = [(read.frequency, read.response if sense is None else np.asarray(sense @ read.response))]
+    if of_file := _of_file(problem):
+        sense = problem.channel.sense
+        data = [(of_file.frequency, of_file.response if sense is None else np.asarray(sense @ of_file.response))]
 
     def pid(view: list[int], limits: dict[str, float]) -> MeasuredDesign:
         return measured_pid(
