@@ -109,12 +109,7 @@ def with_friction(job: Job, torquers: Sequence[str], sensors: Sequence[str], pla
     if rate == 0.0:
         return []
     gains = _fed(job, torquers, sensors, lambda drive: drive.gain(rate))
-    out: list[Case] = []
-    for one in plants:
-        label = f"dry friction at {rate:g} rad/s" + ("" if one.group == "nominal" else f", {one.label}")
-        feedback = gains if gains.any() else None
-        out.append(dataclasses.replace(one, label=label, group="friction", rate=rate, feedback=feedback))
-    return out
+    return _rubbing(f"dry friction at {rate:g} rad/s", plants, rate, gains)
 
 
 def with_feedback(job: Job, torquers: Sequence[str], sensors: Sequence[str], plants: Sequence[Case]) -> list[Case]:
@@ -125,11 +120,14 @@ def with_feedback(job: Job, torquers: Sequence[str], sensors: Sequence[str], pla
     back = {law.torquer for law in job.drive_laws if law.feedback}
     steepest = _fed(job, torquers, sensors, lambda drive: drive.friction / drive.friction_rate)
     gains = np.where(np.isin(torquers, list(back))[:, None], steepest, 0.0)
-    out: list[Case] = []
-    for one in plants if gains.any() else ():
-        label = "friction that is fed forward at rest" + ("" if one.group == "nominal" else f", {one.label}")
-        out.append(dataclasses.replace(one, label=label, group="friction", feedback=gains))
-    return out
+    return _rubbing("friction that is fed forward at rest", plants, None, gains) if gains.any() else []
+
+
+def _rubbing(words: str, plants: Sequence[Case], rate: float | None, gains: FloatArray) -> list[Case]:
+    """Return plants with dry friction at an amplitude of rates and feedback of drives."""
+    more = {"group": "friction", "rate": rate, "feedback": gains if gains.any() else None}
+    labels = (words if one.group == "nominal" else f"{words}, {one.label}" for one in plants)
+    return [replaced(one, {"label": label, **more}) for one, label in zip(plants, labels, strict=True)]
 
 
 def _fed(job: Job, torquers: Sequence[str], sensors: Sequence[str], gain: Callable[[FedFriction], float]) -> FloatArray:

@@ -73,7 +73,8 @@ def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedfo
         weights = _weights(model, signals)
         w = weights @ np.linalg.pinv(seen)
         _expect_whole(where, weights, w @ seen, signals)
-        path = _reading(w, signals.order, period)
+        # What the rates add to rates that are read, or their integrals to angles.
+        path = _filtered(w, [], period) if signals.order == 1 else _filtered(np.zeros_like(w), [(w, _LEAK)], period)
         scale = _worst_scale(w, weights, seen, sensors, signals.sensors)
     if not path.D.any():
         raise InputError(
@@ -199,13 +200,6 @@ def _expect_whole(where: str, weights: FloatArray, supplied: FloatArray, signals
             f"{where}: its sensors do not measure {names}, which the readings lack to become inertial; "
             "add rate sensors of the root about these axes"
         )
-
-
-def _reading(w: FloatArray, order: int, period: float) -> System:
-    """Return F from the sensors' rates to what they add to rates (order 1) or angles (order 2) that are read."""
-    if order == 1:
-        return _filtered(w, [], period)
-    return _filtered(np.zeros_like(w), [(w, _LEAK)], period)
 
 
 def _worst_scale(

@@ -102,11 +102,6 @@ class LoopProblem:
         own = K._replace(dt=self.job.period_of(self.spec))
         return shaped(own, self.design.command, self.channel, np.eye(len(K.B.T)) if sense is None else sense)
 
-    def in_signals(self, K: System) -> System:
-        """Return a method's controller in the readings of the loop's plants, with the commands that it shapes."""
-        sense = self.channel.sense
-        return self.with_commands(K if sense is None else K._replace(B=K.B @ sense, D=K.D @ sense), sense)
-
     def made(
         self,
         controller: System,
@@ -126,7 +121,9 @@ class LoopProblem:
         if plants is None:
             K = controller._replace(dt=self.job.sampling.period).to_control(inputs, outputs, name=name)
         else:
-            K = delivered(self.in_signals(controller)._replace(dt=plants.period), plants, name)
+            sense, own = self.channel.sense, controller
+            own = own if sense is None else own._replace(B=own.B @ sense, D=own.D @ sense)
+            K = delivered(self.with_commands(own, sense)._replace(dt=plants.period), plants, name)
         return Design(
             loop=spec.name,
             name=design.name,
