@@ -67,7 +67,7 @@ def disk_margins() -> Iterator[Comparison]:
         loop = stable_loop(states, channels, 3)
         yield Comparison(
             name=f"disk_margin, {channels} x {channels}, {states} states, 400 frequencies",
-            ours=_margin(loop, w),
+            ours=_margin(loop),
             theirs={"control.disk_margins": _disk_margins(loop, w)},
             target=10.0,
             clock="cpu",
@@ -94,8 +94,8 @@ def _linfnorm(system: control.StateSpace) -> Callable[[], float]:
     return lambda: float(control.linfnorm(system)[0])
 
 
-def _margin(loop: control.StateSpace, w: np.ndarray) -> Callable[[], np.ndarray]:
-    return lambda: np.array(analysis.disk_margin(loop, frequency=w).alpha)
+def _margin(loop: control.StateSpace) -> Callable[[], np.ndarray]:
+    return lambda: np.array(analysis.disk_margin(loop).alpha)
 
 
 def _disk_margins(loop: control.StateSpace, w: np.ndarray) -> Callable[[], np.ndarray]:

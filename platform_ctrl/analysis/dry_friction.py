@@ -38,8 +38,8 @@ from platform_ctrl.plant.force_elements import Friction
 _FAR = 9.0
 # The describing function counts as valid where the rate is within ±coulomb_rate for no more of the time.
 _MOST_STICKING = 0.1
-# Relative change of the rates at which the balance of friction is found; rounds at most: a handful is the rule.
-_ALIKE, _ITERATIONS = 1e-8, 200
+# Rounds of the balance of friction at most: a handful is the rule.
+_ITERATIONS = 200
 
 
 @value
@@ -195,6 +195,7 @@ def friction_balance(
     frictions: Sequence[Friction],
     rate_rms: Callable[[FloatArray], FloatArray],
     start: FloatArray | None = None,
+    tolerance: float = 1e-8,
     drives: Sequence[FedFriction | None] = (),
 ) -> FrictionBalance:
     """Return the equivalent damping of J dry frictions at which the linear loop moves as assumed.
@@ -205,8 +206,8 @@ def friction_balance(
     default ten times coulomb_rate; `drives` is what is fed forward against each friction, or None.
 
     The remainder is that of the friction alone: how much of it a drive takes off depends on the spectra of the rates,
-    see `friction_noise`. Raises `NotFoundError` where the rates still change by more than 1e-8, relative, after 200
-    iterations.
+    see `friction_noise`. Raises `NotFoundError` where the rates still change by more than `tolerance`, relative, after
+    200 iterations.
     """
     drives = tuple(drives) or (None,) * len(frictions)
     driven = [k for k, one in enumerate(drives) if one is not None]
@@ -219,7 +220,7 @@ def friction_balance(
         found = [describing_function(one, float(at)) for one, at in zip(torques, rate, strict=True)]
         gains = np.array([one.viscous for one in found])
         new = np.asarray(rate_rms(gains), dtype=np.float64)
-        if np.all(np.abs(new - rate) <= _ALIKE * np.maximum(new, 1e-9 * near)):
+        if np.all(np.abs(new - rate) <= tolerance * np.maximum(new, 1e-9 * near)):
             break
         # Secants of each bearing in logarithms: rates are positive, and dampings go as their inverse.
         x, y = np.log(np.maximum(rate, least)), np.log(np.maximum(new, least))
@@ -325,7 +326,8 @@ def friction_noise(
         cross = _cross(v, w, bins(found.together), bins(found.filtered), grid / found.corner)
         correlation += _powers(_correlation(w, w)[: _POINTS + 1], g[0] * g[0], float(weight @ g[1] ** 2))
         both = _correlation(v, w, cross)
-        correlation -= 2.0 * _even(_powers(both, f[0] * g[0], float(weight @ (f[1] * g[1]))))
+        common, lag = _powers(both, f[0] * g[0], float(weight @ (f[1] * g[1]))), np.arange(_POINTS + 1)
+        correlation -= common[lag] + common[-lag]
     return Remainder(math.sqrt(max(correlation[0], 0.0)), _smooth(correlation, grid, lowest))
 
 
@@ -346,13 +348,6 @@ def _correlation(v: FloatArray, w: FloatArray, cross: FloatArray | ComplexArray 
     """Return the correlation over all lags, 1 where both are the same, of variances and what they have in common."""
     scale = math.sqrt(float(v.sum()) * float(w.sum()))
     return np.clip(np.fft.irfft(_POINTS * (v if cross is None else cross), 2 * _POINTS) / scale, -1.0, 1.0)
-
-
-def _even(correlation: FloatArray) -> FloatArray:
-    """Return the even part of a correlation over all lags, from lag zero on."""
-    half = np.arange(_POINTS + 1)
-    out: FloatArray = 0.5 * (correlation[half] + correlation[-half])
-    return out
 
 
 def _powers(rho: FloatArray, products: FloatArray, whole: float) -> FloatArray:

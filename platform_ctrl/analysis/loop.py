@@ -280,19 +280,9 @@ class Loop:
             return bool(self._disturbed.read.shape[-1] == 2 * self.m + 3)
         return transfer.source == "Omega"
 
-    def _expect_sight(self, transfer: Transfer) -> None:
-        if transfer.target == "sight" and not self.plants.sight:
-            raise ArgumentError(
-                "attenuation: the loop moves no line of sight; give the plant a [line_of_sight] that the loop turns"
-            )
-
     @cached_property
     def _disturbed(self) -> Disturbed:
         return self.plants.disturbed_on_grid()
-
-    @property
-    def _shares(self) -> FloatArray:
-        return np.asarray(self.plants.Omega / self.plants.torque_limit[:, None])
 
     def _of_continuous(self, parts: Parts) -> bool:
         return any(self.between(one) for one in parts)
@@ -333,8 +323,11 @@ class Loop:
 
     def responses(self, transfer: Transfer, members: Indices) -> list[ComplexArray]:
         """Return the responses of a part of some closed loops on the grid, (k, F, ...), which may be several."""
-        self._expect_sight(transfer)
         plants, S = self.plants, self.S_output[members]
+        if transfer.target == "sight" and not plants.sight:
+            raise ArgumentError(
+                "attenuation: the loop moves no line of sight; give the plant a [line_of_sight] that the loop turns"
+            )
         if transfer.source == "command" and self.two_degrees is not None:
             H = frequency_response(self.two_degrees, plants.frequency, -3)[..., self.p :]
             return [transfer.direct * np.eye(self.p) - S @ plants.response[members] @ H]
@@ -359,7 +352,7 @@ class Loop:
             torque = torque + plants.feedforward.response(plants.frequency)
         if not transfer.of_limit:
             return [torque]
-        share = torque * self._shares
+        share = torque * (plants.Omega / plants.torque_limit[:, None])
         return [share[..., j : j + 1, :] for j in range(m)]
 
     def grid_peaks(self, parts: Parts, band: Band, members: Indices) -> FloatArray:

@@ -26,7 +26,7 @@ from platform_ctrl.analysis.norms import hinf_norm, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances, search_grid, spectral_abscissa
 from platform_ctrl.analysis.response import NamedSystem, StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import boundary_poles, largest_singular_values, pencil_crossings
-from platform_ctrl.analysis.system import ComplexArray, System, block, frequencies
+from platform_ctrl.analysis.system import ComplexArray, System, block
 from platform_ctrl.common.arguments import number, positive, real_numbers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -57,7 +57,7 @@ class DiskMargin:
         stability boundary. A complex factor is gain |f| and phase arg f at that frequency. Infinite where only an
         infinite gain does, or nothing.
     frequencies : (N,)
-        Where the responses below are given, rad/s.
+        Where the responses below are given, rad/s: a grid that follows the closed loop's poles.
     lower_response, upper_response : (N,)
         The bounds frequency by frequency, dimensionless.
 
@@ -123,11 +123,7 @@ class LoopMargins:
     frequency: FloatArray
 
 
-def disk_margin(
-    loop_transfer: StateSystem,
-    skew: float = 0.0,
-    frequency: ArrayLike | None = None,
-) -> DiskMargin:
+def disk_margin(loop_transfer: StateSystem, skew: float = 0.0) -> DiskMargin:
     """Return the disk margin of a loop in all channels simultaneously.
 
     The peak is searched over all frequencies, not only those of a grid, and a check with constant scalings between the
@@ -140,9 +136,6 @@ def disk_margin(
         `control.StateSpace` or `TransferFunction`.
     skew
         Skew of the disk, dimensionless: 0 for gain that rises and falls alike.
-    frequency : (N,), optional
-        Frequencies of the result's arrays, rad/s; default a grid that follows the closed loop's poles. The margin
-        does not depend on it.
 
     Returns
     -------
@@ -152,7 +145,7 @@ def disk_margin(
     Raises
     ------
     ArgumentError
-        If the loop transfer is not square, I + D is singular, or `skew` or `frequency` is not finite.
+        If the loop transfer is not square, I + D is singular, or `skew` is not finite.
 
     References
     ----------
@@ -180,15 +173,12 @@ def disk_margin(
     peak = MuPeak(disk)
     axis = peak.axis
     s, on_boundary = boundary_poles(axis.system.A, disk.dt, axis.poles())
-    given = None if frequency is None else frequencies(frequency, "disk_margin")
     if len(s) and (spectral_abscissa(s) >= 0.0 or on_boundary.any()):
-        return no_margin(skew, np.zeros(0) if given is None else given, s, disk)
-    own = search_grid(disk, s)
-    grid = own if given is None else np.union1d(own, given)
+        return no_margin(skew, np.zeros(0), s, disk)
+    grid = search_grid(disk, s)
     response = axis.response(grid)
-    shown = slice(None) if given is None else np.searchsorted(grid, given)
     if not np.all(np.isfinite(response)):  # a pole that is stable by rounding alone
-        return no_margin(skew, grid[shown], s, disk)
+        return no_margin(skew, grid, s, disk)
     gains, proved = largest_singular_values(response), True
     norm, at = peak_gain(axis, s, 1e-9) if len(s) else (float(gains.max()), 0.0)
     if m == 1:
@@ -200,10 +190,10 @@ def disk_margin(
         mu = peak.search(grid, response)
         proved = peak.prove()
     if not np.all(np.isfinite(peak.M)):
-        return no_margin(skew, grid[shown], s, disk)
+        return no_margin(skew, grid, s, disk)
     delta, lower = peak.reached(), _inverse(peak.mu)
     with np.errstate(divide="ignore"):
-        lower_response, upper_response = 1.0 / mu[0][shown], 1.0 / mu[1][shown]
+        lower_response, upper_response = 1.0 / mu[0], 1.0 / mu[1]
     return DiskMargin(
         lower=lower,
         upper=max(lower, float(np.abs(delta).max())),
@@ -212,7 +202,7 @@ def disk_margin(
         proved=proved,
         skew=float(skew),
         perturbation=disk_factors(delta, skew),
-        frequencies=grid[shown],
+        frequencies=grid,
         lower_response=lower_response,
         upper_response=np.maximum(lower_response, upper_response),
     )

@@ -297,15 +297,12 @@ class PeriodicLoop:
     def _alone(self) -> list[float]:
         return [periodic_norm(self._disk([k], [k])) for k in range(self.channels)]
 
+    @cached_property
     def disk_margin(self) -> DiskMargin:
-        """Return the disk margin of all channels at once, guaranteed by one scaling of each channel.
+        """The disk margin of all channels at once, guaranteed by one scaling of each channel.
 
         Frequency by frequency it is given of short cycles only: of long ones it hardly depends on frequency.
         """
-        return self._margin
-
-    @cached_property
-    def _margin(self) -> DiskMargin:
         from scipy.linalg import matrix_balance
 
         m, every = self.channels, range(self.channels)

@@ -281,7 +281,7 @@ class _Together:
     def simultaneous(self) -> DiskMargin:
         """Disk margin in all channels at once."""
         if self._periodic is not None:
-            return self._periodic.disk_margin()
+            return self._periodic.disk_margin
         m = len(self.channels)
         S = without_drift(self._own.part(slice(m), slice(m)))
         return disk_margin(loop_of_sensitivity(S._replace(D=S.D + np.eye(m))))
