@@ -42,7 +42,7 @@ from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import out_of_reach
 from platform_ctrl.verification.controllers import differing_origin
-from platform_ctrl.verification.simulated import limit_results
+from platform_ctrl.verification.simulated import run_of
 
 if TYPE_CHECKING:
     from platform_ctrl.simulation.closed_loop import Trajectory
@@ -395,7 +395,8 @@ class Backend:
         trajectory: Trajectory = self._loops.background.run(task, cancelled=cancelled)
         self.has_simulated = True
         made = next(one for one in task.job.manoeuvres if one.name == manoeuvre)
-        self.job_parts.keep(run_stamp(self._loops, settings, manoeuvre), limit_results(task.job, made, trajectory))
+        results = run_of(task.job, made, trajectory).results
+        self.job_parts.keep(run_stamp(self._loops, settings, manoeuvre), results)
         return trajectory
 
 

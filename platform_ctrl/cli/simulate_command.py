@@ -185,20 +185,19 @@ def _campaign_run(
 def _show(found: _Simulated, line: str, as_json: bool) -> None:
     """Print a run; `line` says why its figure is missing."""
     from platform_ctrl.verification.result_file import run_record
-    from platform_ctrl.verification.simulated import largest
 
     job, run, figure = found.job, found.run, None if line else found.figure
     same = None if found.unlikely is None else not found.unlikely
     if as_json:
         more = {"figure": None if figure is None else str(figure), "as_in_table": same} if found.about else {}
         about = {"schema": 1, "job": job.name, "platform": job.platform.name, **found.about, **more}
-        print_json(about | run_record(job, run))
+        print_json(about | run_record(run))
     else:
         from platform_ctrl.cli.terminal import show_inputs, show_run
 
         if found.about:
             show_inputs(f"run {found.about['run']} of the campaign", found.about["inputs"])
-        show_run(run, largest(job, run.manoeuvre, run.trajectory))
+        show_run(run)
         if same and found.figure is not None:
             typer.echo(f"the values are those of {found.figure.parent / TABLE}")
         if figure is not None:

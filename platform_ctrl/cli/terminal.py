@@ -84,14 +84,14 @@ def show_result(result: JobResult, campaign: Summary | None = None) -> None:
     show_verdict(console, result.passed and (campaign is None or campaign.passed), words)
 
 
-def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
+def show_run(run: Run) -> None:
     """Print the largest angles and torque of a run, saturated torquers, stops that were touched, and its limits."""
     trajectory, console = run.trajectory, screen()
     saturated = {name: int(n) for name, n in zip(trajectory.torquer_names, trajectory.saturated, strict=True) if n}
     touched = {name: int(n) for name, n in zip(trajectory.angle_names, trajectory.stop_contacts, strict=True) if n}
     rows = {
         "ended": f"completed, {run.lost}" if trajectory.completed and run.lost else trajectory.ended,
-        **{RUN_METRICS[key].name: _measured(key, *found) for key, found in largest.items()},
+        **{RUN_METRICS[key].name: _measured(key, *found) for key, found in run.largest.items()},
         "saturated samples": ", ".join(f"{name} {n}" for name, n in saturated.items()) or "none",
         "stops touched": ", ".join(f"{name} {n}" for name, n in touched.items()) or "none",
     }

@@ -31,7 +31,7 @@ from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.budget_result import LineOfSightBudget, SimulatedBudget
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import Proofs
-from platform_ctrl.verification.simulated import Run, largest
+from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
 
 Record = dict[str, Any]
@@ -61,7 +61,7 @@ def result_record(result: JobResult) -> Record:
         "alternatives": [_controller(result, design) for outcome in result.loops for design in outcome.alternatives],
         "requirements": [_requirement(one) for one in result.requirements],
         "coupled": {"stable": None} if result.coupled is None else _coupled(result, result.coupled),
-        "runs": [run_record(job, run) for run in result.runs],
+        "runs": [run_record(run) for run in result.runs],
     }
     if result.failed:
         record["failed"] = [
@@ -136,16 +136,13 @@ def _friction(balance: FrictionBalance) -> list[Record]:
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def run_record(job: Job, run: Run) -> Record:
+def run_record(run: Run) -> Record:
     """Return how a simulated run went, in plain types."""
     trajectory, manoeuvre = run.trajectory, run.manoeuvre
     record = _fields(manoeuvre, "name", "mode", "axis", "duration") | {
         "ended": trajectory.ended,
         "passed": all(one.passed for one in run.results),
-        "largest": {
-            name: {"value": figure, "signal": signal}
-            for name, (figure, signal) in largest(job, manoeuvre, trajectory).items()
-        },
+        "largest": {name: {"value": figure, "signal": signal} for name, (figure, signal) in run.largest.items()},
         "saturated": dict(zip(trajectory.torquer_names, trajectory.saturated, strict=True)),
         "stop_contacts": dict(zip(trajectory.angle_names, trajectory.stop_contacts, strict=True)),
         "seed": trajectory.seed,

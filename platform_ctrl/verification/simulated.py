@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -60,6 +61,8 @@ class Run:
         The run, sample by sample.
     results
         The metrics of the run compared with the limits of the manoeuvre.
+    largest
+        Metrics of the run by the names of limits: value, in the unit of its limit, and the signal that it is of.
     lost
         When the run diverged, or from when on a torquer stays at its limit or a gimbal beyond half a turn; empty where
         none of this happens.
@@ -68,6 +71,7 @@ class Run:
     manoeuvre: Manoeuvre
     trajectory: Trajectory
     results: tuple[CheckResult, ...]
+    largest: dict[str, tuple[float, str]] = field(default_factory=dict)
     lost: str = ""
 
 
@@ -81,15 +85,12 @@ def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[con
 
 def run_of(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> Run:
     """Return a trajectory as a run of a manoeuvre, with its verdicts."""
-    return Run(
-        manoeuvre=manoeuvre,
-        trajectory=trajectory,
-        results=limit_results(job, manoeuvre, trajectory),
-        lost=lost_words(job, trajectory),
-    )
+    found, lost = _largest(job, manoeuvre, trajectory), _lost(job, trajectory)
+    results = _judged(job, manoeuvre, trajectory, found, lost)
+    return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=results, largest=found, lost=lost)
 
 
-def lost_words(job: Job, trajectory: Trajectory) -> str:
+def _lost(job: Job, trajectory: Trajectory) -> str:
     """Return when a run diverged, or from when on a torquer stays at its limit or a gimbal beyond half a turn."""
     if not trajectory.completed:
         return trajectory.ended
@@ -122,25 +123,11 @@ def _for_good(there: NDArray[np.bool_]) -> int | None:
     return first if len(there) - first >= _REST * len(there) else None
 
 
-def largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
+def _largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     """Return the run's metrics by the names of the limits, each with the signal that it belongs to.
 
     See `platform_ctrl.analysis.metrics.RUN_METRICS`; those on demand only where the manoeuvre limits them. Infinite
     when the run diverged.
-
-    Parameters
-    ----------
-    job
-        The job that the run is from.
-    manoeuvre
-        The manoeuvre that was simulated.
-    trajectory
-        From `simulate_manoeuvre`.
-
-    Returns
-    -------
-    dict
-        Value, in the unit of its limit, and signal by name.
     """
     names = run_metrics([manoeuvre.limits])
     if not trajectory.completed:
@@ -187,9 +174,10 @@ def _worst(values: FloatArray, names: Sequence[str], without: str = "") -> tuple
     return (float(values.max()), names[int(values.argmax())]) if values.size else (0.0, without)
 
 
-def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
+def _judged(
+    job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory, found: dict[str, tuple[float, str]], lost: str
+) -> tuple[CheckResult, ...]:
     """Compare a run with the limits of its manoeuvre; one that diverges fails without limits too."""
-    found, lost = largest(job, manoeuvre, trajectory), lost_words(job, trajectory)
     out = []
     if not trajectory.completed and not manoeuvre.limits:
         completed = Requirement(name="share of the run that was simulated", limit=1.0, unit="", sense="at least")
