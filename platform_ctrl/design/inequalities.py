@@ -219,13 +219,12 @@ def hinf_lmi(plant: Partition, backoff: float, time_limit: float, P: StateSpace)
             made = last.controller()
             if not np.linalg.eigvals(closed_loop(p, made).A).real.max() < 0.0:
                 raise UnscalableError(f"{WHERE}: the controller of the solver's X and Y is not stable; {CURE}", P)
+            return unscale(made, scaled), least * scaled.gain
         except TimeLimitError:
             raise
         except (DesignError, np.linalg.LinAlgError) as error:
             own = error if isinstance(error, DesignError) else UnscalableError(f"{WHERE}: {error}; {CURE}", P)
             failure = failure or own
-            continue
-        return unscale(made, scaled), least * scaled.gain
     assert failure is not None
     raise failure
 

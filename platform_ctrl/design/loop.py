@@ -252,11 +252,11 @@ def with_largest_rates(design: Design) -> Design:
     plants, measures = design.plants, design.measures
     if plants is None or measures is None or not measures.decay[0] > 0.0:
         return design
-    A, B, C, D, _ = Loop(plants, with_commands(plants, design.controller)).arrays
     torques, rates = slice(len(plants.torques)), slice(len(plants.torques), len(plants.torques) + 3)
     varied = plants.of(("nominal", "uncertainty"))
-    chosen = varied if np.all(measures.decay[varied] > 0.0) else np.arange(len(A)) == 0
-    A, B, C, D = A[chosen], B[chosen][..., rates], C[chosen][:, torques], D[chosen][:, torques, rates]
+    chosen = varied if np.all(measures.decay[varied] > 0.0) else np.arange(len(varied)) == 0
+    closed = Loop(plants, with_commands(plants, design.controller)).arrays
+    A, B, C, D, _ = closed.part(torques, rates).at(np.flatnonzero(chosen))
     try:
         steady = D + C @ np.linalg.solve(np.eye(A.shape[-1]) - A, B)
     except np.linalg.LinAlgError:

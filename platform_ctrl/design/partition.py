@@ -316,29 +316,22 @@ def _rank_margin(pole: complex, A: FloatArray, B: FloatArray, C: FloatArray, D: 
     return (float(sigma[-1] / sigma[0]) if sigma[0] > 0.0 else 0.0), np.abs(Vh[-1]) * columns
 
 
-def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
-    """Return the unstable mode that is hardest to stabilise: relative singular value, property, pole.
+def require_stabilisable(plant: Partition, P: StateSpace, where: str) -> None:
+    """Raise a NotStabilisableError that names the mode which u can stabilise least from y, where it cannot at all.
 
-    The pole is in rad/s, of a sampled plant in z. Test of Popov, Belevitch and Hautus; ``(inf, "", 0)`` where every
-    pole is stable.
+    Test of Popov, Belevitch and Hautus; the pole is in rad/s, of a sampled plant in z.
     """
-    plant = scaled.plant
-    weakest = (float("inf"), "", 0j)
-    for word, A, B in (("stabilisable", plant.A, plant.B2), ("detectable", plant.A.T, plant.C2.T)):
+    scaled = autoscaled_with_gain(plant)
+    p, weakest = scaled.plant, (np.inf, "", 0j)
+    for word, A, B in (("stabilisable", p.A, p.B2), ("detectable", p.A.T, p.C2.T)):
         n, m = B.shape
         for poles, rounding, size in blocks(A):
-            beyond = np.abs(poles) - 1.0 if plant.dt else poles.real
+            beyond = np.abs(poles) - 1.0 if p.dt else poles.real
             for pole in _with_means(poles, beyond >= -rounding, size):
                 sigma, _ = _rank_margin(pole, A, B, np.zeros((0, n)), np.zeros((0, m)))
-                if sigma < weakest[0]:
-                    weakest = (sigma, word, pole * scaled.rate)
-    return weakest
-
-
-def require_stabilisable(plant: Partition, P: StateSpace, where: str) -> None:
-    """Raise a NotStabilisableError that names a mode which u cannot stabilise from y."""
-    sigma, word, pole = weakest_mode(autoscaled_with_gain(plant))
-    if word and sigma < RANK_LOSS:
+                weakest = min(weakest, (sigma, word, pole * scaled.rate), key=lambda one: one[0])
+    sigma, word, pole = weakest
+    if sigma < RANK_LOSS:
         verb = "no control u moves" if word == "stabilisable" else "no measurement y sees"
         at = f"z = {pole.real:.6g}{pole.imag:+.4g}j" if plant.dt else f"{pole.real:.4g}{pole.imag:+.4g}j rad/s"
         raise NotStabilisableError(

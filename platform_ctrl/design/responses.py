@@ -155,7 +155,7 @@ def _lines(label: str, text: str) -> list[tuple[int, list[str]]]:
     if not kept:
         raise InputError(f"{label}: is empty; write a header such as: frequency_hz,alpha9/Q9 re,alpha9/Q9 im")
     mark = max(",;\t", key=kept[0][1].count)
-    return [(k, [cell.strip() for cell in line.split(mark)]) for k, line in kept]
+    return [(k, [cell.strip().strip('"') for cell in line.split(mark)]) for k, line in kept]
 
 
 def _columns(where: str, header: list[str]) -> tuple[float, dict[tuple[str, str], dict[str, int]]]:

@@ -81,7 +81,8 @@ def test_a_file_is_read_with_units_names_and_both_forms():
     assert (found.input_labels, found.output_labels, found.dt) == (["P", "Q"], ["a"], 0.0)
     np.testing.assert_allclose(found.frdata[0], [[0.5 - 0.25j, 0.4 - 0.2j, 0.3 - 0.1j], [2j, -1j, 0.5]], atol=1e-15)
     in_decibels = CSV.replace("frequency_hz", "frequency_rad_s").replace("magnitude", "magnitude_db").replace(",", ";")
-    other = read_measurement(io.StringIO(in_decibels), period=0.1)
+    quoted = in_decibels.replace("frequency_rad_s", '"frequency_rad_s"').replace(" a/P re", '"a/P re"')
+    other = read_measurement(io.StringIO(quoted), period=0.1)
     np.testing.assert_allclose(other.omega, [1.0, 2.0, 4.0])
     assert other.frdata[0, 1, 0] == pytest.approx(10.0**0.1 * 1j)
     assert other.dt == 0.1
@@ -102,7 +103,6 @@ MISTAKES = {
     "falling": (CSV.replace("4.0, 0.3", "1.5, 0.3"), "line 6: frequency_hz must be > 0 and rise, got 1.5 after 2"),
     "few": (CSV.partition("2.0, 0.4")[0], "at least 3 frequencies, got 1"),
     "negative size": (CSV.replace("1.0, -90", "-1.0, -90"), "line 4: a/Q is not finite, or its magnitude is below 0"),
-    "quote": (CSV.replace("2.0, 0.4", '"2.0, 0.4'), "line 4: frequency_hz must be a finite number"),
     "beyond Nyquist": (
         CSV.replace("4.0, 0.3", "40.0, 0.3"),
         "line 6: frequency_hz must not exceed half the sample rate, 10, got 40",

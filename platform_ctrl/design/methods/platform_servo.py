@@ -17,7 +17,6 @@ from platform_ctrl.design.loop_signals import parallel
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.sections import Section, first_order, flattened, gain, low_pass
 from platform_ctrl.errors import DesignError
-from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel
 
 # A gyro torque whose share in a rate is smaller than this (relative to the largest) is not measured for it.
@@ -51,7 +50,7 @@ class PlatformServo(Method):
 
         ``crossover_hz`` ωc of the rate loop, ``position_hz`` ωp, ``filter_hz`` and ``filter_damping`` of the low-pass.
         """
-        job, model, spec, design = problem.job, problem.model, problem.spec, problem.design
+        design, period = problem.design, problem.job.sampling.period
         crossover = design.options.get("crossover_hz", 5.0)
         defaults = {
             "crossover_hz": crossover,
@@ -59,29 +58,28 @@ class PlatformServo(Method):
             "filter_hz": 10.0 * crossover,
             "filter_damping": 0.7,
         }
-        options = self.completed(design.options, defaults, job.sampling.period)
-        _, used = rate_estimate(model)
-        torquers, roots = _torquers(job)
-        missing = [model.gimbal_names[k] for k in used if model.gimbal_names[k] not in torquers]
-        if missing or set(roots) != {1, 2, 3}:
-            wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
-            raise DesignError(f"{spec.name}: there is no torquer on {wanted}; add one to the plant file", model)
+        options = self.completed(design.options, defaults, period)
         sections = self.sections(problem, options)
         inputs, outputs = sections[0].inputs, sections[-1].outputs
         return problem.made(flattened(sections, inputs, outputs), options, inputs=inputs, outputs=outputs)
 
     def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
         """Return the servo section by section, from the gyros' torques to those on the root."""
-        model, period = problem.model, problem.job.sampling.period
+        model, job = problem.model, problem.job
         estimate, used = rate_estimate(model)
-        gimbals, roots = _torquers(problem.job)
-        measured, set_ = tuple(gimbals[model.gimbal_names[k]] for k in used), tuple(roots[axis] for axis in (1, 2, 3))
+        torquers = {t.gimbal or t.root_axis: t.name for t in job.platform.torquers}
+        missing = [name for name in (model.gimbal_names[k] for k in used) if name not in torquers]
+        if missing or not {1, 2, 3} <= set(torquers):
+            wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
+            raise DesignError(f"{problem.spec.name}: there is no torquer on {wanted}; add one to the plant file", model)
+        measured = tuple(torquers[model.gimbal_names[k]] for k in used)
+        set_ = tuple(torquers[axis] for axis in (1, 2, 3))
         turns, speeds = _per_axis("turn"), _per_axis("speed")
         note = f"inertia of the platform times {options['crossover_hz']:.6g} Hz"
         strength = -2.0 * np.pi * options["crossover_hz"] * model.root_inertia
         return (
             Section("rates", "mix", "platform rates by least squares from L Omega", gain(estimate), measured, turns),
-            *_axis_sections(options, period),
+            *_axis_sections(options, job.sampling.period),
             Section("servo", "mix", note, gain(strength), speeds, set_),
         )
 
@@ -101,12 +99,6 @@ def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
     inverse = (right.T / sizes) @ left.T
     used = [k for k in range(inverse.shape[1]) if np.abs(inverse[:, k]).max() > _NO_SHARE * np.abs(inverse).max()]
     return inverse[:, used], used
-
-
-def _torquers(job: Job) -> tuple[dict[str, str], dict[int, str]]:
-    """Return the names of the torquers by gimbal, and of those on the root by axis."""
-    gimbals = {t.gimbal: t.name for t in job.platform.torquers if t.gimbal is not None}
-    return gimbals, {t.root_axis: t.name for t in job.platform.torquers if t.root_axis is not None}
 
 
 def _axis_sections(options: dict[str, float], period: float) -> list[Section]:
