@@ -38,7 +38,7 @@ MOVE = """async ([name, rounds, painted]) => {
   const watcher = new MutationObserver(() => requestAnimationFrame(late));
   if (table) watcher.observe(table, { subtree: true, characterData: true, childList: true });
   // Several curves may come in one frame: the first of them tells it.
-  const loops = [...Bokeh.documents[0]._all_models.values()].filter((one) => one.name === "loop");
+  const loops = [...Bokeh.documents[0]._all_models.values()].filter((one) => one.name === "bode-figure-0-lines");
   let waiting = false;
   const drawn = () => {
     if (!waiting) return;
@@ -153,7 +153,7 @@ def main() -> None:
             talk = page.context.new_cdp_session(page)
             talk.send("Performance.enable")
             if given.budget:
-                page.click('[data-view="budget"]')
+                page.locator("#view label", has_text="Budget").click()
                 page.wait_for_timeout(4000)
             for loop in given.loop or [None]:
                 if loop is not None:

@@ -28,15 +28,20 @@ _TURN, _RISE, _SEEN = 2.0, 0.8, 45.0
 
 @value
 class Curve:
-    """A line of a panel."""
+    """A line of a panel, a band, or points."""
 
     x: FloatArray
     y: FloatArray
     name: str = ""  # In the legend; empty: like another one
     series: int | None = 0  # Which colour and marker; None: what others are compared with, grey
     dashes: int | None = None  # Which dashes, 0: solid; None: those of the series
-    # "strong": what counts, "thin": what goes with a line, "mark": a point
-    form: Literal["line", "strong", "thin", "mark"] = "line"
+    # "strong": what counts, "thin": what goes with a line, "mark": points, "band": from y up to `top`
+    form: Literal["line", "strong", "thin", "mark", "band"] = "line"
+    top: FloatArray | None = None
+    role: str = ""  # Its colour by its role in the palette, where it has none of a series
+    kind: str = ""  # What it is, where that has a look of its own
+    along: FloatArray | None = None  # What each point belongs to
+    words: tuple[str, ...] = ()  # About each point, or about a line without a name
 
 
 @value
@@ -48,11 +53,25 @@ class Level:
     hard: bool = True
     start: float | None = None
     end: float | None = None
+    shaded: bool = False  # Beyond it, seen from zero
+
+
+@value
+class Words:
+    """Words at a point of a panel: beside it by pixels to the right and up, aligned there."""
+
+    x: float
+    y: float
+    text: str
+    beside: tuple[float, float] = (0.0, 0.0)
+    align: tuple[str, str] = ("center", "bottom")
+    role: str = "muted"
+    least: float = 0.0  # Height of a panel, pixels, from which there is room for them
 
 
 @value
 class Curves:
-    """Curves of a panel over frequency, Hz."""
+    """Curves of a panel, over frequency in Hz where nothing else is said."""
 
     curves: tuple[Curve, ...]
     title: str = ""
@@ -64,6 +83,10 @@ class Curves:
     references: Mapping[float, str] = field(default_factory=dict)  # Grey levels with their words
     required: float | None = None  # Frequency up to which something is required, and one that is wished for
     wished: float | None = None
+    verticals: tuple[tuple[float, str, str], ...] = ()  # Vertical lines: where, role of the colour, words
+    words: tuple[Words, ...] = ()
+    unit: str = ""  # Plain unit of y, where a prefix may be chosen for it
+    view: tuple[float, float] | None = None  # What of y has to be seen; None: what follows from the curves
 
 
 def decibels(response: ComplexArray) -> FloatArray:

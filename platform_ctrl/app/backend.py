@@ -292,9 +292,8 @@ class Backend:
             drawing, measure = stabilised_parts(free, settings, labels, lambda: self._loops.coupled(settings))
         if not settings.overlays:
             return (drawing, measure), notes
-        overlays, more = self._loops.overlays(settings, spec, drawing.bode.frequency)
-        drawing = dataclasses.replace(drawing, bode=dataclasses.replace(drawing.bode, overlays=overlays))
-        return (drawing, measure), (*notes, *more)
+        overlays, more = self._loops.overlays(settings, spec)
+        return (dataclasses.replace(drawing, overlays=overlays), measure), (*notes, *more)
 
     def budget_results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the limits of the budget within some milliseconds; none before it was computed once."""

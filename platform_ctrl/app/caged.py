@@ -181,18 +181,18 @@ class CagedCurves(LoopCurves):
         band = None if self.set is None else arrays(self.set).part(rows, columns)
         return self.over_time(given, [*seen, *self.torquers], arrays(self.shown).part(rows, columns), band, inputs)
 
-    def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
-        """Return the gain from Omega to what is read, or to the line of sight, at `frequency` (F,), rad/s."""
+    def disturbance_gain(self) -> FrequencyGain:
+        """Return the gain from Omega to what is read, or to the line of sight."""
         axis, band, kind = self.axis - 1, None, self.loop.spec.kind
         part = Transfer("Omega", "sight" if self._sight else "angle")
         if self.set is not None:
             every = np.arange(len(self.set.plants.labels))
             band = self.set.plants.frequency, self.set.responses(part, every)[0][..., axis]
         words = "line of sight" if self._sight else "rates" if kind == "rate" else "angles"
-        shown = Loop(self.loop.shown.on(frequency), self.controller)
+        shown = Loop(self.loop.shown.on(self.frequency), self.controller)
         own = shown.responses(part, np.zeros(1, dtype=np.intp))[0][0, ..., axis]
         unit, limit = of_readings(METRICS["Omega rejection"].unit, kind), self.limit("Omega rejection")
-        return frequency_gain(f"rate Omega{self.axis} → {words}", unit, frequency, own, band, limit)
+        return frequency_gain(f"rate Omega{self.axis} → {words}", unit, self.frequency, own, band, limit)
 
     @property
     def other_poles(self) -> ComplexArray:

@@ -23,13 +23,12 @@ from platform_ctrl.app.controllers import (
     existing_designs,
     loop_names,
 )
-from platform_ctrl.app.pictures import Overlay
+from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Settings, of_loop, with_limits
 from platform_ctrl.app.stabilised import StabilisedCurves, StabilisedLoop
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, designed, shaped
@@ -67,6 +66,7 @@ class ClosedLoops:
         self._specs = {spec.name: spec for spec in job.loops}
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(16)
+        self._overlays: Bounded[tuple[Drawing, tuple[str, ...]]] = Bounded(16)
         self.background = Background()
         self.designs = DesignQueue()
         self._take([] if controllers is None else existing_designs(controllers, job))
@@ -163,23 +163,28 @@ class ClosedLoops:
             raise DesignPending(f"{spec.name}, {line}")  # the error of a method has the loop's name
         return self.caged(settings)
 
-    def overlays(
-        self, settings: Settings, spec: LoopSpec, frequency: FloatArray
-    ) -> tuple[tuple[Overlay, ...], tuple[str, ...]]:
-        """Return the overlays of a picture, and lines about those that are missing or not up to date."""
-        out: list[Overlay] = []
+    def overlays(self, settings: Settings, spec: LoopSpec) -> tuple[tuple[Drawing, ...], tuple[str, ...]]:
+        """Return the drawings over a picture, and lines about those that are missing or not up to date."""
+        out: list[Drawing] = []
         notes: list[str] = []
         for name in settings.overlays:
-            own = settings.but(design=name)
-            try:
+            own = settings.but(design=name, band=False, overlays=())
+
+            def drawn(own: Settings = own) -> tuple[Drawing, tuple[str, ...]]:
                 with np.errstate(all="ignore"):
                     if spec.has_plants:
                         loop, lines = self.requested(own)
-                        out.append(CagedCurves(loop, own).overlay(name, frequency))
-                        notes += lines
-                    else:
-                        # The picture below it has the lines about the other loops.
-                        out.append(StabilisedCurves(self.stabilised(own)[0], own).overlay(name, frequency))
+                        return CagedCurves(loop, own).drawing(()), lines
+                    # The picture below it has the lines about the other loops.
+                    return StabilisedCurves(self.stabilised(own)[0], own).drawing(()), ()
+
+            depends = (
+                (self.plants_key(own, spec), self.closed_key(own, spec)) if spec.has_plants else self.whole_key(own)
+            )
+            try:
+                drawing, lines = self._overlays.get((own.plant, own.channel, own.axis, depends), drawn)
+                out.append(drawing)
+                notes += lines
             except PlatformCtrlError as error:
                 notes.append(str(error))
         return tuple(out), tuple(notes)

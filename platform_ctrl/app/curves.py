@@ -14,7 +14,7 @@ from platform_ctrl.analysis.curves import RootLocus, loop_phase, traced_locus
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
-from platform_ctrl.analysis.response import AxisResponse
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.app.excitation import SampledInput, sampled_responses
 from platform_ctrl.app.pictures import (
@@ -23,7 +23,6 @@ from platform_ctrl.app.pictures import (
     Drawing,
     FrequencyGain,
     Measured,
-    Overlay,
     TimeResponse,
 )
 from platform_ctrl.app.settings import Settings
@@ -136,7 +135,6 @@ class LoopCurves(ABC):
         self.readings, self.torquers, self.channel = list(readings), list(torquers), channel
         self.index = self.torquers.index(channel)
         self.band: Band | None = None
-        self._responses = AxisResponse(plant), AxisResponse(controller)
 
     @cached_property
     def z_poles(self) -> ComplexArray:
@@ -181,8 +179,8 @@ class LoopCurves(ABC):
         """Return the response to the job's manoeuvre, or to an impulse on the free platform."""
 
     @abstractmethod
-    def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
-        """Return the gain from what disturbs the loop at `frequency` (F,), rad/s."""
+    def disturbance_gain(self) -> FrequencyGain:
+        """Return the gain from what disturbs the loop at the frequencies of the Bode diagram."""
 
     @property
     @abstractmethod
@@ -210,15 +208,11 @@ class LoopCurves(ABC):
 
         return traced_locus(_GAINS, closed, self.plant.dt, quick=True, reach=self.reach)
 
-    def transfers(self, frequency: FloatArray) -> LoopTransfers:
-        """Return plant, controller and sensitivity of the loop shown at `frequency` (F,), rad/s."""
-        P, K = (one.at(frequency) for one in self._responses)
-        return LoopTransfers(P, K, sensitivities_of_plants(P, K)[1])
-
     @cached_property
     def own(self) -> LoopTransfers:
         """Responses of plant and controller of the loop shown at the frequencies of the Bode diagram."""
-        return self.transfers(self.frequency)
+        P, K = (frequency_response(one, self.frequency, -3) for one in (self.plant, self.controller))
+        return LoopTransfers(P, K, sensitivities_of_plants(P, K)[1])
 
     def drawing(self, labels: tuple[str, ...]) -> Drawing:
         """Return the curves; `labels` are those of all plants that may be shown."""
@@ -235,24 +229,11 @@ class LoopCurves(ABC):
             damping=self.limit("damping"),
             step=self.step(),
             Omega_time=self.disturbance(),
-            Omega_frequency=self.disturbance_gain(self.frequency),
+            Omega_frequency=self.disturbance_gain(),
             bandwidth=self.limit("bandwidth"),
             disk_margin=self.limit("disk margin"),
             stable=self.stable,
             all_stable=self.all_stable,
-        )
-
-    def overlay(self, design: str, frequency: FloatArray) -> Overlay:
-        """Return the curves of this design over a picture whose Bode diagram is at `frequency`."""
-        response = channel_response(self.transfers(frequency).S, self.index)
-        return Overlay(
-            design=design,
-            response=response,
-            phase=loop_phase(response),
-            poles=self.poles,
-            step=self.step(),
-            Omega_step=self.disturbance(),
-            Omega_gain=self.disturbance_gain(frequency).gain,
         )
 
     def _closed_loop(self) -> ClosedLoop:

@@ -13,7 +13,7 @@ import numpy as np
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.job_parts import BUDGET, BudgetState, ChipState
 from platform_ctrl.app.pictures import Margins, Picture
-from platform_ctrl.app.plots.panel import Panel
+from platform_ctrl.app.plots.painter import Panel
 from platform_ctrl.app.settings import Mode, Settings, Slider
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.methods import METHODS

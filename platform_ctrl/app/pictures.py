@@ -41,24 +41,6 @@ class TimeResponse:
 
 
 @value
-class Overlay:
-    """The loop of another design.
-
-    `response` (F,) is its loop transfer at the frequencies of the Bode diagram, dimensionless, `phase` its unwrapped
-    phase in degrees, `poles` (n,) the s-plane equivalents of its closed loop's poles, rad/s. `step`, `Omega_step` and
-    `Omega_gain` (F,) are as in `Picture`; a step has its own times.
-    """
-
-    design: str
-    response: ComplexArray
-    phase: FloatArray
-    poles: ComplexArray
-    step: TimeResponse
-    Omega_step: TimeResponse
-    Omega_gain: FloatArray
-
-
-@value
 class Bode:
     """The loop broken at the torquer `channel`, all others closed: L = 1/S - 1 there, for positive feedback u = +K y.
 
@@ -78,7 +60,6 @@ class Bode:
     band_phase: FloatArray
     crossovers: FloatArray
     nyquist: float
-    overlays: tuple[Overlay, ...] = ()
 
 
 @value
@@ -181,6 +162,8 @@ class Drawing:
     disk_margin: float | None
     stable: bool
     all_stable: bool
+    # Other designs of the loop, without bands.
+    overlays: tuple[Drawing, ...] = ()
 
     @property
     def crossover(self) -> float | None:

@@ -156,8 +156,8 @@ class StabilisedCurves(LoopCurves):
         size = step_size(math.inf if not limits or limits[0] is None else limits[0])
         return size, f"{quantity(size, 'N m')} step about axis {axis}", None
 
-    def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
-        """Return the gain from a torque on the platform to its attitude at `frequency` (F,), rad/s."""
+    def disturbance_gain(self) -> FrequencyGain:
+        """Return the gain from a torque on the platform to its attitude."""
         column, p, k, band = self._torque_column, len(self.readings), len(self.used), None
         if self.banded:
             w, whole = self.loop.plants.frequency, self.loop.plants.response
@@ -167,8 +167,8 @@ class StabilisedCurves(LoopCurves):
             torque = np.linalg.solve(np.eye(k) - K @ driven[..., :p, :], K @ sensed)
             band = w, (whole[..., p:, [column]] + driven[..., p:, :] @ torque)[..., 0]
         shown = self._turned(self.loop.shown, slice(k + p, None)).at(0)
-        own = frequency_response(shown, frequency, -3)[..., 0]
-        return frequency_gain(f"torque M{self.axis} on the platform → attitude", "rad/(N m)", frequency, own, band)
+        own = frequency_response(shown, self.frequency, -3)[..., 0]
+        return frequency_gain(f"torque M{self.axis} on the platform → attitude", "rad/(N m)", self.frequency, own, band)
 
     @cached_property
     def _K_of_set(self) -> ComplexArray:

@@ -100,19 +100,20 @@ LOOKS = 6000
 CROSSOVER = '#sliders [data-slider="crossover_hz"]'
 LOOP = """() => {
   for (const model of Bokeh.documents[0]._all_models.values()) {
-    if (model.name === "loop") return Array.from(model.data.gain);
+    if (model.name === "bode-figure-0-lines") return Array.from(model.data.ys.at(-1));
   }
 }"""
-OVERLAYS = """() => {
+DESIGNS = """() => {
   const out = {};
-  for (const model of Bokeh.documents[0]._all_models.values()) {
-    if (/overlay/.test(model.name ?? "") && model.data?.name?.length) out[model.name] = Array.from(model.data.name);
+  for (const { name, data } of Bokeh.documents[0]._all_models.values()) {
+    const [, panel] = /^(\\w+)-figure-\\d-(?:lines|points)$/.exec(name ?? "") ?? [];
+    if (panel) (out[panel] ??= []).push(...data.name);
   }
   return out;
 }"""
 BANDS = """() => {
   for (const model of Bokeh.documents[0]._all_models.values()) {
-    if (model.name === "band") return model.data.gain_low.length;
+    if (model.name === "bode-figure-0-bands") return model.data.ys.length;
   }
 }"""
 
@@ -404,10 +405,9 @@ def test_a_design_that_takes_seconds_is_announced_and_drawn_in_every_plot_once_a
     # What is hidden follows when it is seen.
     page.get_by_role("button", name="frequency").click()
     # The other two designs may still be under way.
-    until(page, lambda: len(page.evaluate(OVERLAYS).get("Omega_gain_overlays", ())) == 2)
-    overlays = page.evaluate(OVERLAYS)
-    assert set(overlays) >= {"overlays", "overlay_poles", "step_overlays", "Omega_time_overlays", "Omega_gain_overlays"}
-    assert all(set(names) == {"slower", "H-infinity"} for names in overlays.values())
+    both = {"slower", "H-infinity"}
+    until(page, lambda: all(both <= set(names) for names in page.evaluate(DESIGNS).values()))
+    assert set(page.evaluate(DESIGNS)) == {"bode", "nichols", "locus", "step", "Omega"}
     # The band of the design that is worked on stays.
     assert page.locator("#band").is_checked()
     assert page.evaluate(BANDS) > 0

@@ -12,13 +12,13 @@ import pytest
 pytest.importorskip("bokeh", reason="Bokeh is not installed")
 
 from bokeh.document import Document
-from bokeh.models import BoxAnnotation, Label, Model, Plot, Range1d, Span
+from bokeh.models import Label, Model, Plot, Range1d
 
 from designer_pictures import broken, picture
 from platform_ctrl.app.fragments import heading
 from platform_ctrl.app.plots import Plots
-from platform_ctrl.app.plots.data import colours
-from platform_ctrl.app.plots.panel import Panel
+from platform_ctrl.app.plots.painter import Panel
+from platform_ctrl.common.palette import PALETTE
 
 HZ = 1.0 / (2.0 * np.pi)
 
@@ -55,6 +55,16 @@ def panel_of(plots: Plots, name: str) -> Panel:
     return next(one for one in plots.panels if one.name == name)
 
 
+def colours(dark: bool) -> Any:
+    return PALETTE["dark" if dark else "light"]
+
+
+def drawn(plots: Plots, panel: str, k: int, name: str) -> dict[str, Any]:
+    """Return the columns of what is drawn in a figure of a panel."""
+    sources = panel_of(plots, panel).figures[k].sources
+    return sources[name].data if name in sources else {}
+
+
 def keys(plots: Plots, panel: str, dark: bool) -> dict[str, tuple[str, tuple[int, ...]]]:
     """Return colour and dashes of each key of a panel, by its words."""
     found = panel_of(plots, panel).keys
@@ -62,29 +72,17 @@ def keys(plots: Plots, panel: str, dark: bool) -> dict[str, tuple[str, tuple[int
 
 
 def looks(plots: Plots, panel: str) -> set[tuple[str, tuple[int, ...]]]:
-    """Return colour and dashes of everything that is drawn as a line or a mark in a panel."""
+    """Return colour and dashes of everything that is drawn as a line or a mark in the visible figures of a panel."""
     out = set()
-    for plot in plots.layout[panel].select({"type": Plot}):
-        for one in plot.renderers:
-            glyph, data = one.glyph, one.data_source.data
-            if not any(map(len, data.values())) or not hasattr(glyph, "line_color"):
-                continue
-            n = len(next(iter(data.values())))
-            drawn = {}
-            for name in ("line_color", "line_dash"):
-                given = getattr(glyph, name)
-                column = (
-                    given.field
-                    if hasattr(given, "field")
-                    else given
-                    if isinstance(given, str) and given in data
-                    else None
-                )
-                drawn[name] = data[column] if column is not None else [given] * n
-            out |= {(c, tuple(d)) for c, d in zip(drawn["line_color"], drawn["line_dash"], strict=True)}
-        for span in plot.select({"type": Span}):
-            if span.location is not None:
-                out.add((span.line_color, tuple(span.line_dash)))
+    for one in panel_of(plots, panel).figures:
+        if not one.plot.visible:
+            continue
+        for data in (source.data for source in one.sources.values() if "line_color" in source.data):
+            dashes = data.get("line_dash", [[]] * len(data["line_color"]))
+            out |= {(colour, tuple(dash)) for colour, dash in zip(data["line_color"], dashes, strict=True)}
+        if one.sources.get("traced") is not None:
+            [trace] = [each for each in one.plot.renderers if each.data_source is one.sources["traced"]]
+            out.add((trace.glyph.line_color, ()))
     return out
 
 
@@ -100,31 +98,39 @@ def messages(plots: Plots) -> dict[str, str]:
 def test_the_loop_is_drawn_in_hertz_decibels_and_degrees(plots: Plots) -> None:
     shown = picture()
     plots.show(shown)
-    data = plots.sources["loop"].data
-    assert data["frequency"] == pytest.approx(shown.bode.frequency * HZ, rel=1e-6)
-    assert data["gain"] == pytest.approx(20.0 * np.log10(np.abs(shown.bode.response)), abs=1e-4)
-    assert data["phase"] == pytest.approx(shown.bode.phase, abs=1e-4)
-    assert all(one.dtype == np.float32 for one in data.values())
+    gain, phase = (drawn(plots, "bode", k, "lines") for k in (0, 1))
+    assert gain["xs"][-1] == pytest.approx(shown.bode.frequency * HZ, rel=1e-6)
+    assert gain["ys"][-1] == pytest.approx(20.0 * np.log10(np.abs(shown.bode.response)), abs=1e-4)
+    assert phase["ys"][-1] == pytest.approx(shown.bode.phase, abs=1e-4)
+    assert all(one.dtype == np.float32 for name in ("xs", "ys") for one in gain[name])
+    nichols = drawn(plots, "nichols", 0, "traced")
+    assert nichols["x"][:-1] == pytest.approx(shown.bode.phase, abs=1e-4)
+    assert nichols["at"][:-1] == pytest.approx(shown.bode.frequency * HZ, rel=1e-6)
 
 
 def test_the_required_disk_margin_is_a_region_of_the_nichols_plot(plots: Plots) -> None:
     plots.show(picture())
-    data = plots.sources["regions"].data
+    data = drawn(plots, "nichols", 0, "bands")
     for x, y in zip(data["xs"], data["ys"], strict=True):
         L = 10.0 ** (np.asarray(y) / 20.0) * np.exp(1j * np.radians(np.asarray(x)))
         assert np.abs(1.0 / (1.0 + L) - 0.5) == pytest.approx(np.full(len(L), 1.0 / 0.5), rel=1e-4)
 
 
+@pytest.mark.parametrize("gain", [4000.0, 0.5])
+def test_the_critical_point_is_in_the_nichols_plot_however_small_the_loop_is(fresh: Plots, gain: float) -> None:
+    fresh.show(picture(gain, stable=False))
+    view = figure(fresh, "nichols").y_range
+    assert view.start < 0.0 < view.end
+
+
 def test_limits_are_shaded_where_the_job_has_one(plots: Plots) -> None:
     shown = picture()
     plots.show(shown)
-    boxes = [one for one in figure(plots, "Omega").select({"type": BoxAnnotation}) if one.visible]
-    edges = sorted(one.bottom if isinstance(one.bottom, float) else one.top for one in boxes)
-    assert plots.sources["Omega_time"].data["unit"][0] == "µrad"
-    assert edges == pytest.approx([-1.0, 1.0])
+    assert sorted(drawn(plots, "Omega", 0, "strips")["y0"]) == pytest.approx([-1.0, 1.0])
+    assert figure(plots, "Omega").yaxis[0].axis_label == "µrad"
     none = dataclasses.replace(shown.Omega_time, limit=None)
     plots.show(dataclasses.replace(shown, Omega_time=none))
-    assert not any(one.visible for one in figure(plots, "Omega").select({"type": BoxAnnotation}))
+    assert not drawn(plots, "Omega", 0, "strips")["y0"]
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -164,21 +170,20 @@ def test_names_from_a_job_file_are_text_and_no_markup(plots: Plots) -> None:
 def test_the_closed_loop_takes_the_place_of_the_open_one(fresh: Plots) -> None:
     plots, shown = fresh, picture(overlays=("other",))
     plots.show(shown)
-    visible = lambda: [figure(plots, "bode", k).visible for k in range(5)]  # noqa: E731
-    assert visible() == [True, True, False, False, False]
+    visible = lambda: [one.plot.visible for one in panel_of(plots, "bode").figures]  # noqa: E731
+    assert visible() == [True, True]
     panel_of(plots, "bode").turn()
     assert visible() == [False, False, True, True, True]
     S = 1.0 / (1.0 + shown.bode.response)
-    curves = plots.sources["closed_loop"].data
-    np.testing.assert_allclose(curves["S"], 20.0 * np.log10(np.abs(S)), atol=1e-4)
-    np.testing.assert_allclose(curves["T"], 20.0 * np.log10(np.abs(1.0 - S)), atol=1e-4)
-    np.testing.assert_allclose(plots.sources["KS"].data["gain"], shown.closed.KS, rtol=1e-6)
-    assert len(plots.sources["closed_loop_overlays"].data["ys"]) == 2
+    *others, T_drawn, S_drawn = drawn(plots, "bode", 2, "lines")["ys"]
+    np.testing.assert_allclose(S_drawn, 20.0 * np.log10(np.abs(S)), atol=1e-4)
+    np.testing.assert_allclose(T_drawn, 20.0 * np.log10(np.abs(1.0 - S)), atol=1e-4)
+    np.testing.assert_allclose(drawn(plots, "bode", 3, "lines")["ys"][0], shown.closed.KS, rtol=1e-6)
+    assert len(others) == 3, "|S| and |T| of the other design, and the required bandwidth"
+    panel_of(plots, "Omega").turn()
     assert {figure(plots, "bode", k).x_range for k in range(5)} == {figure(plots, "Omega", 2).x_range}
-    band = plots.sources["closed_loop_band"].data
-    inside = np.interp(band["frequency"], curves["frequency"], curves["S"])
-    assert np.all(band["S_low"] <= inside + 1e-3)
-    assert np.all(inside - 1e-3 <= band["S_high"])
+    band = drawn(plots, "bode", 2, "bands")
+    assert min(map(min, band["ys"])) <= np.min(S_drawn) + 1e-3
     panel_of(plots, "bode").turn()
     assert visible() == [True, True, False, False, False]
     assert "others closed" in panel_of(plots, "bode").detail
@@ -192,9 +197,9 @@ def test_the_theme_changes_in_place(plots: Plots, document: Document) -> None:
     assert {one.id for one in document.models} == before
     # Whatever fills a figure leaves a rim of the theme before.
     assert {(one.background_fill_color, one.border_fill_color) for one in named(plots, Plot)} == {(None, None)}
-    assert plots.sources["overlays"].data["colour"] == [colours(True)["series-2"]]
+    assert drawn(plots, "bode", 0, "lines")["line_color"][-2] == colours(True)["series-2"]
     plots.dark(False)
-    assert plots.sources["overlays"].data["colour"] == [colours(False)["series-2"]]
+    assert drawn(plots, "bode", 0, "lines")["line_color"][-2] == colours(False)["series-2"]
 
 
 @pytest.mark.parametrize("number", [60, pytest.param(1000, marks=pytest.mark.slow)])
@@ -202,10 +207,10 @@ def test_nothing_grows_however_many_pictures_are_shown(plots: Plots, document: D
     several = [picture(3000.0 + 500.0 * k, overlays=("a", "b")[: k % 3], plants=(0, 3, 9)[k % 3]) for k in range(6)]
     for one in several:
         plots.show(one)
-    models, sources, callbacks = len(document.models), len(plots.sources), len(document.session_callbacks)
+    models, callbacks = len(document.models), len(document.session_callbacks)
     for k in range(number):
         plots.show(several[k % 6])
-    assert (len(document.models), len(plots.sources), len(document.session_callbacks)) == (models, sources, callbacks)
+    assert (len(document.models), len(document.session_callbacks)) == (models, callbacks)
     assert document.callbacks.hold_value is None
 
 
@@ -213,10 +218,10 @@ def test_nothing_grows_however_many_pictures_are_shown(plots: Plots, document: D
 def test_numbers_that_are_not_finite_are_gaps_and_the_plots_say_so(plots: Plots, number: float) -> None:
     plots.show(picture())
     plots.show(broken(number))
-    for source in plots.sources.values():
+    for source in (one for panel in plots.panels for each in panel.figures for one in each.sources.values()):
         for name, column in source.data.items():
-            if isinstance(column, np.ndarray):
-                assert not np.isinf(column).any(), (source.name, name)
+            if len(column) and isinstance(column[0], np.ndarray | float):
+                assert not any(np.isinf(one).any() for one in column), (source.name, name, column)
     shown = messages(plots)
     assert shown["step"] == "no finite response"
     assert shown["locus"] == "no finite pole"

@@ -389,14 +389,14 @@ def test_a_design_made_in_the_background_is_that_of_its_method(bench: Backend) -
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in expected.results], rtol=1e-6)
     # Over the classical one.
     over = bench.picture(bench.chosen(settings, design="by hand").but(overlays=("lqg",)))
-    [overlay] = over.bode.overlays
+    [overlay] = over.overlays
     plots = pytest.importorskip("platform_ctrl.app.plots").Plots()
     plots.show(over)
-    drawn = plots.sources["step_overlays"].data
-    assert set(drawn["name"]) == {"lqg"}
-    np.testing.assert_allclose(drawn["xs"][0][-1], overlay.step.t[-1])
+    drawn = next(one for one in plots.panels if one.name == "step").figures[0].sources["lines"].data
+    at = drawn["name"].index("lqg")
+    np.testing.assert_allclose(drawn["xs"][at][-1], overlay.step.t[-1], rtol=1e-6)
     np.testing.assert_allclose(
-        np.interp(picture.bode.frequency, over.bode.frequency, np.abs(overlay.response)),
+        np.interp(picture.bode.frequency, overlay.bode.frequency, np.abs(overlay.bode.response)),
         np.abs(picture.bode.response),
         rtol=0.05,
     )
@@ -419,7 +419,7 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path:
     closed = next(design for design in result.loops[0].designs if design.name == "by hand")
     picture = given.picture(settings.but(overlays=("lqg",)))
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in closed.results], rtol=1e-6)
-    assert [o.design for o in picture.bode.overlays] == ["lqg"]
+    assert [o.settings.design for o in picture.overlays] == ["lqg"]
     assert not picture.notes
     K = given._loops.caged(settings)[0].controller
     assert isinstance(K, System)

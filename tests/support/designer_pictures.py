@@ -13,7 +13,6 @@ from platform_ctrl.app.pictures import (
     ClosedLoop,
     FrequencyGain,
     Margins,
-    Overlay,
     Picture,
     TimeResponse,
 )
@@ -74,20 +73,6 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             limit=limit,
         )
 
-    # Another design's step goes on for as long as it takes: over times of its own.
-    other = dataclasses.replace(time("other", None), t=2.0 * t[:81], values=step(1.5)[:, :81], drive=t[:81])
-    over = tuple(
-        Overlay(
-            design=name,
-            response=1.5 * responses[0],
-            phase=phase[0],
-            poles=poles(1.5 * gain),
-            step=other,
-            Omega_step=other,
-            Omega_gain=0.7 * from_rate,
-        )
-        for name in overlays
-    )
     asked = CheckResult(
         name="bandwidth",
         subject="caging",
@@ -114,7 +99,6 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             band_phase=phase if plants else np.zeros((1, 0)),
             crossovers=np.array([crossover]),
             nyquist=2000.0 * np.pi,
-            overlays=over,
         ),
         closed=ClosedLoop(KS=3.0 * size[0], PS=0.01 / size[0], units=("N m/rad", "rad/(N m)")),
         locus=RootLocus(
@@ -163,7 +147,22 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
         all_stable=True,
         elapsed=0.01,
     )
-    return dataclasses.replace(made, **changes)
+    # Another design's step goes on for as long as it takes: over times of its own.
+    other = dataclasses.replace(time("other", None), t=2.0 * t[:81], values=step(1.5)[:, :81], drive=t[:81])
+    nothing = dataclasses.replace(other, low=np.zeros((3, 0)), high=np.zeros((3, 0)))
+    over = tuple(
+        dataclasses.replace(
+            made,
+            settings=settings().but(design=name),
+            bode=dataclasses.replace(made.bode, response=1.5 * responses[0]),
+            poles=poles(1.5 * gain),
+            step=nothing,
+            Omega_time=nothing,
+            Omega_frequency=dataclasses.replace(made.Omega_frequency, gain=0.7 * from_rate),
+        )
+        for name in overlays
+    )
+    return dataclasses.replace(made, overlays=over, **changes)
 
 
 def broken(number: float) -> Picture:

@@ -1,42 +1,37 @@
-"""Data, colours, units and axis ranges of the plots."""
+"""Columns, units, axis ranges and empty figures of the plots."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from bokeh.core.property.descriptors import UnsetValueError
-from bokeh.models import ColumnDataSource, Range1d
+from bokeh.models import (
+    BasicTickFormatter,
+    LogAxis,
+    LogTicker,
+    LogTickFormatter,
+    NoOverlap,
+    PanTool,
+    Range1d,
+    ResetTool,
+    WheelZoomTool,
+)
+from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis import curves
-from platform_ctrl.common.palette import PALETTE
 from platform_ctrl.common.values import FloatArray
 
-HZ = 1.0 / (2.0 * math.pi)
-# Dashes of the k-th design in pixels; empty is a solid line.
-DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (9, 3, 2, 3), (9, 3, 2, 3, 2, 3), (5, 2), (14, 4), (4, 4))
-# Dashes of the job's limits, pixels.
-LIMIT_DASHES = (6, 3)
 FONT = 'system-ui, -apple-system, "Segoe UI", "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif'
 SMALL, NORMAL = "11px", "12px"
-
-
-def colours(dark: bool) -> Mapping[str, str]:
-    """Return the colours of a theme by role: ``ink``, ``muted``, ``grid``, ``limit``, ``series-1``, ..."""
-    return PALETTE["dark" if dark else "light"]
-
-
-def series(k: int) -> str:
-    """Return the role of the colour of the k-th of several curves."""
-    return f"series-{1 + k % 8}"
-
-
-def dashes(k: int) -> tuple[int, ...]:
-    """Return the dashes of the k-th of several designs, pixels."""
-    return DASHES[k % len(DASHES)]
+# Least distance of the numbers at an axis, pixels.
+_APART = 2
+# Height of the numbers and the label below a figure, pixels.
+_BELOW = 28
+_LEFT, _RIGHT, _TOP = 54, 12, 7
 
 
 def assign(model: Any, **values: Any) -> None:
@@ -46,27 +41,15 @@ def assign(model: Any, **values: Any) -> None:
             setattr(model, name, new)
 
 
-class Sources:
-    """The column data sources of a page's plots, by name."""
-
-    def __init__(self) -> None:
-        self.by_name: dict[str, ColumnDataSource] = {}
-
-    def new(self, name: str, *columns: str, lists: tuple[str, ...] = ()) -> ColumnDataSource:
-        """Return a new source with empty columns: of numbers, and of texts or whole curves (`lists`)."""
-        data: dict[str, Any] = {one: np.zeros(0, np.float32) for one in columns}
-        out = ColumnDataSource(data=data | {one: [] for one in lists}, name=name)
-        self.by_name[name] = out
-        return out
-
-    def put(self, name: str, /, **columns: Any) -> None:
-        """Set all columns of a source; nothing is sent if they have not changed."""
-        source = self.by_name[name]
-        if not all(_equal(source.data[key], one) for key, one in columns.items()):
-            source.data = columns
+def put(source: Any, columns: Mapping[str, Any]) -> None:
+    """Set all columns of a source; nothing is sent if they have not changed."""
+    if not all(_equal(source.data[key], one) for key, one in columns.items()):
+        source.data = dict(columns)
 
 
 def _equal(one: Any, other: Any) -> bool:
+    if one is other:
+        return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         return np.array_equal(one, other, equal_nan=True)
     if isinstance(one, list):
@@ -83,9 +66,9 @@ _LARGEST = 1e30
 def column(numbers: Any, scale: float = 1.0) -> Column:
     """Return real numbers times `scale` in single precision; what is not finite or too large becomes a gap (NaN)."""
     with np.errstate(invalid="ignore", over="ignore"):
-        out = scale * np.asarray(numbers, dtype=np.float64)
-        out = np.where(np.abs(out) <= _LARGEST, out, np.nan)
-    return out.astype(np.float32)
+        out = np.multiply(numbers, scale, dtype=np.float64)
+        fine = np.abs(out) <= _LARGEST
+    return (out if fine.all() else np.where(fine, out, np.nan)).astype(np.float32)
 
 
 def decibels(gain: Any) -> Column:
@@ -99,11 +82,10 @@ def positive(gain: FloatArray) -> FloatArray:
         return np.asarray(np.where(gain > 0.0, gain, np.nan))
 
 
-def joined_curves(rows: Any) -> Column:
-    """Return the rows of an array (N, F) one after the other with a gap after each: many curves as one line."""
-    out = column(rows)
-    out = out.reshape(len(out), -1) if out.size else np.zeros((0, 0), np.float32)
-    return np.hstack([out, np.full((len(out), 1), np.nan, np.float32)]).ravel()
+def joined(rows: Iterable[FloatArray]) -> FloatArray:
+    """Return arrays one after the other with a gap after each: many curves as one line."""
+    gap = np.full(1, np.nan)
+    return np.concatenate([np.zeros(0), *(part for one in rows for part in (one, gap))])
 
 
 def finite(*columns: Column) -> tuple[Column, ...]:
@@ -131,6 +113,20 @@ _PREFIXES = ((1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _PREFIXED = frozenset({"rad", "rad/s", "N m", "s", "rad/(rad/s)"})
 
 
+def prefixed(unit: str, size: float) -> tuple[float, str]:
+    """Return factor and name of a unit for numbers whose largest magnitude is `size`."""
+    if unit not in _PREFIXED or not size > 0.0 or size >= 0.5:
+        return 1.0, unit
+    scale, prefix = next((one for one in _PREFIXES if size >= 0.5 * one[0]), _PREFIXES[-1])
+    return 1.0 / scale, f"{prefix}{unit}"
+
+
+def quantity(number: float, unit: str) -> str:
+    """Return a number with its unit and a suitable prefix: ``3 mrad``."""
+    scale, name = prefixed(unit, 1.01 * abs(number))
+    return f"{scale * number:.3g} {name}".rstrip()
+
+
 class Unit:
     """A unit with a prefix for readable numbers, which changes only when the numbers have become awkward.
 
@@ -145,20 +141,7 @@ class Unit:
         if unit == self._plain and (not 0.0 < size < math.inf or 0.2 <= size * self.scale < 2000.0):
             return
         self._plain = unit
-        self.scale, self.name = _prefixed(unit, size)
-
-
-def quantity(number: float, unit: str) -> str:
-    """Return a number with its unit and a suitable prefix: ``3 mrad``."""
-    scale, name = _prefixed(unit, 1.01 * abs(number))
-    return f"{scale * number:.3g} {name}".rstrip()
-
-
-def _prefixed(unit: str, size: float) -> tuple[float, str]:
-    if unit not in _PREFIXED or not size > 0.0 or size >= 0.5:
-        return 1.0, unit
-    scale, prefix = next((one for one in _PREFIXES if size >= 0.5 * one[0]), _PREFIXES[-1])
-    return 1.0 / scale, f"{prefix}{unit}"
+        self.scale, self.name = prefixed(unit, size)
 
 
 def inner_size(plot: Any) -> tuple[float, float]:
@@ -213,13 +196,15 @@ def decades(low: float, high: float) -> tuple[float, float]:
 class View:
     """The range of an axis, which follows the data with some hysteresis and stays where the user has zoomed to.
 
-    `rest` are the bounds without zoom.
+    `rest` are the bounds without zoom, `name` what it is called at the mouse.
     """
 
-    def __init__(self, low: float, high: float, bounds: Bounds = round_bounds, *, logarithmic: bool = False) -> None:
+    def __init__(
+        self, low: float, high: float, bounds: Bounds = round_bounds, *, logarithmic: bool = False, name: str = ""
+    ) -> None:
         self.range = Range1d(start=low, end=high, reset_start=low, reset_end=high)
         self.rest = (low, high)
-        self._bounds, self.logarithmic = bounds, logarithmic
+        self._bounds, self.logarithmic, self.name = bounds, logarithmic, name
         self.zoomed = self._setting = self._fitted = False
         for name in ("start", "end"):
             self.range.on_change(name, self._changed)
@@ -271,3 +256,58 @@ class View:
 
     def _length(self, low: float, high: float) -> float:
         return math.log(high / low) if self.logarithmic else high - low
+
+
+def empty_figure(name: str, x: View, y: View, last: bool) -> Any:
+    """Return an empty figure with zoom, pan and reset but without a tool bar."""
+    out = figure(
+        name=name,
+        x_range=x.range,
+        y_range=y.range,
+        x_axis_type="log" if x.logarithmic else "linear",
+        y_axis_type="log" if y.logarithmic else "linear",
+        title=None,
+        toolbar_location=None,
+        tools=[],
+        sizing_mode="stretch_both",
+        min_height=36,
+        min_width=200,
+        min_border_left=_LEFT,
+        min_border_right=_RIGHT,
+        min_border_top=_TOP,
+        min_border_bottom=0,
+        output_backend="canvas",
+        lod_threshold=None,
+        margin=0,
+        # The frames of two figures are equally high, with or without a label below.
+        styles={"flex-grow": "1", "flex-basis": f"{_BELOW}px" if last else "0"},
+    )
+    pan, wheel = PanTool(), WheelZoomTool(zoom_on_axis=True)
+    out.add_tools(pan, wheel, ResetTool())
+    out.toolbar.active_drag, out.toolbar.active_scroll = pan, wheel
+    # The page shows through: half of the outermost pixels would keep the colour of the theme before.
+    out.background_fill_color = out.border_fill_color = out.outline_line_color = None
+    for axis in (*out.xaxis, *out.yaxis):
+        _style(axis)
+    return out
+
+
+def _style(axis: Any) -> None:
+    # The page's style sheet has the colours of axes and grids.
+    axis.major_tick_in, axis.major_tick_out = 0, 4
+    axis.major_label_standoff, axis.axis_label_standoff = 3, 4
+    axis.major_label_text_font = axis.axis_label_text_font = FONT
+    axis.major_label_text_font_size = axis.axis_label_text_font_size = SMALL
+    axis.axis_label_text_font_style = "normal"
+    if isinstance(axis, LogAxis):
+        axis.ticker = LogTicker(desired_num_ticks=8, num_minor_ticks=9)
+        axis.minor_tick_in, axis.minor_tick_out = 0, 2
+        axis.formatter = LogTickFormatter(ticker=axis.ticker, min_exponent=4)
+        # Within a decade the numbers come closer and closer together.
+        axis.major_label_policy = NoOverlap(min_distance=_APART)
+    else:
+        axis.ticker.desired_num_ticks = 5
+        axis.minor_tick_in = axis.minor_tick_out = 0
+        axis.formatter = BasicTickFormatter(use_scientific=False)
+        # A low figure has more ticks than numbers.
+        axis.major_label_policy = NoOverlap(min_distance=1)
