@@ -31,8 +31,8 @@ JOB = ROOT / "examples" / "three_gyro_platform.toml"
 # What decides how a picture looks, below the root of the checkout.
 SOURCES = {
     "designer": (
-        *("page/page.html", "page/fragments.html", "page/assets/page.css", "fragments.py", "plots/panel.py"),
-        *("plots/frequency.py", "plots/locus.py", "plots/responses.py"),
+        *("page/page.html", "page/fragments.html", "page/assets/page.css", "fragments.py", "plots/painter.py"),
+        *("plots/loop.py", "plots/responses.py"),
     ),
     "report": ("templates/page.html", "templates/blocks.html", "templates/report.css", "first_screen.py"),
 }

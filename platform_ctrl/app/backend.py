@@ -368,7 +368,7 @@ class Backend:
         options, start = self._loops.options, self._loops.start
         closed = {**settings.closed, settings.loop: settings.design}
         try:
-            controllers = self._loops.controllers(settings, strict=True)
+            controllers = [made for made, _ in self._loops.closed_designs(settings, strict=True)]
         except DesignError:
             if not is_unchanged(settings.but(closed=closed), start):
                 raise
@@ -389,7 +389,7 @@ class Backend:
     def simulate(self, settings: Settings, manoeuvre: str, cancelled: IsCancelled = lambda: False) -> Trajectory:
         """Return one of the job's manoeuvres, simulated on the non-linear plant with the loops as they are set."""
         known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
-        closed = tuple(one.system for one in self._loops.controllers(settings))
+        closed = tuple(self._loops.controllers(settings))
         task = Simulating(job=self.job(settings), manoeuvre=manoeuvre, controllers=closed)
         trajectory: Trajectory = self._loops.background.run(task, cancelled=cancelled)
         self.has_simulated = True

@@ -25,7 +25,6 @@ from platform_ctrl.app.controllers import (
 )
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
-from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Settings, of_loop, with_limits
 from platform_ctrl.app.stabilised import StabilisedCurves, StabilisedLoop
 from platform_ctrl.common.arguments import known_name
@@ -230,13 +229,13 @@ class ClosedLoops:
         """Return all loops closed around the free platform, and lines about their controllers."""
         spec, _ = self.design(settings)
         job = self.job(settings)
-        closed = self.controllers(settings)
-        controllers = tuple(one.system for one in closed)
+        closed = self.closed_designs(settings)
+        controllers = tuple(made.controller for made, _ in closed)
         plants, shown = self.plants.free(settings.plant, sensed_rates(job, controllers), settings.band)
         loop = StabilisedLoop(
             job=job, model=self.plants.model, spec=spec, controllers=controllers, plants=plants, shown=shown
         )
-        return loop, tuple(one.note for one in closed if one.note)
+        return loop, tuple(note for _, note in closed if note)
 
     def closed(self, settings: Settings) -> dict[str, str]:
         """Return the name of the design that is closed in each loop, the shown one in its own."""
@@ -258,7 +257,7 @@ class ClosedLoops:
         """Return the check of all loops together, as `check` does it."""
 
         def make() -> CoupledCheck:
-            controllers = [one.system for one in self.controllers(settings)]
+            controllers = self.controllers(settings)
             return coupled_check(self.job(settings), self.plants.model, controllers)
 
         return self._coupled.get(self.whole_key(settings), make)
@@ -269,8 +268,12 @@ class ClosedLoops:
         key = (loop.spec.name, loop.design, limits, self.plants_key(settings, loop.spec), _content(loop.delivered))
         return lambda make: self._measures.get(key, make)
 
-    def controllers(self, settings: Settings, strict: bool = False) -> list[ClosedController]:
-        """Return the controller of every loop; with `strict` only those that are named in `closed` will do."""
+    def controllers(self, settings: Settings) -> list[control.StateSpace]:
+        """Return the controller u = K y of every loop."""
+        return [made.controller for made, _ in self.closed_designs(settings)]
+
+    def closed_designs(self, settings: Settings, strict: bool = False) -> list[tuple[Design, str]]:
+        """Return the design that closes each loop, and a line about it; with `strict` only those named in `closed`."""
         return [self._closed(settings, spec, strict) for spec in self.in_order()]
 
     def in_order(self) -> list[LoopSpec]:
@@ -299,24 +302,23 @@ class ClosedLoops:
             design, K = other, self.caging(settings, spec, other)
         return design, K, note
 
-    def _closed(self, settings: Settings, spec: LoopSpec, strict: bool) -> ClosedController:
+    def _closed(self, settings: Settings, spec: LoopSpec, strict: bool) -> tuple[Design, str]:
         if not spec.has_plants:
-            design, note = self._named_design(spec, self.closed(settings)[spec.name]), ""
-            system = self.servo(settings, spec, design)
-            options = dict(settings.options[spec.name][design.name])
-        else:
-            design, K, note = self._closed_design(settings, spec, strict)
-            inputs, outputs = loop_names(self.job(settings), spec, design)
-            K = self._with_commands(settings, spec, design, K)
-            inputs = [*inputs, *(f"{name}{COMMAND}" for name in inputs)][: K.B.shape[1]]
-            fed = None if spec.around is not None else self.plants.of(spec, design).feedforward
-            if fed is not None:
-                K, inputs = fed.joined_to(K), [*inputs, *fed.sensors]
-            system = K.to_control(inputs, outputs, name=f"{spec.name}, {design.name}")
-            options = self.options.used(settings, spec, design)
-        return ClosedController(
-            loop=spec.name, design=design.name, method=design.method, system=system, options=options, note=note
-        )
+            design = self._named_design(spec, self.closed(settings)[spec.name])
+            mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
+            made = designed(LoopProblem(job=self.read, spec=spec, design=mine, model=self.plants.model))
+            return dataclasses.replace(made, options=dict(mine.options)), ""
+        design, K, note = self._closed_design(settings, spec, strict)
+        inputs, outputs = loop_names(self.job(settings), spec, design)
+        K = self._with_commands(settings, spec, design, K)
+        inputs = [*inputs, *(f"{name}{COMMAND}" for name in inputs)][: K.B.shape[1]]
+        fed = None if spec.around is not None else self.plants.of(spec, design).feedforward
+        if fed is not None:
+            K, inputs = fed.joined_to(K), [*inputs, *fed.sensors]
+        system = K.to_control(inputs, outputs, name=f"{spec.name}, {design.name}")
+        options = self.options.used(settings, spec, design)
+        made = Design(loop=spec.name, name=design.name, method=design.method, controller=system, options=options)
+        return made, note
 
     def _with_commands(self, settings: Settings, spec: LoopSpec, design: DesignSpec, K: System) -> System:
         """Return a controller with the commands that its design shapes, or that a loop or a manoeuvre gives."""
@@ -326,13 +328,6 @@ class ClosedLoops:
             return shaped(K._replace(dt=self.read.period_of(spec)), design.command, channel, sense)
         taken = spec.name in self._commanded or bool(self.read.commanded & set(spec.read_by(design).sensors))
         return with_error_alone(K) if taken else K
-
-    def servo(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> control.StateSpace:
-        """Return the controller of a servo on the platform."""
-        mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
-        made = designed(LoopProblem(job=self.read, spec=spec, design=mine, model=self.plants.model)).controller
-        K = System.of(made, design.name)
-        return K.to_control(made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
 
     def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> System:
         """Return the controller of a caging loop."""

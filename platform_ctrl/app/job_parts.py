@@ -59,7 +59,7 @@ class SightBudgets:
         found = self._exact.found(key)
         if found is not None:
             return found
-        controllers = [one.system for one in self._loops.controllers(settings)]
+        controllers = self._loops.controllers(settings)
         with np.errstate(all="ignore"):
             prepared = PreparedBudget(self._loops.job(settings), controllers)
         with self._lock:
@@ -97,7 +97,7 @@ class SightBudgets:
         return () if found is None else found.results
 
     def _quick(self, settings: Settings) -> LineOfSightBudget | None:
-        controllers = [one.system for one in self._loops.controllers(settings)]
+        controllers = self._loops.controllers(settings)
         key = _key(settings, controllers)
         with self._lock, np.errstate(all="ignore"):
             if self._prepared is None:

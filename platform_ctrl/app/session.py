@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app import fragments
 from platform_ctrl.app.background import DesignPending, LatestTasks
-from platform_ctrl.app.link import decode_state, encode_state
 from platform_ctrl.app.pictures import tree_data
 from platform_ctrl.app.plots import Plots
+from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
-from platform_ctrl.app.tasks import Connection, PageTasks, Request, error_text, parse_request
+from platform_ctrl.app.tasks import Connection, LongTasks, Request, error_text, parse_request
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
@@ -54,12 +54,11 @@ class Task:
     gesture: object
 
 
-class Session:
+class Session(LongTasks):
     """One page. Its methods run on the server's loop while the document is locked; `_work` runs in a thread."""
 
     def __init__(self, backend: Backend, document: Document, state: str) -> None:
-        self.backend = backend
-        self.connection = Connection(document)
+        super().__init__(backend, Connection(document))
         self.settings = backend.start()
         self._line: str | None = None
         if state:
@@ -86,7 +85,6 @@ class Session:
         # Settings that wait for a design, and the gesture that led to them; only `_work` uses it.
         self._awaited: tuple[Settings, object] | None = None
         self._idle: Any = None
-        self._tasks = PageTasks(self)
         self._stop_listening = backend.on_designed(self._designed)
 
     def roots(self) -> list[Any]:
@@ -97,13 +95,13 @@ class Session:
         """Cancel all tasks and release everything; the page is closed."""
         self._stop_listening()
         self._changes.close()
-        self._tasks.close()
+        self.cancel_task()
         self.connection.close()
         self._idle = self.picture = self._drawing = self._awaited = None
 
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Change the settings and show them; it replaces a waiting change of the same key."""
-        self._tasks.cancel_tuning()
+        self.cancel_tuning()
         self._no_rest()
         if gesture is None:
             gesture = object()
@@ -125,7 +123,7 @@ class Session:
             if request.what in CHANGES:
                 self._change(request)
             else:
-                (getattr(self, f"_on_{request.what}", None) or self._tasks.handle)(request)
+                getattr(self, f"_on_{request.what}")(request)
         except Exception as error:
             # The sliders show their values again, not what was typed.
             html = {} if self.picture is None else self._chosen(self.picture.settings)
@@ -359,7 +357,7 @@ class Session:
                 # The address, and what a screen reader says, not of every step of a move.
                 link = encode_state(self.backend, settings)
                 self.connection.answer(link=link, spoken=f"{words}. {more}")
-                self._tasks.measure(settings)
+                self.measure(settings)
 
         self._idle = document.add_timeout_callback(rested, IDLE)
 

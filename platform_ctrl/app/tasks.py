@@ -9,11 +9,12 @@ import re
 import shlex
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from bokeh.core.properties import Any as AnyProperty
 from bokeh.core.properties import String
@@ -169,66 +170,55 @@ class _Running:
     cancelled: threading.Event
 
 
-class Page(Protocol):
-    """The parts of a page that its tasks use."""
+class LongTasks(ABC):
+    """Tasks of a page that take longer than a picture, each in its own thread; `settings` are those that it shows."""
 
-    backend: Backend
-    connection: Connection
     settings: Settings
 
+    def __init__(self, backend: Backend, connection: Connection) -> None:
+        self.backend, self.connection = backend, connection
+        self._running: _Running | None = None
+        self._measuring = False
+
+    @abstractmethod
     def shows(self, settings: Settings) -> bool:
         """Return whether the page shows these settings, and no change of them is being computed."""
 
+    @abstractmethod
     def change(self, key: str, change: Callable[[Settings], Settings]) -> None:
         """Change the settings and show them."""
 
+    @abstractmethod
     def rest(self) -> None:
         """Measure what is not known once nothing has changed for a while."""
 
+    @abstractmethod
     def show_effects(self, settings: Settings, effects: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
         """Show what each slider does to each requirement of these settings, and the limits of the budget."""
 
+    @abstractmethod
     def parts_measured(self) -> None:
         """Show what has become known of the parts of the job."""
-
-
-class PageTasks:
-    """The long tasks of a session, each in its own thread."""
-
-    def __init__(self, page: Page) -> None:
-        self._page, self._backend, self._connection = page, page.backend, page.connection
-        self._running: _Running | None = None
-        self._measuring = False
-        self._manoeuvres = tuple(one.name for one in page.backend.read.manoeuvres)
-
-    def close(self) -> None:
-        """Cancel the task that is running; nothing is sent any more."""
-        self._cancel()
-
-    def handle(self, request: Request) -> None:
-        """Do what a message requests."""
-        getattr(self, f"_on_{request.what}")(request)
 
     def cancel_tuning(self) -> None:
         """Cancel tuning, if it is running."""
         if self._running is not None and self._running.name == "tune":
-            self._cancel()
+            self.cancel_task()
 
     def measure(self, settings: Settings) -> None:
         """Compute what each slider does to each requirement of these settings, then the other parts of the job."""
-        page = self._page
         if self._measuring or (self._running is not None and self._running.name == "tune"):
             return
         self._measuring = True
 
         def expect_shown() -> None:
-            if not page.shows(settings):
+            if not self.shows(settings):
                 raise _Superseded
 
         def effects() -> OptionEffects:
-            influence = self._backend.influence(settings, expect_shown)
-            budget = self._backend.budget_results(settings)
-            self._connection.later(lambda: page.show_effects(settings, influence, budget))
+            influence = self.backend.influence(settings, expect_shown)
+            budget = self.backend.budget_results(settings)
+            self.connection.later(lambda: self.show_effects(settings, influence, budget))
             return influence
 
         def measured() -> Callable[[], None]:
@@ -236,31 +226,31 @@ class PageTasks:
                 influence = effects()
                 self._measure_parts(settings, expect_shown)
                 # The first budget takes long: what sliders do to it is known now.
-                known = {one.name for one in self._backend.budget_results(settings) if one.valid}
+                known = {one.name for one in self.backend.budget_results(settings) if one.valid}
                 if not known <= set(influence.requirements):
                     effects()
             except _Superseded:
                 pass
             finally:
                 self._measuring = False
-            return lambda: None if page.shows(settings) else page.rest()
+            return lambda: None if self.shows(settings) else self.rest()
 
         self._do(measured, lambda line: None)
 
     def _measure_parts(self, settings: Settings, before_each: Callable[[], None]) -> None:
         """Measure the parts of the job that are not known for these settings."""
-        parts, page = self._backend.job_parts, self._page
+        parts = self.backend.job_parts
         for one in parts.open(parts.parts(settings)):
             before_each()
             parts.measure(one)
-            self._connection.later(page.parts_measured)
+            self.connection.later(self.parts_measured)
 
     def _on_cancel(self, request: Request) -> None:
-        self._cancel()
-        self._connection.answer(request.count)
+        self.cancel_task()
+        self.connection.answer(request.count)
 
     def _on_tune(self, request: Request) -> None:
-        page, settings, last = self._page, self._page.settings, 0.0
+        settings, last = self.settings, 0.0
         running = self._begin("tune", "Tuning the rest", request)
         if running is None:
             return
@@ -270,16 +260,16 @@ class PageTasks:
             now = time.monotonic()
             if now - last >= PROGRESS_INTERVAL:
                 last = now
-                self._connection.later(lambda: self._show_busy(running, f"Tuning the rest: {line}"))
+                self.connection.later(lambda: self._show_busy(running, f"Tuning the rest: {line}"))
 
         def tuned() -> Callable[[], None]:
-            new = self._backend.tune(settings, progress, running.cancelled.is_set)
+            new = self.backend.tune(settings, progress, running.cancelled.is_set)
 
             def show() -> None:
                 if new.options == settings.options:
-                    self._connection.say("Tuning found no better values; nothing was changed.")
+                    self.connection.say("Tuning found no better values; nothing was changed.")
                 else:
-                    page.change("tune", lambda _: new)
+                    self.change("tune", lambda _: new)
 
             return show
 
@@ -287,25 +277,25 @@ class PageTasks:
 
     def _on_save(self, request: Request) -> None:
         try:
-            path = target(self._backend.folder.resolve(), request.more["name"])
+            path = target(self.backend.folder.resolve(), request.more["name"])
         except PlatformCtrlError as error:
             self._saved(str(error), request.count)
             return
-        settings, overwrite = self._page.settings, request.more["overwrite"]
+        settings, overwrite = self.settings, request.more["overwrite"]
         existing = [one.name for one in (path, controllers_beside(path)) if os.path.lexists(one)]
         if existing and not overwrite:
             self._saved(f"{existing[0]} exists already: overwrite it?", request.count, exists=True)
             return
-        self._connection.answer(request.count)
+        self.connection.answer(request.count)
 
         def saved() -> Callable[[], None]:
-            written = self._backend.save(settings, path, overwrite=overwrite)
+            written = self.backend.save(settings, path, overwrite=overwrite)
             text = ". ".join((f"Saved: {path}", *written.notes))
             command = f"platform-ctrl check {shlex.quote(str(path))}"
 
             def show() -> None:
                 self._saved(text, kind="good", command=command)
-                self._connection.say(text, "good")
+                self.connection.say(text, "good")
 
             return show
 
@@ -314,32 +304,33 @@ class PageTasks:
     def _saved(self, words: str, count: int | None = None, kind: str = "error", **more: Any) -> None:
         """Show in the dialog what came of saving."""
         html = fragment("saved", words=words, kind=kind, **more)
-        self._connection.answer(count, html={"save-result": html})
+        self.connection.answer(count, html={"save-result": html})
 
     def _on_simulate(self, request: Request) -> None:
-        page, settings, manoeuvre = self._page, self._page.settings, request.more["manoeuvre"]
+        settings, manoeuvre = self.settings, request.more["manoeuvre"]
+        every = tuple(one.name for one in self.backend.read.manoeuvres)
         if manoeuvre:
-            known_name("manoeuvre", manoeuvre, self._manoeuvres)
-        names = (manoeuvre,) if manoeuvre else self._manoeuvres
+            known_name("manoeuvre", manoeuvre, every)
+        names = (manoeuvre,) if manoeuvre else every
         long = f"Simulating {names[0] if len(names) == 1 else f'{len(names)} runs'}"
-        if not self._backend.has_simulated:
+        if not self.backend.has_simulated:
             long += ": the first run loads its equations, or compiles them once on this machine"
         running = self._begin("simulate", "Simulating", request)
         if running is None:
             return
-        if self._connection.document is not None:
-            self._connection.document.add_timeout_callback(lambda: self._show_busy(running, long), LONG)
+        if self.connection.document is not None:
+            self.connection.document.add_timeout_callback(lambda: self._show_busy(running, long), LONG)
 
         def simulated() -> Callable[[], None]:
             for k, name in enumerate(names):
                 if k:
                     line = f"Simulating {k + 1} of {len(names)}: {name}"
-                    self._connection.later(partial(self._show_busy, running, line))
-                trajectory = self._backend.simulate(settings, name, running.cancelled.is_set)
-                self._connection.later(page.parts_measured)
+                    self.connection.later(partial(self._show_busy, running, line))
+                trajectory = self.backend.simulate(settings, name, running.cancelled.is_set)
+                self.connection.later(self.parts_measured)
 
             def show() -> None:
-                self._connection.answer(run=run_data(trajectory))
+                self.connection.answer(run=run_data(trajectory))
 
             return show
 
@@ -348,25 +339,25 @@ class PageTasks:
     def _begin(self, name: str, words: str, request: Request) -> _Running | None:
         """Start a task that can be cancelled; None where another one is running, which the page's line then says."""
         if self._running is not None:
-            self._connection.say(f"{_RUNNING[self._running.name]}; Esc ends that.", count=request.count)
+            self.connection.say(f"{_RUNNING[self._running.name]}; Esc ends that.", count=request.count)
             return None
         self._running = running = _Running(name=name, cancelled=threading.Event())
-        self._connection.answer(request.count)
+        self.connection.answer(request.count)
         self._show_busy(running, words)
         return running
 
     def _show_busy(self, running: _Running, words: str) -> None:
         if self._running is running:
-            self._connection.answer(busy={"text": words})
+            self.connection.answer(busy={"text": words})
 
     def _run(self, running: _Running, work: Callable[[], Callable[[], None]]) -> None:
         """Do `work` of a task in a thread, and show what it returns unless it was cancelled."""
 
         def ended(show: Callable[[], None]) -> None:
             self._running = None
-            self._connection.answer(busy=None)
+            self.connection.answer(busy=None)
             if running.cancelled.is_set():
-                self._connection.say(_CANCELLED[running.name])
+                self.connection.say(_CANCELLED[running.name])
             else:
                 show()
 
@@ -374,9 +365,10 @@ class PageTasks:
             show = work()
             return lambda: ended(show)
 
-        self._do(done, lambda line: ended(lambda: self._connection.say(line, "error")))
+        self._do(done, lambda line: ended(lambda: self.connection.say(line, "error")))
 
-    def _cancel(self) -> None:
+    def cancel_task(self) -> None:
+        """Cancel the task that is running."""
         if self._running is not None:
             self._running.cancelled.set()
 
@@ -388,8 +380,8 @@ class PageTasks:
                 done = work()
             except Exception as error:
                 line = error_text(error)
-                self._connection.later(lambda: failed(line))
+                self.connection.later(lambda: failed(line))
             else:
-                self._connection.later(done)
+                self.connection.later(done)
 
         threading.Thread(target=run, name="page task", daemon=True).start()

@@ -43,9 +43,9 @@ def test_a_design_with_a_filter_is_measured_as_a_whole_and_delivered_with_it() -
     for one in outcome.closed.results:
         assert shown[one.name] == pytest.approx(one.value, rel=1e-6)
     (closed,) = page._loops.controllers(page.start())
-    assert closed.system.input_labels == outcome.closed.controller.input_labels
-    np.testing.assert_allclose(closed.system.A, outcome.closed.controller.A, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(closed.system.D, outcome.closed.controller.D, rtol=1e-9)
+    assert closed.input_labels == outcome.closed.controller.input_labels
+    np.testing.assert_allclose(closed.A, outcome.closed.controller.A, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(closed.D, outcome.closed.controller.D, rtol=1e-9)
     page.close()
 
 
@@ -101,7 +101,7 @@ def test_a_tracking_loop_around_indirect_stabilisation_behind_a_filter_is_measur
         for result in one.closed.results:
             assert shown[result.name] == pytest.approx(result.value, rel=1e-6, abs=1e-12), (name, result.name)
     for made, own in zip(page._loops.controllers(page.start()), (tracking, inner), strict=True):
-        assert made.system.input_labels == own.closed.controller.input_labels
-        assert made.system.output_labels == own.closed.controller.output_labels
-        np.testing.assert_allclose(made.system.D, own.closed.controller.D, rtol=1e-9, atol=1e-12)
+        assert made.input_labels == own.closed.controller.input_labels
+        assert made.output_labels == own.closed.controller.output_labels
+        np.testing.assert_allclose(made.D, own.closed.controller.D, rtol=1e-9, atol=1e-12)
     page.close()

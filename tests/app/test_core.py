@@ -17,8 +17,8 @@ from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.closed_loops import ClosedLoops
-from platform_ctrl.app.link import decode_state, encode_state
 from platform_ctrl.app.pictures import Picture
+from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.loop import closed_loop_poles, measured, sampled_plant
 from platform_ctrl.design.plants import plants_of
@@ -205,7 +205,7 @@ def test_requirements_of_all_loops_are_those_of_check(bench: Backend) -> None:
     assert settings.mode == "stabilised"
     picture = bench.picture(settings)
     job = bench.job(settings)
-    controllers = [one.system for one in ClosedLoops(bench.read, None).controllers(settings)]
+    controllers = ClosedLoops(bench.read, None).controllers(settings)
     expected = coupled_check(job, linearise(job.platform), controllers)
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in expected.results]
     np.testing.assert_allclose(

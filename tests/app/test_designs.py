@@ -10,7 +10,7 @@ import pytest
 from app.test_saving import LOOP, TWO
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import DesignPending
-from platform_ctrl.app.link import decode_state, encode_state
+from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings
 
 

@@ -47,7 +47,7 @@ def test_each_chip_has_the_least_margin_of_its_part(backend: Backend) -> None:
         sum(not one.passed for one in picture.requirements),
     )
     # The coupled check of the controllers as `save` writes them.
-    controllers = [one.system for one in backend._loops.controllers(settings)]
+    controllers = backend._loops.controllers(settings)
     whole = coupled_check(read_job(backend.path), linearise(backend.read.platform), controllers)
     assert found["coupled"].worst is not None
     assert found["coupled"].worst.margin == pytest.approx(min(one.margin for one in whole.results), rel=1e-9)

@@ -350,7 +350,7 @@ def test_requirements_are_tightest_first_and_a_limit_is_edited_where_it_stands(p
     first = rows.first.locator("th").text_content()
     limit = page.get_by_role("textbox", name="Limit of bandwidth")
     assert limit.input_value() == "≥ 20 Hz"
-    limit.fill("500")
+    limit.fill("≥ 500")
     limit.press("Enter")
     until(page, lambda: limit.input_value() == "≥ 500 Hz")
     until(page, lambda: page.locator("#requirements .stale").count() == 0)

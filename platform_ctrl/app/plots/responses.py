@@ -59,7 +59,7 @@ def over_time(picture: Drawing, name: str, unbounded: bool) -> dict[int, Curves]
             early = values[:, : 1 + values.shape[1] // 8]
             view = (_view([_UNSTABLE * early], [], limit) if unbounded else None) or _AS_IT_IS
         # A constant needs no curve.
-        if k == 0 and view is not None and np.ptp(response.drive[1:]) > 0.0:
+        if k == 0 and view is not None and len(np.unique(response.drive[1:])) > 1:
             curves.append(
                 Curve(x=response.t, y=0.9 * max(view) * response.drive, form="thin", role="reference", dashes=2)
             )

@@ -74,7 +74,8 @@ document.addEventListener("input", ({ target }) => {
 const commit = (field) => {
   if (!field.dataset.typing) return;
   delete field.dataset.typing;
-  const text = field.value.trim().replace("−", "-").replace(/^(-?\d*),(\d+)$/, "$1.$2");
+  if (field.value.trim() === field.getAttribute("value")) return;
+  const text = field.value.trim().replace(/^([≥≤]|[<>]=?)\s*/, "").replace("−", "-").replace(/^(-?\d*),(\d+)$/, "$1.$2");
   const value = text === "" || Number.isNaN(Number(text)) ? field.value.slice(0, 40) : Number(text);
   const { slider } = JSON.parse(field.dataset.more);
   if (slider) request("move", { moves: [{ slider, value }], gesture: newGesture() });

@@ -4,6 +4,8 @@ export const byId = (id) => document.getElementById(id);
 const moves = new Map(), later = [], listeners = {};
 // Requests that refer to the final positions of the sliders: they wait until all moves are done.
 const AFTER_MOVES = new Set(["undo", "redo", "tune", "save", "simulate"]);
+// Tasks whose end the last line tells: what it said before is over. Answers to changes always have a line.
+const TASKS = new Set(["tune", "save", "simulate"]);
 let messages = null, sent = 0, answered = 0, gesture = 0;
 // Sliders that are being dragged: their newest moves are not answered yet.
 export const held = new Set();
@@ -26,6 +28,7 @@ export const request = (what, more = {}) => {
   }
   // Another request for a slider replaces a waiting move.
   for (const { slider } of more.moves ?? [more]) moves.delete(slider);
+  if (TASKS.has(what)) listeners.line?.({ text: "", kind: "quiet" });
   sent += 1;
   messages.request = JSON.stringify({ n: sent, what, ...more });
 };
