@@ -74,8 +74,7 @@ def direct_arrays(method: str, options: Mapping[str, float], channel: Channels, 
     """Return the sampled controller of a classical or PI design of complete options, from readings to torques."""
     sectioned = METHODS[method]
     assert isinstance(sectioned, SectionedMethod)
-    made = sectioned.of_directions(dict(options), channel, period)
-    controller = made if channel.sense is None else made._replace(B=made.B @ channel.sense, D=made.D @ channel.sense)
+    controller = channel.of_readings(sectioned.of_directions(dict(options), channel, period))
     if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
         raise DesignError(f"{method}: the controller of these options is not finite; choose less extreme ones")
     return controller

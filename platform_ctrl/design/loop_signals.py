@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import at_angles, rows_of
 from platform_ctrl.errors import ArgumentError, InputError
@@ -104,6 +106,14 @@ class Channels:
     def inertial(self) -> int:
         """Number of directions without gyroscopic action."""
         return len(self.basis) - 2 * len(self.momenta)
+
+    def seen(self, plants: PlantSet) -> PlantSet:
+        """Return plants as design methods see them: their outputs are the directions where the loop has `sense`."""
+        return plants if self.sense is None else plants.in_directions(self.sense)
+
+    def of_readings(self, K: System) -> System:
+        """Return a controller of `seen` plants as one of the loop's readings."""
+        return K if self.sense is None else K._replace(B=K.B @ self.sense, D=K.D @ self.sense)
 
 
 def channels(model: LinearModel, rows: list[int]) -> Channels:

@@ -81,8 +81,7 @@ class LoopProblem:
     def plants(self) -> PlantSet:
         """The plants, the nominal one first; their outputs are the directions of `channel` where it has `sense`."""
         assert self.plant_set is not None, "the loop has plants"
-        sense = self.channel.sense
-        return self.plant_set if sense is None else self.plant_set.in_directions(sense)
+        return self.channel.seen(self.plant_set)
 
     @cached_property
     def channel(self) -> Channels:
@@ -121,9 +120,8 @@ class LoopProblem:
         if plants is None:
             K = controller._replace(dt=self.job.sampling.period).to_control(inputs, outputs, name=name)
         else:
-            sense, own = self.channel.sense, controller
-            own = own if sense is None else own._replace(B=own.B @ sense, D=own.D @ sense)
-            K = delivered(self.with_commands(own, sense)._replace(dt=plants.period), plants, name)
+            own = self.with_commands(self.channel.of_readings(controller), self.channel.sense)
+            K = delivered(own._replace(dt=plants.period), plants, name)
         return Design(
             loop=spec.name,
             name=design.name,

@@ -277,9 +277,7 @@ def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "g
                 f"{size} measurements and controls, got {K.D.shape[1]} and {K.D.shape[0]}"
             )
         sampled = weighted.at_gimbals(K, channel, plants.period)
-        if channel.sense is not None:
-            sampled = sampled._replace(B=sampled.B @ channel.sense, D=sampled.D @ channel.sense)
-        given = sampled.to_control(plants.angles, plants.torques)
+        given = channel.of_readings(sampled).to_control(plants.angles, plants.torques)
     made = measured(loop.spec, name, "given", given, plants)
     kept = tuple(one for one in loop.designs if one.name != name)
     return replace(loop, designs=(*kept, replace(made, directions=loop.closed.directions)), use=name)
@@ -290,7 +288,7 @@ def _weighted(loop: LoopOutcome, weights: dict[str, float]) -> tuple[WeightedPla
     plants, channel = closed.plants, closed.directions
     if plants is None or channel is None:
         raise ArgumentError(f"generalised_plant: the loop {loop.spec.name!r} has no plants of its own; give another")
-    own = plants.regular() if channel.sense is None else plants.in_directions(channel.sense).regular()
+    own = channel.seen(plants).regular()
     rules = default_weights(channel, own.nutation)
     options = rules | {key: x for key, x in closed.options.items() if key in rules and closed.method in WEIGHTED}
     try:
