@@ -160,7 +160,7 @@ class PlantSet:
 
     def on(self, frequency: FloatArray) -> PlantSet:
         """Return the set on another grid of frequencies (F,), rad/s."""
-        known = None if self.disturbed is None else self._disturbed_at(frequency)
+        known = None if self.disturbed is None else self.disturbed_at(frequency)
         return dataclasses.replace(
             self,
             frequency=frequency,
@@ -170,18 +170,18 @@ class PlantSet:
 
     def with_disturbances(self) -> PlantSet:
         """Return the set with the responses to disturbances on its grid, which searches need again and again."""
-        return self if self.disturbed is not None else replaced(self, {"disturbed": self._disturbed_at(self.frequency)})
+        return self if self.disturbed is not None else replaced(self, {"disturbed": self.disturbed_at(self.frequency)})
 
     def disturbed_on_grid(self) -> Disturbed:
         """Return the responses to disturbances on the set's grid."""
-        return self._disturbed_at(self.frequency) if self.disturbed is None else self.disturbed
+        return self.disturbed_at(self.frequency) if self.disturbed is None else self.disturbed
 
-    def _disturbed_at(self, frequency: FloatArray) -> Disturbed:
-        return disturbed(self.disturbances.at(frequency), len(self.angles))
+    def disturbed_at(self, frequency: FloatArray, plants: NDArray[np.intp] | None = None) -> Disturbed:
+        """Return the responses to disturbances at frequencies (F,), rad/s: of every plant, (N, F, ...).
 
-    def disturbed_at(self, plant: NDArray[np.intp], frequency: FloatArray) -> Disturbed:
-        """Return the responses to disturbances of some plants (k,), each at its own frequency (k,), rad/s: (k, ...)."""
-        return disturbed(self.disturbances.at(frequency, plant), len(self.angles))
+        Of some `plants` (F,), each at its own frequency: (F, ...).
+        """
+        return disturbed(self.disturbances.at(frequency, plants), len(self.angles))
 
     def regular(self) -> PlantSet:
         """Return the set for a synthesis: angles that drift decay slowly, else nothing would hold the loop together."""

@@ -185,8 +185,6 @@ def frequency_response(
 _MODAL = 1e4
 # |A| times a solution over the right-hand side, from which on z I - A itself is factored.
 _GROWN = 1e6
-# States from which on LAPACK's real Schur form, made complex afterwards, takes less time than its complex one.
-_REAL = 64
 # States that repeat another one a sample later, from which on they are taken out of the equations.
 _LATE = 48
 # Entries of the largest array at a time.
@@ -239,13 +237,9 @@ class AxisResponse:
     @cached_property
     def _schur(self) -> tuple[ComplexArray, ComplexArray]:
         """T, upper triangular, and Q, unitary: A = Q T Q*."""
-        from scipy.linalg import rsf2csf, schur
+        from scipy.linalg import schur
 
-        if len(self._A) < _REAL:
-            T, Q = schur(self._A, output="complex", check_finite=False)
-        else:
-            T, Q = rsf2csf(*schur(self._A, output="real", check_finite=False), check_finite=False)
-        return T, Q
+        return schur(self._A, output="complex", check_finite=False)  # type: ignore[no-any-return]
 
     @property
     def oldest(self) -> int:
@@ -255,7 +249,8 @@ class AxisResponse:
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles, in the plane of s or z."""
-        return self._modes[0] + (1.0 if self._dt > 0.0 else 0.0)
+        own = self._modes[0] if self._late is None else np.linalg.eigvals(self._A).astype(np.complex128)
+        return own + (1.0 if self._dt > 0.0 else 0.0)
 
     @cached_property
     def _residues(self) -> ComplexArray | None:

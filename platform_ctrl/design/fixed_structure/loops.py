@@ -63,7 +63,7 @@ class Points:
         z = np.exp(1j * frequency * plants.period)
         P = response_at(plants.arrays, frequency, plant)
         K, self._left, self._right = loops.controller_response(z)
-        found = plants.disturbed_at(plant, frequency) if disturbed else _UNDISTURBED
+        found = plants.disturbed_at(frequency, plant) if disturbed else _UNDISTURBED
         self.responses = Responses(P, K, *sensitivities_of_plants(P, K), loops.fed(frequency), *found)
 
     def singular(self, of: Map, only: int | None = None) -> Singular:
