@@ -89,13 +89,10 @@ def refined(equation: Equation, X: FloatArray, where: str) -> Solution:
     from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
     found = _evaluated(equation, X)
-    loop = (equation.A + equation.B @ found.F).T
+    solve, sign = (solve_discrete_lyapunov, 1.0) if equation.discrete else (solve_continuous_lyapunov, -1.0)
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        if equation.discrete:
-            step = solve_discrete_lyapunov(loop, found.residual)
-        else:
-            step = solve_continuous_lyapunov(loop, -found.residual)
+        step = solve((equation.A + equation.B @ found.F).T, sign * found.residual)
     better = _evaluated(equation, found.X + step)
     best = better if better.relative < found.relative else found
     if not best.relative <= LARGEST_RESIDUAL:
