@@ -286,6 +286,11 @@ def test_a_vibrations_scale_multiplies_its_amplitudes() -> None:
     np.testing.assert_allclose(after.vibrations[0].amplitudes[1], 3.0 * before.vibrations[0].amplitudes[1], rtol=1e-14)
 
 
+def test_the_gain_of_a_torquer_is_a_torquer_that_is_weak() -> None:
+    _, after = varied("torquer.Q9.gain", 0.8, False)
+    assert (after.faults[0].kind, after.faults[0].part, after.faults[0].share) == ("torquer weak", "Q9", 0.8)
+
+
 def test_a_body_without_unbalance_gets_one() -> None:
     _, after = varied("unbalance.platform.moment2", 1e-4, False)
     assert [one.body for one in after.platform.unbalances] == ["10", "platform"]
