@@ -100,7 +100,7 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
 
         if read.manoeuvres:
             start_compilation()
-        outcomes = attempted_loops(read, say, processors())
+        outcomes = attempted_loops(read, say, processors(), folder)
         failures = [one.failure for one in outcomes if one.failure is not None]
         if not any(one.designs for one in outcomes):
             for one in (one for outcome in outcomes for one in outcome.failed if one is not failures[0]):

@@ -10,11 +10,14 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, as_completed
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.processes import processes as pool
 from platform_ctrl.common.progress import Local, Progress, shown
+from platform_ctrl.design import reuse
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop import (
     Design,
@@ -25,7 +28,7 @@ from platform_ctrl.design.loop import (
     with_largest_rates,
 )
 from platform_ctrl.design.loop_signals import Channels
-from platform_ctrl.design.method import LoopProblem, evaluated, instability
+from platform_ctrl.design.method import METHODS, LoopProblem, evaluated, instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import DesignError, began_with_interrupt
@@ -79,16 +82,19 @@ def attempted_loops(
     job: Job | str | os.PathLike[str] | Mapping[str, object],
     progress: Progress | bool | None = None,
     processes: int = 1,
+    folder: Path | None = None,
 ) -> tuple[LoopOutcome, ...]:
     """Return the outcomes of `loops` even if designs that loops use have failed; then a loop may have no design at all.
 
-    Designs are made side by side in up to so many processes.
+    Designs are made side by side in up to so many processes. Those that are kept in `folder` and have not changed are
+    taken over; the folder then keeps these.
     """
     job = job if isinstance(job, Job) else read_job(job)
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plants_of_all = {spec.name: plants_of_designs(job, spec) for spec in job.loops}
     specs, made = {spec.name: spec for spec in job.loops}, dict[str, LoopOutcome]()
+    kept, newest = reuse.kept_in(folder), dict[str, Design]()
     with shown(progress) as say:
         # A tracking loop has the rate loop that it commands in its plants.
         for tracking in (False, True):
@@ -100,10 +106,24 @@ def attempted_loops(
                 elif (spec.kind == "tracking") is tracking:
                     around = None if inner is None else inner.closed
                     problems[name] = problems_of(job, spec, model, plants_of_all[name], around, say)
-            found = iter(_made_of([one for own in problems.values() for one in own], processes, say))
+            every = [one for own in problems.values() for one in own]
+            keys = [None if folder is None else reuse.key_of(one) for one in every]
+            all_made = _made_of([_known(one, key, kept) for one, key in zip(every, keys, strict=True)], processes, say)
+            newest |= {key: one for key, one in zip(keys, all_made, strict=True) if key and isinstance(one, Design)}
+            found = iter(all_made)
             for name, own in problems.items():
                 made[name] = _outcome(specs[name], [(problem.design, next(found)) for problem in own])
+    if folder is not None:
+        reuse.keep(folder, newest.items())
     return in_order(job, list(map(made.__getitem__, specs)))
+
+
+def _known(problem: LoopProblem, key: str | None, kept: Mapping[str, reuse.Kept]) -> LoopProblem:
+    """Return a problem with the design that is kept for it."""
+    if key is None or key not in kept:
+        return problem
+    problem.progress(f"{problem.spec.name}: {problem.design.name}, unchanged")
+    return dataclasses.replace(problem, known=reuse.taken_over(problem, kept[key]))
 
 
 def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, Design | Exception]]) -> LoopOutcome:
@@ -170,9 +190,10 @@ def _made_of(problems: Sequence[LoopProblem], workers: int, progress: Progress) 
 
 def _in_processes(problems: Sequence[LoopProblem], workers: int, progress: Progress) -> list[Made | None]:
     """Return the designs; None of those that were under way when a process was killed."""
-    # python-control is loaded once, before the processes are forked.
-    import control  # noqa: F401
-
+    # What several designs need is loaded once, before the processes are forked.
+    used = {name for one in problems if one.known is None for name in METHODS[one.design.method].libraries}
+    for name in sorted({"control", *used}):
+        import_module(name)
     out: list[Made | None] = [None] * len(problems)
     with pool(min(workers, len(problems)), "fork", _begin, problems) as executor:
         progress(f"{len(problems)} designs side by side; {problems[0].spec.name}: {problems[0].design.name}")

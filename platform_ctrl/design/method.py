@@ -75,6 +75,7 @@ class LoopProblem:
     plant_set: PlantSet | None = None  # the plants of the loop, the nominal one first; None for a stabilisation loop
     # `channel`, where it does not follow from the loop alone, as of a loop around another one.
     directions: Channels | None = None
+    known: Design | None = None  # the design of an earlier command, not measured, where it is the same
     progress: Progress = lambda line: None  # called with a line during long work
 
     @cached_property
@@ -149,6 +150,8 @@ class Method(methods.JobMethod, ABC):
         Whether the app builds it while a slider moves; others are designed in the background.
     parts
         Optional parts of the controller that the app switches on and off: label and tip by name.
+    libraries
+        Modules that take long to load and that it needs beside python-control.
     families
         Options that the app moves together for speed and for robustness: by how many per cent each for one per cent.
         The first of a loop's options in ``"speed"`` is shown as its speed.
@@ -160,6 +163,7 @@ class Method(methods.JobMethod, ABC):
     goals: ClassVar[bool] = False
     instant: ClassVar[bool] = False
     parts: ClassVar[Mapping[str, tuple[str, str]]] = {}
+    libraries: ClassVar[tuple[str, ...]] = ()
     families: ClassVar[Mapping[Family, Mapping[str, float]]] = {}
 
     @property
@@ -237,7 +241,7 @@ def designed(problem: LoopProblem) -> Design:
 def evaluated(problem: LoopProblem) -> Design:
     """Return the design of the problem's method, all values recomputed from the closed loops; they may be unstable."""
     method = METHODS[problem.design.method]
-    out = method.design(problem)
+    out = method.design(problem) if problem.known is None else problem.known
     if (plants := out.plants) is not None:
         found = measured(problem.spec, out.name, out.method, out.controller, plants)
         out = replace(out, measures=found.measures, results=found.results, goals=found.goals)

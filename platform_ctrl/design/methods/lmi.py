@@ -91,6 +91,7 @@ class LMI(Method):
     advice = "a lower bandwidth_hz, or a larger backoff"
     tunable = tuple(WEIGHTS)
     tunes = True
+    libraries = ("cvxpy",)
     families: ClassVar = {"speed": {"bandwidth_hz": 1.0, "inertial_bandwidth_hz": 1.0}}
 
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:

@@ -71,6 +71,7 @@ class Structured(Method):
     options = OPTIONS
     advice = "weaker limits, or another structure"
     structures = ("cross-axis", "pid", "state-space")
+    libraries = ("clarabel",)
     goals = True
 
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
