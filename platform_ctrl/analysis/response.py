@@ -261,7 +261,7 @@ class AxisResponse:
         except np.linalg.LinAlgError:
             return None
         # Columns have length one: this is about the condition number.
-        if not np.sqrt(len(vectors)) * float(np.abs(inverse).max()) < _MODAL:
+        if not float(np.abs(inverse).max()) < _MODAL / np.sqrt(len(vectors)):
             return None
         out = (self._C @ vectors)[:, None, :] * (inverse @ self._B).T
         return np.asarray(out.reshape(-1, len(vectors)), dtype=np.complex128)
