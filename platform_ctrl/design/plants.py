@@ -256,26 +256,21 @@ def tracking_plants(
     outer = without_drift(outer)
     commands = tuple(f"{name}{COMMAND}" for name in plants.angles[:p])
     nutation = tracking_reference(job, spec, plants.nutation, outer.dt / job.every(spec))
-    found = PlantSet(
+    found = dataclasses.replace(
+        plants,
         whole=outer,
-        labels=plants.labels,
         torques=commands,
         angles=sensors,
         nutation=nutation,
         noise=plants.noise[p:],
-        groups=plants.groups,
-        Omega=job.Omega,
         torque_limit=np.full(p, np.inf),
-        sight=plants.sight,
         states=tuple(f"x{k}" for k in range(outer.A.shape[-1])),
         between=times,
         disturbances=responses,
-        held=plants.held,
-        dry_friction=plants.dry_friction,
+        drifting=(),
     ).on(tuning_grid(nutation, outer.dt))
-    z = np.exp(1j * (w := 0.1 * found.nutation) * outer.dt)
-    states = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
-    effect = np.real(1j * w * (found.C[0] @ states + found.D[0]))
+    w = 0.1 * nutation
+    effect = np.real(1j * w * found.on(np.array([w])).response[0, 0])
     if not shows_each(effect):
         why = unseen(job.platform, [by_name[name] for name in sensors], effect)
         raise InputError(
