@@ -101,6 +101,7 @@ class WaterfallPanel(Panel):
                 x=MICRO**2 * np.array([low, high, high, low]),
                 y=k + _BAR + 0.5 * _TALL * np.array([-1.0, -1.0, 1.0, 1.0]),
                 form="band",
+                kind="bar",
                 role=role,
             )
             for k, (low, high, role) in enumerate(ends)

@@ -91,7 +91,6 @@ _GLYPHS: dict[str, tuple[Any, tuple[str, ...], tuple[str, ...], Row]] = {
         {"text_font_size": value("10px"), "text_font": value(FONT)},
     ),
 }
-_BEHIND = frozenset({"strips", "bands", "ground"})
 # How far a limit is shaded, in multiples of it.
 _BEYOND = 1e4
 
@@ -190,7 +189,6 @@ class Figure:
             )
             glyph = make(**{one: field(one) for one in fields}, **look)
             drawn = self.plot.add_glyph(self.sources[name], glyph, nonselection_glyph=None, muted_glyph=None)
-            drawn.level = "underlay" if name in _BEHIND else "glyph"
             trace, number = self._trace, self._number
             if name == "cloud":
                 self._theme.paint(glyph, fill_color="series-1")
@@ -278,8 +276,8 @@ class Figure:
             return one.kind, [{"x": one.x, "y": scale * one.y, "at": one.along}]
         x, y = column(one.x), column(one.y, scale)
         if one.form == "band":
-            opaque = {"fill_alpha": 1.0 if one.role else _BAND, "line_alpha": float(one.kind == "region")}
-            colour = {"fill_color": colours[role], "line_color": colours["reference"]}
+            opaque = {"fill_alpha": 1.0 if one.role else _BAND, "line_alpha": float(bool(one.kind))}
+            colour = {"fill_color": colours[role], "line_color": colours["reference" if one.kind == "region" else role]}
             return "bands", [_area(x, y, one.top, scale) | opaque | colour]
         if one.form == "mark":
             marker, size, width = _POINTS[one.kind]

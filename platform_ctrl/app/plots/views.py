@@ -22,7 +22,6 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis import curves
 from platform_ctrl.common.values import FloatArray
 
 FONT = 'system-ui, -apple-system, "Segoe UI", "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif'
@@ -69,17 +68,6 @@ def column(numbers: Any, scale: float = 1.0) -> Column:
         out = np.multiply(numbers, scale, dtype=np.float64)
         fine = np.abs(out) <= _LARGEST
     return (out if fine.all() else np.where(fine, out, np.nan)).astype(np.float32)
-
-
-def decibels(gain: Any) -> Column:
-    """Return gains as a column in dB; a gain of 0 is a gap."""
-    return column(curves.decibels(gain))
-
-
-def positive(gain: FloatArray) -> FloatArray:
-    """Return gains with gaps where they are not positive."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(gain > 0.0, gain, np.nan))
 
 
 def joined(rows: Iterable[FloatArray]) -> FloatArray:
