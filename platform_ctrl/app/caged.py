@@ -152,12 +152,12 @@ class CagedCurves(LoopCurves):
     def disturbance(self) -> TimeResponse:
         """Return the response to the job's manoeuvre about the axis, linear model."""
         plants, m = self.loop.plants, self.shown.m
-        given = caged_excitation(self.job, self.axis, plants.angles, plants.nutation)
-        limit = None if self.loop.spec.kind == "rate" else given.limit
-        turn = drive(given.title, given.duration, plants.period, given.rate, limit)
-        commands = given.commands(np.arange(len(turn.u), dtype=np.float64) * plants.period).T
+        turn, commanded, held = caged_excitation(self.job, self.axis, plants.angles, plants.nutation, plants.period)
+        if self.loop.spec.kind == "rate":
+            turn = turn._replace(limit=None)
+        commands = held.T
         inputs = np.vstack([turn.u, commands])
-        columns = [m + self.axis - 1, *(m + 3 + plants.angles.index(name) for name in given.readings)]
+        columns = [m + self.axis - 1, *(m + 3 + plants.angles.index(name) for name in commanded)]
         if len(commands) and not turn.u.any():
             turn = turn._replace(u=commands[0])
         return self._over_time(turn, commanded_arrays if len(commands) else lambda one: one.arrays, columns, inputs)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.system import ComplexArray, System
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine
@@ -25,32 +25,20 @@ POINTS = 240
 _FARTHEST = 1e12
 
 
-@value
-class Excitation:
-    """The rate of the base about one axis, and commands of what a loop reads.
-
-    `rate` returns rad/s, `commands` what the `readings` are held at, (N, readings), at times (N,), s. `limit` is the
-    largest angle that is allowed, rad, or None.
-    """
-
-    title: str
-    duration: float
-    rate: Callable[[FloatArray], FloatArray]
-    limit: float | None = None
-    readings: tuple[str, ...] = ()
-    commands: Callable[[FloatArray], FloatArray] = lambda t: np.zeros((len(t), 0))
-
-
 def first_axis(job: Job) -> int:
     """Return the axis about which the job's first caged manoeuvre turns the base; without one that of most Omega."""
     turned = (axis for one in job.manoeuvres if one.mode == "caged" for axis in (1, 2, 3) if _turns(one, axis))
     return next(turned, 1 + int(np.argmax(job.Omega)))
 
 
-def caged_excitation(job: Job, axis: int, readings: Sequence[str], nutation: float) -> Excitation:
+def caged_excitation(
+    job: Job, axis: int, readings: Sequence[str], nutation: float, period: float
+) -> tuple[SampledInput, tuple[str, ...], FloatArray]:
     """Return the job's caged manoeuvre that turns the base about `axis`, else one that commands the `readings` alone.
 
-    Random vibration is left out: the budget has it. Without a manoeuvre the base turns at the job's largest rate.
+    The rate of the base, rad/s, with the largest angle that is allowed; the readings that are commanded, and what they
+    are held at at all samples, (N, readings). Random vibration is left out: the budget has it. Without a manoeuvre the
+    base turns at the job's largest rate.
     """
     caged = [one for one in job.manoeuvres if one.mode == "caged"]
     found = next((one for one in caged if _turns(one, axis)), None) or next(
@@ -60,21 +48,18 @@ def caged_excitation(job: Job, axis: int, readings: Sequence[str], nutation: flo
         rate = float(job.Omega[axis - 1]) or 1.0
         rise = round_up(40.0 / nutation)
         profile = HalfCosine(axis=axis, rate=rate, rise=rise, hold=2.0 * rise)
-        return Excitation(
-            title=f"{rate:g} rad/s about axis {axis}", duration=5.0 * rise, rate=lambda t: _half_cosine(profile, t)
-        )
+        title = f"{rate:g} rad/s about axis {axis}"
+        turn = drive(title, 5.0 * rise, period, lambda t: _half_cosine(profile, t))
+        return turn, (), np.zeros((len(turn.u), 0))
     scenario = job.scenario(found)
     fastest = max((one.frequency_hz for one in _sines(found, axis)), default=0.0)
     longest = POINTS / (_PER_PERIOD * fastest) if fastest else math.inf
+    title = found.name if found.duration <= longest else f"{found.name}, the first {longest:.3g} s"
+    duration, limit = min(found.duration, longest), found.limits.get("angle")
+    turn = drive(title, duration, period, lambda t: _rate(scenario, axis, t), limit)
     commanded = _commands(found, readings)
-    return Excitation(
-        title=found.name if found.duration <= longest else f"{found.name}, the first {longest:.3g} s",
-        duration=min(found.duration, longest),
-        rate=lambda t: _rate(scenario, axis, t),
-        limit=found.limits.get("angle"),
-        readings=commanded,
-        commands=lambda t: _commanded(scenario, commanded, t),
-    )
+    times = np.arange(len(turn.u), dtype=np.float64) * period
+    return turn, commanded, _commanded(scenario, commanded, times)
 
 
 def _turns(manoeuvre: Manoeuvre, axis: int) -> bool:
