@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
 from typing import Any
 
 import control
+import pytest
 
 from driven_gimbal import COULOMB, FRICTION, driven_job
 from platform_ctrl import read_job
-from platform_ctrl.campaign import plan
-from platform_ctrl.campaign.single_run import simulate_runs
-from platform_ctrl.campaign.store import identity
-from platform_ctrl.common.values import replaced
+from platform_ctrl.campaign import plan, rerun, run_campaign
+from platform_ctrl.errors import InputError
 from platform_ctrl.simulation import simulate_batch
 
 K = control.ss([], [], [], [[-2.0, 2.0]], 0.001, inputs=["gyro", "gyro_command"], outputs=["Qouter"], name="K")
@@ -28,14 +29,14 @@ def job(friction: float = COULOMB, step: float = 0.2) -> Any:
 
 def test_a_campaign_with_varied_friction_fed_forward_is_separate_runs_bit_for_bit() -> None:
     made = plan(job(), [K])
-    columns = simulate_runs(made, range(4))
-    factors, steps = columns["drive.Qouter.friction"], columns["command.gyro.step"]
-    assert len({*columns["angle"].tolist()}) == 4
-    for run, (factor, step) in enumerate(zip(factors.tolist(), steps.tolist(), strict=True)):
+    found = [rerun(made, run) for run in range(4)]
+    assert len({one.metrics["angle"] for one in found}) == 4
+    for run, one in enumerate(found):
+        factor, step = one.inputs["drive.Qouter.friction"], one.inputs["command.gyro.step"]
         own = job(friction=COULOMB * factor, step=step)
-        scenario = replaced(own.scenario(own.manoeuvres[0]), {"seed": made.noise_seed, "run": run})
+        scenario = dataclasses.replace(own.scenario(own.manoeuvres[0]), seed=made.noise_seed, run=run)
         alone = simulate_batch([scenario], [K], period=0.001, step=made.step)
-        assert alone.angle.max() == columns["angle"][run]
+        assert alone.angle.max() == one.metrics["angle"]
         drawn = made.scenario(run)
         assert (scenario.drives[0].friction, scenario.commands[0].step) == (
             drawn.drives[0].friction,
@@ -43,7 +44,8 @@ def test_a_campaign_with_varied_friction_fed_forward_is_separate_runs_bit_for_bi
         )
 
 
-def test_runs_with_other_drives_are_another_campaign() -> None:
+def test_runs_with_other_drives_are_another_campaign(tmp_path: Path) -> None:
     """Kept runs are continued only by runs that follow from the same: what drives feed forward moves the gimbals."""
-    one, other = (identity(plan(job(friction=friction), [K])) for friction in (COULOMB, 0.8 * COULOMB))
-    assert {key for key in one if one[key] != other[key]} == {"job"}
+    run_campaign(plan(job(), [K]), tmp_path, workers=1)
+    with pytest.raises(InputError, match="another job"):
+        run_campaign(plan(job(friction=0.8 * COULOMB), [K]), tmp_path, workers=1)

@@ -10,10 +10,10 @@ import pytest
 
 from commanded_gimbal import commanded_job
 from platform_ctrl import Platform, design, element_forces, read_job, read_platform
-from platform_ctrl.campaign.single_run import metric_of
+from platform_ctrl.campaign import plan, rerun
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation import Scenario, Sine, Vibration, simulate, simulate_batch
-from platform_ctrl.verification.simulated import simulate_manoeuvre
+from platform_ctrl.verification import check_job
 from sighted_gimbal import FRICTION, GAIN, HZ, JOB, PLANT, damped, sighted
 
 PERIOD = 1e-3
@@ -119,8 +119,8 @@ def test_a_sine_of_specific_force_turns_an_unbalanced_gimbal() -> None:
 
 def test_base_motion_is_attenuated_as_friction_and_rate_loop_say() -> None:
     """J w' = -c (w - base) - k w of the payload's inertial rate w."""
-    job = read_job(JOB)
-    run = simulate_manoeuvre(job, job.manoeuvres[0], [damped()])
+    job = read_job(JOB | {"campaign": {"runs": 1}})
+    run = rerun(plan(job, [damped()]), 0).run
     found = {one.name: one for one in run.results}
     s = 2j * np.pi * HZ
     J = job.platform.gimbals[1].inertia[1, 1]
@@ -143,15 +143,13 @@ def test_a_bias_of_a_gyro_is_in_the_line_of_sight_that_is_judged() -> None:
     """The loop drives reading and bias together to zero: the payload turns at a constant rate, which a mean hides."""
     bias = 2e-3
     sensors = [one | {"bias": bias} if one["name"] == "gyro2" else one for one in JOB["plant"]["rate_sensor"]]
-    job = read_job(JOB | {"plant": {**JOB["plant"], "rate_sensor": sensors, "friction": []}})
-    run = simulate_manoeuvre(job, job.manoeuvres[0], [damped()])
-    found = {one.name: one.value for one in run.results}
+    plant = {**JOB["plant"], "rate_sensor": sensors, "friction": []}
+    again = rerun(plan(read_job(JOB | {"plant": plant, "campaign": {"runs": 1}}), [damped()]), 0)
+    found = {one.name: one.value for one in again.run.results}
     assert found["line-of-sight rate, rms"] == pytest.approx(bias, rel=1e-2)
     # From rest after J/k: an angle that grows.
     assert found["line-of-sight angle, rms"] > 0.5 * bias * 0.75
-    scenarios = [job.scenario(job.manoeuvres[0])]
-    batch = simulate_batch(scenarios, [damped()], period=job.sampling.period)
-    assert metric_of(batch, "los_rate_rms", scenarios)[0] == pytest.approx(found["line-of-sight rate, rms"], rel=1e-9)
+    assert again.metrics["los_rate_rms"] == pytest.approx(found["line-of-sight rate, rms"], rel=1e-9)
 
 
 def test_a_commanded_rate_is_judged_without_the_bias_of_its_gyro() -> None:
@@ -159,8 +157,9 @@ def test_a_commanded_rate_is_judged_without_the_bias_of_its_gyro() -> None:
     data["plant"]["rate_sensor"][0]["bias"] = 0.01
     data["manoeuvre"][0]["settle"] = 0.5
     job = read_job(data)
-    controllers = [one.closed.controller for one in design.loops(job)]
-    [error] = simulate_manoeuvre(job, job.manoeuvres[0], controllers).results
+    made = design.loops(job)
+    controllers = [one.closed.controller for one in made]
+    [error] = check_job(job, made).runs[0].results
     assert error.value == pytest.approx(0.01, rel=0.05)
     batch = simulate_batch([job.scenario(job.manoeuvres[0])], controllers, period=job.sampling.period, noise=True)
     assert batch.rate_following_error.max() == pytest.approx(error.value, rel=1e-9)

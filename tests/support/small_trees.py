@@ -32,12 +32,12 @@ def tree(
     transverse inertia, angular momentum[, other fields]); `more` are other fields of the platform.
     """
 
-    def gimbal(name: str, parent: str, axis: Any, J: Any, angle: str = "", fields: Any = ()) -> Gimbal:
+    def gimbal(name: str, parent: str, axis: Any, J: Any, angle: str = "", fields: Any = ()) -> Any:
         return Gimbal(
             name=name, parent=parent, axis=along(axis), inertia=inertia(J), angle=angle or name, **dict(fields)
         )
 
-    def rotor(name: str, carrier: str, axis: Any, C: float, A: float, momentum: float, fields: Any = ()) -> Rotor:
+    def rotor(name: str, carrier: str, axis: Any, C: float, A: float, momentum: float, fields: Any = ()) -> Any:
         return Rotor(
             name=name,
             carrier=carrier,
