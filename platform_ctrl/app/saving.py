@@ -1,13 +1,11 @@
-"""The settings of a page as a job file with its controllers, and as text in the page's address."""
+"""The settings of a page as a job file with its controllers, and what of them is not as the job has it."""
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 import os
 import tomllib
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +15,12 @@ import numpy as np
 from platform_ctrl.app.controllers import ALWAYS, DesignOptions
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import LARGEST, Limits, Settings, number, put_into
-from platform_ctrl.common.arguments import known_name, known_names, short
+from platform_ctrl.common.arguments import known_name, short
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.methods import METHODS, read_job
-from platform_ctrl.errors import ArgumentError, InputError, PlatformCtrlError
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import job_hashes
 from platform_ctrl.plant.source import is_shipped_name, read_text
@@ -30,8 +28,6 @@ from platform_ctrl.verification.result_file import SCHEMA, write_record
 
 if TYPE_CHECKING:
     from tomlkit import TOMLDocument
-
-    from platform_ctrl.app.backend import Backend
 
 
 # Ending of the file of a job's controllers.
@@ -300,62 +296,17 @@ def _entry(one: Design, delay: float) -> dict[str, Any]:
     }
 
 
-def encode_state(backend: Backend, settings: Settings) -> str:
-    """Return settings as a short text of letters, digits, - and _ alone."""
-    changed = _difference(backend.start().data(), settings.data())
-    if not changed:
-        return ""
-    packed = zlib.compress(json.dumps(changed, separators=(",", ":"), sort_keys=True).encode(), 9)
-    return base64.urlsafe_b64encode(packed).decode().rstrip("=")
-
-
-def decode_state(backend: Backend, text: str) -> Settings:
-    """Return the settings of a text from `encode_state`, checked against the job."""
-    if not text:
-        return backend.start()
-    try:
-        changed = json.loads(zlib.decompress(base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))))
-    except (ValueError, zlib.error, RecursionError):
-        raise InputError("link: it is damaged; copy it again from the page") from None
-    return checked_settings(backend, changed)
-
-
-def checked_settings(backend: Backend, changed: object) -> Settings:
-    """Return the job's settings with changes from outside, as plain data, checked against the job."""
-    try:
-        given = _merged("it", backend.start().data(), changed)
-        for loop in backend.read.loops:
-            known_name(f"closed {loop.name}", given["closed"][loop.name], [one.name for one in loop.designs])
-            for design in loop.designs:
-                known_names("parts", given["optional"][loop.name][design.name], tuple(METHODS[design.method].parts))
-        known_name("loop", given["loop"], [one.name for one in backend.read.loops])
-        designs = [one.name for one in backend.read.loop(given["loop"]).designs]
-        known_names("overlays", given["overlays"], designs)
-        if given["axis"] not in (1, 2, 3):
-            raise ArgumentError(f"axis must be 1, 2 or 3, got {short(given['axis'])}")
-        parts = {
-            loop: {name: tuple(sorted(set(parts))) for name, parts in designs.items()}
-            for loop, designs in given["optional"].items()
-        }
-        more = {"axis": int(given["axis"]), "fixed": frozenset(given["fixed"]), "overlays": tuple(given["overlays"])}
-        settings = backend.chosen(Settings(**(given | more | {"optional": parts})), design=given["design"])
-        backend.check_names(settings)
-    except PlatformCtrlError as error:
-        raise InputError(f"state: {error}") from None
-    return settings
-
-
 _KINDS: dict[type, str] = {list: "a list of names", bool: "true or false", str: "a name"}
 
 
-def _merged(where: str, known: Any, given: object) -> Any:
+def merged(where: str, known: Any, given: object) -> Any:
     """Return known plain data with those that are given in their place, of the same kinds; numbers are positive."""
     if isinstance(known, Mapping):
         if not isinstance(given, Mapping):
             raise ArgumentError(f"{where} must be a table, got {short(given)}")
         for name in given:
             known_name(where, name, tuple(known))
-        return {name: _merged(name, item, given[name]) if name in given else item for name, item in known.items()}
+        return {name: merged(name, item, given[name]) if name in given else item for name, item in known.items()}
     words = _KINDS.get(type(known), "a positive finite number")
     if type(known) in _KINDS:
         fits = type(given) is type(known) and (not isinstance(given, list) or all(isinstance(k, str) for k in given))
@@ -366,11 +317,12 @@ def _merged(where: str, known: Any, given: object) -> Any:
     return given
 
 
-def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what differs of two plain data of settings."""
     out: dict[str, Any] = {}
     for key, item in new.items():
         if isinstance(item, Mapping) and isinstance(old.get(key), Mapping):
-            inner = _difference(old[key], item)
+            inner = difference(old[key], item)
             if inner:
                 out[key] = inner
         elif key not in old or old[key] != item:

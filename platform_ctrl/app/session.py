@@ -12,9 +12,16 @@ from platform_ctrl.app import fragments
 from platform_ctrl.app.background import DesignPending, LatestTasks
 from platform_ctrl.app.pictures import tree_data
 from platform_ctrl.app.plots import Plots
-from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
-from platform_ctrl.app.tasks import Connection, LongTasks, Request, error_text, parse_request
+from platform_ctrl.app.tasks import (
+    Connection,
+    LongTasks,
+    Request,
+    decode_state,
+    encode_state,
+    error_text,
+    parse_request,
+)
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value

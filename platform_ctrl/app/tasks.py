@@ -1,7 +1,8 @@
-"""Messages of a page, and its tasks that take longer than a picture: tuning, effects of sliders, saving, a run."""
+"""Messages of a page, its state as text in its address, and its tasks that take longer than a picture."""
 
 from __future__ import annotations
 
+import base64
 import json
 import logging
 import os
@@ -9,6 +10,7 @@ import re
 import shlex
 import threading
 import time
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -22,17 +24,18 @@ from bokeh.model import DataModel
 
 from platform_ctrl.app.fragments import fragment
 from platform_ctrl.app.pictures import run_data
-from platform_ctrl.app.saving import controllers_beside
-from platform_ctrl.common.arguments import known_name, short
+from platform_ctrl.app.saving import controllers_beside, difference, merged
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.common.arguments import known_name, known_names, short
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.design.methods import METHODS
+from platform_ctrl.errors import ArgumentError, InputError, PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
     from bokeh.document import Document
 
     from platform_ctrl.app.backend import Backend
-    from platform_ctrl.app.settings import Settings
     from platform_ctrl.design.tuning import OptionEffects
 
 
@@ -385,3 +388,48 @@ class LongTasks(ABC):
                 self.connection.later(done)
 
         threading.Thread(target=run, name="page task", daemon=True).start()
+
+
+def encode_state(backend: Backend, settings: Settings) -> str:
+    """Return settings as a short text of letters, digits, - and _ alone."""
+    changed = difference(backend.start().data(), settings.data())
+    if not changed:
+        return ""
+    packed = zlib.compress(json.dumps(changed, separators=(",", ":"), sort_keys=True).encode(), 9)
+    return base64.urlsafe_b64encode(packed).decode().rstrip("=")
+
+
+def decode_state(backend: Backend, text: str) -> Settings:
+    """Return the settings of a text from `encode_state`, checked against the job."""
+    if not text:
+        return backend.start()
+    try:
+        changed = json.loads(zlib.decompress(base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))))
+    except (ValueError, zlib.error, RecursionError):
+        raise InputError("link: it is damaged; copy it again from the page") from None
+    return checked_settings(backend, changed)
+
+
+def checked_settings(backend: Backend, changed: object) -> Settings:
+    """Return the job's settings with changes from outside, as plain data, checked against the job."""
+    try:
+        given = merged("it", backend.start().data(), changed)
+        for loop in backend.read.loops:
+            known_name(f"closed {loop.name}", given["closed"][loop.name], [one.name for one in loop.designs])
+            for design in loop.designs:
+                known_names("parts", given["optional"][loop.name][design.name], tuple(METHODS[design.method].parts))
+        known_name("loop", given["loop"], [one.name for one in backend.read.loops])
+        designs = [one.name for one in backend.read.loop(given["loop"]).designs]
+        known_names("overlays", given["overlays"], designs)
+        if given["axis"] not in (1, 2, 3):
+            raise ArgumentError(f"axis must be 1, 2 or 3, got {short(given['axis'])}")
+        parts = {
+            loop: {name: tuple(sorted(set(parts))) for name, parts in designs.items()}
+            for loop, designs in given["optional"].items()
+        }
+        more = {"axis": int(given["axis"]), "fixed": frozenset(given["fixed"]), "overlays": tuple(given["overlays"])}
+        settings = backend.chosen(Settings(**(given | more | {"optional": parts})), design=given["design"])
+        backend.check_names(settings)
+    except PlatformCtrlError as error:
+        raise InputError(f"state: {error}") from None
+    return settings

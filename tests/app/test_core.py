@@ -18,8 +18,8 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Picture
-from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.tasks import decode_state, encode_state
 from platform_ctrl.design.loop import closed_loop_poles, measured, sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError

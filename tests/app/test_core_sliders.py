@@ -9,8 +9,8 @@ import pytest
 
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings, with_options
+from platform_ctrl.app.tasks import decode_state, encode_state
 from platform_ctrl.cli import main
 from platform_ctrl.design.methods import METHODS
 

@@ -10,8 +10,8 @@ import pytest
 from app.test_saving import LOOP, TWO
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import DesignPending
-from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.tasks import decode_state, encode_state
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ import pytest
 from cli.test_cli import JOB as THREE
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.saving import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings, stated_limits
+from platform_ctrl.app.tasks import checked_settings, decode_state, encode_state
 from platform_ctrl.cli import main
 from platform_ctrl.common.files import toml
 from platform_ctrl.design.jobs import loops
