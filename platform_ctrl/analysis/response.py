@@ -231,6 +231,8 @@ class AxisResponse:
     @cached_property
     def _modes(self) -> tuple[ComplexArray, ComplexArray]:
         """Eigenvalues (n,) of A, and eigenvectors of length one (n, n)."""
+        if not np.isfinite(self._A).all():  # as of a loop beyond floating-point numbers: no response is finite
+            return np.full(len(self._A), np.nan + 0j), np.full(self._A.shape, np.nan + 0j)
         values, vectors = np.linalg.eig(self._A)
         return values.astype(np.complex128), vectors.astype(np.complex128)
 
@@ -256,13 +258,14 @@ class AxisResponse:
     def _residues(self) -> ComplexArray | None:
         """What each mode contributes, (p m, n) over z less its pole; None where modes do not tell them apart."""
         vectors = self._modes[1]
-        try:
-            inverse = np.linalg.inv(vectors)
-        except np.linalg.LinAlgError:
-            return None
-        # Columns have length one: this is about the condition number.
-        if not float(np.abs(inverse).max()) < _MODAL / np.sqrt(len(vectors)):
-            return None
+        with np.errstate(all="ignore"):
+            try:
+                inverse = np.linalg.inv(vectors)
+            except np.linalg.LinAlgError:
+                return None
+            # Columns have length one: this is about the condition number.
+            if not float(np.abs(inverse).max()) < _MODAL / np.sqrt(len(vectors)):
+                return None
         out = (self._C @ vectors)[:, None, :] * (inverse @ self._B).T
         return np.asarray(out.reshape(-1, len(vectors)), dtype=np.complex128)
 
