@@ -54,8 +54,8 @@ def process_environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
 
 
-def test_design_writes_the_result_and_the_report_and_nothing_else(designed: Path) -> None:
-    assert sorted(path.name for path in (designed / "out").iterdir()) == ["report.html", "result.json"]
+def test_design_writes_the_result_the_report_and_its_designs_and_nothing_else(designed: Path) -> None:
+    assert sorted(path.name for path in (designed / "out").iterdir()) == ["designs.json", "report.html", "result.json"]
     record = json.loads((designed / "out" / "result.json").read_text(encoding="utf-8"))
     assert record["passed"] is True
     assert [one["name"] for one in record["controllers"]] == ["caging 4-5-7", "caging 9-10", "stabilisation"]

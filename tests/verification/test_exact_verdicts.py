@@ -253,7 +253,7 @@ def test_the_structured_search_goes_on_where_a_limit_is_missed_between_the_point
     named = Named(build=lambda options: narrow_loop(**options), values=start, largest={"depth": 1.0, "width": 1.0})
     family = Parametrised(named, 2, 2, Units(gain=np.ones((2, 2)), rate=1.0))
     told: list[float] = []
-    found = Search(plants, asked, 0.02, 200, lambda hard, soft: told.append(hard)).run(family)
+    found = Search(plants, asked, 0.02, lambda hard, soft: told.append(hard)).run(family, 200)
     assert told[0] < 0.9  # what it sees at first
     K = family.block(found.x)
     true = worst_of("sensitivity peak", plants, K)

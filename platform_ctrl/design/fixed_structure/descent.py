@@ -41,7 +41,7 @@ from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.loops import LoopGradients
 from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, Pieces, joined, map_of, torque_per_Omega
-from platform_ctrl.design.fixed_structure.minimax import Effort, Evaluation, minimise
+from platform_ctrl.design.fixed_structure.minimax import Effort, Evaluation, Minimum, minimise
 from platform_ctrl.design.fixed_structure.structures import Parametrised
 from platform_ctrl.job.requirements import LoopRequirement
 
@@ -105,21 +105,11 @@ class _Part(NamedTuple):
 _LEVEL, _BELOW, _WANTED, _GROWTH, _LIMIT, _UNSEEN = -1, -2, -3, -4, -5, -6
 
 
-@dataclasses.dataclass
-class _State:
-    """State that a search carries from one set of plants to the next."""
-
-    H: FloatArray
-    radius: float
-    ended: bool = False
-
-
 class Search:
-    """One search among plants, the nominal one first.
+    """Searches among plants, the nominal one first.
 
-    Without a soft requirement the largest hard piece is made small. Hard pieces end below 1 − reserve; the search ends
-    when the soft ones are met too, or after so many `evaluations`. `progress` is called with the largest hard piece and
-    the largest soft ratio; infinite where a loop is not stable yet.
+    Without a soft requirement the largest hard piece is made small. Hard pieces end below 1 − reserve. `progress` is
+    called with the largest hard piece and the largest soft ratio; infinite where a loop is not stable yet.
     """
 
     def __init__(
@@ -127,7 +117,6 @@ class Search:
         plants: PlantSet,
         requirements: Sequence[LoopRequirement],
         reserve: float,
-        evaluations: int,
         progress: Callable[[float, float], None],
     ) -> None:
         # Where nothing is required of a plant, not even stability, it is of no interest.
@@ -147,31 +136,35 @@ class Search:
         # Where nothing is required of slow motion, a wanted bandwidth could be bought with a flat S.
         slow = {"tracking", "Omega rejection", "torque rejection"}
         self._guarded = self._wanted is not None and not any(r.kind in slow for r in requirements)
-        self._reserve, self._left, self._progress = reserve, evaluations, progress
+        self._reserve, self._left, self._progress = reserve, 0, progress
         self._view = np.zeros(1, dtype=np.intp)
         self._chosen = self._view[:0], self._plants
 
-    def run(self, family: Parametrised) -> Found:
-        """Return the best parameters of `family`."""
-        spent = self._left
-        best = self._run(family, family.start)
+    def run(self, family: Parametrised, evaluations: int, sketch: bool = False) -> Found:
+        """Return the best parameters of `family`.
+
+        The search ends when the soft requirements are met too, or after so many evaluations. Of a `sketch` peaks
+        between the grid's points may exceed limits.
+        """
+        self._left = evaluations
+        best = self._run(family, family.start, sketch)
         rng = np.random.default_rng(0)
         for _ in range(_AGAIN):
             if self._left <= 0 or self._enough(best):
                 break
             x = best.x + _SCATTER * rng.uniform(-1.0, 1.0, len(best.x))
-            found = self._run(family, np.clip(x, family.lower, family.upper))
+            found = self._run(family, np.clip(x, family.lower, family.upper), sketch)
             best = found if found.better_than(best, self._reserve) else best
-        return dataclasses.replace(best, evaluations=spent - self._left)
+        return dataclasses.replace(best, evaluations=evaluations - self._left)
 
-    def _run(self, family: Parametrised, start: FloatArray) -> Found:
+    def _run(self, family: Parametrised, start: FloatArray, sketch: bool) -> Found:
         """Return where the search from one start ends."""
         x = np.append(start, np.log(self._bandwidth(family, start))) if self._moving else start
         best = self._all(family, x)
         self._tell(best)
         for _ in range(_FINER):
             best = self._searched(family, best)
-            missed = self._missed(family, best)
+            missed = None if sketch else self._missed(family, best)
             if missed is None:
                 break
             # Between the grid's points a limit is exceeded: they join the grid, and the search goes on from there.
@@ -195,11 +188,12 @@ class Search:
     def _searched(self, family: Parametrised, best: Found) -> Found:
         """Return where a search on the present grid ends that starts from `best`."""
         at, self._view = best, self._worst(best.at, _FIRST, -np.inf)
-        state, tries = _State(H=np.eye(len(best.x)), radius=_RADIUS), 0
+        H, radius, tries = np.eye(len(best.x)), _RADIUS, 0
         while self._left > 0 and tries < _TRIES and not self._enough(best):
             seen = len(self._view)
-            x = self._honest(family, self._descended(family, at, state))
-            before, at = at, self._all(family, x)
+            found, ended = self._descended(family, at, H, radius)
+            H, radius = found.hessian, found.radius
+            before, at = at, self._all(family, self._honest(family, found.x))
             gained = at.hard < before.hard - _WORTH or at.soft < before.soft - _WORTH
             # Plants out of view that have become the worst.
             self._view = np.union1d(self._view, self._worst(at.at, 1, 1.0))
@@ -207,8 +201,8 @@ class Search:
             if at.better_than(best, self._reserve):
                 best = at
                 self._tell(best)
-            if state.ended or not gained:
-                at, state = best, _State(H=np.eye(len(x)), radius=_CLOSE)
+            if ended or not gained:
+                at, H, radius = best, np.eye(len(best.x)), _CLOSE
         return best
 
     def _worst(self, at: Evaluation, count: int, floor: float) -> NDArray[np.intp]:
@@ -333,8 +327,8 @@ class Search:
                 parts.append(_Part(number, loops.constant(share + self._reserve * hard), hard, -share))
         return parts
 
-    def _descended(self, family: Parametrised, start: Found, state: _State) -> FloatArray:
-        """Return the result of a search on the active plants; `state.ended` where it has ended."""
+    def _descended(self, family: Parametrised, start: Found, H: FloatArray, radius: float) -> tuple[Minimum, bool]:
+        """Return the result of some steps on the active plants, and whether the search has ended without its goals."""
         lower, upper = family.lower, family.upper
         if self._moving:
             lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
@@ -346,19 +340,18 @@ class Search:
             tolerance=1e-4,
             unit=1.0,
             penalty=_PENALTY,
-            radius=state.radius,
+            radius=radius,
             least=1e-7,
             # Smaller factors than for norms: fewer of 27 jobs miss their limits.
             larger=2.0,
             smaller=0.4,
-            hessian=state.H,
+            hessian=H,
             start=start.at.only(np.isin(start.at.owner[:, 1], self._view)),
         )
         found = minimise(lambda y: self._evaluated(family, y, self._view, _FLOOR), start.x, (lower, upper), effort)
         at = found.at
         met = at.stable and at.largest(hard=False) <= effort.target and at.largest(hard=True) <= 1.0 + effort.excess
-        state.H, state.radius, state.ended = found.hessian, found.radius, found.finished and not met
-        return found.x
+        return found, found.finished and not met
 
 
 def _ratio(value: float) -> float:

@@ -135,19 +135,19 @@ def tuned_controller(
     requested = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
     if not any(r.kind == "stability" for r in requested):
         requested.append(requirement("stability", kept))
-    spent = 0
+    searches, spent = Search(plants, requested, options["reserve"], progress), 0
 
-    def search(family: Parametrised, share: float) -> Found:
+    def search(family: Parametrised, share: float, sketch: bool = False) -> Found:
         nonlocal spent
-        most = int(share * options["evaluations"])
-        found = Search(plants, requested, options["reserve"], most, progress).run(family)
+        found = searches.run(family, int(share * options["evaluations"]), sketch)
         spent += found.evaluations
         return found
 
-    first = search(cross_axis, 1.0 if structure == "cross-axis" else _SHARES["cross-axis"])
+    alone = structure == "cross-axis"
+    first = search(cross_axis, 1.0 if alone else _SHARES["cross-axis"], sketch=not alone)
     best: tuple[Found, Parametrised] = first, cross_axis
     starts: list[Callable[[], System]] = [lambda: cross_axis.block(first.x), *others]
-    starts = starts[: int(options["starts"])] if structure != "cross-axis" else []
+    starts = [] if alone else starts[: int(options["starts"])]
     for start in starts:
         try:
             block = start()
