@@ -165,7 +165,7 @@ def distinct(kind: str, names: Sequence[str]) -> list[str]:
 
 # Other words for what plants, jobs and their keys are made of.
 _MEANT = {
-    **dict.fromkeys(("motor", "actuator", "torque_motor"), "torquer"),
+    **dict.fromkeys(("actuator", "torque_motor"), "torquer"),
     **dict.fromkeys(("gyro", "rate_gyro", "gyroscope", "tachometer", "imu"), "rate_sensor"),
     **dict.fromkeys(("encoder", "resolver", "potentiometer"), "angle_sensor"),
     **dict.fromkeys(("tracker", "star_sensor", "star_tracker"), "attitude_sensor"),

@@ -175,6 +175,11 @@ def vector(item: object) -> FloatArray:
     return read_only(numbers(item, 3))
 
 
+def zero_vector() -> FloatArray:
+    """Return three zeros, the default of a vector."""
+    return read_only((0.0, 0.0, 0.0))
+
+
 def one_or_two(item: object) -> tuple[float, float]:
     """Return two numbers, of one both times."""
     first, second = numbers(item, 2) if isinstance(item, list) else (number(item), number(item))

@@ -4,22 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any
+from dataclasses import field
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.common.values import input_value
+from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import STOPS_DEG, Refers, default_angle
-from platform_ctrl.plant.mistakes import Misfit, useless
+from platform_ctrl.plant.mistakes import Misfit, missing, useless
 from platform_ctrl.plant.tables import Array, Instead, InTable
 
 # Their equations and matrices are worked out in full.
 MOST_GIMBALS = 100
 
 _STOPS_DEG = Instead("stops_deg", STOPS_DEG, lambda stops, _: (math.radians(stops[0]), math.radians(stops[1])))
+
+
+class Body(NamedTuple):
+    """Mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m², of a rigid body.
+
+    One of mass 0 has no centre: its inertia acts on its rotation alone.
+    """
+
+    mass: float
+    centre: FloatArray
+    inertia: FloatArray
+
+    def __or__(self, other: Body) -> Body:
+        """Return the body that both together are, all in the same axes and from the same point."""
+        mass = self.mass + other.mass
+        apart = self.centre - other.centre
+        reduced = self.mass * other.mass / mass if mass else 0.0  # Huygens and Steiner, of two bodies
+        centre = (self.mass * self.centre + other.mass * other.centre) / mass if mass else self.centre
+        across = float(apart @ apart) * np.eye(3) - np.outer(apart, apart)
+        return Body(mass, centre, self.inertia + other.inertia + reduced * across)
 
 
 @input_value
@@ -33,13 +54,20 @@ class Gimbal:
     axis : (3,)
         Unit vector of the axis in the parent's (and, at zero angle, everybody's) axes; dimensionless.
     inertia : (3, 3)
-        The gimbal's own body without rotors, kg m², in its own axes.
+        The gimbal's own body without rotors, kg m², in its own axes: about its centre of mass where it has a `mass`,
+        else about its joint, which is then at the root's origin.
     angle
         Name of the coordinate, for example ``alpha4``; default ``q_`` + name.
     stops
         Lowest and highest angle, rad, or None.
     restitution
         Share of the rate that a stop gives back, 0 to 1; 0: the gimbal stays at its stop.
+    mass
+        Of the body, kg; 0: not given.
+    centre : (3,)
+        Its centre of mass from its joint, in its own axes, m.
+    origin : (3,)
+        Its joint from the parent's joint (or from the root's origin), in the parent's axes, m.
 
     References
     ----------
@@ -55,9 +83,13 @@ class Gimbal:
     angle: fields.Text = ""
     stops: Annotated[fields.Stops | None, _STOPS_DEG] = None
     restitution: fields.Part = 0.0
+    mass: fields.Positive = 0.0
+    centre: fields.Vector = field(default_factory=fields.zero_vector)
+    origin: fields.Vector = field(default_factory=fields.zero_vector)
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        yield from mass_misfits(table, "centre", "its centre of mass from its joint")
         if "restitution" in table and not {"stops", "stops_deg"} & table.keys():
             yield useless(table, "restitution", 'without "stops" or "stops_deg"')
 
@@ -65,6 +97,19 @@ class Gimbal:
         """Name the angle."""
         if not self.angle:
             object.__setattr__(self, "angle", default_angle(self.name))
+
+    @property
+    def body(self) -> Body:
+        """What turns with it, without rotors; in its own axes, from its joint."""
+        return Body(self.mass, self.centre, self.inertia)
+
+
+def mass_misfits(table: Mapping[str, Any], key: str, words: str) -> Iterator[Misfit]:
+    """Yield a mass without the place `key` where it is, and the place without a mass."""
+    if "mass" in table and key not in table:
+        yield missing(key, f"a mass needs {words}, m; {key} = [0, 0, 0] where they are the same point")
+    if key in table and "mass" not in table:
+        yield useless(table, key, 'without "mass"; give both')
 
 
 @input_value
@@ -78,7 +123,10 @@ class GimbalTree:
     root_name
         Name of the body whose rate is Omega.
     root_inertia : (3, 3)
-        Of that body with everything rigidly attached, kg m².
+        Of that body with everything rigidly attached, kg m²: about its centre of mass where it has a mass, else about
+        its origin.
+    root_mass, root_centre
+        Its mass, kg (0: not given), and its centre of mass from its origin, (3,), m.
     gimbals
         In the file's order, which is that of the coordinates q.
     """
@@ -86,7 +134,14 @@ class GimbalTree:
     name: fields.Text
     root_name: Annotated[fields.Text, InTable("root", "name")]
     root_inertia: Annotated[fields.Inertia, InTable("root", "inertia")]
+    root_mass: Annotated[fields.Positive, InTable("root", "mass")] = 0.0
+    root_centre: Annotated[fields.Vector, InTable("root", "centre")] = field(default_factory=fields.zero_vector)
     gimbals: Annotated[tuple[Gimbal, ...], Array("gimbal", most=MOST_GIMBALS, unique=("name",))] = ()
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """The root and the gimbals' bodies without rotors, (1 + n), each in its own axes, from its own origin."""
+        return (Body(self.root_mass, self.root_centre, self.root_inertia), *(g.body for g in self.gimbals))
 
     @property
     def gimbal_names(self) -> tuple[str, ...]:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.files import toml
-from platform_ctrl.common.values import input_value, read_only, replaced
+from platform_ctrl.common.values import input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer, stops_written
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.gimbals import GimbalTree
+from platform_ctrl.plant.gimbals import Body, Gimbal, GimbalTree, mass_misfits
 from platform_ctrl.plant.mistakes import Misfit, given, useless, wrong
 from platform_ctrl.plant.sensors import (
     AngleSensor,
@@ -32,6 +32,7 @@ from platform_ctrl.plant.sensors import (
 from platform_ctrl.plant.tables import TABLE, Array, Instead, InTable, Shape, either, shape, written
 
 RotorControl = Literal["regulated", "free", "servo"]
+RootMode = Literal["held", "pivot", "floating"]
 
 # Signals that every plant has: the root's rates, the torques on it, and its specific force.
 OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
@@ -67,6 +68,10 @@ class Rotor:
         Speed loop of a servo rotor, N m s and N m: torque = −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
     torque_limit
         Largest motor torque, N m, or None; the integral does not change while the torque is at its limit.
+    mass
+        Own mass, kg; 0: that of the carrier contains it.
+    origin : (3,)
+        Its centre of mass from the carrier's origin, in the carrier's axes, m.
 
     References
     ----------
@@ -85,9 +90,12 @@ class Rotor:
     speed_gain: fields.Positive = 0.0
     speed_integral: fields.NotNegative = 0.0
     torque_limit: fields.Positive | None = None
+    mass: fields.Positive = 0.0
+    origin: fields.Vector = field(default_factory=fields.zero_vector)
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        yield from mass_misfits(table, "origin", "the rotor's centre from the carrier's origin")
         axial, servo = table["axial_inertia"], table.get("control") == "servo"
         if table["transverse_inertia"] < axial / 2 * (1 - fields.ROUNDING):
             yield wrong(table, "transverse_inertia", f"at least half of axial_inertia = {given(axial)}")
@@ -101,6 +109,12 @@ class Rotor:
     def spin(self) -> float:
         """Spin relative to the carrier (for a free rotor: with the carrier at rest), rad/s."""
         return self.angular_momentum / self.axial_inertia
+
+    @property
+    def body(self) -> Body:
+        """The rotor without its axial inertia, in the carrier's axes, from the carrier's origin."""
+        across = np.eye(3) - np.outer(self.axis, self.axis)
+        return Body(self.mass, self.origin, self.transverse_inertia * across)
 
 
 @input_value
@@ -148,11 +162,39 @@ class Torquer:
 
 
 @input_value
+class Motor:
+    """A rotor in a gimbal's parent that a gear turns about the joint's axis: φ̇ = gear q̇.
+
+    T has ½ rotor_inertia (a·ω_parent + gear q̇)²; torque τ of the motor is gear τ on the gimbal.
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal that it turns against its parent.
+    gear
+        Turns of the motor for a turn of the gimbal; negative where the gear turns the motor the other way.
+    rotor_inertia
+        About its axis, kg m²; its mass and transverse inertia are part of the parent's.
+    torque_constant, resistance, inductance, supply
+        N m/A (V s/rad), ohm, H and V, or None.
+    """
+
+    gimbal: Annotated[fields.Text, Refers()]
+    rotor_inertia: fields.Positive
+    gear: fields.NotZero = 1.0
+    torque_constant: fields.Positive | None = None
+    resistance: fields.Positive | None = None
+    inductance: fields.Positive | None = None
+    supply: fields.Positive | None = None
+
+
+@input_value
 class Platform(GimbalTree):
     """A root body that carries a tree of gimbals with rotors.
 
     Coordinates q are in the order of `gimbals`; generalised velocities are [Omega, q̇].
-    All bodies turn about one fixed point, in which all centres of mass lie that no unbalance moves elsewhere.
+    All bodies without a mass turn about one fixed point, the root's origin, in which their centres of mass lie that no
+    unbalance moves elsewhere.
 
     Attributes
     ----------
@@ -168,9 +210,17 @@ class Platform(GimbalTree):
         The direction in which the payload looks, or None.
     springs, frictions, cages, unbalances, erections
         What acts besides the torquers, in the file's order.
+    motors
+        Rotors that gears couple to joints, in the file's order.
     specific_force : (3,)
-        f of the fixed point in root axes, m/s²: its acceleration minus that of gravity, what an accelerometer reads
+        f of the root's origin in root axes, m/s²: its acceleration minus that of gravity, what an accelerometer reads
         (at rest it points upward). It turns with the root.
+    gravity : (3,)
+        Field of gravity, m/s², fixed in space: in root axes at the identity attitude of the root. It adds −gravity,
+        turned to root axes, to `specific_force`.
+    mode
+        ``"held"``: the root's motion is prescribed; ``"pivot"``: free about its origin; ``"floating"``: free in space;
+        None: pivot where something torques the root, else held.
 
     References
     ----------
@@ -194,9 +244,12 @@ class Platform(GimbalTree):
     cages: Annotated[tuple[Cage, ...], Array("cage", most=MOST_PARTS, unique=("gimbal",))] = ()
     unbalances: Annotated[tuple[Unbalance, ...], Array("unbalance", most=MOST_PARTS)] = ()
     erections: Annotated[tuple[Erection, ...], Array("erection", most=MOST_PARTS)] = ()
+    motors: Annotated[tuple[Motor, ...], Array("motor", most=MOST_PARTS)] = ()
     specific_force: Annotated[fields.Vector, InTable("root", "specific_force")] = field(
-        default_factory=lambda: read_only((0.0, 0.0, 0.0))
+        default_factory=fields.zero_vector
     )
+    gravity: Annotated[fields.Vector, InTable("root", "gravity")] = field(default_factory=fields.zero_vector)
+    mode: Annotated[RootMode | None, fields.one_of(get_args(RootMode)), InTable("root", "mode")] = None
     source: fields.AnyText = ""
 
     def __post_init__(self) -> None:
@@ -338,6 +391,13 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             words = f"pick-off {pickoff.name!r} must be called {angle!r}, as its angle, to stand in a plant file"
             raise ArgumentError(f"{words}; leave its name out, or make it an AngleSensor")
     data = {"schema": 1} | written(platform)
+    # A mass is not read without its place, which may be the origin.
+    for kind, place in (("gimbal", "centre"), ("rotor", "origin")):
+        for own in data.get(kind, ()):
+            if "mass" in own:
+                own.setdefault(place, [0.0, 0.0, 0.0])
+    if platform.root_mass:
+        data["root"].setdefault("centre", [0.0, 0.0, 0.0])
     for gimbal in data.get("gimbal", ()):
         gimbal |= stops_written(gimbal.pop("stops")) if "stops" in gimbal else {}
     for table, beside, keys in _BESIDE:
@@ -383,18 +443,22 @@ def _with_one(platform: Platform, name: str) -> Platform:
     own = platform.gimbals[known_name("locked", name, platform.gimbal_names)]
 
     def fixed(part: Any) -> Any:
-        moved = {key: own.parent for key in _BODIES if getattr(part, key, None) == name}
+        moved: dict[str, Any] = {key: own.parent for key in _BODIES if getattr(part, key, None) == name}
+        if moved and (isinstance(part, Gimbal) or (isinstance(part, Rotor) and part.mass)):
+            moved["origin"] = part.origin + own.origin
         return replaced(part, moved) if moved else part
 
     changes: dict[str, Any] = {}
     for kind in (key.field for key in shape(Platform).keys.values() if key.array is not None):
         kept = [part for part in getattr(platform, kind) if not _between(part, name)]
         changes[kind] = tuple(fixed(part) for part in kept)
-    changes["gimbals"] = tuple(
-        replaced(g, {"inertia": g.inertia + own.inertia}) if g.name == own.parent else g for g in changes["gimbals"]
-    )
+    # With the gimbal a geared motor's rotor stands still, too, but turns with the parent.
+    rotors = sum((one.rotor_inertia for one in platform.motors if one.gimbal == name), 0.0)
+    carried = Body(own.mass, own.origin + own.centre, own.inertia + rotors * np.outer(own.axis, own.axis))
+    whole = (platform.bodies[platform.body(own.parent)] | carried)._asdict()
+    changes["gimbals"] = tuple(replaced(g, whole) if g.name == own.parent else g for g in changes["gimbals"])
     if own.parent == platform.root_name:
-        changes["root_inertia"] = platform.root_inertia + own.inertia
+        changes |= {f"root_{key}": item for key, item in whole.items()}
     if platform.line_of_sight is not None:
         changes["line_of_sight"] = fixed(platform.line_of_sight)
     return replaced(platform, changes)

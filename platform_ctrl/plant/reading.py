@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
-from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, plant_data
 from platform_ctrl.plant.source import InputData, is_shipped_name, open_file, open_mapping, open_shipped, path_of
@@ -99,7 +99,7 @@ def judge_plant(document: InputData) -> tuple[Platform | None, list[Mistake]]:
     if mistakes := _tree_mistakes(parts):
         return None, mistakes
     platform = Platform(**parts)
-    mistakes = [*_relative_rates(platform), *_line_of_sight(platform), *_signals(platform)]
+    mistakes = [*_masses(platform, data), *_relative_rates(platform), *_line_of_sight(platform), *_signals(platform)]
     return (None, mistakes) if mistakes else (platform, [])
 
 
@@ -166,6 +166,46 @@ def _circles(root: str, gimbals: tuple[Gimbal, ...]) -> Iterator[Mistake]:
             cycle = " -> ".join(given(name) for name in [*chain, above])
             words = f"parent = {given(one.parent)} closes a ring of parents, {cycle}; let the chain end at the root"
             yield Mistake(("gimbal", k, "parent"), words)
+
+
+def _masses(platform: Platform, data: Mapping[str, Any]) -> Iterator[Mistake]:
+    """Judge what the root's mode needs of masses, and where a body needs one."""
+    root = data["root"]
+    yield from at(("root",), mass_misfits(root, "centre", "the root's centre of mass from its origin"))
+    floating = platform.mode == "floating"
+    needs = 'the key "mass" is missing; a floating root needs mass and centre of itself and of every gimbal'
+    if floating and not platform.root_mass:
+        yield Mistake(("root", "mass"), needs)
+    for k, one in enumerate(platform.gimbals):
+        if floating and not one.mass:
+            yield Mistake(("gimbal", k, "mass"), needs)
+        elif not one.mass and _leaves_origin(platform, one):
+            words = "its joint is not at the root's origin, where a body without mass has to turn; give mass and centre"
+            yield Mistake(("gimbal", k), words)
+    for kind, parts in (("unbalance", platform.unbalances), ("erection", platform.erections)):
+        if floating and parts:
+            has = {"unbalance": "centre and mass of a body say where it is", "erection": "leave it out"}[kind]
+            words = f"no specific force acts in a root that floats freely; {has}"
+            yield Mistake((kind, 0), words)
+    if floating and platform.specific_force.any():
+        words = "specific_force has no effect on a floating root, whose acceleration follows from the forces"
+        yield Mistake(("root", "specific_force"), f"{words}; leave it out")
+    for k, torquer in enumerate(platform.torquers):
+        if platform.mode == "held" and torquer.root_axis is not None:
+            words = f'root_axis = {torquer.root_axis} turns the root, which mode = "held" holds; take "pivot" or'
+            yield Mistake(("torquer", k, "root_axis"), f'{words} "floating", or leave the torquer out')
+
+
+def _leaves_origin(platform: Platform, gimbal: Gimbal) -> bool:
+    """Whether a gimbal's joint is off the root's origin at some angles of the gimbals that carry it."""
+    parents = {one.name: one for one in platform.gimbals}
+    joint, size = gimbal.origin, float(np.linalg.norm(gimbal.origin))
+    while (above := parents.get(gimbal.parent)) is not None:
+        # What a gimbal turns cannot be made up for further out, at all angles, but along its axis.
+        if np.linalg.norm(np.cross(joint, above.axis)) > _NORMAL * size:
+            return True
+        gimbal, joint, size = above, joint + above.origin, size + float(np.linalg.norm(above.origin))
+    return bool(np.linalg.norm(joint) > _NORMAL * size)
 
 
 def _relative_rates(platform: Platform) -> Iterator[Mistake]:

@@ -17,7 +17,7 @@ from driven_gimbal import FRICTION, driven_job
 from every_key import HERE, every_job_key
 from job.test_reading_campaign import flown_job
 from job.test_reading_job import job, small_job
-from plant.test_reading_elements import PLANT
+from plant.test_reading_elements import MASSES, PLANT
 from plant.test_reading_plant import enter, plant, refusal, toml_file
 from platform_ctrl import read_job, read_platform
 
@@ -25,6 +25,7 @@ from platform_ctrl import read_job, read_platform
 BASES: dict[tuple[str, str], Callable[[], dict[str, Any]]] = {
     ("plants", "plant"): plant,
     ("plants", "elements"): lambda: copy.deepcopy(PLANT),
+    ("plants", "masses"): lambda: copy.deepcopy(MASSES),
     ("jobs", "job"): job,
     ("jobs", "small_job"): small_job,
     ("jobs", "flown_job"): flown_job,

@@ -54,6 +54,56 @@ PLANT = {
     "erection": [{"gimbal": "outer", "senses": "inner", "axis": [0, 2, 0], "gain": 1e-3, "limit": 5e-4}],
 }
 
+# A plant as the drawing has it: masses, centres, joints.
+MASSES = {
+    "schema": 1,
+    "name": "two offsets",
+    "root": {"name": "base", "inertia": [0.1, 0.1, 0.1], "mass": 2.0, "centre": [0, 0, -0.1], "gravity": [0, 0, -9.81]},
+    "gimbal": [
+        {
+            "name": "outer",
+            "parent": "base",
+            "axis": [1, 0, 0],
+            "inertia": [1e-3, 1e-3, 1e-3],
+            "mass": 0.5,
+            "centre": [0.01, 0, 0],
+            "origin": [0.02, 0.03, 0],
+        },
+        {
+            "name": "inner",
+            "parent": "outer",
+            "axis": [0, 1, 0],
+            "inertia": [1e-3, 1e-3, 1e-3],
+            "mass": 0.3,
+            "centre": [0, 0, 0],
+            "origin": [0, 0.01, 0],
+        },
+    ],
+    "rotor": [
+        {
+            "name": "wheel",
+            "carrier": "inner",
+            "axis": [0, 0, 1],
+            "axial_inertia": 2e-4,
+            "transverse_inertia": 1.1e-4,
+            "spin": 900.0,
+        }
+    ],
+    "torquer": [{"gimbal": "outer"}],
+    "motor": [{"gimbal": "inner", "rotor_inertia": 1e-6, "gear": -20.0}],
+}
+
+
+def test_a_body_without_mass_needs_its_joint_at_the_origin_at_every_angle():
+    plant = copy.deepcopy(MASSES)
+    del plant["gimbal"][1]["mass"], plant["gimbal"][1]["centre"]
+    # The outer gimbal turns about an axis through the origin, and the inner joint is back at the origin.
+    plant["gimbal"][0]["origin"], plant["gimbal"][1]["origin"] = [0.02, 0, 0], [-0.02, 0, 0]
+    assert not read_platform(plant).gimbals[1].mass
+    plant["gimbal"][0]["axis"] = [1, 0, 0.1]
+    with pytest.raises(InputError, match="not at the root's origin"):
+        read_platform(plant)
+
 
 def test_a_job_file_in_place_of_a_plant_is_recognised():
     with pytest.raises(InputError, match=r'this is a job file; give its plant instead, "three_gyro_platform"'):
