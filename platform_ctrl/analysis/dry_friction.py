@@ -38,6 +38,8 @@ from platform_ctrl.plant.force_elements import Friction
 _FAR = 9.0
 # The describing function counts as valid where the rate is within ±coulomb_rate for no more of the time.
 _MOST_STICKING = 0.1
+# Of a friction without a slope at rest a rate, rad/s, that is as good as none.
+_LEAST_RATE = 1e-12
 # Rounds of the balance of friction at most: a handful is the rule.
 _ITERATIONS = 200
 
@@ -114,10 +116,10 @@ def describing_function(friction: DryTorque, rms: float) -> Describing:
     """Return the replacement of the dry part of a friction at a Gaussian relative rate, of `rms` rad/s, without mean.
 
     Smoothing by tanh and the Stribeck curve are taken into account by quadrature, right to about 1e-12; at rms 0 it is
-    the slope at rest.
+    the slope at rest, of a friction that is not smooth that at a rate which is hardly any.
     """
-    rms = positive("describing function: rms", rms, zero=True)
     near = friction.coulomb_rate
+    rms = max(positive("describing function: rms", rms, zero=True), 0.0 if near else _LEAST_RATE)
     if rms <= 1e-7 * near:
         slope = 0.5 * sum(friction.breakaway) / near
         return Describing(0.0, slope, 0.0)
@@ -129,7 +131,9 @@ def describing_function(friction: DryTorque, rms: float) -> Describing:
 
 def _gaussian(scales: Sequence[float]) -> tuple[FloatArray, FloatArray]:
     """Return points of a unit Gaussian and their weights, in panels that end where torques turn about, at `scales`."""
-    edges = np.outer([*np.minimum(scales, _FAR), 1.0], [0.25, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5, 12.0, 20.0]).ravel()
+    edges = np.outer(
+        [*(min(one, _FAR) for one in scales if one > 0.0), 1.0], [0.25, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5, 12.0, 20.0]
+    ).ravel()
     ahead, half = nodes(between(edges, 0.0, _FAR))
     x = np.concatenate([ahead.ravel(), -ahead.ravel()])
     weight = np.tile((KRONROD * half[:, None]).ravel(), 2)
@@ -161,6 +165,8 @@ class FrictionBalance:
         drive.
     remainder : (J,)
         rms of the torque that is not in proportion to these rates, what is fed forward taken off the friction, N m.
+    undamped : (J,)
+        rms of the relative rate without dry friction, rad/s; infinite where it was not needed.
     """
 
     frictions: tuple[Friction, ...]
@@ -170,14 +176,21 @@ class FrictionBalance:
     viscous: FloatArray
     fed: FloatArray
     remainder: FloatArray
+    undamped: FloatArray
 
     @property
     def sticking(self) -> FloatArray:
-        """Probability that a rate is within ±coulomb_rate (J,), dimensionless: there the bearing hardly slides."""
+        """How far from sliding all the time the bearings are (J,), dimensionless.
+
+        Of smooth friction the probability that the rate is within ±coulomb_rate, where the bearing hardly slides; else
+        the share of the variance of the rate that friction takes away: it sticks instead of moving so much.
+        """
         from scipy.special import erf
 
         near = np.array([one.coulomb_rate for one in self.frictions])
-        return np.asarray(erf(near / (np.maximum(self.rate, 1e-300) * math.sqrt(2.0))))
+        creeping = np.asarray(erf(near / (np.maximum(self.rate, 1e-300) * math.sqrt(2.0))))
+        taken = 1.0 - np.minimum(self.rate / np.maximum(self.undamped, 1e-300), 1.0) ** 2
+        return np.where(near > 0.0, creeping, taken)
 
     @property
     def valid(self) -> FloatArray:
@@ -203,7 +216,8 @@ def friction_balance(
     `rate_rms` gives, from the equivalent damping of the dry parts (J,), N m s, and the equivalent gains of the D drives
     that there are, the rms of the relative rates (J,) and of the rates that these drives find (D,), rad/s, of the
     linear loop with them; the viscous parts are the caller's. `start` (J + D,) are first guesses of the rates, by
-    default ten times coulomb_rate; `drives` is what is fed forward against each friction, or None.
+    default ten times coulomb_rate, or without one those of a loop without dry friction; `drives` is what is fed forward
+    against each friction, or None.
 
     The remainder is that of the friction alone: how much of it a drive takes off depends on the spectra of the rates,
     see `friction_noise`. Raises `NotFoundError` where the rates still change by more than `tolerance`, relative, after
@@ -213,6 +227,10 @@ def friction_balance(
     driven = [k for k, one in enumerate(drives) if one is not None]
     torques: list[DryTorque] = [*frictions, *(one for one in drives if one is not None)]
     near = np.array([one.coulomb_rate for one in torques])
+    undamped = np.full(len(near), math.inf)
+    if not near.all():
+        undamped = np.asarray(rate_rms(np.zeros(len(torques))), dtype=np.float64)
+        near = np.where(near > 0.0, near, np.maximum(0.1 * undamped, 10.0 * _LEAST_RATE))
     rate = real_array("friction balance: start", start, (len(near),)) if start is not None else 10.0 * near
     least = 1e-12 * near
     before: tuple[FloatArray, FloatArray] | None = None
@@ -246,6 +264,7 @@ def friction_balance(
         viscous=gains[:J],
         fed=fed,
         remainder=np.array([one.remainder for one in found[:J]]),
+        undamped=undamped[:J],
     )
 
 
@@ -254,11 +273,13 @@ def _statement(friction: Friction, drive: FedFriction | None, rate: float, stick
     less = "" if drive is None else f", less the {drive.friction:.3g} N m that are fed forward,"
     left = f"{remainder:.3g} N m rms of its torque{less} are not in proportion to the rate"
     if sticking <= _MOST_STICKING:
-        return f"{where}it slides at {rate:.3g} rad/s rms, {100 * sticking:.2g} % of the time nearly at rest; {left}"
-    return (
-        f"{where}the linear budget does not hold: the rate is below {friction.coulomb_rate:.3g} rad/s for "
-        f"{100 * sticking:.2g} % of the time (rms {rate:.3g} rad/s); simulate; {left}"
-    )
+        still = "of the time nearly at rest" if friction.coulomb_rate else "of its motion held back by friction"
+        return f"{where}it slides at {rate:.3g} rad/s rms, {100 * sticking:.2g} % {still}; {left}"
+    if friction.coulomb_rate:
+        slow = f"the rate is below {friction.coulomb_rate:.3g} rad/s for {100 * sticking:.2g} % of the time"
+    else:
+        slow = f"it sticks, {100 * sticking:.3g} % of the motion is held back by friction"
+    return f"{where}the linear budget does not hold: {slow} (rms {rate:.3g} rad/s); simulate; {left}"
 
 
 # Terms of the series that are computed. Of a step they fall with n to the power -3/2: what is left goes, in that

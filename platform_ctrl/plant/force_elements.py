@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from platform_ctrl.common.values import input_value
 from platform_ctrl.plant import fields
@@ -36,36 +36,55 @@ class Spring:
 
 @input_value
 class Friction:
-    """Friction in a gimbal's bearing: Q = −viscous q̇ − dry(q̇) tanh(q̇ / coulomb_rate).
+    """Friction in a gimbal's bearing, dry and viscous: Q = −viscous q̇ − F.
 
-    dry(q̇) = coulomb + (breakaway − coulomb) exp(−(q̇ / stribeck_rate)²) is the Stribeck curve: as bodies begin to slide
-    on each other friction falls from the breakaway torque to the Coulomb torque.
+    The level of the dry friction is the Stribeck curve dry(q̇) = coulomb + (breakaway − coulomb) exp(−(q̇ /
+    stribeck_rate)²): as bodies begin to slide on each other friction falls from the breakaway torque to the Coulomb
+    torque. F follows one of three laws:
+
+    - It sticks: F = dry(q̇) sign(q̇) while sliding. At rest F balances all other torques up to `breakaway`, and the
+      gimbal does not move at all.
+    - With `coulomb_rate` it is smooth, F = dry(q̇) tanh(q̇ / coulomb_rate): a small torque makes the gimbal creep.
+    - With `bristle_stiffness` σ0 it is elastic before it slides (LuGre): F = σ0 z + σ1 ż with the deflection z of the
+      bristles, ż = q̇ − α σ0 |q̇| z / dry(q̇) and α = 1. Under a load that vibrates below breakaway it drifts. With
+      `elastoplastic` α is 0 until |z| exceeds 85 % of dry/σ0 and whenever q̇ z < 0, and it stays where it is.
 
     Attributes
     ----------
     gimbal
         Name of the gimbal.
     viscous
-        Torque per rate, N m s.
+        Torque per rate, N m s; σ2 of LuGre.
     coulomb
         Dry friction of fast sliding against negative and against positive rates, N m, both >= 0.
     coulomb_rate
-        Rate at which the dry friction has reached tanh(1) = 76 % of its full size, rad/s: smooth instead of a jump,
-        so that equations and integrators stay well-defined.
+        Rate at which a smooth dry friction has reached tanh(1) = 76 % of its full size, rad/s; 0: it is not smooth.
     breakaway
         Dry friction at the start of sliding, N m, the same way; not less than `coulomb`, which stands in where it would
         be.
     stribeck_rate
         Rate at which 1/e of the difference is left, rad/s. Infinite: there is no Stribeck curve, and `breakaway` is
         `coulomb`.
+    bristle_stiffness, bristle_damping
+        σ0, N m/rad, and σ1, N m s; 0: no bristles.
+    elastoplastic
+        Whether deflections of the bristles below 85 % of breakaway are elastic.
+
+    References
+    ----------
+    C. Canudas de Wit, H. Olsson, K. J. Åström, P. Lischinsky, IEEE Trans. Automatic Control 40, 1995; P. Dupont,
+    V. Hayward, B. Armstrong, F. Altpeter, IEEE Trans. Automatic Control 47, 2002.
     """
 
     gimbal: Annotated[fields.Text, Refers()]
     viscous: fields.NotNegative = 0.0
     coulomb: fields.Coulomb = (0.0, 0.0)
-    coulomb_rate: fields.Positive = 0.01
+    coulomb_rate: fields.NotNegative = 0.0
     breakaway: fields.Coulomb = (0.0, 0.0)
     stribeck_rate: fields.Positive = math.inf
+    bristle_stiffness: fields.NotNegative = 0.0
+    bristle_damping: fields.NotNegative = 0.0
+    elastoplastic: fields.Truth = False
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
@@ -76,6 +95,14 @@ class Friction:
         pairs = zip(fields.coulomb(table.get("breakaway", dry)), fields.coulomb(dry), strict=True)
         if any(low < high for low, high in pairs):
             yield wrong(table, "breakaway", f"at least coulomb, {given(dry)}, to either side")
+        if not table.get("bristle_stiffness"):
+            for key in ("bristle_damping", "elastoplastic"):
+                if table.get(key):
+                    yield useless(table, key, 'without "bristle_stiffness"')
+        elif table.get("coulomb_rate"):
+            yield useless(table, "coulomb_rate", 'with "bristle_stiffness", which makes the friction smooth itself')
+        elif min(fields.coulomb(dry)) == 0.0:
+            yield wrong(table, "coulomb", "> 0 to either side, with bristles")
 
     def __post_init__(self) -> None:
         """Let `breakaway` follow a `coulomb` that `dataclasses.replace` has changed, too."""
@@ -84,8 +111,17 @@ class Friction:
             raised = (max(self.breakaway[0], self.coulomb[0]), max(self.breakaway[1], self.coulomb[1]))
         object.__setattr__(self, "breakaway", raised)
 
+    @property
+    def law(self) -> Literal["viscous", "sticking", "smooth", "bristles", "elastoplastic"]:
+        """What the dry part does near standstill."""
+        if max(self.breakaway) == 0.0:
+            return "viscous"
+        if self.bristle_stiffness:
+            return "elastoplastic" if self.elastoplastic else "bristles"
+        return "smooth" if self.coulomb_rate else "sticking"
+
     def dry(self, rate: float) -> float:
-        """Return the dry part of the friction torque, without its minus sign.
+        """Return the dry part of the friction torque while the gimbal turns steadily, without its minus sign.
 
         Parameters
         ----------
@@ -100,16 +136,21 @@ class Friction:
         side = 0 if rate < 0.0 else 1
         left = math.exp(-((rate / self.stribeck_rate) ** 2)) if abs(rate) < 30.0 * self.stribeck_rate else 0.0
         level = self.coulomb[side] + (self.breakaway[side] - self.coulomb[side]) * left
-        return level * math.tanh(rate / self.coulomb_rate)
+        if self.coulomb_rate:
+            return level * math.tanh(rate / self.coulomb_rate)
+        return level * ((rate > 0.0) - (rate < 0.0))
 
     @property
     def steepest_slope(self) -> float:
         """The largest |∂Q/∂q̇| at any rate, N m s, or a bound a little above it: it limits the step of integration.
 
-        Dry friction rises most steeply where sliding begins, with breakaway / coulomb_rate. Where the Stribeck curve
-        falls, it does so by (breakaway − coulomb) √(2/e) / stribeck_rate at most, against the viscous friction.
+        Smooth dry friction rises most steeply where sliding begins, with breakaway / coulomb_rate, bristles with their
+        damping. Where the Stribeck curve falls, it does so by (breakaway − coulomb) √(2/e) / stribeck_rate at most,
+        against the viscous friction.
         """
-        rising = self.viscous + max(self.breakaway) / self.coulomb_rate
+        rising = self.viscous + self.bristle_damping
+        if self.coulomb_rate:
+            rising += max(self.breakaway) / self.coulomb_rate
         drop = max(self.breakaway[0] - self.coulomb[0], self.breakaway[1] - self.coulomb[1])
         falling = math.sqrt(2.0 / math.e) * drop / self.stribeck_rate - self.viscous
         return max(rising, falling)

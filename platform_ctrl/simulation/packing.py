@@ -23,6 +23,14 @@ from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Links
 
+# Laws of dry friction by the names of `Friction.law`; a viscous one is a smooth one without a dry part.
+_LAWS = {
+    "viscous": arrays.SMOOTH,
+    "smooth": arrays.SMOOTH,
+    "sticking": arrays.STICKING,
+    "bristles": arrays.BRISTLES,
+    "elastoplastic": arrays.ELASTOPLASTIC,
+}
 _SIX = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 
 
@@ -109,7 +117,7 @@ class _Parts:
             tuple([s.place for s in p.sensors]),
             sight_of(p),
             tuple([s.gimbal for s in p.springs]),
-            tuple([(f.gimbal, max(f.breakaway) > 0.0) for f in p.frictions]),
+            tuple([(f.gimbal, f.law) for f in p.frictions]),
             tuple([c.gimbal for c in p.cages]),
             tuple([u.body for u in p.unbalances]),
             tuple([(e.gimbal, e.senses, _bytes(e.axis)) for e in p.erections]),
@@ -236,15 +244,21 @@ def _links(
 
 
 def _at(platform: Platform, n: int, servos: int) -> At:
-    size = 2 * n + 7 + 2 * servos
+    laws = sum({1 << _LAWS[friction.law] for friction in platform.dry_frictions})
+    bare = 2 * n + 7 + 2 * servos
+    keeps = bare if laws > 1 << arrays.SMOOTH else 0
+    size = bare + (n * arrays.FRICTION if keeps else 0)
     body = 0
     joint = body + (1 + n) * arrays.BODY
     servo = joint + n * arrays.JOINT
     erection = servo + servos * arrays.SERVO
     work = erection + len(platform.erections) * arrays.ERECTION
-    stages = work + (1 + n) * arrays.WORK
+    during = work + (1 + n) * arrays.WORK
+    stages = during + (1 + n * arrays.DURING if keeps else 0)
     state = stages + 3 * size
     surroundings = state + size
+    block = arrays.slots_of_block(n)
+    spare = surroundings + 3 * block
     return At(
         yes=True,
         no=False,
@@ -252,7 +266,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         servos=servos,
         size=size,
         joints=bool(platform.springs or platform.frictions or platform.cages),
-        dry=bool(platform.dry_frictions),
+        dry=laws,
         cages=bool(platform.cages),
         weight=bool(platform.unbalances or platform.erections),
         course=False,
@@ -260,12 +274,16 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         joint=joint,
         servo=servo,
         erection=erection,
+        keeps=keeps,
         work=work,
+        during=during,
         stages=stages,
         state=state,
         surroundings=surroundings,
-        block=arrays.slots_of_block(n),
-        end=surroundings + 3 * arrays.slots_of_block(n),
+        block=block,
+        spare_state=spare,
+        spare_block=spare + size,
+        end=spare + size + block,
     )
 
 
@@ -328,13 +346,19 @@ def _pack_joints(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArra
         springs = [p.springs[j] for p in platforms]
         rows[:, k, :2] += [(spring.stiffness, spring.stiffness * spring.rest) for spring in springs]
     for j, k in enumerate(shape.frictions):
+        frictions = [p.frictions[j] for p in platforms]
         rows[:, k, arrays.VISCOUS : arrays.CAGE] = [
-            (f.viscous, *f.coulomb, *f.breakaway, 1.0 / f.coulomb_rate, 1.0 / f.stribeck_rate)
-            for f in (p.frictions[j] for p in platforms)
+            (f.viscous, *f.coulomb, *f.breakaway, 1.0 / (f.coulomb_rate or math.inf), 1.0 / f.stribeck_rate)
+            for f in frictions
+        ]
+        rows[:, k, arrays.LAW : arrays.JOINT] = [
+            (_LAWS[f.law], f.bristle_stiffness, f.bristle_damping) for f in frictions
         ]
     for j, k in enumerate(shape.cages):
         cages = [p.cages[j] for p in platforms]
-        rows[:, k, arrays.CAGE :] = [(cage.stiffness, cage.damping, cage.clearance, cage.angle) for cage in cages]
+        rows[:, k, arrays.CAGE : arrays.LAW] = [
+            (cage.stiffness, cage.damping, cage.clearance, cage.angle) for cage in cages
+        ]
 
 
 def _or_infinite(limit: float | None) -> float:
@@ -370,10 +394,18 @@ def with_rotor_states(
 ) -> FloatArray:
     """Return `states` (N, 2 n + 7), whose v holds the rates, with those of servo rotors at `spins` (N, m) behind.
 
+    Behind these are the frictions' states, of joints that slide as they turn.
+
     `inertias` (N, m) are C of the servo rotors where the states are of different plants.
     """
-    out = np.concatenate([states, np.zeros((len(states), 2 * plant.at.servos))], axis=1)
-    first = states.shape[1]
+    at, first = plant.at, states.shape[1]
+    out = np.concatenate([states, np.zeros((len(states), at.size - first))], axis=1)
+    if at.keeps:
+        rows = plant.constants[at.joint : at.servo].reshape(-1, arrays.JOINT)
+        side = np.sign(states[:, at.n + 3 : 2 * at.n + 3])
+        most = rows[:, arrays.COULOMB : arrays.BREAKAWAY].mean(axis=1) / np.maximum(rows[:, arrays.BRISTLE], 1e-300)
+        begin = np.select([rows[:, arrays.LAW] == arrays.STICKING, rows[:, arrays.LAW] > arrays.STICKING], [1.0, most])
+        out[:, at.keeps :: arrays.FRICTION] = begin * side
     C = _axial_inertias(plant) if inertias is None else inertias
     out[:, first : first + plant.at.servos] = C * (spins + _carrier_rates(plant, out))
     return out

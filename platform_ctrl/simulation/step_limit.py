@@ -74,8 +74,11 @@ def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, 
             found.append(("cage", k, phase / np.sqrt(stiffness * ease[:, k])))
             found.append(("cage", k, _DECAY / (damping * ease[:, k])))
         for j, k in enumerate(shape.frictions):
-            slope = np.array([p.frictions[j].steepest_slope for p in platforms])
+            slope, stiffness = np.array(
+                [(p.frictions[j].steepest_slope, p.frictions[j].bristle_stiffness) for p in platforms]
+            ).T
             found.append(("friction", k, _DECAY / (slope * ease[:, k])))
+            found.append(("bristles", k, _PHASE / np.sqrt(stiffness * ease[:, k])))
     return found
 
 

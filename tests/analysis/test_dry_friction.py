@@ -132,3 +132,16 @@ def test_rates_that_never_settle_are_refused() -> None:
     jumping = itertools.cycle([np.array([1e-3]), np.array([1.0])])
     with pytest.raises(NotFoundError, match="no rates found"):
         friction_balance([BEARING], lambda b: next(jumping))
+
+
+def test_friction_that_sticks_is_described_by_its_sign_and_judged_by_what_it_holds_back() -> None:
+    sticks = Friction(gimbal="pitch", coulomb=(0.02, 0.02))
+    for rms in (1e-6, 0.3):
+        found = describing_function(sticks, rms)
+        assert found.viscous == pytest.approx(math.sqrt(2.0 / math.pi) * 0.02 / rms)
+        assert found.remainder == pytest.approx(0.02 * math.sqrt(1.0 - 2.0 / math.pi))
+    # A body of J = 0.01 under white torque of 2 J b σ² = q, with a viscous friction that limits it.
+    for q, valid in ((1.0, True), (1e-3, False)):
+        balance = friction_balance([sticks], lambda b, q=q: np.sqrt(q / (2.0 * 0.01 * (b + 0.1))))
+        assert bool(balance.valid[0]) is valid
+        assert ("it sticks" in balance.statement[0]) is not valid

@@ -49,7 +49,8 @@ def test_a_cage_keeps_the_energy_at_the_step_that_is_allowed_and_is_refused_beyo
     [
         ({"spring": [{"gimbal": "a", "stiffness": 1e12}]}, "spring"),
         ({"friction": [{"gimbal": "a", "viscous": 1e5}]}, "friction"),
-        ({"friction": [{"gimbal": "a", "coulomb": 1.0}]}, "friction"),
+        ({"friction": [{"gimbal": "a", "coulomb": 1.0, "coulomb_rate": 0.01}]}, "friction"),
+        ({"friction": [{"gimbal": "a", "coulomb": 1.0, "bristle_stiffness": 1e12}]}, "bristles"),
         ({"cage": [{"gimbal": "a", "stiffness": 1.0, "damping": 1e6}]}, "cage"),
     ],
 )

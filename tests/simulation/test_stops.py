@@ -141,3 +141,26 @@ def test_a_gimbal_sticks_up_to_the_breakaway_torque_and_slips_on_less() -> None:
     assert rising.rate[slipping, 1].min() > 5.0 * stribeck
     accelerations = np.diff(rising.rate[slipping, 1]) / PERIOD
     np.testing.assert_allclose(J * accelerations, rising.torque[slipping, 0][:-1] - coulomb, rtol=0, atol=1e-9)
+
+
+def test_on_a_guided_platform_a_gimbal_stands_still_until_the_torque_reaches_breakaway() -> None:
+    friction = Friction(gimbal="g", coulomb=(1e-3,) * 2, breakaway=(2e-3,) * 2, stribeck_rate=0.01)
+    platform = dataclasses.replace(plant(), frictions=(friction,))
+    resting = flown(platform, level=1.9e-3)
+    assert np.ptp(resting.q[:, 1]) == 0.0
+    assert np.abs(resting.rate[:, 1]).max() < 1e-12
+    # A torque that rises by 0.1 N m/s reaches 2 mN m after 20 ms; then it is left with that of sliding.
+    rising = flown(platform, level=0.0, slope=0.1)
+    moving = rising.t[np.abs(rising.rate[:, 1]) > 1e-9]
+    assert moving[0] == pytest.approx(0.02, abs=2.0 * PERIOD)
+    slipping = rising.t > 0.07
+    accelerations = np.diff(rising.rate[slipping, 1]) / PERIOD
+    np.testing.assert_allclose(J * accelerations, rising.torque[slipping, 0][:-1] - 1e-3, rtol=0, atol=1e-6)
+
+
+def test_a_gimbal_with_sticking_friction_comes_to_rest_at_its_stop() -> None:
+    friction = Friction(gimbal="g", coulomb=(1e-3,) * 2)
+    platform = dataclasses.replace(plant(stops=(-0.001, 0.001)), frictions=(friction,))
+    out = flown(platform, level=1.5e-3)
+    np.testing.assert_allclose(out.q[-1, 1], 0.001, atol=1e-9)
+    assert np.abs(out.rate[-10:, 1]).max() < 1e-9

@@ -36,7 +36,7 @@ def space(plant: Packed) -> np.ndarray:
 
     mem = memory(plant.at.end)
     mem[: len(plant.constants)] = plant.constants[:, None]
-    mem[plant.at.surroundings : plant.at.end] = np.tile(plant.around, 3)[:, None]
+    mem[plant.at.surroundings : plant.at.surroundings + 3 * plant.at.block] = np.tile(plant.around, 3)[:, None]
     return mem
 
 

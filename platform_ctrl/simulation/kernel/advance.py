@@ -9,6 +9,7 @@ from platform_ctrl.common.simd import LANES, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import RATE, SERVO, WORK, At, Links
 from platform_ctrl.simulation.kernel.dynamics import joint_momenta, runge_kutta
+from platform_ctrl.simulation.kernel.friction import settle_friction
 
 _ALL: Any = None  # for `lane`: all columns at once
 
@@ -79,6 +80,8 @@ def advance(
                 mark += 1
             if k < steps:
                 runge_kutta(links, mem, _ALL, at, at.yes, at.no, at.state, step)
+                if at.keeps != 0:
+                    settle_friction(links, mem, _ALL, at, at.yes, step)
 
 
 @compiled

@@ -135,8 +135,7 @@ class Layout(NamedTuple):
     pushed: int  # rows of torques on the gimbals from outside, one for each block of the surroundings
     alive: int
     random: int
-    spare_state: int  # two of them
-    spare_block: int
+    begun: int  # the state at the begin of a step
     metrics: int  # see `widths_of_metrics`
     following: int  # of every command the largest |reading − command| of settled samples
     end: int
@@ -161,9 +160,16 @@ GIMBAL, PARENT, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ, SKEW = range(12)
 # Slots of a body's constants: inertia of the carrier with its rotors as in `pack`; unbalance m r.
 BODY, UNBALANCE = 9, 6
 # Slots of a joint's constants.
-STIFFNESS, PRELOAD, VISCOUS, COULOMB, BREAKAWAY, PER_COULOMB_RATE, PER_STRIBECK_RATE, CAGE, JOINT = (
-    0, 1, 2, 3, 5, 7, 8, 9, 13,
+STIFFNESS, PRELOAD, VISCOUS, COULOMB, BREAKAWAY, PER_COULOMB_RATE, PER_STRIBECK_RATE, CAGE, LAW, BRISTLE, JOINT = (
+    0, 1, 2, 3, 5, 7, 8, 9, 13, 14, 16,
 )  # fmt: skip
+# The dry friction's law in LAW; `At.dry` has a bit for each that there is. BRISTLE: stiffness, damping.
+SMOOTH, STICKING, BRISTLES, ELASTOPLASTIC = 0, 1, 2, 3
+# Slots of a joint's friction in the state: of one that sticks the direction of sliding (0: it sticks) and the torque
+# that holds it; the deflection of bristles.
+SLIDING, HELD_BY, DEFLECTION, FRICTION = 0, 1, 0, 2
+# Slots of a joint's friction during a step: angle at its begin; at its end rate, and torque that it has had.
+BEGUN, TURNS, HAD, DURING = 0, 1, 2, 3
 # Slots of a servo rotor's constants: spin axis in the carrier's axes; then these.
 C, SPIN, GAIN, INTEGRAL, TORQUE_LIMIT, SERVO = 3, 4, 5, 6, 7, 8
 # Slots of an erection's constants: sensing axis; then these.
@@ -197,7 +203,7 @@ class At(NamedTuple):
     servos: int
     size: int  # of the state
     joints: int  # whether springs, friction or cages act at all
-    dry: int  # whether there is dry friction
+    dry: int  # the laws of dry friction that there are, 1 << LAW of each
     cages: int
     weight: int  # whether specific force and unbalance or erections act
     course: int  # whether rotors' momenta change with time
@@ -205,11 +211,15 @@ class At(NamedTuple):
     joint: int
     servo: int
     erection: int
+    keeps: int  # where in the state the joints' frictions are; 0: none keeps anything
     work: int
+    during: int  # time since the step began; then what every joint's friction needs during a step
     stages: int  # three states: at, derivative, total
     state: int
     surroundings: int  # three blocks: at the beginning, middle and end of a step
     block: int  # slots of a block
+    spare_state: int
+    spare_block: int
     end: int
 
 

@@ -51,6 +51,7 @@ from platform_ctrl.simulation.kernel.forces import (
     joint_torque,
     servo_drives,
     servo_momenta,
+    stand_still,
     unbalance_moments,
 )
 
@@ -259,7 +260,7 @@ def derivative(
             store(mem, dy + k, lane, rate)
             Q = load(mem, around + 3 + k, lane)
             if at.joints != 0 and not bare:
-                Q = Q + joint_torque(mem, lane, at, at.joint + k * arrays.JOINT, load(mem, y + k, lane), rate)
+                Q = Q + joint_torque(mem, lane, at, y, k, rate)
             store(mem, torque + k, lane, Q)
         if at.weight != 0 and not bare:
             unbalance_moments(mem, lane, at)
@@ -281,7 +282,7 @@ def derivative(
             Q = load(mem, around + 3 + k, lane)
             if at.joints != 0:
                 rate = load(mem, dy + k, lane)
-                Q = Q + joint_torque(mem, lane, at, at.joint + k * arrays.JOINT, load(mem, y + k, lane), rate)
+                Q = Q + joint_torque(mem, lane, at, y, k, rate)
             H0, H1 = load(mem, slot + arrays.MOMENT, lane), load(mem, slot + arrays.MOMENT + 1, lane)
             w0, w1 = load(mem, slot + arrays.RATE, lane), load(mem, slot + arrays.RATE + 1, lane)
             store(mem, torque + k, lane, Q + H0 * w1 - H1 * w0)
@@ -324,6 +325,35 @@ def derivative(
     _turn(mem, lane, at, y, dy)
 
 
+@inlined
+def at_rest(mem: FloatArray, lane: int, at: At) -> None:
+    """Fill the spare state with the angles of the state, without rates, and the spare block with nothing that acts."""
+    n = at.n
+    zero = 0.0 * load(mem, at.state, lane)
+    for i in range(at.size):
+        store(mem, at.spare_state + i, lane, load(mem, at.state + i, lane))
+    for i in range(n + 3):
+        store(mem, at.spare_state + n + i, lane, zero)
+    for i in range(at.block):
+        store(mem, at.spare_block + i, lane, zero)
+
+
+@internal
+def response(links: Links, mem: FloatArray, lane: int, at: At, free: bool, k: int, dy: int) -> None:
+    """Response to a unit impulse at joint k: rates of the joints into dy[:n], with a free root all rates behind."""
+    n, state, block = at.n, at.spare_state, at.spare_block
+    at_rest(mem, lane, at)
+    zero = 0.0 * load(mem, at.state, lane)
+    if free:
+        store(mem, block + 3 + k, lane, zero + 1.0)
+    else:
+        store(mem, state + n + 3 + k, lane, zero + 1.0)
+    derivative(links, mem, lane, at, free, at.no, at.yes, state, block, dy)
+    if free:
+        for i in range(n):
+            store(mem, dy + i, lane, load(mem, dy + n + 3 + i, lane))
+
+
 @internal
 def joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int, result: int) -> None:
     """Joint momenta dT/dqdot of a state whose v holds the rates; all of it stays in the root's MOMENT."""
@@ -346,8 +376,12 @@ def runge_kutta(
             store(mem, y + n + i, lane, load(mem, at.surroundings + n + 3 + i, lane))
     for stage in range(4):
         around = at.surroundings + (stage + 1) // 2 * block
+        if at.keeps != 0:
+            store(mem, at.during, lane, 0.5 * ((stage + 1) // 2) * step)
         source = y if stage == 0 else now
         derivative(links, mem, lane, at, free, locking, at.no, source, around, dy)
+        if at.keeps != 0:
+            stand_still(mem, lane, at, source, dy)
         ahead = step if stage == 2 else 0.5 * step
         if stage == 0:
             for i in range(size):

@@ -5,28 +5,123 @@ from __future__ import annotations
 import math
 
 from platform_ctrl.common.compiling import inlined, internal
-from platform_ctrl.common.simd import Number, choose, columns, greater, lesser, load, root, store
+from platform_ctrl.common.simd import Mask, Number, choose, columns, greater, lesser, load, root, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import add, cosine_and_sine, exponential, hyperbolic_tangent, vector
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 
 
+@inlined
+def _level(mem: FloatArray, lane: int, joint: int, rate: Number) -> Number:
+    """Level of dry friction at a rate: the Stribeck curve of its side."""
+    back = rate < 0.0
+    level = choose(back, load(mem, joint + arrays.COULOMB, lane), load(mem, joint + arrays.COULOMB + 1, lane))
+    more = (
+        choose(back, load(mem, joint + arrays.BREAKAWAY, lane), load(mem, joint + arrays.BREAKAWAY + 1, lane)) - level
+    )
+    sliding = rate * load(mem, joint + arrays.PER_STRIBECK_RATE, lane)
+    return level + more * exponential(-sliding * sliding)
+
+
+# Share of its largest deflection up to which an elasto-plastic bristle is elastic.
+_ELASTIC = 0.85
+# Below this argument (1 - exp(-x))/x is found by its series.
+_SMALL = 1e-3
+
+
+@inlined
+def _plasticity(elastic: Mask, z: Number, most: Number, rate: Number) -> Number:
+    """Share α of a bristle's rate that slides: 1, or of an elasto-plastic one what its deflection says."""
+    z = choose(rate < 0.0, -z, z)
+    u = lesser(greater((z / most - _ELASTIC) / (1.0 - _ELASTIC), 0.0 * z), 0.0 * z + 1.0)
+    c, _ = cosine_and_sine(math.pi * u)
+    return choose(elastic, 0.5 - 0.5 * c, 0.0 * z + 1.0)
+
+
+@inlined
+def _moved(alpha: Number, most: Number, ahead: Number, rate: Number, z: Number) -> Number:
+    """Deflection of bristles after a time in which they turn at a rate, from ż = rate - alpha |rate|/most z."""
+    x = alpha * greater(rate, -rate) / most * ahead
+    decay = exponential(-x)
+    large = x > _SMALL
+    share = choose(large, (1.0 - decay) / choose(large, x, 0.0 * x + 1.0), 1.0 - x * (0.5 - x / 6.0))
+    return z * decay + rate * ahead * share
+
+
 @internal
-def joint_torque(mem: FloatArray, lane: int, at: At, joint: int, q: Number, rate: Number) -> Number:
-    """Torque of springs, friction and a cage at a joint."""
+def deflection(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Number) -> Number:
+    """Deflection of a joint's bristles at a moment of a step, which has had the mean rate until then.
+
+    With that rate ż = v - λ z is solved exactly: λ = α σ0 |v|/level may be much faster than the step. `rate` is that at
+    the begin, where there is no mean one.
+    """
+    joint, begun = at.joint + k * arrays.JOINT, at.during + 1 + k * arrays.DURING + arrays.BEGUN
+    ahead, z = load(mem, at.during, lane), load(mem, y + at.keeps + k * arrays.FRICTION + arrays.DEFLECTION, lane)
+    q, moving = load(mem, y + k, lane), ahead > 0.0
+    before = choose(moving, load(mem, begun, lane), q)
+    store(mem, begun, lane, before)
+    mean = choose(moving, (q - before) / choose(moving, ahead, 0.0 * q + 1.0), rate)
+    elastic = load(mem, joint + arrays.LAW, lane) > 0.5 * (arrays.BRISTLES + arrays.ELASTOPLASTIC)
+    most = _level(mem, lane, joint, mean) / load(mem, joint + arrays.BRISTLE, lane)
+    # How much slides by the deflection at the begin, then by that half-way.
+    moved = _moved(_plasticity(elastic, z, most, mean), most, ahead, mean, z)
+    return _moved(_plasticity(elastic, 0.5 * (z + moved), most, mean), most, ahead, mean, z)
+
+
+@internal
+def _bristle_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Number) -> Number:
+    """Torque of a joint's bristles at a moment of a step."""
+    joint = at.joint + k * arrays.JOINT
+    stiffness, damping = load(mem, joint + arrays.BRISTLE, lane), load(mem, joint + arrays.BRISTLE + 1, lane)
+    elastic = load(mem, joint + arrays.LAW, lane) > 0.5 * (arrays.BRISTLES + arrays.ELASTOPLASTIC)
+    z, most = deflection(mem, lane, at, y, k, rate), _level(mem, lane, joint, rate) / stiffness
+    slips = _plasticity(elastic, z, most, rate) * greater(rate, -rate) / most * z
+    return stiffness * z + damping * (rate - slips)
+
+
+@inlined
+def dry_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Number) -> Number:
+    """Dry friction at joint k of a state, without its minus sign: see `platform_ctrl.plant.force_elements.Friction`."""
+    joint = at.joint + k * arrays.JOINT
+    law = load(mem, joint + arrays.LAW, lane)
+    torque = 0.0 * rate
+    if at.dry & 1 << arrays.SMOOTH != 0:
+        torque = _level(mem, lane, joint, rate) * hyperbolic_tangent(
+            rate * load(mem, joint + arrays.PER_COULOMB_RATE, lane)
+        )
+    if at.dry & 1 << arrays.STICKING != 0:
+        kept = y + at.keeps + k * arrays.FRICTION
+        side = load(mem, kept + arrays.SLIDING, lane)
+        sliding = side * _level(mem, lane, joint, side * greater(rate, -rate))
+        sliding = choose(side * side > 0.5, sliding, -load(mem, kept + arrays.HELD_BY, lane))
+        torque = choose((law > 0.5) & (law < 1.5), sliding, torque)
+    if at.dry >= 1 << arrays.BRISTLES:
+        torque = choose(law > 1.5, _bristle_torque(mem, lane, at, y, k, rate), torque)
+    return torque
+
+
+@inlined
+def stand_still(mem: FloatArray, lane: int, at: At, y: int, dy: int) -> None:
+    """Let the joints that stick keep their angles, and the frictions' states as they are until the step's end."""
+    for k in range(at.n):
+        kept = y + at.keeps + k * arrays.FRICTION
+        side = load(mem, kept + arrays.SLIDING, lane)
+        law = load(mem, at.joint + k * arrays.JOINT + arrays.LAW, lane)
+        sticks = (law > 0.5) & (law < 1.5) & (side * side < 0.5)
+        store(mem, dy + k, lane, choose(sticks, 0.0 * side, load(mem, dy + k, lane)))
+        for i in range(arrays.FRICTION):
+            store(mem, dy + at.keeps + k * arrays.FRICTION + i, lane, 0.0 * side)
+
+
+@internal
+def joint_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Number) -> Number:
+    """Torque of springs, friction and a cage at joint k of a state."""
+    joint, q = at.joint + k * arrays.JOINT, load(mem, y + k, lane)
     Q = load(mem, joint + arrays.PRELOAD, lane) - load(mem, joint + arrays.STIFFNESS, lane) * q
     Q = Q - load(mem, joint + arrays.VISCOUS, lane) * rate
     if at.dry != 0:
-        back = rate < 0.0
-        level = choose(back, load(mem, joint + arrays.COULOMB, lane), load(mem, joint + arrays.COULOMB + 1, lane))
-        more = (
-            choose(back, load(mem, joint + arrays.BREAKAWAY, lane), load(mem, joint + arrays.BREAKAWAY + 1, lane))
-            - level
-        )
-        sliding = rate * load(mem, joint + arrays.PER_STRIBECK_RATE, lane)
-        level = level + more * exponential(-sliding * sliding)
-        Q = Q - level * hyperbolic_tangent(rate * load(mem, joint + arrays.PER_COULOMB_RATE, lane))
+        Q = Q - dry_torque(mem, lane, at, y, k, rate)
     if at.cages != 0:
         # No cage is one with infinite clearance.
         stiffness, damping = load(mem, joint + arrays.CAGE, lane), load(mem, joint + arrays.CAGE + 1, lane)

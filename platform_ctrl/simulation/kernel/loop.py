@@ -25,6 +25,7 @@ from platform_ctrl.simulation.kernel.devices import (
 )
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
 from platform_ctrl.simulation.kernel.forces import begin_surroundings, follow_rotors, hand_on, surround
+from platform_ctrl.simulation.kernel.friction import settle_friction
 from platform_ctrl.simulation.kernel.samples import judge, look, read, turn_bodies, update_metrics
 from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike
 
@@ -212,12 +213,12 @@ def _segment(
             put_torques(shared, mem, lane, at, layout, row)
         if contact:
             for i in range(at.size):
-                store(mem, layout.spare_state + at.size + i, lane, load(mem, at.state + i, lane))
+                store(mem, layout.begun + i, lane, load(mem, at.state + i, lane))
         runge_kutta(links, mem, lane, at, free, at.no, at.state, step)
         if layout.stops != 0:
             held = at.no
             if contact:
-                held = hold(links, mem, lane, at, layout, free, layout.spare_state + at.size, step)
+                held = hold(links, mem, lane, at, layout, free, layout.begun, step)
             past = contact
             if not past:
                 for k in range(at.n):
@@ -226,6 +227,8 @@ def _segment(
             if past:
                 end = start + (m + 1.0) * step
                 contact = meet_stops(links, mem, lane, at, layout, free, held, contacts, end, step)
+        if at.keeps != 0:
+            settle_friction(links, mem, lane, at, free, step)
     return contact
 
 

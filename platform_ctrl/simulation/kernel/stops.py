@@ -7,7 +7,7 @@ from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, l
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
-from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
+from platform_ctrl.simulation.kernel.dynamics import at_rest, derivative, joint_momenta, response, runge_kutta
 
 # A run of fewer steps than these from a stop back to it ends at most as fast as it began.
 _SHORT = 20.0
@@ -17,35 +17,6 @@ _SHORT = 20.0
 def _past(mem: FloatArray, lane: int, at: At, layout: Layout, k: int) -> Mask:
     q, stop = load(mem, at.state + k, lane), layout.stop + k * arrays.STOP
     return (q < load(mem, stop + arrays.LOW, lane)) | (q > load(mem, stop + arrays.HIGH, lane))
-
-
-@inlined
-def _at_rest(mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
-    """The state without rates, and surroundings in which nothing acts."""
-    n = at.n
-    zero = 0.0 * load(mem, at.state, lane)
-    for i in range(at.size):
-        store(mem, layout.spare_state + i, lane, load(mem, at.state + i, lane))
-    for i in range(n + 3):
-        store(mem, layout.spare_state + n + i, lane, zero)
-    for i in range(at.block):
-        store(mem, layout.spare_block + i, lane, zero)
-
-
-@internal
-def _response(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, k: int, dy: int) -> None:
-    """Response to a unit impulse at joint k: rates of the joints into dy[:n], with a free root all rates behind."""
-    n, state, block = at.n, layout.spare_state, layout.spare_block
-    _at_rest(mem, lane, at, layout)
-    zero = 0.0 * load(mem, at.state, lane)
-    if free:
-        store(mem, block + 3 + k, lane, zero + 1.0)
-    else:
-        store(mem, state + n + 3 + k, lane, zero + 1.0)
-    derivative(links, mem, lane, at, free, at.no, at.yes, state, block, dy)
-    if free:
-        for i in range(n):
-            store(mem, dy + i, lane, load(mem, dy + n + 3 + i, lane))
 
 
 @internal
@@ -80,7 +51,7 @@ def strike(
             p = at.state + n + 3 + k
             store(mem, p, lane, load(mem, p, lane) + impulse)
         else:
-            _response(links, mem, lane, at, layout, free, k, at.stages)
+            response(links, mem, lane, at, free, k, at.stages)
             for i in range(n + 3):
                 v = at.state + n + i
                 store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, at.stages + n + i, lane))
@@ -101,7 +72,7 @@ def _brake(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, fre
             if not anywhere(turning):
                 continue
             settled = False
-            _response(links, mem, lane, at, layout, free, k, dy)
+            response(links, mem, lane, at, free, k, dy)
             impulse = choose(turning, -rate / load(mem, dy + k, lane), 0.0 * rate)
             for i in range(n + 3):
                 v = at.state + n + i
@@ -166,11 +137,11 @@ def _put_back(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, 
     joint_momenta(links, mem, lane, at, at.state, end, after + 3)
     for i in range(3):
         store(mem, after + i, lane, load(mem, root + i, lane))
-    _at_rest(mem, lane, at, layout)
+    at_rest(mem, lane, at)
     for i in range(n + 3):
         missing = load(mem, before + i, lane) - load(mem, after + i, lane)
-        store(mem, layout.spare_block + i, lane, missing)
-    derivative(links, mem, lane, at, free, at.no, at.yes, layout.spare_state, layout.spare_block, at.stages)
+        store(mem, at.spare_block + i, lane, missing)
+    derivative(links, mem, lane, at, free, at.no, at.yes, at.spare_state, at.spare_block, at.stages)
     for i in range(n, 2 * n + 3):
         v = load(mem, at.state + i, lane)
         store(mem, at.state + i, lane, choose(hit, v + load(mem, at.stages + i, lane), v))
@@ -230,7 +201,7 @@ def meet_stops(
                 if not anywhere(struck):
                     continue
                 settled = False
-                _response(links, mem, lane, at, layout, free, k, dy)
+                response(links, mem, lane, at, free, k, dy)
                 away = load(mem, stop + arrays.AWAY, lane)
                 again = (away > 0.0) & (t - load(mem, stop + arrays.WHEN, lane) < _SHORT * step)
                 coming = choose(again, lesser(outward, away), outward)

@@ -1,0 +1,93 @@
+"""Dry friction at the end of a step: joints that come to rest stick, joints that are pulled too hard break away."""
+
+from __future__ import annotations
+
+from platform_ctrl.common.compiling import inlined, internal
+from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser, load, store
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arrays import At, Links
+from platform_ctrl.simulation.kernel.dynamics import derivative, response
+from platform_ctrl.simulation.kernel.forces import deflection, dry_torque
+
+# Rounds over the joints until none changes any more: joints that do not move each other need one.
+_ROUNDS = 50
+# A rate that is smaller counts as zero, rad/s.
+_ZERO = 1e-13
+
+
+@inlined
+def _push(mem: FloatArray, lane: int, at: At, free: bool, k: int, dy: int, impulse: Number) -> None:
+    """Add the response in `dy` to an impulse at joint k to the state and to the joints' rates."""
+    n = at.n
+    if free:
+        for i in range(n + 3):
+            v = at.state + n + i
+            store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, dy + n + i, lane))
+    else:
+        p = at.state + n + 3 + k
+        store(mem, p, lane, load(mem, p, lane) + impulse)
+    for i in range(n):
+        rate = at.during + 1 + i * arrays.DURING + arrays.TURNS
+        store(mem, rate, lane, load(mem, rate, lane) + impulse * load(mem, dy + i, lane))
+
+
+@inlined
+def _survey(links: Links, mem: FloatArray, lane: int, at: At, free: bool) -> None:
+    """Put the joints' rates at the end of a step into TURNS and the dry torques there into HAD."""
+    n, rates = at.n, at.state + at.n + 3
+    if not free:
+        rates = at.stages
+        derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, rates)
+    for k in range(n):
+        during = at.during + 1 + k * arrays.DURING
+        rate = load(mem, rates + k, lane)
+        store(mem, during + arrays.HAD, lane, dry_torque(mem, lane, at, at.state, k, rate))
+        store(mem, during + arrays.TURNS, lane, rate)
+
+
+@internal
+def settle_friction(links: Links, mem: FloatArray, lane: int, at: At, free: bool, step: Number) -> None:
+    """Bring the frictions' states to the end of a step of the motion.
+
+    A joint that has stuck or whose rate has changed its sign gets the torque that would have stopped it, within
+    breakaway: it sticks if that is enough, else it slides as it is pulled. The torque acts as an impulse on the whole
+    plant, so that momenta balance.
+    """
+    n, dy = at.n, at.stages
+    zero = 0.0 * load(mem, at.state, lane)
+    store(mem, at.during, lane, step + zero)
+    for k in range(n):
+        if at.dry >= 1 << arrays.BRISTLES:
+            z = at.state + at.keeps + k * arrays.FRICTION + arrays.DEFLECTION
+            bristles = load(mem, at.joint + k * arrays.JOINT + arrays.LAW, lane) > 1.5
+            new = deflection(mem, lane, at, at.state, k, zero)
+            store(mem, z, lane, choose(bristles, new, load(mem, z, lane)))
+    store(mem, at.during, lane, zero)
+    if at.dry & 1 << arrays.STICKING == 0:
+        return
+    _survey(links, mem, lane, at, free)
+    for _ in range(_ROUNDS):
+        settled = True
+        for k in range(n):
+            joint = at.joint + k * arrays.JOINT
+            kept, during = at.state + at.keeps + k * arrays.FRICTION, at.during + 1 + k * arrays.DURING
+            law, side = load(mem, joint + arrays.LAW, lane), load(mem, kept + arrays.SLIDING, lane)
+            rate, had = load(mem, during + arrays.TURNS, lane), load(mem, during + arrays.HAD, lane)
+            stopped = (law > 0.5) & (law < 1.5) & ((side * side < 0.5) | (side * rate < 0.0))
+            turning = stopped & ((rate > _ZERO) | (rate < -_ZERO))
+            if not anywhere(turning):
+                continue
+            settled = False
+            response(links, mem, lane, at, free, k, dy)
+            wanted = had + rate / load(mem, dy + k, lane) / step
+            most, least = load(mem, joint + arrays.BREAKAWAY + 1, lane), -load(mem, joint + arrays.BREAKAWAY, lane)
+            given = lesser(greater(wanted, least), most)
+            direction = choose(wanted > most, zero + 1.0, choose(wanted < least, zero - 1.0, zero))
+            _push(mem, lane, at, free, k, dy, choose(turning, (had - given) * step, zero))
+            store(mem, during + arrays.HAD, lane, choose(turning, given, had))
+            store(mem, kept + arrays.SLIDING, lane, choose(turning, direction, side))
+            held = load(mem, kept + arrays.HELD_BY, lane)
+            store(mem, kept + arrays.HELD_BY, lane, choose(turning, -given, held))
+        if settled:
+            return
