@@ -22,8 +22,9 @@ from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.spectra import LogSpectrum
 from platform_ctrl.job.variation import campaign_misfits
 from platform_ctrl.plant.fields import PLANT, Expected, Unfit
+from platform_ctrl.plant.locking import with_locked
 from platform_ctrl.plant.mistakes import Mistake, one_line, report
-from platform_ctrl.plant.platform import Platform, plant_data, with_locked
+from platform_ctrl.plant.platform import Platform, plant_data
 from platform_ctrl.plant.reading import judge_plant, open_plant
 from platform_ctrl.plant.source import InputData, open_file, open_mapping, path_of, read_text
 from platform_ctrl.plant.tables import Key, made, read_table, shape, written

@@ -1,7 +1,7 @@
 """The equations of motion (11), with Boltzmann-Hamel rows for the root, as a recursion over the tree; rotors' momenta.
 
-The recursion balances moments body by body (Newton-Euler) and shares nothing with the matrices but the
-directions: the two routes check each other.
+The recursion balances forces and moments body by body (Newton-Euler) and shares nothing with the matrices but
+directions and places: the two routes check each other.
 """
 
 from __future__ import annotations
@@ -13,13 +13,25 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.mechanics.forces import specific_force_at
 from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topology
 from platform_ctrl.mechanics.matrices import directions, mass_matrix, solved_inertia, world_inertias
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, RotorControl
 
 
-def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
-    """Return the generalised forces [M, Q] that cause a motion: A* u̇ + (G_A + G_R + G_root) u, eq. (11).
+def inverse_dynamics(
+    platform: Platform,
+    q: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    specific_force: ArrayLike | None = None,
+    gravity: ArrayLike | None = None,
+    attitude: ArrayLike | None = None,
+) -> FloatArray:
+    """Return the generalised forces [M, Q] that cause a motion: A* u̇ + (G_A + G_R + G_root) u + Pᵀf, eq. (11).
+
+    M is about the root's origin; of a floating root it is a pure couple. The weight of bodies with a mass is on this
+    side, that of an unbalance is one of `element_forces`.
 
     Parameters
     ----------
@@ -29,6 +41,8 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
         Gimbal angles, rad.
     velocity, acceleration : (3 + n,)
         u = [Omega, q̇], rad/s, and its derivative component by component, in root axes, rad/s².
+    specific_force, gravity, attitude
+        As in `specific_force_at`: f of the root's origin.
 
     Returns
     -------
@@ -42,10 +56,18 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5.
     """
     at, u, u_dot = _motion(platform, q, velocity, "acceleration", acceleration)
-    return _moments(at, world_inertias(at), u, u_dot)
+    return _forces(at, world_inertias(at), u, u_dot, specific_force_at(platform, specific_force, gravity, attitude))
 
 
-def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, force: ArrayLike) -> FloatArray:
+def forward_dynamics(
+    platform: Platform,
+    q: ArrayLike,
+    velocity: ArrayLike,
+    force: ArrayLike,
+    specific_force: ArrayLike | None = None,
+    gravity: ArrayLike | None = None,
+    attitude: ArrayLike | None = None,
+) -> FloatArray:
     """Return the acceleration [Omega', q̈] under generalised forces.
 
     Parameters
@@ -56,6 +78,8 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
         Gimbal angles, rad.
     velocity, force : (3 + n,)
         u = [Omega, q̇], rad/s; [M, Q], N m.
+    specific_force, gravity, attitude
+        As in `specific_force_at`: f of the root's origin.
 
     Returns
     -------
@@ -87,8 +111,9 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     """
     at, u, torque = _motion(platform, q, velocity, "force", force)
     inertias = world_inertias(at)
-    bias = _moments(at, inertias, u, np.zeros(len(u)))
-    A_star = mass_matrix(at.jacobians, inertias)
+    f = specific_force_at(platform, specific_force, gravity, attitude)
+    bias = _forces(at, inertias, u, np.zeros(len(u)), f)
+    A_star = mass_matrix(at, inertias)
     return solved_inertia(A_star, torque - bias, (*OMEGA_NAMES, *platform.angle_names))
 
 
@@ -102,25 +127,56 @@ def _motion(
     return at, real_array("velocity", velocity, (3 + n,)), real_array(name, given, (3 + n,))
 
 
-def _moments(at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatArray) -> FloatArray:
+def _forces(at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatArray, f: FloatArray) -> FloatArray:
+    """Return [M, Q] of a motion while the root's origin feels f; a floating root feels what leaves no resultant."""
+    if not at.tree.floating:
+        return _balance(at, inertias, u, u_dot, f)[1]
+    force, _ = _balance(at, inertias, u, u_dot, np.zeros(3))
+    return _balance(at, inertias, u, u_dot, -force / at.tree.mass)[1]
+
+
+def _balance(
+    at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatArray, f: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the force on the root at its origin, (3,), and [M, Q]."""
     tree, n = at.tree, len(at.axes)
-    spin = np.zeros((1 + n, 3))
+    spin, spin_change = np.zeros((1 + n, 3)), np.zeros((1 + n, 3))
     np.add.at(spin, tree.carriers, tree.L[:, None] * at.spin_axes)
-    rates, accelerations = np.empty((1 + n, 3)), np.empty((1 + n, 3))
-    rates[0], accelerations[0] = u[:3], u_dot[:3]
+    rates, accelerations, felt = (np.empty((1 + n, 3)) for _ in range(3))
+    rates[0], accelerations[0], felt[0] = u[:3], u_dot[:3], f
     for k in tree.order:
         carried = 1 + tree.parents[k]
         turn = at.axes[k] * u[3 + k]
         rates[1 + k] = rates[carried] + turn
         accelerations[1 + k] = accelerations[carried] + at.axes[k] * u_dot[3 + k] + np.cross(rates[carried], turn)
+        arm = at.origins[1 + k] - at.origins[carried]
+        felt[1 + k] = felt[carried] + _at_arm(rates[carried], accelerations[carried], arm)
+    drives = np.zeros(n)
+    for k, N, J in zip(tree.geared, tree.gears, tree.gear_inertias, strict=True):
+        # The rotor turns in the parent at N q̇; its gear holds N times the rotor's torque on the gimbal.
+        carried = 1 + tree.parents[k]
+        spin[carried] += J * (at.axes[k] @ rates[carried] + N * u[3 + k]) * at.axes[k]
+        change = J * (at.axes[k] @ accelerations[carried] + N * u_dot[3 + k])
+        spin_change[carried] += change * at.axes[k]
+        drives[k] += N * change
     momenta = np.einsum("bij,bj->bi", inertias, rates) + spin
-    moments = np.einsum("bij,bj->bi", inertias, accelerations) + np.cross(rates, momenta)
+    moments = np.einsum("bij,bj->bi", inertias, accelerations) + spin_change + np.cross(rates, momenta)
+    arms = at.centres - at.origins
+    forces = tree.masses[:, None] * (felt + _at_arm(rates, accelerations, arms))
+    moments += np.cross(arms, forces)
     out = np.empty(3 + n)
     for k in reversed(tree.order):
-        out[3 + k] = at.axes[k] @ moments[1 + k]
-        moments[1 + tree.parents[k]] += moments[1 + k]
+        carried = 1 + tree.parents[k]
+        out[3 + k] = at.axes[k] @ moments[1 + k] + drives[k]
+        forces[carried] += forces[1 + k]
+        moments[carried] += moments[1 + k] + np.cross(at.origins[1 + k] - at.origins[carried], forces[1 + k])
     out[:3] = moments[0]
-    return out
+    return forces[0], out
+
+
+def _at_arm(rate: FloatArray, acceleration: FloatArray, arm: FloatArray) -> FloatArray:
+    """Acceleration of a point of a body against another one, `arm` away from it."""
+    return np.asarray(np.cross(acceleration, arm) + np.cross(rate, np.cross(rate, arm)))
 
 
 @value

@@ -10,9 +10,13 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Kinematics, configuration, cross_matrix, topology
 from platform_ctrl.plant.force_elements import Cage, Friction
 from platform_ctrl.plant.platform import Platform
+
+# How far the square of a quaternion's length may be from 1.
+_UNIT = 1e-6
 
 
 @value
@@ -22,6 +26,48 @@ class ForceSlopes:
     angle: FloatArray  # (3 + n, n): ∂[M, Q]/∂q, N m/rad
     rate: FloatArray  # (n, n): ∂Q/∂q̇, N m s; of dry friction only what `rate_amplitude` makes of it
     force: FloatArray  # (3 + n, 3): ∂[M, Q]/∂f, N m per m/s²
+
+
+def specific_force_at(
+    platform: Platform,
+    specific_force: ArrayLike | None = None,
+    gravity: ArrayLike | None = None,
+    attitude: ArrayLike | None = None,
+) -> FloatArray:
+    """Return f of the root's origin in root axes: what turns with the root, less gravity, which is fixed in space.
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    specific_force : (3,)
+        In root axes, m/s²: acceleration minus gravity's; default the platform's own, or 0 with `gravity`.
+    gravity : (3,)
+        In axes fixed in space, m/s²; default the platform's own, or 0 with `specific_force`.
+    attitude : (4,)
+        Unit quaternion w, x, y, z that turns root axes to those in space; default none, they coincide.
+
+    Returns
+    -------
+    (3,)
+        specific_force − Rᵀ gravity, m/s².
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape, not finite, or a quaternion that is not of length 1.
+    """
+    f, g = platform.specific_force, platform.gravity
+    if specific_force is not None or gravity is not None:
+        f = real_array("specific_force", specific_force, (3,), 0.0)
+        g = real_array("gravity", gravity, (3,), 0.0)
+    if attitude is None:
+        return np.asarray(f - g)
+    w, *v = real_array("attitude", attitude, (4,))
+    if abs(w * w + np.dot(v, v) - 1.0) > _UNIT:
+        raise ArgumentError(f"attitude: must be a quaternion of length 1, w, x, y, z, got {[w, *v]}")
+    # Rᵀ g by Rodrigues' formula.
+    return np.asarray(f - (g - 2.0 * w * np.cross(v, g) + 2.0 * np.cross(v, np.cross(v, g))))
 
 
 def element_forces(
@@ -41,7 +87,7 @@ def element_forces(
     velocity : (3 + n,)
         [Omega, q̇], rad/s; default zero.
     specific_force : (3,)
-        In root axes, m/s²; default the platform's own.
+        In root axes, m/s²; default the platform's own, with gravity at the identity attitude.
 
     Returns
     -------
@@ -58,7 +104,7 @@ def element_forces(
     n = len(tree.parents)
     angles = real_array("q", q, (n,), 0.0)
     rates = real_array("velocity", velocity, (3 + n,), 0.0)[3:]
-    f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
+    f = specific_force_at(platform, specific_force)
     return ForceElements(platform, configuration(tree, angles), f).forces(angles, rates)
 
 

@@ -1,4 +1,4 @@
-"""The tree of a platform as arrays, and its directions at angles q: rotations, gimbal axes, spin axes, Jacobians."""
+"""The tree of a platform as arrays, and where it is at angles q: rotations, axes, joints, mass centres, Jacobians."""
 
 from __future__ import annotations
 
@@ -26,14 +26,28 @@ class Topology:
     carriers: NDArray[np.intp]  # (m,): body that each of the m rotors spins in
     # axes, spin_axes: (n, 3), (m, 3): of gimbals in the parents' axes, of rotors in body axes; unit vectors
     axes: FloatArray
-    # (1 + n, 3, 3): bodies with the rotors' transverse inertia A (1 − s sᵀ), without C; in body axes, kg m²
+    # Bodies with their rotors, whose axial inertia C is left out, in body axes: (1 + n,) masses, kg; (1 + n, 3) centres
+    # of mass from the body's joint, m; (1 + n, 3, 3) inertias about these, kg m² (mass 0: of the rotation alone).
+    masses: FloatArray
+    centres: FloatArray
     inertias: FloatArray
+    joints: FloatArray  # (n, 3): from the parent's joint, in the parent's axes, m
+    floating: bool  # whether the root is free to move, not only to turn
     spin_axes: FloatArray
     # C, L: (m,): axial inertias, kg m²; relative (regulated) or total axial (free) angular momenta, N m s
     C: FloatArray
     L: FloatArray
     # (m,) bool: whether the rotor's relative spin is regulated (a servo rotor counts as regulated)
     regulated: NDArray[np.bool_]
+    # Geared rotors: (g,) gimbals that they turn, gears N, and inertias J about the joints' axes, kg m².
+    geared: NDArray[np.intp]
+    gears: FloatArray
+    gear_inertias: FloatArray
+
+    @property
+    def mass(self) -> float:
+        """M of all bodies, kg."""
+        return float(self.masses.sum())
 
 
 def topology(platform: Platform) -> Topology:
@@ -48,11 +62,10 @@ def topology(platform: Platform) -> Topology:
         on_path[1 + k, k] = True
     above = on_path[1:].T.copy()
     np.fill_diagonal(above, False)
-    inertias = np.array([platform.root_inertia, *(g.inertia for g in platform.gimbals)], dtype=np.float64)
-    spin_axes = np.array([r.axis for r in rotors]).reshape(len(rotors), 3)
-    transverse = np.array([r.transverse_inertia for r in rotors])
-    across = np.eye(3) - spin_axes[:, :, None] * spin_axes[:, None, :]
-    np.add.at(inertias, carriers, transverse[:, None, None] * across)
+    bodies = list(platform.bodies)
+    for carrier, rotor in zip(carriers.tolist(), rotors, strict=True):
+        bodies[carrier] |= rotor.body
+    masses, centres, inertias = (np.array(one, dtype=np.float64) for one in zip(*bodies, strict=True))
     return Topology(
         order=order,
         parents=parents,
@@ -60,11 +73,18 @@ def topology(platform: Platform) -> Topology:
         above=above,
         carriers=carriers,
         axes=np.array([g.axis for g in platform.gimbals]).reshape(n, 3),
+        masses=masses,
+        centres=centres,
         inertias=inertias,
-        spin_axes=spin_axes,
+        joints=np.array([g.origin for g in platform.gimbals]).reshape(n, 3),
+        floating=platform.mode == "floating",
+        spin_axes=np.array([r.axis for r in rotors]).reshape(len(rotors), 3),
         C=np.array([r.axial_inertia for r in rotors], dtype=np.float64),
         L=np.array([r.angular_momentum for r in rotors], dtype=np.float64),
         regulated=np.array([r.control != "free" for r in rotors], dtype=bool),
+        geared=np.array([platform.gimbal(one.gimbal) for one in platform.motors], dtype=np.intp),
+        gears=np.array([one.gear for one in platform.motors], dtype=np.float64),
+        gear_inertias=np.array([one.rotor_inertia for one in platform.motors], dtype=np.float64),
     )
 
 
@@ -82,13 +102,35 @@ def _parents_first(name: str, parents: list[int]) -> tuple[int, ...]:
 
 @value
 class Kinematics:
-    """Directions in root axes at given angles."""
+    """Directions and places in root axes, from the root's origin, at given angles."""
 
     tree: Topology  # the tree that is turned
     rotations: FloatArray  # (1 + n, 3, 3): from body axes to root axes, dimensionless
     axes: FloatArray  # (n, 3): gimbal axes, unit vectors
     spin_axes: FloatArray  # (m, 3): rotor axes, unit vectors
-    jacobians: FloatArray  # (1 + n, 3, 3 + n): body rates: ω_b = jacobians[b] @ [Omega, q̇]; dimensionless
+    jacobians: FloatArray  # W, (1 + n, 3, 3 + n): body rates: ω_b = W_b @ [Omega, q̇]; dimensionless
+    origins: FloatArray  # (1 + n, 3): of the bodies: the root's origin, then the joints r_k, m
+    centres: FloatArray  # x, (1 + n, 3): centres of mass, m
+    velocities: (
+        FloatArray  # V, (1 + n, 3, 3 + n): of the centres of mass against the root's origin: V_b @ [Omega, q̇], m
+    )
+    gears: FloatArray  # b, (g, 3 + n): rates of geared rotors about their axes: b @ [Omega, q̇]; dimensionless
+
+    @property
+    def momentum(self) -> FloatArray:
+        """P = Σ m V, (3, 3 + n), kg m: the momentum against the root's origin is P u; P = [−[S]×, ∂S/∂q]."""
+        return np.asarray(np.einsum("b,bij->ij", self.tree.masses, self.velocities))
+
+    @property
+    def moment(self) -> FloatArray:
+        """S = Σ m x, (3,), kg m."""
+        return np.asarray(self.tree.masses @ self.centres)
+
+    def centre_curvature(self) -> FloatArray:
+        """Return ∂²x_b/∂q_j∂q_k, (n, n, 1 + n, 3), m: a_j × (a_k × (x_b − r_k)), j the gimbal nearer the root."""
+        turned = np.einsum("jac,bck->jkba", cross_matrix(self.axes), self.velocities[:, :, 3:])
+        inner = turned * self.tree.above[:, :, None, None]
+        return np.asarray(inner + inner.swapaxes(0, 1) + turned * np.eye(len(self.axes))[:, :, None, None])
 
 
 def cross_matrix(vector: FloatArray) -> FloatArray:
@@ -122,4 +164,25 @@ def configuration(tree: Topology, q: FloatArray) -> Kinematics:
     jacobians[:, :, :3] = np.eye(3)
     jacobians[:, :, 3:] = tree.on_path[:, None, :] * axes.T
     spin_axes = np.einsum("rij,rj->ri", rotations[tree.carriers], tree.spin_axes)
-    return Kinematics(tree=tree, rotations=rotations, axes=axes, spin_axes=spin_axes, jacobians=jacobians)
+    origins = np.zeros((1 + n, 3))
+    for k in tree.order:
+        above = 1 + tree.parents[k]
+        origins[1 + k] = origins[above] + rotations[above] @ tree.joints[k]
+    centres = origins + np.einsum("bij,bj->bi", rotations, tree.centres)
+    velocities = np.zeros((1 + n, 3, 3 + n))
+    velocities[:, :, :3] = -cross_matrix(centres)
+    arms = np.cross(axes, centres[:, None, :] - origins[1:])  # a_k × (x_b − r_k)
+    velocities[:, :, 3:] = (arms * tree.on_path[:, :, None]).transpose(0, 2, 1)
+    gears = np.einsum("ga,gax->gx", axes[tree.geared], jacobians[1 + tree.parents[tree.geared]])
+    gears[np.arange(len(tree.gears)), 3 + tree.geared] += tree.gears
+    return Kinematics(
+        tree=tree,
+        rotations=rotations,
+        axes=axes,
+        spin_axes=spin_axes,
+        jacobians=jacobians,
+        origins=origins,
+        centres=centres,
+        velocities=velocities,
+        gears=gears,
+    )

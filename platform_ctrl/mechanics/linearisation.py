@@ -6,7 +6,8 @@ About angles q0 at rest in the platform and a constant rate Omega0 the gimbal ro
 
 with ω the deviation of Omega. The left side without ∂Q follows from T = T2 + T1 alone: with p(q, Omega) = ∂T/∂q̇ at
 q̇ = 0, G = ∂p/∂q − (∂p/∂q)ᵀ and K = −∂²T/∂q², so that G is skew and K symmetric. ∂Q belongs to springs, friction,
-cages, unbalance and erection; Q on the right is what the torquers do.
+cages, unbalance and erection, and to the weight −Pᵀf of bodies with a mass, P = [−[S]×, ∂S/∂q], under the specific
+force f of the root's origin; Q on the right is what the torquers do.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import one_of, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.forces import ForceElements
-from platform_ctrl.mechanics.kinematics import Kinematics, Topology, configuration, topology
+from platform_ctrl.mechanics.forces import ForceElements, specific_force_at
+from platform_ctrl.mechanics.kinematics import Kinematics, Topology, configuration, cross_matrix, topology
 from platform_ctrl.mechanics.matrices import derivatives, directions, mass_matrix, world_inertias
 from platform_ctrl.plant.platform import Platform
 
@@ -52,10 +53,10 @@ class LinearModel:
     root_momentum : (3,)
         ∂T/∂Omega at the trim, N m s (``terms="paper"``: the rotors' part h₀ alone).
     Q_angle, Q_rate : (n, n)
-        ∂Q/∂q, N m/rad, and ∂Q/∂q̇, N m s, of the force elements.
+        ∂Q/∂q, N m/rad, and ∂Q/∂q̇, N m s, of the force elements and of weight.
     Q_force, M_force
-        ∂Q/∂f and ∂M/∂f, N m per m/s² of specific force: what unbalance makes of vibration and manoeuvres. Shapes (n,
-        3), (3, 3).
+        ∂Q/∂f and ∂M/∂f, N m per m/s² of specific force: what masses and unbalance make of vibration and manoeuvres.
+        Shapes (n, 3), (3, 3).
     M_angle : (3, n)
         ∂M/∂q, the root's rows, N m/rad.
 
@@ -127,7 +128,8 @@ def linearise(
     q : (n,)
         Angles of the trim, rad; default zero.
     specific_force : (3,)
-        f of the trim in root axes, m/s²; default the platform's own.
+        f of the trim in root axes, m/s²; default the platform's own, with gravity as in the file: the root at the
+        identity attitude.
     rate_amplitude : (n,)
         Amplitudes of the gimbal rates, rad/s, > 0, at which dry friction is replaced by its describing function.
         Default: dry friction has no slope at rest and is left out.
@@ -161,14 +163,14 @@ def linearise(
     Omega0 = real_array("Omega", Omega, (3,))
     q0 = real_array("q", q, (n,), 0.0)
     one_of("terms", terms, ("exact", "paper"))
-    f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
+    f = specific_force_at(platform, specific_force)
     amplitude = None if rate_amplitude is None else real_array("rate_amplitude", rate_amplitude, (n,))
     if amplitude is not None and not np.all(amplitude > 0.0):
         raise ArgumentError(f"rate_amplitude: must be {n} numbers > 0, rad/s, got {amplitude.tolist()}")
     at = configuration(tree, q0)
     inertias = world_inertias(at)
-    A_star, B = mass_matrix(at.jacobians, inertias), directions(at)  # (12), (3)
-    change = derivatives(at)
+    A_star, B = mass_matrix(at, inertias), directions(at)  # (12), (3)
+    change, P = derivatives(at), at.momentum * (not tree.floating)  # free in space, bodies have no weight
     elements = ForceElements(platform, at, f)
     slopes = elements.slopes(q0, amplitude)
     # T1 = uᵀBᵀL: ∂(BᵀL)/∂q, ∂T1/∂q and ∂²T1/∂q² at u = [Omega0, 0].
@@ -180,7 +182,7 @@ def linearise(
         # T2 = ½ uᵀA*u.
         momentum_slope = momentum_slope + np.einsum("jxa,a->xj", change.A_star[:, :, :3], Omega0)
         energy_slope = energy_slope + 0.5 * np.einsum("a,jab,b->j", Omega0, change.A_star[:, :3, :3], Omega0)
-        curvature = curvature + _inertia_curvature(at, inertias, Omega0)
+        curvature = curvature + _inertia_curvature(at, inertias, Omega0) + _motion_curvature(at, Omega0)
         root_momentum = root_momentum + A_star[:3, :3] @ Omega0
         M_Omega_q = np.einsum("jia->iaj", change.A_star[:, 3:, :3])
     else:
@@ -193,7 +195,7 @@ def linearise(
         q0=q0,
         Omega0=Omega0,
         specific_force=f,
-        Q0=-energy_slope - elements.forces(q0, np.zeros(n))[3:],
+        Q0=-energy_slope - elements.forces(q0, np.zeros(n))[3:] + P[:, 3:].T @ f,
         M=A_star[3:, 3:],
         G=momentum_slope[3:] - momentum_slope[3:].T,
         K=-curvature,
@@ -202,25 +204,31 @@ def linearise(
         M_Omega_q=M_Omega_q,
         root_inertia=A_star[:3, :3],
         root_momentum=root_momentum,
-        Q_angle=slopes.angle[3:],
+        Q_angle=slopes.angle[3:] - np.einsum("a,jak->kj", f, change.P[:, :, 3:]) * (not tree.floating),
         Q_rate=slopes.rate,
-        Q_force=slopes.force[3:],
-        M_force=slopes.force[:3],
-        M_angle=slopes.angle[:3],
+        Q_force=slopes.force[3:] - P[:, 3:].T,
+        M_force=slopes.force[:3] - P[:, :3].T,
+        M_angle=slopes.angle[:3] + cross_matrix(f) @ P[:, 3:],
     )
 
 
 def _spin_curvature(at: Kinematics, Omega: FloatArray) -> FloatArray:
     """∂²T1/∂q² = ∂²(Lᵀ B_Omega Omega)/∂q², (n, n): the gyroscopic restraint L Omega."""
+    out = np.zeros((len(at.axes), len(at.axes)))
+    for L, axis, body in zip(at.tree.L, at.spin_axes, at.tree.carriers, strict=True):
+        out += L * _axis_curvature(at, axis, body) @ Omega
+    return out
+
+
+def _axis_curvature(at: Kinematics, axis: FloatArray, body: int) -> FloatArray:
+    """∂²axis/∂q_i∂q_j of an axis that is fixed in a body, (n, n, 3)."""
     tree, n = at.tree, len(at.axes)
-    out = np.zeros((n, n))
-    for rotor, body in enumerate(tree.carriers):
-        for j in np.flatnonzero(tree.on_path[body]):
-            for i in np.flatnonzero(tree.on_path[1 + j]):
-                # The outer gimbal turns what the inner one has turned.
-                second = np.cross(at.axes[i], np.cross(at.axes[j], at.spin_axes[rotor]))
-                out[i, j] += tree.L[rotor] * (second @ Omega)
-    return _mirrored(out)
+    out = np.zeros((n, n, 3))
+    for j in np.flatnonzero(tree.on_path[body]):
+        for i in np.flatnonzero(tree.on_path[1 + j]):
+            # The outer gimbal turns what the inner one has turned.
+            out[i, j] = out[j, i] = np.cross(at.axes[i], np.cross(at.axes[j], axis))
+    return out
 
 
 def _inertia_curvature(at: Kinematics, inertias: FloatArray, Omega: FloatArray) -> FloatArray:
@@ -236,6 +244,24 @@ def _inertia_curvature(at: Kinematics, inertias: FloatArray, Omega: FloatArray) 
                 second = np.cross(at.axes[j], np.cross(at.axes[i], Omega))
                 out[i, j] += turned[i] @ inertias[body] @ turned[j] + momentum @ second
     return _mirrored(out)
+
+
+def _motion_curvature(at: Kinematics, Omega: FloatArray) -> FloatArray:
+    """∂²T2/∂q² of what moves with masses and geared rotors, ½ Σ m |Omega × x|² + ½ Σ J (a · Omega)², (n, n)."""
+    tree, turn = at.tree, cross_matrix(Omega)
+    moving = turn @ at.velocities[:, :, 3:]  # Omega × ∂x/∂q
+    second = at.centre_curvature()
+    out = np.einsum("b,bai,baj->ij", tree.masses, moving, moving)
+    out += np.einsum("b,ba,ijba->ij", tree.masses, at.centres @ turn.T, second @ turn.T)
+    for k, J in zip(tree.geared, tree.gear_inertias, strict=True):
+        axis, parent = at.axes[k], 1 + int(tree.parents[k])
+        first = np.cross(at.axes, axis) @ Omega * tree.on_path[parent]
+        out += J * (np.outer(first, first) + (axis @ Omega) * _axis_curvature(at, axis, parent) @ Omega)
+    if tree.floating:  # − ½ |Omega × S|²/m
+        first_moment = turn @ at.momentum[:, 3:]
+        out -= first_moment.T @ first_moment / tree.mass
+        out -= np.einsum("b,ijba,a->ij", tree.masses, second @ turn.T, turn @ at.moment) / tree.mass
+    return np.asarray(out)
 
 
 def _mirrored(upper: FloatArray) -> FloatArray:
@@ -258,9 +284,19 @@ def connected(coupled: ArrayLike) -> list[list[int]]:
 
 def inertia_rounding(tree: Topology) -> FloatArray:
     """Return the rounding to expect in what inertias give gimbals i and j, (n, n): only what both carry enters it."""
-    size = np.trace(tree.inertias, axis1=1, axis2=2)
+    size = np.trace(tree.inertias, axis1=1, axis2=2) + tree.masses * _reach(tree) ** 2
     np.add.at(size, tree.carriers, tree.C * tree.regulated)
-    return _carried_by_both(tree, size)
+    np.add.at(size, 1 + tree.geared, tree.gear_inertias * (1.0 + np.abs(tree.gears)) ** 2)
+    out = _carried_by_both(tree, size)
+    if tree.floating:
+        moments = (tree.masses * _reach(tree)) @ tree.on_path
+        out += _ROUNDING * np.outer(moments, moments) / tree.mass
+    return out
+
+
+def _reach(tree: Topology) -> FloatArray:
+    """Return bounds of the distances of the bodies' centres from the root's origin, (1 + n,), m."""
+    return np.asarray(np.linalg.norm(tree.centres, axis=1) + tree.on_path @ np.linalg.norm(tree.joints, axis=1))
 
 
 def momentum_rounding(tree: Topology) -> FloatArray:
@@ -275,7 +311,7 @@ def force_rounding(platform: Platform, tree: Topology, specific_force: float) ->
 
     Springs, friction and cages act on the diagonal alone and have none.
     """
-    moments = np.zeros(len(tree.on_path))
+    moments = tree.masses * _reach(tree) * (not tree.floating)
     for unbalance in platform.unbalances:
         moments[platform.body(unbalance.body)] += np.linalg.norm(unbalance.moment)
     out = specific_force * _carried_by_both(tree, moments)

@@ -16,7 +16,9 @@ from platform_ctrl.plant.platform import Platform
 
 @value
 class MagnusMatrices:
-    """The matrices of eq. (11) at a state: A* u̇ + (G_A + G_R + G_root) u = Q with u = [Omega, q̇].
+    """The matrices of eq. (11) at a state: A* u̇ + (G_A + G_R + G_root) u = Q − Pᵀf with u = [Omega, q̇].
+
+    Of a floating root A and A* are without PᵀP/m, and f, the specific force of its origin, is not there.
 
     Attributes
     ----------
@@ -34,6 +36,10 @@ class MagnusMatrices:
         Coriolis (13) and gyroscopic (14) matrix, N m s; the root columns count as rates of cyclic coordinates.
     G_root : (3 + n, 3 + n)
         −[∂T/∂Omega]× in the root block, N m s: the Boltzmann-Hamel term, because Omega is no derivative of coordinates.
+    P : (3, 3 + n)
+        P u is the linear momentum against the root's origin, kg m; P = [−[S]×, ∂S/∂q].
+    S : (3,)
+        First moment Σ m x of all bodies with a mass about the root's origin, kg m.
 
     References
     ----------
@@ -50,6 +56,8 @@ class MagnusMatrices:
     G_A: FloatArray
     G_R: FloatArray
     G_root: FloatArray
+    P: FloatArray
+    S: FloatArray
 
 
 @value
@@ -58,6 +66,7 @@ class Derivatives:
 
     A_star: FloatArray  # (n, 3 + n, 3 + n): ∂A*/∂q_j
     B: FloatArray  # (n, m, 3 + n): ∂B/∂q_j
+    P: FloatArray  # (n, 3, 3 + n): ∂P/∂q_j
 
 
 def body_inertias(at: Kinematics) -> FloatArray:
@@ -74,9 +83,17 @@ def world_inertias(at: Kinematics) -> FloatArray:
     return inertias
 
 
-def mass_matrix(jacobians: FloatArray, inertias: FloatArray) -> FloatArray:
-    """Return Σ Wᵀ I W over the bodies, (3 + n, 3 + n)."""
-    out: FloatArray = np.einsum("bij,bik->jk", jacobians, inertias @ jacobians)
+def mass_matrix(at: Kinematics, inertias: FloatArray) -> FloatArray:
+    """Return Σ (Wᵀ I W + m Vᵀ V) over the bodies and Σ J bᵀ b over geared rotors, (3 + n, 3 + n).
+
+    A floating root's translation is a cyclic coordinate, eliminated as in (5): − PᵀP/m.
+    """
+    tree, W, V = at.tree, at.jacobians, at.velocities
+    out: FloatArray = np.einsum("bij,bik->jk", W, inertias @ W)
+    out += np.einsum("bij,bik->jk", V, tree.masses[:, None, None] * V)
+    out += at.gears.T @ (tree.gear_inertias[:, None] * at.gears)
+    if tree.floating:
+        out -= at.momentum.T @ at.momentum / tree.mass
     return 0.5 * (out + out.T)
 
 
@@ -87,7 +104,7 @@ def directions(at: Kinematics) -> FloatArray:
 
 
 def derivatives(at: Kinematics) -> Derivatives:
-    """Return ∂A*/∂q and ∂B/∂q, exact: each axis turns with the gimbals above it."""
+    """Return ∂A*/∂q, ∂B/∂q and ∂P/∂q, exact: each axis and each arm turns with the gimbals above it."""
     tree, inertias = at.tree, world_inertias(at)
     n, m = len(tree.parents), len(tree.carriers)
     cross = cross_matrix(at.axes)
@@ -99,13 +116,24 @@ def derivatives(at: Kinematics) -> Derivatives:
     d_inertias = (product + product.transpose(0, 1, 3, 2)) * tree.on_path.T[:, :, None, None]
     half = np.einsum("jkax,kab,kby->jxy", d_jacobians, inertias, at.jacobians, optimize=True)
     whole = np.einsum("kax,jkab,kby->jxy", at.jacobians, d_inertias, at.jacobians, optimize=True)
+    d_velocities = np.empty((n, 1 + n, 3, 3 + n))
+    d_velocities[..., :3] = -cross_matrix(at.velocities[:, :, 3:].transpose(2, 0, 1))  # ∂x_b/∂q_j × Omega
+    d_velocities[..., 3:] = at.centre_curvature().transpose(0, 2, 3, 1)
+    half += np.einsum("jkax,k,kay->jxy", d_velocities, tree.masses, at.velocities, optimize=True)
+    behind = 1 + tree.parents[tree.geared]
+    d_gears = np.einsum("jag,gax->jgx", turned_axes[:, :, tree.geared], at.jacobians[behind])
+    d_gears += np.einsum("ga,jgax->jgx", at.axes[tree.geared], d_jacobians[:, behind])
+    half += np.einsum("jgx,g,gy->jxy", d_gears, tree.gear_inertias, at.gears)
+    d_P = np.einsum("k,jkax->jax", tree.masses, d_velocities)
+    if tree.floating:
+        half -= np.einsum("jax,ay->jxy", d_P, at.momentum) / tree.mass
     d_spin = np.einsum("jab,rb->jra", cross, at.spin_axes) * tree.on_path[tree.carriers].T[:, :, None]
     if m:
         d_B = np.einsum("jra,rax->jrx", d_spin, at.jacobians[tree.carriers])
         d_B += np.einsum("ra,jrax->jrx", at.spin_axes, d_jacobians[:, tree.carriers])
     else:
         d_B = np.zeros((n, 0, 3 + n))
-    return Derivatives(A_star=half + half.transpose(0, 2, 1) + whole, B=d_B)
+    return Derivatives(A_star=half + half.transpose(0, 2, 1) + whole, B=d_B, P=d_P)
 
 
 def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike | None = None) -> MagnusMatrices:
@@ -143,7 +171,7 @@ def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike
     u = real_array("velocity", velocity, (3 + n,), 0.0)
     at = configuration(tree, real_array("q", q, (n,), 0.0))
     C, L, regulated = tree.C, tree.L, tree.regulated
-    A = mass_matrix(at.jacobians, body_inertias(at))
+    A = mass_matrix(at, body_inertias(at))
     B = directions(at)  # (3)
     A_star = A + B.T @ np.diag(C * regulated) @ B  # (12)
     change = derivatives(at)
@@ -161,6 +189,8 @@ def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike
         G_A=momentum_slope - 0.5 * momentum_slope.T,  # (13)
         G_R=spin_slope - spin_slope.T,  # (14)
         G_root=G_root,
+        P=at.momentum,
+        S=at.moment,
     )
 
 

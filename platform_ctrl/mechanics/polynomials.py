@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import distinct, known_name, real_array
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.mechanics.linearisation import Terms, inertia_rounding, linearise, momentum_rounding
 from platform_ctrl.mechanics.matrices import inverse_inertia
@@ -107,8 +107,10 @@ def product(first: MatrixPolynomial, second: MatrixPolynomial) -> MatrixPolynomi
 
 
 def without_elements(platform: Platform) -> Platform:
-    """Return the platform without force elements."""
-    return dataclasses.replace(platform, springs=(), frictions=(), cages=(), unbalances=(), erections=())
+    """Return the platform without force elements and without weight."""
+    acting = ("springs", "frictions", "cages", "unbalances", "erections")
+    still = {name: np.zeros(3) for name in ("specific_force", "gravity")}
+    return replaced(platform, dict.fromkeys(acting, ()) | still)
 
 
 def row_polynomials(platform: Platform, q: FloatArray, terms: Terms) -> list[MatrixPolynomial]:

@@ -4,7 +4,8 @@ With p = M q̇ + M_Omega ω the gimbal rows become
 
     q̇ = M⁻¹ (p − M_Omega ω),        ṗ = Q − (G − ∂Q/∂q̇) q̇ − (K − ∂Q/∂q) q − G_Omega ω.
 
-With a free root the momenta of the root rows, P = J ω + M_Omegaᵀ q̇, are states as well.
+With a free root the momenta of the root rows, P = J ω + M_Omegaᵀ q̇, are states as well. Under gravity, which is fixed
+in space, so are the small rotations θ of a root on a pivot, θ' = ω − Omega0 × θ: δf = θ × gravity.
 
 Precession theory (15) is (19) without M q̈. Directions V that G leaves alone keep the momenta π = Vᵀ (M q̇ + M_Omega ω):
 
@@ -160,7 +161,8 @@ def state_space(
     gimbals
         Names of the gimbals of one or several subsystems; default all. Only with a prescribed root.
     specific_force
-        Whether the specific force is an input as well, for platforms with unbalance: f1 to f3 behind the others, m/s².
+        Whether the specific force is an input as well, for platforms with masses or unbalance: f1 to f3 behind the
+        others, m/s².
     others
         What becomes of gimbals that are not named: ``"held"`` at their angles of the trim, or ``"coupled"``: they must
         not be, `gimbals` have to be whole subsystems.
@@ -168,7 +170,8 @@ def state_space(
     Returns
     -------
     control.StateSpace
-        States: angles, then their momenta ``p_`` + angle (free root: then the root's momenta P1 to P3).
+        States: angles, then their momenta ``p_`` + angle (free root: then the root's momenta P1 to P3, and its
+        rotations theta1 to theta3 where gravity acts on it).
         Inputs: the torquers in the file's order, then Omega1 to Omega3 (free root: the gimbals' torquers, then M1 to
         M3). Outputs: the angles in the file's order (free root: then Omega1 to Omega3). All deviate from the trim.
 
@@ -258,6 +261,10 @@ def _free(model: LinearModel, specific_force: bool) -> NamedMatrices:
     C[:n, :n] = np.eye(n)
     C[n:, n:] = omega
     states = [*names, *(f"p_{name}" for name in names), "P1", "P2", "P3"]
+    if (falling := B[:, -3:] @ -cross_matrix(model.platform.gravity)).any():  # of δf = θ × gravity
+        A = np.block([[A, falling], [np.zeros((3, n)), omega, -turn]])
+        B, C = np.pad(B, ((0, 3), (0, 0))), np.pad(C, ((0, 0), (0, 3)))
+        states += ["theta1", "theta2", "theta3"]
     inputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES]
     return _named(A, B, C, inputs, [*names, *OMEGA_NAMES], states, specific_force)
 

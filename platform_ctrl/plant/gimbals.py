@@ -36,11 +36,24 @@ class Body(NamedTuple):
     def __or__(self, other: Body) -> Body:
         """Return the body that both together are, all in the same axes and from the same point."""
         mass = self.mass + other.mass
-        apart = self.centre - other.centre
-        reduced = self.mass * other.mass / mass if mass else 0.0  # Huygens and Steiner, of two bodies
+        reduced = self.mass * other.mass / mass if mass else 0.0
         centre = (self.mass * self.centre + other.mass * other.centre) / mass if mass else self.centre
-        across = float(apart @ apart) * np.eye(3) - np.outer(apart, apart)
-        return Body(mass, centre, self.inertia + other.inertia + reduced * across)
+        apart = _huygens(reduced, self.centre - other.centre)
+        return Body(mass, centre, self.inertia + other.inertia + apart)
+
+    def moved(self, by: FloatArray) -> Body:
+        """Return it at another place."""
+        return self._replace(centre=self.centre + by)
+
+    @property
+    def inertia_about_origin(self) -> FloatArray:
+        """The inertia about the point that `centre` counts from, (3, 3), kg m²."""
+        return self.inertia + _huygens(self.mass, self.centre)
+
+
+def _huygens(mass: float, arm: FloatArray) -> FloatArray:
+    """Return the inertia of a point mass about a point, `arm` away from it."""
+    return np.asarray(mass * (float(arm @ arm) * np.eye(3) - np.outer(arm, arm)))
 
 
 @input_value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from functools import cache
 from itertools import chain
@@ -11,14 +11,13 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer, stops_written
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.gimbals import Body, Gimbal, GimbalTree, mass_misfits
+from platform_ctrl.plant.gimbals import Body, GimbalTree, mass_misfits
 from platform_ctrl.plant.mistakes import Misfit, given, useless, wrong
 from platform_ctrl.plant.sensors import (
     AngleSensor,
@@ -405,67 +404,3 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             for key in keys if not {beside, f"{beside}_deg"} & own.keys() else ():
                 own.pop(key, None)
     return data
-
-
-# Where a part on a body is fixed, by the fields of its class.
-_BODIES = ("parent", "carrier", "body", "senses")
-
-
-def with_locked(platform: Platform, names: Sequence[str]) -> Platform:
-    """Return the platform with gimbals locked at the angle zero.
-
-    Their bodies, rotors, sensors and unbalance are then those of what carries them; what acts or measures between the
-    two is gone.
-
-    Parameters
-    ----------
-    platform
-        The platform.
-    names
-        Of gimbals.
-
-    Returns
-    -------
-    Platform
-        Without these gimbals.
-
-    Raises
-    ------
-    ArgumentError
-        The platform has no such gimbal.
-    """
-    for name in names:
-        platform = _with_one(platform, name)
-    return platform
-
-
-def _with_one(platform: Platform, name: str) -> Platform:
-    own = platform.gimbals[known_name("locked", name, platform.gimbal_names)]
-
-    def fixed(part: Any) -> Any:
-        moved: dict[str, Any] = {key: own.parent for key in _BODIES if getattr(part, key, None) == name}
-        if moved and (isinstance(part, Gimbal) or (isinstance(part, Rotor) and part.mass)):
-            moved["origin"] = part.origin + own.origin
-        return replaced(part, moved) if moved else part
-
-    changes: dict[str, Any] = {}
-    for kind in (key.field for key in shape(Platform).keys.values() if key.array is not None):
-        kept = [part for part in getattr(platform, kind) if not _between(part, name)]
-        changes[kind] = tuple(fixed(part) for part in kept)
-    # With the gimbal a geared motor's rotor stands still, too, but turns with the parent.
-    rotors = sum((one.rotor_inertia for one in platform.motors if one.gimbal == name), 0.0)
-    carried = Body(own.mass, own.origin + own.centre, own.inertia + rotors * np.outer(own.axis, own.axis))
-    whole = (platform.bodies[platform.body(own.parent)] | carried)._asdict()
-    changes["gimbals"] = tuple(replaced(g, whole) if g.name == own.parent else g for g in changes["gimbals"])
-    if own.parent == platform.root_name:
-        changes |= {f"root_{key}": item for key, item in whole.items()}
-    if platform.line_of_sight is not None:
-        changes["line_of_sight"] = fixed(platform.line_of_sight)
-    return replaced(platform, changes)
-
-
-def _between(part: Any, name: str) -> bool:
-    """Return whether a part is the gimbal itself, or acts or measures between it and its parent."""
-    if getattr(part, "gimbal", None) == name or (hasattr(part, "parent") and part.name == name):
-        return True
-    return isinstance(part, Sensor) and getattr(part, "body", None) == name and getattr(part, "frame", "") == "parent"

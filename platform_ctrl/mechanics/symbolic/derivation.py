@@ -22,6 +22,7 @@ from platform_ctrl.mechanics.symbolic.symbols import (
     SymbolNames,
     elements,
     inertia_symbols,
+    mass_symbols,
     motion_symbols,
     rotor_symbols,
 )
@@ -185,11 +186,7 @@ class _Core:
         axes, m, n = algebra.numbers(tree.axes), len(tree.carriers), len(tree.parents)
         self.B = algebra.zeros(m, 3 + n)
         for rotor, carrier in enumerate(tree.carriers):
-            spin, k = algebra.numbers(tree.spin_axes[rotor]), int(carrier) - 1
-            while k >= 0:
-                self.B[rotor, 3 + k] = spin @ axes[k]
-                spin, k = algebra.product(turned[k], spin), int(tree.parents[k])
-            self.B[rotor, :3] = spin
+            self.B[rotor] = self._direction(work, turned, axes, algebra.numbers(tree.spin_axes[rotor]), carrier)
         none = algebra.zeros(3 + n, 3 + n)
         C, L = (
             np.array([none[0, 0] if k is None else algebra.symbol(k) for k in some], dtype=object)
@@ -203,25 +200,53 @@ class _Core:
             self.A = algebra.at_zero(self.A)
         self.A_star = self.A + self.BtA_RB
 
+    def _direction(self, work: _Derivation, turned: list[Array], axes: Array, axis: Array, body: int) -> Array:
+        """Return the rate of a body about an axis that is fixed in it, by [Omega, q̇]: a row of B (3)."""
+        out, k = self.algebra.zeros(3 + len(axes)), int(body) - 1
+        while k >= 0:
+            out[3 + k] = axis @ axes[k]
+            axis, k = self.algebra.product(turned[k], axis), int(work.tree.parents[k])
+        out[:3] = axis
+        return out
+
     def _mass(self, work: _Derivation, turned: list[Array], axes: Array) -> Array:
         tree, algebra = work.tree, self.algebra
         n = len(tree.parents)
-        forms = algebra.zeros(1 + n, 3, 3)
+        forms, joints, moments = algebra.zeros(1 + n, 3, 3), algebra.zeros(n, 3), algebra.zeros(1 + n, 3)
         for place, (_, (body, i, j)) in enumerate(work.inertias):
             forms[body, i, j] = forms[body, j, i] = algebra.symbol(place)
-        carried = [*forms]
+        others = {at: algebra.symbol(place) for place, (_, at) in enumerate(work.masses, len(work.inertias))}
+        for (kind, k, i), symbol in others.items():
+            if kind in ("moment", "joint"):
+                (moments[1 + k] if kind == "moment" else joints[k])[i] = symbol
+        # Inertia and first moment of what each body carries, about its joint, in its axes.
+        J, S = [*forms], [*moments]
         for k in reversed(tree.order):
-            half = algebra.product(turned[k], carried[1 + k])
-            above = 1 + int(tree.parents[k])
-            carried[above] = carried[above] + algebra.product(half, turned[k].T) - forms[1 + k]
-        out = algebra.zeros(3 + n, 3 + n)
-        out[:3, :3] = carried[0]
+            above, d = 1 + int(tree.parents[k]), joints[k]
+            change = algebra.product(turned[k], S[1 + k]) - moments[1 + k]
+            both = np.outer(d, change)
+            whole = algebra.product(algebra.product(turned[k], J[1 + k]), turned[k].T) - forms[1 + k]
+            J[above] = J[above] + whole - both - both.T + np.diag([d @ change + d @ change] * 3)
+            S[above] = S[above] + change
+        out, P = algebra.zeros(3 + n, 3 + n), algebra.zeros(3, 3 + n)
+        out[:3, :3] = J[0]
+        P[:, :3] = np.array([_cross(axis, S[0]) for axis in algebra.numbers(np.eye(3))], dtype=object).T
         for k in range(n):
-            momentum, i = carried[1 + k] @ axes[k], k
+            momentum, push, i = J[1 + k] @ axes[k], _cross(axes[k], S[1 + k]), k
             while i >= 0:
                 out[3 + i, 3 + k] = out[3 + k, 3 + i] = momentum @ axes[i]
-                momentum, i = algebra.product(turned[i], momentum), int(tree.parents[i])
+                momentum, push = algebra.product(turned[i], momentum), algebra.product(turned[i], push)
+                momentum, i = momentum + _cross(joints[i], push), int(tree.parents[i])
             out[:3, 3 + k] = out[3 + k, :3] = momentum
+            P[:, 3 + k] = push
+        for (kind, j, _), symbol in others.items():
+            if kind == "motor":
+                k = int(tree.geared[j])
+                b = self._direction(work, turned, axes, axes[k], 1 + int(tree.parents[k]))
+                b[3 + k] = b[3 + k] + algebra.numbers(tree.gears[j : j + 1])[0]
+                out = out + np.outer(b, b) * symbol
+            if kind == "whole":
+                out = out - algebra.product(P.T, P) * symbol
         return algebra.cut(out)
 
 
@@ -236,9 +261,12 @@ class _Derivation:
         names = SymbolNames()
         self.motion = motion = motion_symbols(platform, names)
         self.inertias = inertia_symbols(platform, tree, names)
+        self.masses = mass_symbols(platform, tree, names)
         C, L = rotor_symbols(platform, names)
         self._elements, self._notes = elements(platform, names)
-        self.known = [symbol for symbol, _ in self.inertias] + [one for one in C if one is not None] + L
+        self.known = (
+            [symbol for symbol, _ in (*self.inertias, *self.masses)] + [one for one in C if one is not None] + L
+        )
         self.known += [one.symbol for one in self._elements]
         places = {symbol.name: k for k, symbol in enumerate(self.known)}
         self.C = [None if one is None else places[one.name] for one in C]
@@ -367,6 +395,10 @@ class _Derivation:
     def _written(self, core: _Core, row: dict[int | None, Polynomial]) -> RowTerms:
         variables = {None: sympy.S.One} | dict(enumerate(self._symbols))
         return tuple((core.algebra.written(p), variables[at]) for at, p in row.items() if p)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.array([a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))], dtype=object)
 
 
 def _gyroscopic(core: _Core, n: int) -> Array:

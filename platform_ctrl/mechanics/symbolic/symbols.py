@@ -18,9 +18,11 @@ from sympy.polys.rings import PolyRing
 
 from platform_ctrl.common.text import dotted
 from platform_ctrl.common.values import FloatArray, replaced, value
-from platform_ctrl.mechanics.forces import ForceElements
+from platform_ctrl.mechanics.forces import ForceElements, specific_force_at
 from platform_ctrl.mechanics.kinematics import Topology, cross_matrix, kinematics
+from platform_ctrl.mechanics.matrices import derivatives
 from platform_ctrl.mechanics.polynomials import without_elements
+from platform_ctrl.plant.gimbals import Body
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 Kind = Literal["inertia", "axial inertia", "momentum", "element", "torque", "root", "acceleration", "rate", "angle"]
@@ -124,11 +126,9 @@ def inertia_symbols(
     platform: Platform, tree: Topology, names: SymbolNames
 ) -> list[tuple[NamedSymbol, tuple[int, int, int]]]:
     """Return the symbols of what turns with each body at zero angles, without C; their body (0: all), row, column."""
-    composites: FloatArray = tree.inertias.copy()
-    for k in reversed(tree.order):
-        composites[1 + tree.parents[k]] += composites[1 + k]
     out = []
-    for body, S in enumerate(composites):
+    for body, composite in enumerate(_composites(tree)):
+        S = composite.inertia_about_origin
         label = "" if body == 0 else platform.gimbals[body - 1].name
         of = "the whole platform" if body == 0 else f"all that turns with gimbal {label}"
         along = np.flatnonzero(platform.gimbals[body - 1].axis).tolist() if body else []
@@ -142,6 +142,44 @@ def inertia_symbols(
             shown = joined("J", part) if body == 0 else joined("J", label, "" if i == j == own else part)
             symbol = names.symbol(shown, "inertia", f"{about} of {of}", "kg m²", float(S[i, j]))
             out.append((symbol, (body, i, j)))
+    return out
+
+
+def _composites(tree: Topology) -> list[Body]:
+    """Return what turns with each body at zero angles, from the body's joint."""
+    out = [Body(float(m), c, inertia) for m, c, inertia in zip(tree.masses, tree.centres, tree.inertias, strict=True)]
+    for k in reversed(tree.order):
+        out[1 + tree.parents[k]] |= out[1 + k].moved(tree.joints[k])
+    return out
+
+
+def mass_symbols(
+    platform: Platform, tree: Topology, names: SymbolNames
+) -> list[tuple[NamedSymbol, tuple[Literal["moment", "joint", "motor", "whole"], int, int]]]:
+    """Return the symbols of first moments, joints, geared rotors and 1/m, and what they are: kind, number, axis."""
+    out: list[tuple[NamedSymbol, tuple[Literal["moment", "joint", "motor", "whole"], int, int]]] = []
+
+    def listed(kind: Literal["moment", "joint"], k: int, head: str, words: str, unit: str, vector: FloatArray) -> None:
+        label = "" if k < 0 else platform.gimbals[k].name
+        for i in np.flatnonzero(np.abs(vector) > _ZERO * np.abs(vector).max()).tolist():
+            meaning = f"{words.format(label)} along axis {i + 1}"
+            symbol = names.symbol(joined(head, label, f"{i + 1}"), "inertia", meaning, unit, float(vector[i]))
+            out.append((symbol, (kind, k, i)))
+
+    composites = _composites(tree)
+    for k in range(-1 if tree.floating else 0, len(tree.joints)):
+        of = "the whole platform" if k < 0 else "all that turns with gimbal {}"
+        body = composites[1 + k]
+        listed("moment", k, "S", f"first moment of {of}", "kg m", body.mass * body.centre)
+    for k, joint in enumerate(tree.joints):
+        listed("joint", k, "d", "joint of gimbal {} from that of its parent", "m", joint)
+    for j, (k, J) in enumerate(zip(tree.geared, tree.gear_inertias, strict=True)):
+        label = platform.gimbals[k].name
+        meaning = f"inertia of the motor's rotor at gimbal {label}"
+        out.append((names.symbol(joined("Jm", label), "inertia", meaning, "kg m²", float(J)), ("motor", j, 0)))
+    if tree.floating:
+        meaning = "reciprocal of the whole platform's mass"
+        out.append((names.symbol("w", "inertia", meaning, "1/kg", 1.0 / tree.mass), ("whole", 0, 0)))
     return out
 
 
@@ -171,7 +209,7 @@ class Element(NamedTuple):
 
 def elements(platform: Platform, names: SymbolNames) -> tuple[list[Element], list[str]]:
     """Return the force elements about zero angles, under the platform's specific force, and notes."""
-    n, f = len(platform.gimbals), platform.specific_force
+    n, f = len(platform.gimbals), specific_force_at(platform)
     out, notes = list[Element](), list[str]()
     for friction in platform.frictions:
         if any(friction.breakaway):
@@ -203,6 +241,11 @@ def elements(platform: Platform, names: SymbolNames) -> tuple[list[Element], lis
             if size and any(part.any() for part in parts):
                 symbol = names.symbol(joined(head, label), "element", meaning.format(label), unit, size)
                 out.append(Element(symbol, *(part / size for part in parts)))
+    change, P = derivatives(at).P[:, :, 3:], at.momentum[:, 3:]
+    if f.any() and (P.any() or change.any()) and not at.tree.floating:
+        size = float(np.linalg.norm(f))
+        symbol = names.symbol("f", "element", "size of the specific force of the root's origin", "m/s²", size)
+        out.append(Element(symbol, np.einsum("a,jak->kj", f / size, change), np.zeros((n, n)), P.T @ f / size))
     return out, notes
 
 
