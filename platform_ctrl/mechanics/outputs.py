@@ -109,6 +109,11 @@ class _Signals:
             self.rows[name] = shown[k]
             if name not in OMEGA_NAMES:
                 self.rows[gimbal_rate(name)] = whole[k]
+        for mode in platform.modes:
+            self.rows |= dict.fromkeys((mode.name, mode.rate), np.zeros(n + m))
+            if mode.name in system.state_labels:
+                place = system.state_labels.index(mode.name)
+                self.rows |= {mode.name: np.eye(1, n + m, place)[0], mode.rate: whole[place]}
         self.rates: dict[str, FloatArray] = {}
         self._add_bodies(configuration(topology(platform), q))
 

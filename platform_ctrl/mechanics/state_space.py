@@ -217,56 +217,101 @@ def linear_system(
     chosen = [model.gimbal_names[k] for k in rows]
     torquers, torque_map = gimbal_torquers(model, chosen)
     part = np.ix_(rows, rows)
-    M, G, K = (one[part] for one in _coefficients(model))
-    M_Omega, G_Omega = model.M_Omega[rows], model.G_Omega[rows]
-    n = len(rows)
+    names, (M, G, K), (M_Omega, G_Omega, Q_force), torque_map = _with_modes(
+        model,
+        names,
+        [one[part] for one in _coefficients(model)],
+        (model.M_Omega[rows], model.G_Omega[rows], model.Q_force[rows]),
+        torquers,
+        torque_map,
+    )
+    n = len(names)
     mobility = inverse_inertia(M, names)
     A = np.block([[np.zeros((n, n)), mobility], [-K, -G @ mobility]])
     B = np.block(
         [
             [np.zeros((n, len(torquers))), -mobility @ M_Omega, np.zeros((n, 3))],
-            [torque_map, G @ mobility @ M_Omega - G_Omega, model.Q_force[rows]],
+            [torque_map, G @ mobility @ M_Omega - G_Omega, Q_force],
         ]
     )
-    C = np.hstack([np.eye(n), np.zeros((n, n))])
+    C = np.eye(len(rows), 2 * n)
     inputs = [*torquers, *OMEGA_NAMES, *FORCE_NAMES]
-    return _named(A, B, C, inputs, names, [*names, *(f"p_{name}" for name in names)], specific_force)
+    states = [*names, *(f"p_{name}" for name in names)]
+    return _named(*_modes_last(A, B, C, states, len(rows), n), inputs, names[: len(rows)], specific_force)
+
+
+def _with_modes(
+    model: LinearModel,
+    names: list[str],
+    square: Sequence[FloatArray],
+    wide: Sequence[FloatArray],
+    torquers: list[str],
+    torque_map: FloatArray,
+) -> tuple[list[str], list[FloatArray], list[FloatArray], FloatArray]:
+    """Return names, M, damping and stiffness, what Omega and the specific force do, and torques, modes behind gimbals.
+
+    A mode is one more coordinate: unit mass, 2 ζ ω and ω², Γ in M_Omega, −Γ_f in Q_force and φ in the torques.
+    """
+    modes = [m for m in model.platform.modes if m.base.any() or m.base_force.any() or m.of(torquers).any()]
+    k = len(modes)
+    frequency = np.array([m.frequency for m in modes])
+    own = (np.ones(k), 2.0 * np.array([m.damping for m in modes]) * frequency, frequency**2)
+    corner = np.zeros((len(names), k))
+    squares = [
+        np.block([[one, corner], [corner.T, np.diag(diagonal)]]) for one, diagonal in zip(square, own, strict=True)
+    ]
+    rows = [np.array([m.base for m in modes]), np.zeros((k, 3)), -np.array([m.base_force for m in modes])]
+    wides = [np.vstack([one, row.reshape(k, 3)]) for one, row in zip(wide, rows, strict=True)]
+    shapes = np.array([m.of(torquers) for m in modes]).reshape(k, len(torquers))
+    return [*names, *(m.name for m in modes)], squares, wides, np.vstack([torque_map, shapes])
+
+
+def _modes_last(
+    A: FloatArray, B: FloatArray, C: FloatArray, states: list[str], gimbals: int, n: int
+) -> tuple[FloatArray, FloatArray, FloatArray, list[str]]:
+    """Return a system whose n angles and modes and their momenta are states: angles, momenta, others, then modes."""
+    order = [*range(gimbals), *range(n, n + gimbals), *range(2 * n, len(states))]
+    order += [at + k for k in range(gimbals, n) for at in (0, n)]
+    return A[np.ix_(order, order)], B[order], C[:, order], [states[k] for k in order]
 
 
 def _free(model: LinearModel, specific_force: bool) -> NamedMatrices:
-    n = len(model.gimbal_names)
-    names = list(model.angle_names)
+    gimbals = len(model.gimbal_names)
     torquers, torque_map = gimbal_torquers(model, list(model.gimbal_names))
-    inertia = np.block([[model.M, model.M_Omega], [model.M_Omega.T, model.root_inertia]])
-    to_rates = inverse_inertia(inertia, (*names, *OMEGA_NAMES))
+    square, wide = (model.M, model.damping, model.stiffness), (model.M_Omega, model.G_Omega, model.Q_force)
+    names, (M, damping, stiffness), (M_Omega, G_Omega, Q_force), torque_map = _with_modes(
+        model, list(model.angle_names), square, wide, torquers, torque_map
+    )
+    n = len(names)
+    to_rates = inverse_inertia(np.block([[M, M_Omega], [M_Omega.T, model.root_inertia]]), (*names, *OMEGA_NAMES))
     q_dot, omega = to_rates[:n], to_rates[n:]
     turn = cross_matrix(model.Omega0)
     # Root rows: δp = P − G_Omegaᵀ q, and d(δp)/dt + Omega0 × δp + ω × p0 = δM.
-    root_rates = model.G_Omega.T @ q_dot - turn @ np.hstack([np.zeros((3, n)), np.eye(3)])
+    root_rates = G_Omega.T @ q_dot - turn @ np.eye(3, n + 3, n)
     root_rates += cross_matrix(model.root_momentum) @ omega
     A = np.zeros((2 * n + 3, 2 * n + 3))
     A[:n, n:] = q_dot
-    A[n : 2 * n, :n] = -model.stiffness
-    A[n : 2 * n, n:] = -model.damping @ q_dot - model.G_Omega @ omega
-    A[2 * n :, :n] = turn @ model.G_Omega.T + model.M_angle
+    A[n : 2 * n, :n] = -stiffness
+    A[n : 2 * n, n:] = -damping @ q_dot - G_Omega @ omega
+    A[2 * n :, :n] = turn @ G_Omega.T + np.pad(model.M_angle, ((0, 0), (0, n - gimbals)))
     A[2 * n :, n:] = root_rates
     if model.terms == "paper":
         # J Omega Omega is dropped with G_A: the root's momentum P turns no further.
-        A[2 * n :, n:] += turn @ np.hstack([np.zeros((3, n)), np.eye(3)])
+        A[2 * n :, n:] += turn @ np.eye(3, n + 3, n)
     B = np.zeros((2 * n + 3, len(torquers) + 6))
     B[n : 2 * n, : len(torquers)] = torque_map
     B[2 * n :, len(torquers) : -3] = np.eye(3)
-    B[n:, -3:] = np.vstack([model.Q_force, model.M_force])
-    C = np.zeros((n + 3, 2 * n + 3))
-    C[:n, :n] = np.eye(n)
-    C[n:, n:] = omega
+    B[n:, -3:] = np.vstack([Q_force, model.M_force])
+    C = np.zeros((gimbals + 3, 2 * n + 3))
+    C[:gimbals, :gimbals] = np.eye(gimbals)
+    C[gimbals:, n:] = omega
     states = [*names, *(f"p_{name}" for name in names), "P1", "P2", "P3"]
     if (falling := B[:, -3:] @ -cross_matrix(model.platform.gravity)).any():  # of δf = θ × gravity
         A = np.block([[A, falling], [np.zeros((3, n)), omega, -turn]])
         B, C = np.pad(B, ((0, 3), (0, 0))), np.pad(C, ((0, 0), (0, 3)))
         states += ["theta1", "theta2", "theta3"]
-    inputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES]
-    return _named(A, B, C, inputs, [*names, *OMEGA_NAMES], states, specific_force)
+    inputs, outputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES], [*model.angle_names, *OMEGA_NAMES]
+    return _named(*_modes_last(A, B, C, states, gimbals, n), inputs, outputs, specific_force)
 
 
 def named_rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
@@ -307,9 +352,9 @@ def _named(
     A: FloatArray,
     B: FloatArray,
     C: FloatArray,
+    states: list[str],
     inputs: list[str],
     outputs: list[str],
-    states: list[str],
     specific_force: bool,
 ) -> NamedMatrices:
     """Put names to a system whose last three inputs are the specific force, wanted or not."""

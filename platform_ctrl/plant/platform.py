@@ -16,10 +16,13 @@ from platform_ctrl.common.values import input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer, stops_written
+from platform_ctrl.plant.flexible import FlexibleMode
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.gimbals import Body, GimbalTree, mass_misfits
 from platform_ctrl.plant.mistakes import Misfit, given, useless, wrong
 from platform_ctrl.plant.sensors import (
+    LOS_ANGLES,
+    LOS_RATES,
     AngleSensor,
     AttitudeSensor,
     LineOfSight,
@@ -244,6 +247,7 @@ class Platform(GimbalTree):
     unbalances: Annotated[tuple[Unbalance, ...], Array("unbalance", most=MOST_PARTS)] = ()
     erections: Annotated[tuple[Erection, ...], Array("erection", most=MOST_PARTS)] = ()
     motors: Annotated[tuple[Motor, ...], Array("motor", most=MOST_PARTS)] = ()
+    modes: Annotated[tuple[FlexibleMode, ...], Array("mode", most=MOST_PARTS, unique=("name",))] = ()
     specific_force: Annotated[fields.Vector, InTable("root", "specific_force")] = field(
         default_factory=fields.zero_vector
     )
@@ -289,8 +293,33 @@ class Platform(GimbalTree):
 
         Each is a sum of signals of the plant, given by their dimensionless weights (see `platform_ctrl.plant.sensors`).
         """
-        out = {sensor.name: sensor.signals(self) for sensor in self.sensors}
-        return out if self.line_of_sight is None else out | {**self.line_of_sight.signals(self)}
+        out = {sensor.name: self.reading(sensor) for sensor in self.sensors}
+        if self.line_of_sight is None:
+            return out
+        sight = self.line_of_sight.signals(self)
+        angles = {name: self._swung(name, "rad") for name in LOS_ANGLES}
+        rates = {name: self._swung(angle, "rad/s") for name, angle in zip(LOS_RATES, LOS_ANGLES, strict=True)}
+        return out | {name: {**signals, **(angles | rates)[name]} for name, signals in sight.items()}
+
+    def reading(self, sensor: Sensor) -> Mapping[str, float]:
+        """Return what a sensor reads, its part of the modes included: weights of signals of the plant.
+
+        Parameters
+        ----------
+        sensor
+            One of `sensors`.
+
+        Returns
+        -------
+        mapping
+            Weights, dimensionless; of a mode 1/sqrt(kg m²).
+        """
+        return {**sensor.signals(self), **self._swung(sensor.name, sensor.unit)}
+
+    def _swung(self, name: str, unit: str) -> dict[str, float]:
+        """Return what an angle or a rate has of the modes."""
+        shares = {(m.rate if unit == "rad/s" else m.name): m.participation.get(name, 0.0) for m in self.modes}
+        return {signal: share for signal, share in shares.items() if share}
 
     @property
     def carriers(self) -> NDArray[np.intp]:

@@ -18,12 +18,14 @@ from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
 from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, plant_data
+from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.plant.source import InputData, is_shipped_name, open_file, open_mapping, open_shipped, path_of
 from platform_ctrl.plant.tables import Key, Shape, made, read_table, references, shape
 
 # Which signal of its own each table names.
 _SIGNALS = {
     "gimbal": "angle",
+    "mode": "coordinate",
     "torquer": "torque",
     "rate_sensor": "rate",
     "angle_sensor": "reading",
@@ -99,7 +101,13 @@ def judge_plant(document: InputData) -> tuple[Platform | None, list[Mistake]]:
     if mistakes := _tree_mistakes(parts):
         return None, mistakes
     platform = Platform(**parts)
-    mistakes = [*_masses(platform, data), *_relative_rates(platform), *_line_of_sight(platform), *_signals(platform)]
+    mistakes = [
+        *_masses(platform, data),
+        *_relative_rates(platform),
+        *_line_of_sight(platform),
+        *_signals(platform),
+        *_modes(platform),
+    ]
     return (None, mistakes) if mistakes else (platform, [])
 
 
@@ -243,6 +251,20 @@ def _line_of_sight(platform: Platform) -> Iterator[Mistake]:
         yield Mistake(("line_of_sight", "direction"), words)
 
 
+def _modes(platform: Platform) -> Iterator[Mistake]:
+    """Yield modes in which nothing takes part that the platform has."""
+    known = [*(one.name for one in platform.torquers), *(one.name for one in platform.sensors)]
+    known += LOS_ANGLES if platform.line_of_sight is not None else ()
+    for k, mode in enumerate(platform.modes):
+        for name in mode.participation:
+            if name not in known:
+                words = f"{given(name)} is no torquer, sensor or line-of-sight angle of the plant"
+                yield Mistake(("mode", k, "participation"), f"participation: {words}; {suggestion(name, known)}")
+        if platform.mode == "floating" and mode.base_force.any():
+            words = "base_force has no effect on a floating root, whose acceleration follows from the forces; "
+            yield Mistake(("mode", k, "base_force"), f"{words}leave it out")
+
+
 def _signals(platform: Platform) -> Iterator[Mistake]:
     """Angles, torques and rates are inputs and outputs of one system: no name twice."""
     of_root, rate = "a torque about a root axis", "a platform rate"
@@ -263,6 +285,8 @@ def _signal_names(platform: Platform) -> Iterator[tuple[Path, str, str, str]]:
     """Yield the path of each part, its key for the name, the name, and what it is by default."""
     for k, one in enumerate(platform.gimbals):
         yield ("gimbal", k), "angle", one.angle, default_angle(one.name)
+    for k, mode in enumerate(platform.modes):
+        yield ("mode", k), "name", mode.name, ""
     for k, torquer in enumerate(platform.torquers):
         yield ("torquer", k), "name", torquer.name, default_torquer(torquer.gimbal, torquer.root_axis)
     for kind, sensors in (("rate_sensor", platform.rate_sensors), ("attitude_sensor", platform.attitude_sensors)):

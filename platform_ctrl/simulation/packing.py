@@ -121,6 +121,8 @@ class _Parts:
             tuple([c.gimbal for c in p.cages]),
             tuple([u.body for u in p.unbalances]),
             tuple([(e.gimbal, e.senses, _bytes(e.axis)) for e in p.erections]),
+            # How a sensor sees a mode is part of what it reads.
+            tuple([(m.name, *(m.participation.get(name, 0.0) for name in p.outputs)) for m in p.modes]),
         )
 
     def __hash__(self) -> int:
@@ -160,6 +162,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
             )
     terms = [_terms(platform, frames, signals) for signals in platform.outputs.values()]
     many, turns = len(platform.sensors), 5 * len(tree.parents) + 6
+    modes = turns + 3 * len(tree.parents) + 3
     controls = tuple(r.control for r in platform.rotors)
     servos = tuple(k for k, control in enumerate(controls) if control == "servo")
     carriers = tuple(tree.carriers.tolist())
@@ -179,7 +182,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
         cages=tuple(gimbal(one.gimbal) for one in platform.cages),
         sensors=tuple(terms[:many]),
         sight=tuple(terms[many:]),
-        turned=any(index >= turns for one in terms for index, _ in one),
+        turned=any(turns <= index < modes for one in terms for index, _ in one),
         targets=tuple(
             t.root_axis - 1 if t.root_axis is not None else 3 + gimbal(str(t.gimbal)) for t in platform.torquers
         ),
@@ -191,6 +194,8 @@ def _terms(platform: Platform, frames: FloatArray, signals: Mapping[str, float])
     """Terms of a sum of signals; vectors of a body are turned into the kernel's axes."""
     angles = platform.angle_names
     place = {name: k for k, name in enumerate((*angles, *OMEGA_NAMES, *map(gimbal_rate, angles)))}
+    first = 8 * len(angles) + 9
+    place |= {name: first + k for k, name in enumerate(name for m in platform.modes for name in (m.name, m.rate))}
     weights: dict[int, float] = {}
     for name, weight in signals.items():
         if name in place:
@@ -245,19 +250,23 @@ def _links(
 
 def _at(platform: Platform, n: int, servos: int) -> At:
     laws = sum({1 << _LAWS[friction.law] for friction in platform.dry_frictions})
-    bare = 2 * n + 7 + 2 * servos
+    modes, torquers = len(platform.modes), len(platform.torquers)
+    swings = 2 * n + 7 + 2 * servos
+    bare = swings + 2 * modes
     keeps = bare if laws > 1 << arrays.SMOOTH else 0
     size = bare + (n * arrays.FRICTION if keeps else 0)
     body = 0
     joint = body + (1 + n) * arrays.BODY
     servo = joint + n * arrays.JOINT
     erection = servo + servos * arrays.SERVO
-    work = erection + len(platform.erections) * arrays.ERECTION
-    during = work + (1 + n) * arrays.WORK
+    mode = erection + len(platform.erections) * arrays.ERECTION
+    work = mode + modes * (arrays.SHAPE + torquers)
+    swing = work + (1 + n) * arrays.WORK
+    during = swing + modes
     stages = during + (1 + n * arrays.DURING if keeps else 0)
     state = stages + 3 * size
     surroundings = state + size
-    block = arrays.slots_of_block(n)
+    block = arrays.slots_of_block(n, modes)
     spare = surroundings + 3 * block
     return At(
         yes=True,
@@ -266,6 +275,8 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         servos=servos,
         size=size,
         joints=bool(platform.springs or platform.frictions or platform.cages),
+        modes=modes,
+        torquers=torquers,
         dry=laws,
         cages=bool(platform.cages),
         weight=bool(platform.unbalances or platform.erections),
@@ -274,8 +285,11 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         joint=joint,
         servo=servo,
         erection=erection,
+        swings=swings,
+        mode=mode,
         keeps=keeps,
         work=work,
+        swing=swing,
         during=during,
         stages=stages,
         state=state,
@@ -322,7 +336,14 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
             (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, _or_infinite(r.torque_limit))
             for r in (p.rotors[k] for p in platforms)
         ]
-    erections = constants[:, at.erection : at.work].reshape(N, -1, arrays.ERECTION)
+    modes = constants[:, at.mode : at.work].reshape(N, at.modes, arrays.SHAPE + at.torquers)
+    torquers = [torquer.name for torquer in platforms[0].torquers]
+    for j in range(at.modes):
+        modes[:, j] = [
+            (m.frequency**2, 2.0 * m.damping * m.frequency, *m.base, *m.base_force, *m.of(torquers))
+            for m in (p.modes[j] for p in platforms)
+        ]
+    erections = constants[:, at.erection : at.mode].reshape(N, len(platforms[0].erections), arrays.ERECTION)
     for j, device in enumerate(platforms[0].erections):
         erections[:, j, :3] = frames[shape.links.erection[j, 1]] @ device.axis
         erections[:, j, 3:] = [(one.gain, _or_infinite(one.limit)) for one in (p.erections[j] for p in platforms)]
@@ -400,6 +421,10 @@ def with_rotor_states(
     """
     at, first = plant.at, states.shape[1]
     out = np.concatenate([states, np.zeros((len(states), at.size - first))], axis=1)
+    if at.modes:  # at rest in a platform that turns
+        modes = plant.constants[at.mode : at.work].reshape(at.modes, -1)
+        momenta = states[:, at.n : at.n + 3] @ modes[:, arrays.BASE : arrays.BASE_FORCE].T
+        out[:, at.swings + 1 : at.swings + 2 * at.modes : 2] = momenta
     if at.keeps:
         rows = plant.constants[at.joint : at.servo].reshape(-1, arrays.JOINT)
         side = np.sign(states[:, at.n + 3 : 2 * at.n + 3])

@@ -235,7 +235,7 @@ def states(scenarios: Sequence[Scenario], packed: Packed) -> FloatArray:
     attitudes = unit_quaternions([s.attitude for s in scenarios], (len(scenarios), 4))
     rows = [np.array([getattr(s, name) for s in scenarios]) for name in ("q", "Omega", "rate")]
     states = np.concatenate([*rows, attitudes], axis=1)
-    if packed.at.servos == 0 and packed.at.keeps == 0:
+    if packed.at.size == states.shape[1]:
         return states
     spins = [[r.spin for r in servo_rotors(s.platform)] if s.spin is None else s.spin for s in scenarios]
     inertias = [[r.axial_inertia for r in servo_rotors(s.platform)] for s in scenarios]

@@ -75,7 +75,9 @@ class Shared(NamedTuple):
     # (ny, 6), and behind the sensors the rates and angles of the line of sight. Every array of this tuple makes calls
     # of compiled functions slower by some percent of a run.
     sensors: NDArray[np.int64]
-    signals: NDArray[np.int64]  # (terms,): index into [q, Omega, rates, bodies' rates, bodies' rotations]
+    signals: NDArray[
+        np.int64
+    ]  # (terms,): index into [q, Omega, rates, bodies' rates, bodies' rotations, η and η̇ in turn]
     weights: FloatArray  # (terms,)
     targets: NDArray[np.int64]  # (nu,): index into [M, Q]
     faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
@@ -172,6 +174,8 @@ SLIDING, HELD_BY, DEFLECTION, FRICTION = 0, 1, 0, 2
 BEGUN, TURNS, HAD, DURING = 0, 1, 2, 3
 # Slots of a servo rotor's constants: spin axis in the carrier's axes; then these.
 C, SPIN, GAIN, INTEGRAL, TORQUE_LIMIT, SERVO = 3, 4, 5, 6, 7, 8
+# Slots of a mode's constants: ω², 2 ζ ω; Γ; Γ_f; then φ of every torquer.
+SQUARE, DAMPING, BASE, BASE_FORCE, SHAPE = 0, 1, 2, 5, 8
 # Slots of an erection's constants: sensing axis; then these.
 ERECTION_GAIN, ERECTION_LIMIT, ERECTION = 3, 4, 5
 
@@ -203,6 +207,8 @@ class At(NamedTuple):
     servos: int
     size: int  # of the state
     joints: int  # whether springs, friction or cages act at all
+    modes: int  # of the structure
+    torquers: int  # that may excite them
     dry: int  # the laws of dry friction that there are, 1 << LAW of each
     cages: int
     weight: int  # whether specific force and unbalance or erections act
@@ -211,8 +217,11 @@ class At(NamedTuple):
     joint: int
     servo: int
     erection: int
+    swings: int  # where in the state the modes are: η and its momentum η̇ + Γ·Omega of each
+    mode: int
     keeps: int  # where in the state the joints' frictions are; 0: none keeps anything
     work: int
+    swing: int  # η̇ of the modes at the last state that was looked at
     during: int  # time since the step began; then what every joint's friction needs during a step
     stages: int  # three states: at, derivative, total
     state: int
@@ -223,10 +232,10 @@ class At(NamedTuple):
     end: int
 
 
-# A block of the surroundings: [M, Q], Omega, specific force, and of every body its rotors' momentum and how fast that
-# changes. Where the parts begin:
+# A block of the surroundings: [M, Q], Omega, specific force, of every body its rotors' momentum and how fast that
+# changes, and what the torquers excite the modes with. Where the parts begin:
 
 
-def slots_of_block(n: int) -> int:
-    """Return the number of slots of a block of the surroundings of n gimbals."""
-    return 7 * n + 15
+def slots_of_block(n: int, modes: int = 0) -> int:
+    """Return the number of slots of a block of the surroundings of n gimbals and of modes, which are the last."""
+    return 7 * n + 15 + modes

@@ -121,6 +121,14 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
         target = T + shared.targets[i]
         torque = load(mem, layout.torquer + i * arrays.TORQUER + arrays.TORQUE, lane)
         store(mem, target, lane, load(mem, target, lane) + torque)
+    for j in range(at.modes):
+        shape, total = at.mode + j * (arrays.SHAPE + at.torquers) + arrays.SHAPE, 0.0 * load(mem, T, lane)
+        for i in range(at.torquers):
+            slot = layout.torquer + i * arrays.TORQUER
+            # Modes deviate from how the structure is bent in equilibrium.
+            torque = load(mem, slot + arrays.TORQUE, lane) - load(mem, slot + arrays.EQUILIBRIUM, lane)
+            total = total + load(mem, shape + i, lane) * torque
+        store(mem, T + at.block - at.modes + j, lane, total)
 
 
 @inlined

@@ -49,6 +49,7 @@ from platform_ctrl.simulation.kernel.arrays import At, Links
 from platform_ctrl.simulation.kernel.forces import (
     erection_torques,
     joint_torque,
+    mode_derivatives,
     servo_drives,
     servo_momenta,
     stand_still,
@@ -322,6 +323,8 @@ def derivative(
             servo_drives(links, mem, lane, at, at.no, y, dy)
         for i in range(3):
             store(mem, dy + n + i, lane, 0.0 * load(mem, y + n + i, lane))
+    if at.modes != 0:
+        mode_derivatives(mem, lane, at, y, around, dy)
     _turn(mem, lane, at, y, dy)
 
 

@@ -49,7 +49,7 @@ def turn_bodies(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout
 
 @inlined
 def _signal(at: At, layout: Layout, index: int) -> int:
-    """Slot of an entry of [q, Omega, rates, bodies' rates, bodies' rotations]."""
+    """Slot of an entry of [q, Omega, rates, bodies' rates, bodies' rotations, modes and their rates in turn]."""
     n = at.n
     if index < n:
         return at.state + index
@@ -58,7 +58,10 @@ def _signal(at: At, layout: Layout, index: int) -> int:
     if index < 5 * n + 6:
         body, axis = (index - 2 * n - 3) // 3, (index - 2 * n - 3) % 3
         return at.work + body * arrays.WORK + arrays.RATE + axis
-    return layout.turns + index - 5 * n - 6
+    if index < 8 * n + 9:
+        return layout.turns + index - 5 * n - 6
+    mode = (index - 8 * n - 9) // 2
+    return at.swing + mode if (index - 8 * n - 9) % 2 else at.swings + at.state + 2 * mode
 
 
 @inlined

@@ -1,0 +1,129 @@
+"""Modes of the structure in linear models and runs, against closed forms: two inertias on a shaft, a shaken base."""
+
+import control
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import analysis, simulation
+from platform_ctrl.mechanics.outputs import observed
+
+J1, J2, K, C = 0.02, 0.05, 300.0, 0.04
+OMEGA = np.sqrt(K * (1 / J1 + 1 / J2))
+ZETA = 0.5 * C / K * OMEGA
+MOTOR, LOAD = np.sqrt(J2 / (J1 * (J1 + J2))), -np.sqrt(J1 / (J2 * (J1 + J2)))
+
+
+def drive(**mode):
+    """A motor and a load on a shaft as one rigid gimbal and its mode; encoders on both sides, a gyro on the load."""
+    gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, J1 + J2], "angle": "q"}
+    shapes = {"Q": MOTOR, "motor": MOTOR, "load": LOAD, "gyro": LOAD}
+    return {
+        "schema": 1,
+        "name": "drive",
+        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
+        "gimbal": [gimbal],
+        "torquer": [{"gimbal": "g", "name": "Q"}],
+        "angle_sensor": [{"name": "motor", "gimbal": "g"}, {"name": "load", "gimbal": "g"}],
+        "rate_sensor": [{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
+        "mode": [{"name": "shaft", "frequency": OMEGA, "damping": ZETA, "participation": shapes} | mode],
+    }
+
+
+def response(platform, outputs, inputs, w, **options):
+    system = pc.state_space(pc.linearise(platform), **options)
+    system = observed(system, platform, outputs)
+    return analysis.frequency_response(system, w)[:, [system.input_labels.index(name) for name in inputs]]
+
+
+def test_a_drive_with_two_inertias_is_its_rigid_body_and_a_mode():
+    w = np.array([1.0, 30.0, 122.0, OMEGA, 1000.0])
+    s = 1j * w
+    shaft = C * s + K
+    whole = J1 * J2 * s**4 + (J1 + J2) * shaft * s**2
+    found = response(pc.read_platform(drive()), ["motor", "load", "gyro"], ["Q"], w)[:, 0]
+    np.testing.assert_allclose(found[0], (J2 * s**2 + shaft) / whole, rtol=1e-9)  # collocated: a zero before the pole
+    np.testing.assert_allclose(found[1], shaft / whole, rtol=1e-9)  # non-collocated: none
+    np.testing.assert_allclose(found[2], s * shaft / whole, rtol=1e-9)
+
+
+def test_a_shaken_base_excites_a_mode_by_its_acceleration():
+    # Of the motion of the base q + Γ η' is what the load sees: here a pendulum mass on a spring, free of the joint.
+    base = [0.0, 0.0, 0.3]
+    platform = pc.read_platform(drive(base=base))
+    w = np.array([5.0, 100.0, 400.0])
+    found = response(platform, ["load"], ["Omega3"], w)[0, 0]
+    s = 1j * w
+    np.testing.assert_allclose(found, -1 / s - LOAD * 0.3 * s / (s**2 + 2 * ZETA * OMEGA * s + OMEGA**2), rtol=1e-9)
+
+
+def test_on_a_free_root_a_mode_pushes_back_and_momentum_is_kept():
+    platform = pc.read_platform(drive(base=[0.0, 0.0, 0.1]))
+    system = pc.state_space(pc.linearise(platform), root="free")
+    w = np.array([10.0, 100.0])
+    G = analysis.frequency_response(system, w)
+    rates = observed(system, platform, ["shaft_rate", "q_rate", "Omega3"])
+    swing, rate, Omega = analysis.frequency_response(rates, w)[:, 0]
+    # The joint's torque is an inner one.
+    momentum = (1.0 + J1 + J2) * Omega + (J1 + J2) * rate + 0.1 * swing
+    np.testing.assert_allclose(np.abs(momentum), 0.0, atol=1e-12)
+    assert np.abs(G).max() > 0.0
+
+
+def test_a_run_of_a_sampled_loop_is_that_of_the_exact_matrices():
+    platform = pc.read_platform(drive())
+    period, k, d = 2e-3, 4.0, 0.25
+    names = ["motor", "gyro"]
+    K = control.StateSpace([], [], [], [[-k, -d]], period, inputs=names, outputs=["Q"])
+    one = simulation.Scenario(platform=platform, mode="caged", duration=0.4, delay=0.0, q=[0.01])
+    run = simulation.simulate(one, [K], period=period, step=1e-4, noise=False)
+    system = observed(pc.state_space(pc.linearise(platform)), platform, names)
+    sampled = control.sample_system(system, period, method="zoh")
+    x, expected = np.array([0.01, 0.0, 0.0, 0.0]), []
+    for _ in run.t:
+        y = system.C @ x
+        expected.append(y)
+        x = sampled.A @ x + sampled.B[:, 0] * (np.array([-k, -d]) @ y)
+    np.testing.assert_allclose(run.reading[:, [1, 0]], expected, rtol=0, atol=1e-7)  # rate sensors come first
+    assert np.abs(np.array(expected)[:, 1]).max() > 1e-3
+
+
+def test_a_run_on_a_shaken_base_is_that_of_the_linear_model():
+    platform = pc.read_platform(drive(base=[0.0, 0.0, 0.3]))
+    K = control.StateSpace([], [], [], [[0.0]], 1e-3, inputs=["load"], outputs=["Q"])
+    t = np.linspace(0.0, 0.5, 501)
+    Omega = np.zeros((len(t), 3))
+    Omega[:, 2] = 0.02 * np.sin(2.0 * np.pi * 12.0 * t) ** 3
+    table = simulation.TimeTable(t=t, values=Omega)
+    one = simulation.Scenario(platform=platform, mode="caged", duration=0.5, delay=0.0, Omega_table=table)
+    run = simulation.simulate(one, [K], period=1e-3, step=1e-4, noise=False)
+    system = observed(pc.state_space(pc.linearise(platform)), platform, ["motor", "load"])
+    inputs = np.zeros((4, len(t)))
+    inputs[1:] = Omega.T
+    expected = control.forced_response(system, t, inputs).outputs.T
+    np.testing.assert_allclose(run.reading[:, 1:], expected[: len(run.t)], rtol=0, atol=2e-6)
+    assert np.ptp(expected[:, 0] - expected[:, 1]) > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        ({"damping": -0.1}, "damping must be a number >= 0"),
+        ({"participation": {"Qg": 1.0}}, "is no torquer, sensor or line-of-sight angle of the plant"),
+        ({"participation": {}}, "participation must be a table"),
+        ({"participation": {"Q": "much"}}, "Q = much is no number"),
+        ({"frequency": 0.0}, "frequency must be a number > 0"),
+        ({"name": "q"}, "is the name of the angle"),
+    ],
+)
+def test_a_mode_that_cannot_be_is_refused(mode, words):
+    with pytest.raises(pc.PlatformCtrlError, match=words):
+        pc.read_platform(drive(**mode))
+
+
+def test_a_mode_is_written_as_it_was_read():
+    platform = pc.read_platform(drive())
+    import tomllib
+
+    again = pc.read_platform(tomllib.loads(platform.to_toml()))
+    assert again.to_toml() == platform.to_toml()
