@@ -1,7 +1,7 @@
 from .c99.c_files import write_c as write_c
 from .job_systems import write_responses as write_responses
-from .mujoco.mjcf_reader import read_mjcf as read_mjcf
 from .mujoco.mjcf_writer import write_mjcf as write_mjcf
+from .robots.plant_file import import_robot as import_robot
 from .systems import read_mat as read_mat
 from .systems import read_systems as read_systems
 from .systems import write_controllers as write_controllers

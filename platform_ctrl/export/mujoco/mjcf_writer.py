@@ -15,7 +15,6 @@ from platform_ctrl.common.arguments import instance, one_of, short
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.export.mujoco.tree import point_inertia
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor, Torquer
 from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, gimbal_rate
 
@@ -379,6 +378,12 @@ def placed(platform: Platform) -> list[Placed]:
             mass = max(mass, float(4.0 * (moment @ moment) / max(spread[0], _FLAT * spread[-1])))
         centre = moment / mass
         out.append(Placed(radius=radius, mass=mass, centre=centre, inertia=inertia - mass * point_inertia(centre)))
+    return out
+
+
+def point_inertia(offset: FloatArray) -> FloatArray:
+    """Return the inertia of a unit mass at `offset`, (3, 3)."""
+    out: FloatArray = float(offset @ offset) * np.eye(3) - np.outer(offset, offset)
     return out
 
 

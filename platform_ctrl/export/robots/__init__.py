@@ -1,0 +1,1 @@
+"""Robot descriptions (URDF, MJCF, SDF) as plant files."""
