@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shlex
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -87,7 +88,11 @@ def open_shipped(name: str) -> InputData:
 
 def open_file(path: Path) -> InputData:
     """Return the file at `path`."""
-    return _document(one_line(str(path)), read_text(path, "a TOML file", MOST_OF_TOML), path.parent)
+    label, text = one_line(str(path)), read_text(path, "a TOML file", MOST_OF_TOML)
+    if text.lstrip().startswith("<"):  # as no TOML
+        made = shlex.join(["platform-ctrl", "import", label, "-o", "plant.toml"])
+        raise InputError(f"{label}: is XML; a robot description (URDF, MJCF, SDF) becomes a plant file by {made}")
+    return _document(label, text, path.parent)
 
 
 def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:

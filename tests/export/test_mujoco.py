@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,10 @@ import pytest
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
-from every_key import meaning
 from oracle_trees import for_all, sprung, unbalanced
 from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, read_job, shipped_models, simulation
-from platform_ctrl.errors import InputError
-from platform_ctrl.export import read_mjcf, write_mjcf
+from platform_ctrl.export import import_robot, write_mjcf
 from single_runs import simulated
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
@@ -241,7 +238,7 @@ def test_any_tree_accelerates_as_its_plant_there_and_when_it_is_back(drawn):
         run = Run(platform, Path(folder))
         run.begin(q, u)
         mujoco.mj_forward(run.model, run.data)
-        back = read_mjcf(Path(folder) / "plant.xml")
+        back = import_robot(Path(folder) / "plant.xml").platform
     assert scaled_error(platform, q, run.data.qacc[[0, 1, 2, *run.rates]], ours) < 1e-8
     order = [back.gimbal_names.index(name) for name in platform.gimbal_names]
     q_back, places = np.empty_like(q), [0, 1, 2, *(3 + k for k in order)]
@@ -256,7 +253,7 @@ def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
     for name in MODELS:
         platform = pc.read_platform(name)
         write_mjcf(platform, tmp_path / "plant.xml", root=root)
-        back = read_mjcf(tmp_path / "plant.xml")
+        back = import_robot(tmp_path / "plant.xml").platform
         assert back.name == platform.name
         assert np.allclose(back.root_inertia, platform.root_inertia, rtol=1e-9, atol=1e-12)
         assert np.allclose(back.specific_force, platform.specific_force)
@@ -283,76 +280,3 @@ def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
         assert {u.body for u in back.unbalances} == {u.body for u in platform.unbalances}
         for given, found in zip(platform.unbalances, back.unbalances, strict=True):
             assert np.allclose(found.moment, given.moment, rtol=1e-9, atol=0.0)
-
-
-WHEEL = """
-<mujoco model="pendulum with a wheel">
-  <worldbody>
-    <geom type="plane" size="1 1 0.1"/>
-    <body name="frame" pos="0 0 1">
-      <geom type="box" size="0.1 0.1 0.02"/>
-      <body name="arm" pos="0 0 0.1" euler="0 0 90">
-        <joint name="swing" axis="1 0 0" ref="30" range="-60 60" damping="0.01"/>
-        <geom type="capsule" fromto="0 0 0 0 0 0.2" size="0.01"/>
-        <body name="wheel" pos="0 0 0.2">
-          <joint name="turn" axis="0 0 1"/>
-          <geom type="cylinder" size="0.05 0.01"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor name="push" joint="swing" gear="2" ctrlrange="-1 1"/></actuator>
-  <sensor><jointpos name="angle" joint="swing"/></sensor>
-</mujoco>
-"""
-
-
-def test_a_model_that_somebody_else_made_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "wheel.xml"
-    path.write_text(WHEEL)
-    platform = read_mjcf(path, spins={"turn": 300.0})
-    [arm], [wheel] = platform.gimbals, platform.rotors
-    mass = 1000.0 * np.pi * 0.05**2 * 0.02
-    assert (arm.parent, arm.angle, wheel.carrier) == ("frame", "swing", "arm")
-    assert meaning(pc.read_platform(tomllib.loads(platform.to_toml()))) == meaning(platform)
-    assert np.allclose(arm.axis, [0.0, 1.0, 0.0])  # turned by 90 degrees against the frame
-    assert wheel.axial_inertia == pytest.approx(0.5 * mass * 0.05**2)
-    assert (wheel.control, wheel.spin) == ("free", pytest.approx(300.0))
-    assert arm.stops == pytest.approx((np.radians(-90.0), np.radians(30.0)))  # zero is the drawn position
-    assert platform.torquers[0].limit == pytest.approx(2.0)
-    assert np.allclose(platform.specific_force, [0.0, 0.0, 9.81])
-    model = mujoco.MjModel.from_xml_path(str(path))
-    carried = float(model.body_mass[model.body("arm").id]) * 0.1 + mass * 0.2
-    assert np.allclose(platform.unbalances[-1].moment, [0.0, 0.0, carried])
-    data = mujoco.MjData(model)
-    data.qvel[:] = 1.0, 300.0
-    mujoco.mj_forward(model, data)
-    ours = pc.element_forces(platform, [0.0], np.array([0.0, 0.0, 0.0, 1.0]))
-    assert ours[3] == pytest.approx(data.qfrc_passive[0], rel=1e-9)  # upright: its weight has no arm
-    with pytest.raises(InputError, match='spins: "spin" = 1'):
-        read_mjcf(path, spins={"spin": 1.0})
-    assert read_mjcf(path).rotors == ()  # nothing says that it turns
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("<motor ", '<position kp="3" ', "is no motor"),
-        ('ctrlrange="-1 1"', 'ctrlrange="-1 2"', "must be equal to both sides"),
-        ("<sensor>", '<equality><joint joint1="swing"/></equality><sensor>', "has equality constraints"),
-        ('<joint name="turn" axis="0 0 1"/>', '<joint name="turn" axis="0 1 0" pos="0 0.1 0.3"/>', "meets neither"),
-        ("</mujoco>", "", "is no model that MuJoCo takes"),
-        ('pos="0 0 0.2"', 'pos="0 0 1e60"', "is huge or not finite"),
-    ],
-)
-def test_a_model_that_is_no_platform_is_one_line(
-    old: str, new: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "wheel.xml"
-    path.write_text(WHEEL.replace(old, new))
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match=words) as caught:
-        read_mjcf(path)
-    assert [file.name for file in tmp_path.iterdir()] == ["wheel.xml"]  # MuJoCo keeps no log of it
-    assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith(f"{path}: ")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from platform_ctrl.export import read_mjcf, write_mjcf
+from platform_ctrl.export import import_robot, write_mjcf
 from platform_ctrl.simulation import Scenario, simulate
 from sighted_gimbal import sighted
 
@@ -19,7 +19,7 @@ def test_the_mujoco_model_says_where_its_readings_are_and_reads_back(tmp_path: P
     assert "attitude sensor tracker: from the sensor pitch_attitude" in notes
     assert "line of sight of pitch: from the sensors pitch_Omega and pitch_attitude" in notes
     pytest.importorskip("mujoco")
-    back = read_mjcf(tmp_path / "m.xml")
+    back = import_robot(tmp_path / "m.xml").platform
     assert [one.name for one in back.angle_sensors] == ["encoder"]
     assert len(back.pickoffs) == len(platform.pickoffs)
 

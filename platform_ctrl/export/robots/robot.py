@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import InputError
@@ -17,14 +16,24 @@ from platform_ctrl.plant.gimbals import Body
 from platform_ctrl.plant.mistakes import given, one_line, suggestion
 
 WORLD = "world"
-# Angles from which on a limit of a joint means that it has none, rad: files write 1e10 or 1e16.
-UNLIMITED = 1e4
-NO_BODY = Body(0.0, np.zeros(3), np.zeros((3, 3)))
 # How `write_mjcf` begins the names of rotors.
 ROTOR = "rotor "
-# Where a file does not say it.
-GRAVITY = (0.0, 0.0, -9.81)
-ASSUMED_GRAVITY = "gravity: not in the file: -9.81 m/s2 along its z axis is assumed; correct it in [root]"
+NO_BODY = Body(0.0, np.zeros(3), np.zeros((3, 3)))
+# Angles from which on a limit of a joint means that it has none, rad: files write 1e10 or 1e16.
+_UNLIMITED = 1e4
+# What to do about elements and attributes that no plant file has.
+_GRAVITY = "the plant has all of gravity: feed the torque forward in the controller, or take gravity out of [root]"
+_HINTS = {
+    "plugin": "controllers are designed in a job; other forces and sensors are added to the plant by hand",
+    "include": "its file is not read; import that file",
+    "gravcomp": _GRAVITY,
+    "gravity": _GRAVITY,
+    "turnGravityOff": _GRAVITY,
+    "tendon": "add its torque as a spring or a torquer by hand",
+    "springdamper": "write stiffness and damping",
+    "actuator": "[[torquer]] with root_axis turns the root; other forces are added by hand",
+    "safety_controller": "limits of the controller belong to the job",
+}
 
 
 class Pose(NamedTuple):
@@ -33,39 +42,32 @@ class Pose(NamedTuple):
     turn: FloatArray = np.eye(3)
     at: FloatArray = np.zeros(3)
 
-    def __matmul__(self, other: Pose) -> Pose:  # type: ignore[override]
+    def __matmul__(self, other: Pose) -> Pose:
         """Return the pose of what has the pose `other` in this frame."""
         return Pose(self.turn @ other.turn, self.at + self.turn @ other.at)
 
     def body(self, mass: float, inertia: FloatArray) -> Body:
-        """Return the body whose centre of mass and axes this is."""
+        """Return the body whose axes and centre of mass this is."""
         return Body(mass, self.at, self.turn @ inertia @ self.turn.T)
 
 
 @value
-class Joint:
-    """How a link hangs on what carries it."""
-
-    name: str = ""
-    # kind: "hinge", "fixed", "ball", "free", or what else it is, in words
-    kind: str = "fixed"
-    # axis, at: (3,), (3,): unit vector, and a point of the axis, m
-    axis: FloatArray
-    at: FloatArray
-    keys: Mapping[str, Any]  # Of its table [[gimbal]]
-    armature: float = 0.0  # kg m²
-    spin: Mapping[str, Any] | None = None  # Keys of the table [[rotor]] of what turns at a given speed
-
-
-@value
 class Link:
-    """A body of the file, with all of its numbers in the model's axes from the model's origin."""
+    """A body and how it hangs on its carrier, in the model's axes from the model's origin."""
 
     name: str
     carrier: str  # Name of the link that it hangs on; "": none
-    joint: Joint
     pose: Pose
     body: Body
+    joint: str = ""
+    # kind: "hinge", "fixed", "ball", "free", or what else its joint is, in words
+    kind: str = "fixed"
+    # axis, pivot: (3,), (3,): unit vector, and a point of the joint, m
+    axis: FloatArray
+    pivot: FloatArray
+    armature: float = 0.0  # kg m²
+    keys: Mapping[str, Any]  # Of its table [[gimbal]], or [[rotor]] if it turns at a speed of its own
+    spins: bool = False
 
 
 @value
@@ -78,76 +80,103 @@ class Part:
     axis: FloatArray | None = None
 
 
-@value
-class Robot:
-    """What a file describes, and a line for everything in it that no plant file has."""
+class Reader:
+    """What is read of a file, and a line for everything in it that no plant file has."""
 
-    label: str  # Of the file, for messages
-    format: str
-    name: str
-    links: tuple[Link, ...]  # Carriers before what they carry
-    parts: tuple[Part, ...]
-    notes: tuple[str, ...]
-    gravity: FloatArray
-    # loops: Constraints: names of the joints and links that each couples, and a sentence
-    loops: tuple[tuple[tuple[str, ...], str], ...] = ()
+    format = ""
 
-    def __post_init__(self) -> None:
-        """Refuse numbers that nothing has."""
-        for one in self.links:
-            numbers = (*one.body, *one.pose, one.joint.axis, one.joint.at)
-            if not all(np.all(np.abs(item) < LARGEST) for item in numbers):
-                words = "has a position, mass or inertia that is huge or not a number; correct it"
-                raise InputError(f"{self.label}: link {given(one.name)} {words}")
+    def __init__(self, label: str, top: Element) -> None:
+        self.label, self.top = label, top
+        self.name = ""
+        self.links: list[Link] = []  # Carriers before what they carry
+        self.parts: list[Part] = []
+        self.gears: dict[str, float] = {}  # Of joints, where the file says it
+        self.notes: list[str] = []
+        self.gravity = np.array([0.0, 0.0, -9.81])
+        # loops: Constraints: names of the joints and links that must not turn because of each, and a sentence
+        self.loops: list[tuple[tuple[str, ...], str]] = []
 
+    def error(self, words: str) -> InputError:
+        """Return what is wrong with the file."""
+        return InputError(f"{self.label}: {words}")
 
-def hinge_axis(label: str, joint: str, axis: FloatArray) -> FloatArray:
-    """Return the unit vector of a joint's axis."""
-    length = float(np.linalg.norm(axis))
-    if not 0.0 < length < LARGEST:
-        raise InputError(f"{label}: joint {given(joint)}: its axis {given(axis.tolist())} has no direction; correct it")
-    out: FloatArray = axis / length
-    return out
+    def numbers(self, text: str | None, count: int, where: str) -> FloatArray:
+        """Return the numbers in a text."""
+        try:
+            found = np.array([float(word) for word in (text or "").split()])
+        except ValueError:
+            found = np.zeros(0)
+        if len(found) != count or not np.all(np.abs(found) < LARGEST):
+            raise self.error(f"{where} must be {count} number{'s' * (count > 1)}, got {given(text)}; correct it")
+        return found
 
+    def add(self, link: Link) -> None:
+        """Add a link, whose carrier is there already."""
+        numbers = (*link.body, *link.pose, link.axis, link.pivot)
+        if not all(np.all(np.abs(item) < LARGEST) for item in numbers):
+            raise self.error(f"link {given(link.name)} has a position, mass or inertia that is no number; correct it")
+        if link.kind == "hinge" and not link.axis.any():
+            raise self.error(f"joint {given(link.joint)}: its axis has no direction; correct it")
+        self.links.append(link)
 
-def stops(joint: str, lower: float, upper: float, notes: list[str]) -> dict[str, Any]:
-    """Return the keys of a gimbal with these limits of its angle, rad."""
-    if lower <= -UNLIMITED and upper >= UNLIMITED:
-        return {}
-    if not lower <= 0.0 <= upper or lower == upper:
-        notes.append(
-            f"joint {given(joint)}: its limits {lower:g} and {upper:g} rad do not include a range about 0: left out; "
-            "set the zero angle of the joint in between"
-        )
-        return {}
-    return dict(stops_written([max(lower, -UNLIMITED), min(upper, UNLIMITED)]))
+    def bearing(self, joint: str, viscous: float, dry: float, stiffness: float, rest: float) -> None:
+        """Add friction and spring of a joint."""
+        friction = {key: item for key, item in (("viscous", viscous), ("coulomb", dry)) if item}
+        spring = {"stiffness": stiffness, "rest": rest} if stiffness else {}
+        self.parts += [
+            Part(kind=k, on=joint, keys=own) for k, own in (("friction", friction), ("spring", spring)) if own
+        ]
 
+    def stops(self, joint: str, lower: float, upper: float) -> dict[str, Any]:
+        """Return the keys of a gimbal with these limits of its angle, rad."""
+        if lower <= -_UNLIMITED and upper >= _UNLIMITED:
+            return {}
+        if not lower <= 0.0 <= upper or lower == upper:
+            words = f"its limits {lower:g} and {upper:g} rad have no range about 0: left out; move its zero in between"
+            self.notes.append(f"joint {given(joint)}: {words}")
+            return {}
+        return dict(stops_written([max(lower, -_UNLIMITED), min(upper, _UNLIMITED)]))
 
-def bearing(joint: str, viscous: float, dry: float, stiffness: float, rest: float) -> Iterator[Part]:
-    """Yield friction and spring of a joint."""
-    if viscous or dry:
-        keys = {"viscous": viscous, "coulomb": dry}
-        yield Part(kind="friction", on=joint, keys={key: item for key, item in keys.items() if item})
-    if stiffness:
-        yield Part(kind="spring", on=joint, keys={"stiffness": stiffness} | ({"rest": rest} if rest else {}))
+    def drive(self, joint: str, effort: float, velocity: float) -> None:
+        """Add the torquer of a joint with these limits; none are 0, negative or infinite."""
+        if 0.0 < velocity < math.inf:
+            words = "a plant file has none; keep commands and manoeuvres of the job below it"
+            self.notes.append(f"joint {given(joint)}: velocity limit {velocity:g} rad/s: {words}")
+        limited = 0.0 < effort < math.inf
+        if not limited:
+            self.notes.append(f"joint {given(joint)}: no effort limit: give its torquer a limit, or remove it")
+        self.parts.append(Part(kind="torquer", on=joint, keys={"limit": effort} if limited else {}))
 
+    def gyro(self, name: str, link: str, turn: FloatArray, keys: Iterable[Mapping[str, Any]]) -> None:
+        """Add three rate sensors about the axes `turn`, with the keys of each."""
+        for k, own in enumerate(keys):
+            table = {"name": f"{plain(name)}{k + 1}", **own}
+            self.parts.append(Part(kind="rate_sensor", on=link, keys=table, axis=turn[:, k]))
 
-def drive(joint: str, effort: float, velocity: float, notes: list[str]) -> Part:
-    """Return the torquer of a joint with these limits; none are 0, negative or infinite."""
-    if 0.0 < velocity < math.inf:
-        words = "a plant file has none; keep commands and manoeuvres of the job below it"
-        notes.append(f"joint {given(joint)}: velocity limit {velocity:g} rad/s: {words}")
-    if 0.0 < effort < math.inf:
-        return Part(kind="torquer", on=joint, keys={"limit": effort})
-    notes.append(f"joint {given(joint)}: no effort limit: its torquer is unlimited; give it a limit, or remove it")
-    return Part(kind="torquer", on=joint, keys={})
+    def assume_gravity(self) -> None:
+        """Say that the file has none."""
+        self.notes.append("gravity: not in the file: -9.81 m/s2 along its z axis is assumed; correct it in [root]")
 
-
-def gyro(name: str, link: str, pose: Pose, keys: Iterable[Mapping[str, Any]]) -> Iterator[Part]:
-    """Yield three rate sensors about the axes of a pose, with the keys of each."""
-    for k, own in enumerate(keys):
-        table = {"name": f"{plain(name)}{k + 1}", **own}
-        yield Part(kind="rate_sensor", on=link, keys=table, axis=pose.turn[:, k])
+    def ordered(self, joints: Mapping[str, tuple[str, str]], links: Iterable[str]) -> list[str]:
+        """Return links with carriers first; `joints`: name -> carrier and carried link. Refuse what is no tree."""
+        links, above = [*links, WORLD], dict[str, tuple[str, str]]()
+        for joint, ends in joints.items():
+            if strange := [one for one in ends if one not in links]:
+                words = f"there is no link {given(strange[0])}; {suggestion(strange[0], links)}"
+                raise self.error(f"joint {given(joint)}: {words}")
+            if ends[1] in above:
+                two = f"two joints, {given(above[ends[1]][0])} and {given(joint)}: a closed loop; remove one of them"
+                raise self.error(f"link {given(ends[1])} hangs on {two}")
+            above[ends[1]] = (joint, ends[0])
+        out: list[str] = []
+        for link in links[:-1]:
+            chain = [link]
+            while chain[-1] in above and (parent := above[chain[-1]][1]) not in out:
+                if parent in chain:
+                    raise self.error(f"link {given(parent)} carries itself: a closed loop; remove a joint of it")
+                chain.append(parent)
+            out += [one for one in reversed(chain) if one not in out]
+        return [one for one in out if one != WORLD]
 
 
 def plain(name: str) -> str:
@@ -155,67 +184,8 @@ def plain(name: str) -> str:
     return one_line(name).replace(".", "_")
 
 
-def ordered(label: str, joints: Mapping[str, tuple[str, str]], links: Iterable[str]) -> list[str]:
-    """Return links with carriers first; `joints`: name -> carrier and carried link. Refuse what is no tree."""
-    links, above = list(links), dict[str, tuple[str, str]]()
-    for joint, (parent, child) in joints.items():
-        for link in (parent, child):
-            if link not in links and link != WORLD:
-                raise InputError(
-                    f"{label}: joint {given(joint)}: there is no link {given(link)}; {suggestion(link, links)}"
-                )
-        if child in above:
-            two = f"two joints, {given(above[child][0])} and {given(joint)}: a closed loop, which no plant has"
-            raise InputError(f"{label}: link {given(child)} hangs on {two}; remove one of them")
-        above[child] = (joint, parent)
-    out: list[str] = []
-    for link in links:
-        chain = [link]
-        while chain[-1] in above and (parent := above[chain[-1]][1]) not in out and parent != WORLD:
-            if parent in chain:
-                raise InputError(f"{label}: link {given(parent)} carries itself: a closed loop; remove a joint of it")
-            chain.append(parent)
-        out += [one for one in reversed(chain) if one not in out]
-    return out
-
-
-def numbers(label: str, where: str, text: str | None, count: int) -> FloatArray:
-    """Return the numbers in a text."""
-    try:
-        found = np.array([float(word) for word in (text or "").split()])
-    except ValueError:
-        found = np.zeros(0)
-    if len(found) != count or not np.isfinite(found).all():
-        words = "a number" if count == 1 else f"{count} numbers"
-        raise InputError(f"{label}: {where} must be {words}, got {given(text)}; correct it")
-    return found
-
-
-def turned(angles: FloatArray) -> FloatArray:
-    """Return the axes, (3, 3), of roll, pitch and yaw, rad."""
-    return np.asarray(Rotation.from_euler("xyz", angles).as_matrix())
-
-
-# What to do about elements that no plant file has.
-_HINTS = {
-    "plugin": "controllers are designed in a job; other forces and sensors are added to the plant by hand",
-    "gazebo": "add what it stands for by hand",
-    "mimic": "hold one of the joints by --tip",
-    "include": "its file is not read; import that file",
-    **dict.fromkeys(
-        ("gravity", "gravcomp", "turnGravityOff"),
-        "the plant has all of gravity: feed the torque forward in the controller, or take gravity out of [root]",
-    ),
-    "sensor": "the plant has sensors of angles, rates and attitudes; add what it stands for by hand",
-    "tendon": "add its torque as a spring or a torquer by hand",
-    "springdamper": "write stiffness and damping",
-    "safety_controller": "limits of the controller belong to the job",
-    "fluid_added_mass": "add it to the inertia by hand",
-}
-
-
 def unread(element: Element, read: str, shown: str, where: str = "") -> Iterator[str]:
-    """Yield a line for each part of an element that is neither `read` nor of what only shows, in words."""
+    """Yield a line for each part of an element but those that are `read` and those without effect, `shown`: words."""
     name = element.get("name") or element.get("joint") or element.get("reference") or element.get("class")
     where = f"{element.tag} {given(name)}" if name else f"{where}{' ' * bool(where)}<{element.tag}>"
     for key, item in element.items():
@@ -225,16 +195,11 @@ def unread(element: Element, read: str, shown: str, where: str = "") -> Iterator
         if child.tag in read.split():
             yield from unread(child, read, shown, where)
         elif not {child.tag, f"{element.tag}/{child.tag}"} & {*shown.split()}:
-            yield no_counterpart(f"{where}: {_shown(child)}", child.tag)
+            items = [*child.items(), *((one.tag, (one.text or "").strip()) for one in child), ("", child.text or "")]
+            shown_items = ", ".join(f"{key} {item[:60]}".strip() for key, item in items if item.strip())
+            yield no_counterpart(f"{where}: {one_line(f'<{child.tag}> {shown_items}')}", child.tag)
 
 
 def no_counterpart(what: str, tag: str) -> str:
     """Return a line about an element or attribute `tag`, and what to do."""
     return f"{what}: no counterpart in a plant file{'; ' * (tag in _HINTS)}{_HINTS.get(tag, '')}"
-
-
-def _shown(element: Element) -> str:
-    """Return an element in a line: its attributes, and those of its children that are values."""
-    items = [f"{key}={item}" for key, item in element.items()]
-    items += [(one.text or "").strip()[:60] and f"{one.tag}={(one.text or '').strip()[:60]}" for one in element]
-    return one_line(f"<{element.tag}> {', '.join(filter(None, items)) or (element.text or '').strip()[:60]}".strip())
