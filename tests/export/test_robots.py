@@ -43,8 +43,8 @@ def compiled(file: Path, root: str) -> Any:
     return spec.compile()
 
 
-def mass_matrix(model: Any, platform: pc.Platform, q: np.ndarray) -> np.ndarray:
-    """MuJoCo's mass matrix in the plant's coordinates."""
+def mujocos(model: Any, platform: pc.Platform, q: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """MuJoCo's mass matrix, and the torques of rates and gravity, in the plant's coordinates."""
     data = mujoco.MjData(model)
     at = int(model.joint("root").dofadr[0])
     rows = [at, at + 1, at + 2]
@@ -52,10 +52,11 @@ def mass_matrix(model: Any, platform: pc.Platform, q: np.ndarray) -> np.ndarray:
         joint = model.joint(name)
         data.qpos[joint.qposadr[0]] += angle
         rows.append(int(joint.dofadr[0]))
+    data.qvel[rows] = u
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
-    return full[np.ix_(rows, rows)]
+    return full[np.ix_(rows, rows)], data.qfrc_bias[rows]
 
 
 def without_motors(platform: pc.Platform) -> pc.Platform:
@@ -63,14 +64,17 @@ def without_motors(platform: pc.Platform) -> pc.Platform:
 
 
 @pytest.mark.parametrize(("file", "root", "theirs"), FILES)
-def test_the_mass_matrix_is_mujocos(file: str, root: str, theirs: str) -> None:
+def test_the_mass_matrix_and_the_torques_of_rates_and_gravity_are_mujocos(file: str, root: str, theirs: str) -> None:
     platform = without_motors(import_robot(ROBOTS / file).platform)
     assert platform.root_name == root
     model = compiled(ROBOTS / theirs, root)
-    for q in np.random.default_rng(1).normal(size=(5, len(platform.gimbals))):
-        expected = mass_matrix(model, platform, q)
-        found = pc.matrices(platform, q).A_star
-        assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
+    rng = np.random.default_rng(1)
+    for q in rng.normal(size=(5, len(platform.gimbals))):
+        u = rng.normal(size=3 + len(q))
+        expected, torques = mujocos(model, platform, q, u)
+        assert np.abs(pc.matrices(platform, q).A_star - expected).max() < 1e-12 * np.abs(expected).max()
+        found = pc.inverse_dynamics(platform, q, u, np.zeros(len(u)))
+        assert np.abs(found - torques).max() < 1e-12 * np.abs(torques).max()
 
 
 @pytest.mark.parametrize(("file", "root", "theirs"), FILES)
@@ -82,7 +86,8 @@ def test_joints_beyond_the_tip_are_held_at_zero(file: str, root: str, theirs: st
     for name in whole.gimbal_names[1:]:
         assert any("held at zero" in note and f'"{name}" is part of "{tip}"' in note for note in made.notes)
     model = compiled(ROBOTS / theirs, root)
-    expected = mass_matrix(model, whole, np.array([0.7, *np.zeros(len(whole.gimbals) - 1)]))[:4, :4]
+    q = np.array([0.7, *np.zeros(len(whole.gimbals) - 1)])
+    expected = mujocos(model, whole, q, np.zeros(3 + len(q)))[0][:4, :4]
     found = pc.matrices(without_motors(made.platform), [0.7]).A_star
     assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 

@@ -23,14 +23,14 @@ from platform_ctrl.plant.source import read_text
 _READ_OF_URDF = """robot name version link joint transmission gazebo inertial origin xyz rpy mass value inertia ixx iyy
     izz ixy ixz iyz type parent child axis limit lower upper effort velocity dynamics damping friction mimic multiplier
     offset actuator mechanicalReduction reference"""
-_READ_OF_MJCF = """mujoco model compiler default worldbody actuator sensor equality include file class childclass name
-    pos quat euler axisangle xyaxes zaxis angle eulerseq autolimits inertiafromgeom body frame inertial mass diaginertia
-    fullinertia joint freejoint type axis range limited ref stiffness springref damping frictionloss armature
-    actuatorfrcrange actuatorfrclimited site camera motor position velocity intvelocity general jointinparent gear
-    ctrllimited ctrlrange forcelimited forcerange kp kv dampratio dyntype dynprm gaintype gainprm biastype biasprm
-    timeconst gyro jointpos jointvel noise connect weld active"""
+_READ_OF_MJCF = """mujoco model compiler default worldbody actuator sensor equality include file class childclass
+    name pos quat euler axisangle xyaxes zaxis angle eulerseq autolimits inertiafromgeom body frame inertial mass
+    diaginertia fullinertia joint freejoint type axis range limited ref stiffness springref damping frictionloss
+    armature actuatorfrcrange actuatorfrclimited solreflimit site camera motor position velocity intvelocity general
+    jointinparent gear ctrllimited ctrlrange forcelimited forcerange kp kv dampratio dyntype dynprm gaintype gainprm
+    biastype biasprm timeconst gyro jointpos jointvel noise connect weld active"""
 _SHOWN = f"""{SHOWN} hardwareInterface sensor mujoco option size statistic asset contact keyframe custom geom mesh pair
-    group user solreflimit solimplimit solreffriction solimpfriction margin meshdir texturedir assetdir strippath
+    group user solimplimit solreffriction solimpfriction margin meshdir texturedir assetdir strippath
     discardvisual fusestatic coordinate convexhull usethread saveinertial alignfree fitaabb align rgba fovy ipd
     resolution focal sensorsize principal mode fromto inheritrange actrange actlimited anchor relpose body1 body2
     joint1 joint2 polycoef solref solimp"""
@@ -141,8 +141,12 @@ class _Spec(SensorReader):
         unit = math.pi / 180.0 if joint.compiler.degree else 1.0
         first = (joint.damping[0], joint.frictionloss, joint.stiffness[0], unit * (joint.springref - joint.ref))
         self.bearing(joint.name, *map(float, first))
-        ends = (unit * (joint.range - joint.ref)).tolist()
-        return {"keys": self.stops(joint.name, *ends)} if self.limited(joint.limited, joint.range) else {}
+        if not self.limited(joint.limited, joint.range):
+            return {}
+        keys, (wait, ratio) = self.stops(joint.name, *(unit * (joint.range - joint.ref)).tolist()), joint.solref_limit
+        if keys and wait > 0.0 and 0.0 < ratio < 1.0:  # the share of the rate that the contact's damping leaves
+            keys["restitution"] = math.exp(-math.pi * ratio / math.sqrt(1.0 - ratio * ratio))
+        return {"keys": keys}
 
     def limited(self, flag: Any, ends: Any) -> bool:
         """Return whether a range counts."""
@@ -261,12 +265,18 @@ class _Mjcf(_Spec):
         rate = self.rates[joint.name]
         if not rate and not joint.parent.name.startswith(ROTOR):
             return super().hinge(joint)
-        return {"spins": True, "keys": {"spin": rate}}
+        keys: dict[str, Any] = {"spin": rate}
+        for one in self.spec.actuators:  # its speed loop
+            gain, (_, angle, speed) = float(one.gainprm[0]), one.biasprm[:3]
+            if one.target == joint.name and gain > 0.0 and -gain in (angle, speed):
+                keys |= {"control": "servo"} | {"speed_gain" if speed else "speed_integral": gain}
+        return {"spins": True, "keys": keys}
 
     def finish(self) -> None:
         """Read actuators, sensors, cameras, constraints and gravity."""
         spec, enums = self.spec, self.mujoco
-        for actuator in spec.actuators:
+        servos = [one.joint for one in self.links if one.keys.get("control") == "servo"]
+        for actuator in [one for one in spec.actuators if one.target not in servos]:
             self._actuator(actuator)
         kinds = {enums.mjtSensor.mjSENS_JOINTPOS: "pickoff", enums.mjtSensor.mjSENS_JOINTVEL: "rate_sensor"}
         for sensor in spec.sensors:
@@ -300,6 +310,9 @@ class _Mjcf(_Spec):
             return
         gear, gain = float(one.gear[0]), float(one.gainprm[0])
         bias = one.biasprm[:3] * (one.biastype != enums.mjtBias.mjBIAS_NONE)
+        if gain == 0.0 and bias[1] and not bias[2]:  # as `write_mjcf` has springs that drive away
+            self.bearing(joint.name, 0.0, 0.0, -float(bias[1]), -float(bias[0] / bias[1]))
+            return
         motor = not bias.any() and one.gaintype == enums.mjtGain.mjGAIN_FIXED
         if not motor:
             words = f"a servo, gain {gain:g}, bias {given(bias.tolist())}"

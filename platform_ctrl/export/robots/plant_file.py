@@ -200,6 +200,9 @@ class _Tree:
             if link.spins and (rotor := self._rotor(link, above)):
                 out["rotor"].append(rotor)
                 continue
+            if link.spins:
+                words = "turns, but is not round about its hinge, or carries others: it is a gimbal, without its speed"
+                self.robot.notes.append(f"body {given(link.name)}: {words}")
             gimbals[link.joint] = link.name
             out["gimbal"].append(self._gimbal(link, above))
             if link.armature:
@@ -268,7 +271,7 @@ class _Tree:
             return None
         out = {"name": link.name.removeprefix(ROTOR), "carrier": above, "axis": _rounded(axis), **link.keys}
         out |= {"axial_inertia": C, "transverse_inertia": A, "mass": body.mass}
-        out["control"] = "regulated" if link.armature > _REGULATED * C else "free"
+        out.setdefault("control", "regulated" if link.armature > _REGULATED * C else "free")
         return out | {"origin": _rounded(body.centre - self._origin(above), self.size)}
 
     def _add(self, part: Part, gimbals: dict[str, str], out: dict[str, Any]) -> None:
