@@ -130,6 +130,7 @@ class ForceElements:
     def __init__(self, platform: Platform, at: Kinematics, f: FloatArray) -> None:
         gimbal, body = platform.gimbal, platform.body
         self._at, self._f = at, f
+        self._drives = [(gimbal(one.gimbal), gimbal(one.motor_side), one) for one in platform.compliances]
         self._springs = [(gimbal(spring.gimbal), spring) for spring in platform.springs]
         self._frictions = [(gimbal(friction.gimbal), friction) for friction in platform.frictions]
         self._cages = [(gimbal(cage.gimbal), cage) for cage in platform.cages]
@@ -153,6 +154,11 @@ class ForceElements:
     def forces(self, angles: FloatArray, rates: FloatArray) -> FloatArray:
         """Return [M, Q] of all elements at the gimbals' angles and rates, (3 + n,)."""
         out = np.asarray(self._unbalance @ self._f)
+        for k, motor, one in self._drives:
+            twist = one.strength * (angles[motor] - angles[k])
+            twist += one.damping * (rates[motor] - rates[k])
+            out[3 + k] += twist
+            out[3 + motor] -= twist
         for k, spring in self._springs:
             out[3 + k] -= spring.stiffness * (angles[k] - spring.rest)
         for k, friction in self._frictions:
@@ -173,6 +179,11 @@ class ForceElements:
         at, f, n = self._at, self._f, len(q)
         rate = np.zeros((n, n))
         angle, force = self._unbalance_slope(), self._unbalance.copy()
+        for k, motor, one in self._drives:
+            apart = np.zeros(n)
+            apart[[k, motor]] = 1.0, -1.0
+            angle[3:] -= one.strength * np.outer(apart, apart)
+            rate -= one.damping * np.outer(apart, apart)
         for k, spring in self._springs:
             angle[3 + k, k] -= spring.stiffness
         for k, friction in self._frictions:

@@ -1,18 +1,23 @@
-"""What is not rigid in a platform: modes of its structure. Values only; SI units."""
+"""What is not rigid in a platform: drives that give way and modes of the structure. Values only; SI units."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
-from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.common.values import FloatArray, input_value, read_only
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.fields import Expected, Unfit, number
-from platform_ctrl.plant.tables import Instead
+from platform_ctrl.plant.fields import Expected, Refers, Unfit, number
+from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.mistakes import Misfit
+from platform_ctrl.plant.tables import Instead, either
+
+_HERTZ = Instead("frequency_hz", fields.POSITIVE, lambda hertz, _: 2.0 * math.pi * hertz)
 
 
 def _participation(item: object) -> Mapping[str, float]:
@@ -28,7 +33,63 @@ def _participation(item: object) -> Mapping[str, float]:
     return found
 
 
-_HERTZ = Instead("frequency_hz", fields.POSITIVE, lambda hertz, _: 2.0 * math.pi * hertz)
+@input_value
+class Compliance:
+    """A drive that gives way between its motor side and its load side, both turning about the gimbal's axis.
+
+    The gimbal is the load side. The motor side is a further coordinate, GIMBAL_motor with the angle ANGLE_motor, on
+    which torquers and motors of the gimbal work. Between them act stiffness (q_motor − q) + damping (q̇_motor − q̇).
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal.
+    stiffness, damping
+        N m/rad and N m s, at the joint.
+    frequency
+        In place of the stiffness: that of the load with its motor side locked, all angles zero, rad/s; a platform that
+        is read has the stiffness that gives it.
+    inertia
+        Of the motor side about the axis, at the joint, kg m²; a [[motor]] with a rotor adds its own.
+    """
+
+    gimbal: Annotated[fields.Text, Refers()]
+    stiffness: fields.Positive | None = None
+    frequency: Annotated[fields.Positive | None, _HERTZ] = None
+    damping: fields.NotNegative = 0.0
+    inertia: fields.NotNegative = 0.0
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        frequency = bool({"frequency", "frequency_hz"} & table.keys())
+        if ("stiffness" in table) == frequency:
+            yield (), either("stiffness", "frequency_hz", frequency)
+
+    @property
+    def strength(self) -> float:
+        """The stiffness, N m/rad."""
+        if self.stiffness is None:
+            raise ArgumentError(
+                f"compliance of gimbal {self.gimbal!r}: give its stiffness, or read the plant from a dict"
+            )
+        return self.stiffness
+
+    @property
+    def motor_side(self) -> str:
+        """Name of the motor side."""
+        return f"{self.gimbal}_motor"
+
+
+def motor_side(load: Gimbal, drive: Compliance) -> Gimbal:
+    """Return the motor side of a drive as a body without mass that turns beside its load, about the same axis."""
+    return Gimbal(
+        name=drive.motor_side,
+        parent=load.parent,
+        axis=load.axis,
+        inertia=read_only(drive.inertia * np.outer(load.axis, load.axis)),
+        angle=f"{load.angle}_motor",
+        origin=load.origin,
+    )
 
 
 @input_value

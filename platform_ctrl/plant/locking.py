@@ -41,9 +41,28 @@ def with_locked(platform: Platform, names: Sequence[str]) -> Platform:
     ArgumentError
         The platform has no such gimbal.
     """
+    drives = {one.gimbal: one.motor_side for one in platform.compliances}
     for name in names:
         platform = _with_one(platform, name)
+        if drives.get(name) in platform.gimbal_names:
+            platform = _with_one(platform, drives[name])
     return platform
+
+
+def carried_inertia(platform: Platform, name: str) -> float:
+    """Return the inertia about the axis of a gimbal of all that it carries at zero angles, kg m²."""
+    carried: list[str] = []
+    for _ in platform.gimbals:
+        carried = [one.name for one in platform.gimbals if one.parent in (name, *carried)]
+    rigid = with_locked(platform, carried)
+    own = rigid.gimbals[rigid.gimbal(name)]
+    arm = np.cross(own.axis, own.centre)
+    total = float(own.axis @ own.inertia @ own.axis + own.mass * arm @ arm)
+    for rotor in rigid.rotors:
+        if rotor.carrier == name:
+            along, arm = float(rotor.axis @ own.axis) ** 2, np.cross(own.axis, rotor.origin)
+            total += rotor.transverse_inertia * (1.0 - along) + rotor.axial_inertia * along + rotor.mass * arm @ arm
+    return total
 
 
 def _with_one(platform: Platform, name: str) -> Platform:

@@ -16,7 +16,7 @@ from platform_ctrl.common.values import input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer, stops_written
-from platform_ctrl.plant.flexible import FlexibleMode
+from platform_ctrl.plant.flexible import Compliance, FlexibleMode, motor_side
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.gimbals import Body, GimbalTree, mass_misfits
 from platform_ctrl.plant.mistakes import Misfit, given, useless, wrong
@@ -247,6 +247,7 @@ class Platform(GimbalTree):
     unbalances: Annotated[tuple[Unbalance, ...], Array("unbalance", most=MOST_PARTS)] = ()
     erections: Annotated[tuple[Erection, ...], Array("erection", most=MOST_PARTS)] = ()
     motors: Annotated[tuple[Motor, ...], Array("motor", most=MOST_PARTS)] = ()
+    compliances: Annotated[tuple[Compliance, ...], Array("compliance", most=MOST_PARTS, unique=("gimbal",))] = ()
     modes: Annotated[tuple[FlexibleMode, ...], Array("mode", most=MOST_PARTS, unique=("name",))] = ()
     specific_force: Annotated[fields.Vector, InTable("root", "specific_force")] = field(
         default_factory=fields.zero_vector
@@ -256,7 +257,8 @@ class Platform(GimbalTree):
     source: fields.AnyText = ""
 
     def __post_init__(self) -> None:
-        """Name sensors after the signals that they measure."""
+        """Add the motor sides of drives that give way, and name sensors after the signals that they measure."""
+        self._add_motor_sides()
         if all(sensor.name for sensor in self.sensors):
             return
         for kind in _sensor_fields():
@@ -265,6 +267,27 @@ class Platform(GimbalTree):
                 for sensor in getattr(self, kind)
             )
             object.__setattr__(self, kind, tuple(named))
+
+    def _add_motor_sides(self) -> None:
+        """Make a gimbal of each motor side, on which torquers and motors work."""
+        sides = {one.gimbal: one for one in self.compliances if one.motor_side not in self.gimbal_names}
+        if not sides:
+            return
+        loads = {gimbal.name: gimbal for gimbal in self.gimbals}
+        new = [motor_side(loads[name], one) for name, one in sides.items()]
+        object.__setattr__(self, "gimbals", (*self.gimbals, *new))
+        for kind in ("torquers", "motors"):
+            parts = getattr(self, kind)
+            moved = [
+                replaced(part, {"gimbal": sides[part.gimbal].motor_side}) if part.gimbal in sides else part
+                for part in parts
+            ]
+            object.__setattr__(self, kind, tuple(moved))
+
+    @property
+    def motor_sides(self) -> tuple[str, ...]:
+        """Names of the gimbals that are motor sides of drives that give way."""
+        return tuple(one.motor_side for one in self.compliances)
 
     @property
     def added(self) -> tuple[Torquer | PickOff, ...]:
@@ -419,6 +442,12 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             words = f"pick-off {pickoff.name!r} must be called {angle!r}, as its angle, to stand in a plant file"
             raise ArgumentError(f"{words}; leave its name out, or make it an AngleSensor")
     data = {"schema": 1} | written(platform)
+    loads = {one.motor_side: one.gimbal for one in platform.compliances}
+    if loads:
+        data["gimbal"] = [gimbal for gimbal in data["gimbal"] if gimbal["name"] not in loads]
+        for part in (*data.get("torquer", ()), *data.get("motor", ())):
+            if part.get("gimbal") in loads:
+                part["gimbal"] = loads[part["gimbal"]]
     # A mass is not read without its place, which may be the origin.
     for kind, place in (("gimbal", "centre"), ("rotor", "origin")):
         for own in data.get(kind, ()):

@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.common.values import replaced
 from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
 from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
+from platform_ctrl.plant.locking import carried_inertia
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, plant_data
 from platform_ctrl.plant.sensors import LOS_ANGLES
@@ -100,6 +102,8 @@ def judge_plant(document: InputData) -> tuple[Platform | None, list[Mistake]]:
     parts = made(read)
     if mistakes := _tree_mistakes(parts):
         return None, mistakes
+    if mistakes := list(_drives(parts)):
+        return None, mistakes
     platform = Platform(**parts)
     mistakes = [
         *_masses(platform, data),
@@ -108,7 +112,35 @@ def judge_plant(document: InputData) -> tuple[Platform | None, list[Mistake]]:
         *_signals(platform),
         *_modes(platform),
     ]
-    return (None, mistakes) if mistakes else (platform, [])
+    return (None, mistakes) if mistakes else (_with_stiffness(platform), [])
+
+
+def _drives(parts: Mapping[str, Any]) -> Iterator[Mistake]:
+    """Yield drives that give way without an inertia on their motor side."""
+    turned = {one.gimbal for one in parts.get("motors", ())}
+    taken = {one.name: k for k, one in enumerate(parts.get("gimbals", ()))}
+    for k, one in enumerate(parts.get("compliances", ())):
+        if not one.inertia and one.gimbal not in turned:
+            words = "it has no motor side: give its inertia, or a [[motor]] with a rotor_inertia on the gimbal"
+            yield Mistake(("compliance", k), words)
+        if one.motor_side in taken:
+            words = (
+                f"name = {given(one.motor_side)} is that of the motor side of [[compliance]] {k + 1}; choose another"
+            )
+            yield Mistake(("gimbal", taken[one.motor_side], "name"), words)
+
+
+def _with_stiffness(platform: Platform) -> Platform:
+    """Return the platform with the stiffness of drives of which the frequency is given."""
+    if all(one.frequency is None for one in platform.compliances):
+        return platform
+    drives = [
+        one
+        if one.frequency is None
+        else replaced(one, {"stiffness": carried_inertia(platform, one.gimbal) * one.frequency**2, "frequency": None})
+        for one in platform.compliances
+    ]
+    return replaced(platform, {"compliances": tuple(drives)})
 
 
 def _axis_by_axis(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -185,6 +217,8 @@ def _masses(platform: Platform, data: Mapping[str, Any]) -> Iterator[Mistake]:
     if floating and not platform.root_mass:
         yield Mistake(("root", "mass"), needs)
     for k, one in enumerate(platform.gimbals):
+        if one.name in platform.motor_sides:
+            continue
         if floating and not one.mass:
             yield Mistake(("gimbal", k, "mass"), needs)
         elif not one.mass and _leaves_origin(platform, one):

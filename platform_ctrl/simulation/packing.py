@@ -117,6 +117,7 @@ class _Parts:
             tuple([s.place for s in p.sensors]),
             sight_of(p),
             tuple([s.gimbal for s in p.springs]),
+            tuple([c.gimbal for c in p.compliances]),
             tuple([(f.gimbal, f.law) for f in p.frictions]),
             tuple([c.gimbal for c in p.cages]),
             tuple([u.body for u in p.unbalances]),
@@ -167,7 +168,8 @@ def _skeleton(parts: _Parts) -> Skeleton:
     servos = tuple(k for k, control in enumerate(controls) if control == "servo")
     carriers = tuple(tree.carriers.tolist())
     erections = [(gimbal(one.gimbal), body(one.senses)) for one in platform.erections]
-    links = _links(tree.parents.tolist(), tree.order, frames, erections, [carriers[k] for k in servos])
+    drives = [(gimbal(one.gimbal), gimbal(one.motor_side)) for one in platform.compliances]
+    links = _links(tree.parents.tolist(), tree.order, frames, drives, erections, [carriers[k] for k in servos])
     return Skeleton(
         links=links,
         at=_at(platform, len(tree.parents), len(servos)),
@@ -224,6 +226,7 @@ def _links(
     parents: list[int],
     order: tuple[int, ...],
     frames: FloatArray,
+    drives: list[tuple[int, int]],
     erections: list[tuple[int, int]],
     carriers: list[int],
 ) -> Links:
@@ -244,6 +247,7 @@ def _links(
         tree=rows,
         turn=turns,
         servo_carrier=np.array(carriers, dtype=np.int64),
+        drive=np.array(drives, dtype=np.int64).reshape(-1, 2),
         erection=np.array(erections, dtype=np.int64).reshape(-1, 2),
     )
 
@@ -259,7 +263,8 @@ def _at(platform: Platform, n: int, servos: int) -> At:
     joint = body + (1 + n) * arrays.BODY
     servo = joint + n * arrays.JOINT
     erection = servo + servos * arrays.SERVO
-    mode = erection + len(platform.erections) * arrays.ERECTION
+    drive = erection + len(platform.erections) * arrays.ERECTION
+    mode = drive + 2 * len(platform.compliances)
     work = mode + modes * (arrays.SHAPE + torquers)
     swing = work + (1 + n) * arrays.WORK
     during = swing + modes
@@ -285,6 +290,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         joint=joint,
         servo=servo,
         erection=erection,
+        drive=drive,
         swings=swings,
         mode=mode,
         keeps=keeps,
@@ -343,7 +349,10 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
             (m.frequency**2, 2.0 * m.damping * m.frequency, *m.base, *m.base_force, *m.of(torquers))
             for m in (p.modes[j] for p in platforms)
         ]
-    erections = constants[:, at.erection : at.mode].reshape(N, len(platforms[0].erections), arrays.ERECTION)
+    constants[:, at.drive : at.mode] = [
+        [number for c in p.compliances for number in (c.strength, c.damping)] for p in platforms
+    ]
+    erections = constants[:, at.erection : at.drive].reshape(N, len(platforms[0].erections), arrays.ERECTION)
     for j, device in enumerate(platforms[0].erections):
         erections[:, j, :3] = frames[shape.links.erection[j, 1]] @ device.axis
         erections[:, j, 3:] = [(one.gain, _or_infinite(one.limit)) for one in (p.erections[j] for p in platforms)]

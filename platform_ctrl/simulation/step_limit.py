@@ -70,10 +70,15 @@ def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, 
     found: list[tuple[str, int, FloatArray]] = []
     for k in range(shape.at.modes):
         found.append(("mode", k, _CONTACT / np.array([p.modes[k].frequency for p in platforms])))
-    if not shape.at.joints:
+    if not (shape.at.joints or len(shape.links.drive)):
         return found
     ease = _eases(shape, platforms, free)
     with np.errstate(divide="ignore"):
+        for j, (k, motor) in enumerate(shape.links.drive):
+            stiffness, damping = np.array([(p.compliances[j].strength, p.compliances[j].damping) for p in platforms]).T
+            apart = ease[:, k] + ease[:, motor]
+            found.append(("compliance", int(k), _CONTACT / np.sqrt(stiffness * apart)))
+            found.append(("compliance", int(k), _DECAY / (damping * apart)))
         for j, k in enumerate(shape.springs):
             stiffness = np.array([p.springs[j].stiffness for p in platforms])
             found.append(("spring", k, _PHASE / np.sqrt(np.abs(stiffness) * ease[:, k])))

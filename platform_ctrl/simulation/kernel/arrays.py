@@ -192,6 +192,7 @@ class Links(NamedTuple):
     tree: NDArray[np.int64]  # (n, 12)
     turn: FloatArray  # (n, 3, 3)
     servo_carrier: NDArray[np.int64]  # (m,): body
+    drive: NDArray[np.int64]  # (d, 2): gimbals on the load and motor sides of drives that give way
     erection: NDArray[np.int64]  # (e, 2): order of the torqued gimbal, sensing body
 
 
@@ -217,6 +218,7 @@ class At(NamedTuple):
     joint: int
     servo: int
     erection: int
+    drive: int  # stiffness and damping of drives that give way
     swings: int  # where in the state the modes are: η and its momentum η̇ + Γ·Omega of each
     mode: int
     keeps: int  # where in the state the joints' frictions are; 0: none keeps anything

@@ -135,6 +135,19 @@ def joint_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Numbe
 
 
 @inlined
+def drive_torques(links: Links, mem: FloatArray, lane: int, at: At, y: int, dy: int) -> None:
+    """Add the torques of drives that give way to the joints' in `dy`, behind the joints' rates there."""
+    torque = dy + at.n + 3
+    for d in range(links.drive.shape[0]):
+        k, motor = links.drive[d, 0], links.drive[d, 1]
+        twist = load(mem, at.drive + 2 * d, lane) * (load(mem, y + motor, lane) - load(mem, y + k, lane))
+        turning = load(mem, dy + motor, lane) - load(mem, dy + k, lane)
+        twist = twist + load(mem, at.drive + 2 * d + 1, lane) * turning
+        add(mem, lane, torque + k, twist)
+        add(mem, lane, torque + motor, -twist)
+
+
+@inlined
 def mode_rates(mem: FloatArray, lane: int, at: At, y: int) -> None:
     """Rates of the modes of a state whose v begins with Omega: their momenta less Γ·Omega."""
     W0, W1, W2 = vector(mem, lane, y + at.n)
