@@ -56,12 +56,14 @@ def carried_inertia(platform: Platform, name: str) -> float:
         carried = [one.name for one in platform.gimbals if one.parent in (name, *carried)]
     rigid = with_locked(platform, carried)
     own = rigid.gimbals[rigid.gimbal(name)]
-    arm = np.cross(own.axis, own.centre)
-    total = float(own.axis @ own.inertia @ own.axis + own.mass * arm @ arm)
+    offset = np.cross(own.axis, own.centre)
+    total = float(own.axis @ own.inertia @ own.axis + own.mass * float(offset @ offset))
     for rotor in rigid.rotors:
         if rotor.carrier == name:
-            along, arm = float(rotor.axis @ own.axis) ** 2, np.cross(own.axis, rotor.origin)
-            total += rotor.transverse_inertia * (1.0 - along) + rotor.axial_inertia * along + rotor.mass * arm @ arm
+            along, away = float(rotor.axis @ own.axis) ** 2, np.cross(own.axis, rotor.origin)
+            total += (
+                rotor.transverse_inertia * (1.0 - along) + rotor.axial_inertia * along + rotor.mass * float(away @ away)
+            )
     return total
 
 

@@ -21,6 +21,7 @@ from platform_ctrl.common.values import input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.fields import Expected, Refers, Unfit
 from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, given, suggestion
+from platform_ctrl.plant.units import base_key, in_si
 
 T = TypeVar("T")
 
@@ -326,6 +327,23 @@ def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake
     return arguments
 
 
+def _converted(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake]) -> dict[str, Any]:
+    """Return a table whose numbers are all in SI."""
+    if table.others is not None:
+        return data
+    out = {}
+    for name, item in data.items():
+        found = None if name in table.keys else base_key(name, table.keys, getattr(table.make, "unit", ""))
+        if found is None:
+            out[name] = item
+            continue
+        base, suffix = found
+        if base in data:
+            mistakes.append(Mistake((*path, name), either(base, name, True)))
+        out[base] = in_si(item, suffix)
+    return out
+
+
 def _choice(one_of: OneOf, data: dict[str, Any], path: Path) -> Iterator[Mistake]:
     """Judge which of several records a table has: none, two, or one with keys of another."""
     given_keys = [key for key in one_of.records if key in data]
@@ -386,6 +404,7 @@ def _value(holds: Expected | Shape, item: Any, path: Path, mistakes: list[Mistak
         mistakes.append(_wrong(path, item, "must be a table"))
         return {}
     before = len(mistakes)
+    item = _converted(holds, item, path, mistakes)
     arguments = _read(holds, item, path, mistakes)
     if len(mistakes) == before:
         mistakes += at(path, holds.misfits(item))
