@@ -73,9 +73,9 @@ def import_robot(path: str | os.PathLike[str], root: str | None = None, tip: str
     InputError
         The file cannot be read, or it is no tree of bodies on hinges.
     """
-    robot = _read(path)
-    tree = _Tree(robot, root, tip)
-    tables = tree.tables()
+    with np.errstate(all="ignore"):  # numbers that nothing has are refused by their link
+        robot = _read(path)
+        tables = _Tree(robot, root, tip).tables()
     notes = tuple(one_line(note) for note in dict.fromkeys(robot.notes))
     text = _text(f"From {robot.label} ({robot.format}), by platform-ctrl import. SI units.", tables, notes)
     try:
@@ -237,7 +237,7 @@ class _Tree:
         mass, centre, inertia = self.bodies[name]
         if not inertia.any():
             return {"inertia": []}
-        rows = [_rounded(row, float(np.trace(inertia)) or 1.0) for row in 0.5 * (inertia + inertia.T)]
+        rows = [_rounded(row, float(np.abs(inertia).max())) for row in 0.5 * (inertia + inertia.T)]
         diagonal = np.count_nonzero(rows) == np.count_nonzero(np.diag(rows))
         out = {"inertia": np.diag(rows).tolist() if diagonal else rows}
         place = {"mass": float(f"{mass:.15g}"), "centre": _rounded(centre - self._origin(name), self.size)}

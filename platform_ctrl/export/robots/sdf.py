@@ -119,6 +119,8 @@ class Sdf(SensorReader):
             self.attached[own[:-2]], self.frames[own[:-2]] = own + _MODEL, (own + _MODEL, Pose())
 
     def _place(self, name: str, element: Element, default: str, scope: str) -> None:
+        if name in self.frames and element.tag != "sensor":
+            raise self.error(f"the name {given(name)} is used twice; choose another for one of them")
         pose = element.find("pose")
         relative = "" if pose is None else pose.get("relative_to") or pose.get("frame", "")
         self.frames[name] = (_named(scope, relative) if relative else default, self.pose(pose, given(name)))
