@@ -150,12 +150,16 @@ def test_commands_that_a_page_only_shows_have_the_options_that_they_are_shown_wi
 
 @PAGE
 def test_toml_on_a_page_is_read(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # where a job finds the plant that the page writes before it
+    monkeypatch.chdir(tmp_path)  # where a job finds the plant that the page writes or imports before it
     for block in site_blocks.pieces(page.read_text(encoding="utf-8")):
-        if not isinstance(block, site_blocks.Block) or block.language != "toml":
+        if not isinstance(block, site_blocks.Block):
             continue
         if block.title:
             (tmp_path / block.title).write_text(block.text, encoding="utf-8")
+        for arguments, expected in site_blocks.commands(block):
+            assert arguments[0] != "import" or main(arguments) == expected
+        if block.language != "toml":
+            continue
         data = tomllib.loads(block.text)
         if "schema" in data:
             read_job(data) if "plant" in data else read_platform(data)
