@@ -117,8 +117,12 @@ def test_parts_of_a_joint_have_their_numbers() -> None:
         ("roll_servo", 0.4),
         ("pitch_drive", 0.3),
     ]
-    assert camera.gimbals[0].stops == pytest.approx(np.radians([-130.0, 110.0]))  # its zero is the drawn position
-    assert [(one.gimbal, one.stiffness, one.rest) for one in camera.springs] == [("pitch", 0.04, np.radians(-5.0))]
+    model = compiled(ROBOTS / "camera.xml", "mount")
+    for gimbal_, axis in zip(camera.gimbals, ("yaw", "roll", "pitch"), strict=True):
+        joint = model.joint(axis)  # its zero is the drawn position
+        assert gimbal_.stops == pytest.approx(tuple(joint.range - model.qpos0[joint.qposadr]))
+    rest = float(model.joint("pitch").qpos_spring[0])
+    assert [(one.gimbal, one.stiffness, one.rest) for one in camera.springs] == [("pitch", 0.04, pytest.approx(rest))]
     assert [(one.gimbal, one.gear, one.rotor_inertia * one.gear**2) for one in camera.motors] == [
         ("yaw", 3.0, pytest.approx(2e-4)),
         ("roll", 1.0, pytest.approx(2e-4)),

@@ -156,8 +156,7 @@ class _Spec(SensorReader):
     def _unread(self, top: Element) -> Iterator[str]:
         yield from unread(top, self.read, _SHOWN)
         for one in top.iter("include"):
-            text = read_text(self.file.parent / one.get("file", ""), "an MJCF file")
-            yield from self._unread(fromstring(text.encode()))
+            yield from self._unread(fromstring(read_text(self.file.parent / one.get("file", ""), "an MJCF file")))
 
 
 def axes(quat: Any) -> FloatArray:

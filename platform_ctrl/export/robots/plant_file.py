@@ -88,7 +88,7 @@ def _read(path: str | os.PathLike[str]) -> Reader:
     file, what = path_of(path, "the path of a URDF, MJCF or SDF file"), "a robot description in URDF, MJCF or SDF"
     label, text = one_line(str(file)), read_text(file, what)
     try:
-        top = fromstring(text.encode())
+        top = fromstring(text)
     except (ParseError, ValueError, LookupError) as error:
         raise InputError(f"{label}: is not XML: {one_line(str(error))}; give {what}") from None
     if "${" in text or "<xacro:" in text:
