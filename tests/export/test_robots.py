@@ -103,6 +103,26 @@ def test_what_carries_the_root_is_cut_off_and_axes_are_those_of_the_root() -> No
     assert made.platform.mode is None
 
 
+def test_a_static_model_is_held(tmp_path: Path) -> None:
+    path = tmp_path / "gimbal.sdf"
+    text = (ROBOTS / "gimbal.sdf").read_text(encoding="utf-8")
+    path.write_text(text.replace("<self_collide>", "<static>true</static><self_collide>"))
+    platform = import_robot(path).platform
+    assert (platform.root_name, platform.mode) == ("mount_link", "held")
+
+
+def test_speed_loops_of_rotors_are_theirs_and_servos_of_angles_are_not(tmp_path: Path) -> None:
+    path = tmp_path / "wheel.xml"
+    loops = '<velocity joint="turn" kv="2"/><intvelocity joint="turn" kp="3" actrange="-1 1"/><motor joint="turn"/>'
+    for actuators, control in ((loops, "servo"), ('<position joint="turn" kp="2"/>', "free")):
+        path.write_text(PENDULUM.replace("<keyframe>", f"<actuator>{actuators}</actuator><keyframe>"))
+        made = import_robot(path)
+        [wheel] = made.platform.rotors
+        assert wheel.control == control
+        assert sum("torquer on" in note for note in made.notes) == 1  # the motor; the servo of the angle
+    assert (wheel.speed_gain, wheel.speed_integral) == (0.0, 0.0)
+
+
 def test_parts_of_a_joint_have_their_numbers() -> None:
     head, camera, gimbal = (import_robot(ROBOTS / file).platform for file, _, _ in FILES)
     assert [one.stops for one in head.gimbals] == [None, (-0.7, 0.4), None]
@@ -348,7 +368,7 @@ def test_a_wrong_file_is_one_sentence(file: str, old: str, new: str, words: str,
         (
             '<sdf version="1.9"><model name="d"><link name="a"/><link name="b"/><joint name="j" type="revolute">'
             "<parent>a</parent><child>b</child></joint></model></sdf>",
-            'link "b" moves, but has no mass and inertia',
+            'link "b" moves, but has no inertia',
         ),
         (
             '<sdf version="1.9"><world name="w"><model name="one"><link name="a"/><link name="b"/>'

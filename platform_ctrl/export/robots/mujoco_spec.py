@@ -195,9 +195,8 @@ class _Urdf(_Spec):
                 limit = element.find("limit")
                 ends = ("0" if limit is None else limit.get(key, "0") for key in ("effort", "velocity"))
                 self.drive(name, *(float(self.numbers(one, 1, f"limit of {where}")[0]) for one in ends))
-                if element.get("type") == "revolute" and not self.limited(
-                    self.joints[name].limited, self.joints[name].range
-                ):
+                joint = self.joints[name]
+                if element.get("type") == "revolute" and not self.limited(joint.limited, joint.range):
                     self.notes.append(f"{where}: no limits of its angle: it turns freely; give it stops")
         for element in self.top.iter("transmission"):
             joints = ", ".join(given(one.get("name")) for one in element.iter("joint"))
@@ -225,6 +224,7 @@ class _Mjcf(_Spec):
         kinds, k = self.mujoco.mjtJoint, 0
         rates = list(self.spec.keys[0].qvel) if self.spec.keys else []
         self.rates: dict[str, float] = {}
+        self.speed_loops: list[int] = []  # Actuators that are speed loops of rotors
         for joint in self.spec.joints:
             self.rates[joint.name] = float(rates[k]) if k < len(rates) else 0.0
             k += {kinds.mjJNT_FREE: 6, kinds.mjJNT_BALL: 3}.get(joint.type, 1)
@@ -248,11 +248,9 @@ class _Mjcf(_Spec):
         except Exception as error:
             words = "have no inertial, and MuJoCo cannot compute it of their shapes; give them mass and inertia"
             raise self.refused(f"bodies {', '.join(map(given, names))} {words}", error) from None
-        found = [(name, model.body(name)) for name in names]
-        poses = [Pose(axes(one.iquat), np.array(one.ipos)) for _, one in found]
         return {
-            name: pose.body(float(one.mass[0]), np.diag(one.inertia))
-            for (name, one), pose in zip(found, poses, strict=True)
+            name: Pose(axes(one.iquat), np.array(one.ipos)).body(float(one.mass[0]), np.diag(one.inertia))
+            for name, one in ((name, model.body(name)) for name in names)
         }
 
     def body(self, body: Any) -> Body:
@@ -264,19 +262,22 @@ class _Mjcf(_Spec):
         rate = self.rates[joint.name]
         if not rate and not joint.parent.name.startswith(ROTOR):
             return super().hinge(joint)
-        keys: dict[str, Any] = {"spin": rate}
-        for one in self.spec.actuators:  # its speed loop
-            gain, (_, angle, speed) = float(one.gainprm[0]), one.biasprm[:3]
-            if one.target == joint.name and gain > 0.0 and -gain in (angle, speed):
-                keys |= {"control": "servo"} | {"speed_gain" if speed else "speed_integral": gain}
-        return {"spins": True, "keys": keys}
+        loop: dict[str, float] = {}
+        for k, one in enumerate(self.spec.actuators):
+            gain, bias = float(one.gainprm[0]), one.biasprm[1:3].tolist()
+            integrates = one.dyntype == self.mujoco.mjtDyn.mjDYN_INTEGRATOR
+            key = {(0.0, -gain): "speed_gain", (-gain, 0.0): "speed_integral" if integrates else ""}.get(tuple(bias))
+            if one.target == joint.name and gain > 0.0 and key:
+                loop[key] = gain
+                self.speed_loops.append(k)
+        return {"spins": True, "keys": {"spin": rate} | ({"control": "servo"} | loop if "speed_gain" in loop else {})}
 
     def finish(self) -> None:
         """Read actuators, sensors, cameras, constraints and gravity."""
         spec, enums = self.spec, self.mujoco
-        servos = [one.joint for one in self.links if one.keys.get("control") == "servo"]
-        for actuator in [one for one in spec.actuators if one.target not in servos]:
-            self._actuator(actuator)
+        for k, actuator in enumerate(spec.actuators):
+            if k not in self.speed_loops:
+                self._actuator(actuator)
         kinds = {enums.mjtSensor.mjSENS_JOINTPOS: "pickoff", enums.mjtSensor.mjSENS_JOINTVEL: "rate_sensor"}
         for sensor in spec.sensors:
             noise = {"noise_rms": float(sensor.noise)} if sensor.noise else {}

@@ -246,7 +246,7 @@ class _Tree:
     def _gimbal(self, link: Link, above: str) -> dict[str, Any]:
         masses = self._masses(link.name)
         if not masses["inertia"]:
-            words = "moves, but has no mass and inertia; give it an inertial (shapes in URDF and SDF have no mass)"
+            words = "moves, but has no inertia; give it an inertial (shapes in URDF and SDF have no mass)"
             raise self.robot.error(f"link {given(link.name)} {words}")
         out = {"name": link.name, "parent": above, "axis": _rounded(self.pose.turn.T @ link.axis)}
         origin = _rounded(self._origin(link.name) - self._origin(above), self.size)
@@ -272,6 +272,9 @@ class _Tree:
         out = {"name": link.name.removeprefix(ROTOR), "carrier": above, "axis": _rounded(axis), **link.keys}
         out |= {"axial_inertia": C, "transverse_inertia": A, "mass": body.mass}
         out.setdefault("control", "regulated" if link.armature > _REGULATED * C else "free")
+        if link.armature and out["control"] != "regulated":
+            words = f"armature {link.armature:g} kg m2 is left out; add it to axial_inertia if it turns with the rotor"
+            self.robot.notes.append(f"rotor {given(out['name'])}: {words}")
         return out | {"origin": _rounded(body.centre - self._origin(above), self.size)}
 
     def _add(self, part: Part, gimbals: dict[str, str], out: dict[str, Any]) -> None:

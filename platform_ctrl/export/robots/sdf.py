@@ -88,11 +88,12 @@ class Sdf(SensorReader):
         self.name = models[0].get("name", "") if models else ""
         ends = {name: (self._link(*one, "parent"), self._link(*one, "child")) for name, one in joints.items()}
         on = {child: (name, parent) for name, (parent, child) in ends.items()}
-        if any(parent == WORLD for parent, _ in ends.values()):
+        static = all(one.findtext("static", "").strip() in ("true", "1") for one in models)
+        if static or any(parent == WORLD for parent, _ in ends.values()):
             nothing = np.zeros(3)
             self.add(Link(name=WORLD, carrier="", pose=Pose(), body=NO_BODY, axis=nothing, pivot=nothing, keys={}))
         for name in self.ordered(ends, self.elements):
-            self._add(name, *on.get(name, ("", "")), joints)
+            self._add(name, *on.get(name, ("", WORLD if static else "")), joints)
         if (gravity := top.findtext("world/gravity")) is None:
             self.assume_gravity()
         else:
