@@ -67,17 +67,17 @@ _njit: Any = numba.njit  # its types know nothing of the switches for wrappers
 # error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 # Without wrappers for Python and C, which take as long as a small function.
-_PART = _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
+PART = _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
 
 
 def internal(function: F) -> F:
     """Compile for compiled callers alone, within which it is kept."""
-    return cast(F, _njit(**_PART)(function))
+    return cast(F, _njit(**PART)(function))
 
 
 def inlined(function: F) -> F:
     """Compile into every caller."""
-    return cast(F, _njit(forceinline=True, **_PART)(function))
+    return cast(F, _njit(forceinline=True, **PART)(function))
 
 
 def compiled(function: F) -> F:

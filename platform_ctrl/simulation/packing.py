@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +21,7 @@ from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor
 from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arrays import At, Links
+from platform_ctrl.simulation.kernel.arrays import At, Links, PlacedLinks
 
 # Laws of dry friction by the names of `Friction.law`; a viscous one is a smooth one without a dry part.
 _LAWS = {
@@ -124,6 +124,8 @@ class _Parts:
             tuple([(e.gimbal, e.senses, _bytes(e.axis)) for e in p.erections]),
             # How a sensor sees a mode is part of what it reads.
             tuple([(m.name, *(m.participation.get(name, 0.0) for name in p.outputs)) for m in p.modes]),
+            tuple([one.gimbal for one in p.motors]),
+            (_placed(p), p.mode == "floating", bool(p.gravity.any())),
         )
 
     def __hash__(self) -> int:
@@ -131,6 +133,12 @@ class _Parts:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Parts) and self._key == other._key
+
+
+def _placed(platform: Platform) -> bool:
+    """Return whether masses and joints lie anywhere, or motors have gears."""
+    masses = any(body.mass for body in (*platform.bodies, *platform.rotors))
+    return masses or bool(platform.motors) or any(g.origin.any() for g in platform.gimbals)
 
 
 def sight_of(platform: Platform) -> tuple[str, bytes] | None:
@@ -171,7 +179,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
     drives = [(gimbal(one.gimbal), gimbal(one.motor_side)) for one in platform.compliances]
     links = _links(tree.parents.tolist(), tree.order, frames, drives, erections, [carriers[k] for k in servos])
     return Skeleton(
-        links=links,
+        links=cast(Links, PlacedLinks(*links)) if _placed(platform) else links,
         at=_at(platform, len(tree.parents), len(servos)),
         frames=frames,
         carriers=carriers,
@@ -231,7 +239,7 @@ def _links(
     carriers: list[int],
 ) -> Links:
     n = len(parents)
-    rows = np.zeros((n, 12), dtype=np.int64)
+    rows = np.zeros((n, 13), dtype=np.int64)
     turns = np.zeros((n, 3, 3))
     slot = {(0, 1): 3, (0, 2): 4, (1, 2): 5}
     for m, k in enumerate(order):
@@ -240,7 +248,7 @@ def _links(
         renamed = bool(np.isin(turn, (0.0, 1.0)).all())
         x, y, z = (int(row.argmax()) for row in turn) if renamed else (0, 1, 2)
         mixed = [slot[min(i, j), max(i, j)] for i, j in ((x, y), (x, z), (y, z))]
-        rows[m] = (k, parent, x, y, z, x, y, z, *mixed, not renamed)
+        rows[m] = (k, parent, x, y, z, x, y, z, *mixed, not renamed, order.index(parent - 1) if parent else -1)
         turns[m] = turn
     # Not read-only: to numba these would be arrays of another type, and the kernel would be compiled once more.
     return Links(
@@ -265,9 +273,15 @@ def _at(platform: Platform, n: int, servos: int) -> At:
     erection = servo + servos * arrays.SERVO
     drive = erection + len(platform.erections) * arrays.ERECTION
     mode = drive + 2 * len(platform.compliances)
-    work = mode + modes * (arrays.SHAPE + torquers)
+    gravity = mode + modes * (arrays.SHAPE + torquers)
+    place, placed = gravity + 3, _placed(platform)
+    work = place + (1 + n) * arrays.PLACE * placed
     swing = work + (1 + n) * arrays.WORK
-    during = swing + modes
+    moving = swing + modes
+    matrix = moving + (1 + n) * arrays.MOVING * placed
+    push = matrix + (3 + n) ** 2 * placed
+    scratch = push + 3 * (3 + n) * placed
+    during = scratch + 3 * placed
     stages = during + (1 + n * arrays.DURING if keeps else 0)
     state = stages + 3 * size
     surroundings = state + size
@@ -285,6 +299,9 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         dry=laws,
         cages=bool(platform.cages),
         weight=bool(platform.unbalances or platform.erections),
+        field=bool(platform.gravity.any()),
+        placed=placed,
+        floating=platform.mode == "floating",
         course=False,
         body=body,
         joint=joint,
@@ -293,9 +310,15 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         drive=drive,
         swings=swings,
         mode=mode,
+        gravity=gravity,
+        place=place,
         keeps=keeps,
         work=work,
         swing=swing,
+        moving=moving,
+        matrix=matrix,
+        push=push,
+        scratch=scratch,
         during=during,
         stages=stages,
         state=state,
@@ -342,7 +365,7 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
             (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, _or_infinite(r.torque_limit))
             for r in (p.rotors[k] for p in platforms)
         ]
-    modes = constants[:, at.mode : at.work].reshape(N, at.modes, arrays.SHAPE + at.torquers)
+    modes = constants[:, at.mode : at.gravity].reshape(N, at.modes, arrays.SHAPE + at.torquers)
     torquers = [torquer.name for torquer in platforms[0].torquers]
     for j in range(at.modes):
         modes[:, j] = [
@@ -356,17 +379,53 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
     for j, device in enumerate(platforms[0].erections):
         erections[:, j, :3] = frames[shape.links.erection[j, 1]] @ device.axis
         erections[:, j, 3:] = [(one.gain, _or_infinite(one.limit)) for one in (p.erections[j] for p in platforms)]
+    constants[:, at.gravity : at.gravity + 3] = [p.gravity for p in platforms]
+    if at.placed:
+        _pack_places(shape, platforms, constants[:, at.place : at.work].reshape(N, 1 + n, arrays.PLACE))
     return constants, around
 
 
+def _pack_places(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArray) -> None:
+    frames, carriers = shape.frames, np.array(shape.carriers, dtype=np.intp)
+    for row, p in zip(rows, platforms, strict=True):
+        masses = [body.mass for body in (*p.bodies, *p.rotors)]
+        centres = np.array([*(body.centre for body in p.bodies), *(r.origin for r in p.rotors)])
+        bodies = np.r_[range(len(frames)), carriers]
+        np.add.at(row[:, arrays.MASS], bodies, masses)
+        first_moments = np.einsum("bij,bj->bi", frames[bodies], np.array(masses)[:, None] * centres)
+        np.add.at(row[:, arrays.FIRST_MOMENT : arrays.ARM], bodies, first_moments)
+        for k, g in enumerate(p.gimbals):
+            row[1 + k, arrays.ARM : arrays.GEARED] = frames[1 + p.parents[k]] @ g.origin
+        for one in p.motors:
+            drive = one.gear * one.rotor_inertia
+            row[1 + p.gimbal(one.gimbal), arrays.GEARED :] += drive, one.gear * drive
+
+
+def _about_joints(p: Platform, inertias: FloatArray) -> None:
+    """Add to inertias (1 + n, 3, 3) of bodies what masses away from their joints and geared rotors have about them."""
+    for b, body in enumerate(p.bodies):
+        inertias[b] += body.inertia_about_origin - body.inertia
+    for b, rotor in zip(1 + p.carriers, p.rotors, strict=True):
+        inertias[b] += rotor.body.inertia_about_origin - rotor.body.inertia
+    for one in p.motors:
+        k = p.gimbal(one.gimbal)
+        inertias[1 + p.parents[k]] += one.rotor_inertia * np.outer(p.gimbals[k].axis, p.gimbals[k].axis)
+
+
 def inertias(shape: Skeleton, platforms: Sequence[Platform]) -> FloatArray:
-    """Return the bodies' inertias with the rotors' transverse ones, (N, 1 + n, 3, 3), of plants of one skeleton."""
+    """Return the bodies' inertias about their joints, (N, 1 + n, 3, 3), of plants of one skeleton.
+
+    Of rotors the transverse inertia, and that of the geared ones in their parents, are included.
+    """
     N = len(platforms)
     out = np.concatenate([inertia for p in platforms for inertia in (p.root_inertia, *(g.inertia for g in p.gimbals))])
     out = out.astype(np.float64, copy=False).reshape(N, 1 + shape.at.n, 3, 3)
     transverse = np.array([[r.transverse_inertia for r in p.rotors] for p in platforms]).reshape(N, -1)
     for k, (b, axis) in enumerate(zip(shape.carriers, shape.spin_axes, strict=True)):
         out[:, b] += transverse[:, k, None, None] * (np.eye(3) - axis[:, None] * axis)
+    if shape.at.placed:
+        for p, own in zip(platforms, out, strict=True):
+            _about_joints(p, own)
     return out
 
 

@@ -10,13 +10,20 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics
-from platform_ctrl.mechanics.matrices import directions
+from platform_ctrl.mechanics.matrices import body_inertias, directions, mass_matrix
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.packing import Skeleton, inertias, skeleton
 
 
 def _masses(shape: Skeleton, platforms: Sequence[Platform], at: Kinematics, locked: Collection[str]) -> FloatArray:
     """Return the mass matrices (N, 3 + n, 3 + n) of plants of one skeleton; rotors of the kinds `locked` add C."""
+    if shape.at.placed:
+        whole = []
+        for platform in platforms:
+            own = kinematics(platform, np.zeros(len(platform.gimbals)))
+            B, C = directions(own), [r.axial_inertia * (r.control in locked) for r in platform.rotors]
+            whole.append(mass_matrix(own, body_inertias(own)) + B.T @ (np.array(C)[:, None] * B))
+        return np.array(whole)
     bodies = inertias(shape, platforms)
     for k, (b, axis, control) in enumerate(zip(shape.carriers, shape.spin_axes, shape.controls, strict=True)):
         if control in locked:

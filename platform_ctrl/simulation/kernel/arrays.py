@@ -156,11 +156,17 @@ def widths_of_metrics(n: int, nu: int, sight: int) -> tuple[int, ...]:
 
 # Columns of `Links.tree`, a row for each gimbal, parents first: gimbal, parent's body; which component of a vector in
 # the parent's axes is x, y, z here; which slots of the parent's inertia are xx, yy, zz, xy, xz, yz here (from XX on);
-# whether instead the rotation in `Links.turn` leads from the parent's axes to these.
-GIMBAL, PARENT, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ, SKEW = range(12)
+# whether instead the rotation in `Links.turn` leads from the parent's axes to these; the parent's row, or -1.
+GIMBAL, PARENT, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ, SKEW, UP = range(13)
 
 # Slots of a body's constants: inertia of the carrier with its rotors as in `pack`; unbalance m r.
 BODY, UNBALANCE = 9, 6
+# Slots of a body's constants where masses lie anywhere: its mass and first moment; its joint in the parent's axes; sums
+# of N J and N² J of the geared rotors at its joint. Then inertias of bodies are about their joints.
+MASS, FIRST_MOMENT, ARM, GEARED, PLACE = 0, 1, 4, 7, 9
+# Slots of such a body in the workspace: velocity of its joint; mass, first moment and unbalance of its subtree;
+# momentum, or force; acceleration of its joint.
+SPEED, WHOLE, SUM, LOPSIDED, LINEAR, FELT, MOVING = 0, 3, 4, 7, 10, 13, 16
 # Slots of a joint's constants.
 STIFFNESS, PRELOAD, VISCOUS, COULOMB, BREAKAWAY, PER_COULOMB_RATE, PER_STRIBECK_RATE, CAGE, LAW, BRISTLE, JOINT = (
     0, 1, 2, 3, 5, 7, 8, 9, 13, 14, 16,
@@ -189,11 +195,21 @@ COS, SIN, RATE, PRODUCT, MOMENT, INERTIA, GAIN_X, GAIN_Y, DRIVE, ACCELERATION, F
 class Links(NamedTuple):
     """How the bodies hang together, the same in every scenario."""
 
-    tree: NDArray[np.int64]  # (n, 12)
+    tree: NDArray[np.int64]  # (n, 13)
     turn: FloatArray  # (n, 3, 3)
     servo_carrier: NDArray[np.int64]  # (m,): body
     drive: NDArray[np.int64]  # (d, 2): gimbals on the load and motor sides of drives that give way
     erection: NDArray[np.int64]  # (e, 2): order of the torqued gimbal, sensing body
+
+
+class PlacedLinks(NamedTuple):
+    """`Links` of a plant whose masses and joints lie anywhere: code for it is compiled apart."""
+
+    tree: NDArray[np.int64]
+    turn: FloatArray
+    servo_carrier: NDArray[np.int64]
+    drive: NDArray[np.int64]
+    erection: NDArray[np.int64]
 
 
 class At(NamedTuple):
@@ -213,6 +229,9 @@ class At(NamedTuple):
     dry: int  # the laws of dry friction that there are, 1 << LAW of each
     cages: int
     weight: int  # whether specific force and unbalance or erections act
+    field: int  # whether gravity, which is fixed in space, is there
+    placed: int  # whether masses and joints lie anywhere, or motors have gears
+    floating: int  # whether the root is free to move, not only to turn
     course: int  # whether rotors' momenta change with time
     body: int
     joint: int
@@ -221,9 +240,15 @@ class At(NamedTuple):
     drive: int  # stiffness and damping of drives that give way
     swings: int  # where in the state the modes are: η and its momentum η̇ + Γ·Omega of each
     mode: int
+    gravity: int  # vector in space
+    place: int  # a row of PLACE for each body
     keeps: int  # where in the state the joints' frictions are; 0: none keeps anything
     work: int
     swing: int  # η̇ of the modes at the last state that was looked at
+    moving: int  # a row of MOVING for each body
+    matrix: int  # A*, (3 + n, 3 + n)
+    push: int  # columns of P, (3 + n, 3)
+    scratch: int  # a vector
     during: int  # time since the step began; then what every joint's friction needs during a step
     stages: int  # three states: at, derivative, total
     state: int

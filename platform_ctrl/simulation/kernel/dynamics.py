@@ -1,8 +1,8 @@
 """Equations of motion of the exact non-linear plant, by articulated bodies (Featherstone 2008, ch. 7).
 
-All bodies turn about one fixed point, so that only rotations remain of that recursion. Bodies are numbered 0 (root) and
-1 + k (gimbal k). With the rates w, the carriers' inertias I (rotors included: A(1 - ss') + C ss' where regulated,
-A(1 - ss') where free), h = sum L s of the rotors, and a the joint's axis:
+Here all bodies turn about one fixed point, so that only rotations remain of that recursion; `placed` has the others.
+Bodies are numbered 0 (root) and 1 + k (gimbal k). With the rates w, the carriers' inertias I (rotors included:
+A(1 - ss') + C ss' where regulated, A(1 - ss') where free), h = sum L s of the rotors, and a the joint's axis:
 
     N = I wdot + w x (I w + h) + hdot                     moment of one carrier
     Q_j = a_j . (sum of N over the subtree of j)          joint torque; the root's M is the sum over all bodies
@@ -49,6 +49,7 @@ from platform_ctrl.simulation.kernel.arrays import At, Links
 from platform_ctrl.simulation.kernel.forces import (
     drive_torques,
     erection_torques,
+    felt_by_root,
     joint_torque,
     mode_derivatives,
     servo_drives,
@@ -56,6 +57,7 @@ from platform_ctrl.simulation.kernel.forces import (
     stand_still,
     unbalance_moments,
 )
+from platform_ctrl.simulation.kernel.placed import placed_derivative, placed_momenta
 
 
 @inlined
@@ -70,7 +72,7 @@ def _outward(links: Links, mem: FloatArray, lane: int, at: At, free: bool, bare:
     w0, w1, w2 = vector(mem, lane, y + n)
     put(mem, lane, at.work + arrays.RATE, w0, w1, w2)
     if at.weight != 0:
-        f0, f1, f2 = vector(mem, lane, around + n + 6)
+        f0, f1, f2 = felt_by_root(mem, lane, at, y, around)
         put(mem, lane, at.work + arrays.FORCE, f0, f1, f2)
     for m in range(n):
         k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
@@ -253,6 +255,11 @@ def derivative(
     """
     n = at.n
     torque = dy + n + 3  # the joints' torques, replaced by their accelerations
+    if placed_derivative(links, mem, lane, at, free, locking, bare, y, around, dy):
+        if at.modes != 0:
+            mode_derivatives(mem, lane, at, y, around, dy)
+        _turn(mem, lane, at, y, dy)
+        return
     _outward(links, mem, lane, at, free, bare, y, around)
     if free:
         for k in range(n):
@@ -364,8 +371,9 @@ def response(links: Links, mem: FloatArray, lane: int, at: At, free: bool, k: in
 @internal
 def joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int, result: int) -> None:
     """Joint momenta dT/dqdot of a state whose v holds the rates; all of it stays in the root's MOMENT."""
-    _outward(links, mem, lane, at, at.yes, at.no, y, around)
-    _momenta(links, mem, lane, at, y, around)
+    if not placed_momenta(links, mem, lane, at, y, around):
+        _outward(links, mem, lane, at, at.yes, at.no, y, around)
+        _momenta(links, mem, lane, at, y, around)
     for k in range(at.n):
         store(mem, result + k, lane, load(mem, at.work + (k + 1) * arrays.WORK + arrays.MOMENT + 2, lane))
 

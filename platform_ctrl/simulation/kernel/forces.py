@@ -8,7 +8,14 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Mask, Number, choose, columns, greater, lesser, load, root, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import add, cosine_and_sine, exponential, hyperbolic_tangent, vector
+from platform_ctrl.simulation.kernel.arithmetic import (
+    Vector,
+    add,
+    cosine_and_sine,
+    exponential,
+    hyperbolic_tangent,
+    vector,
+)
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 
 
@@ -135,6 +142,26 @@ def joint_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Numbe
 
 
 @inlined
+def cross(a0: Number, a1: Number, a2: Number, b0: Number, b1: Number, b2: Number) -> Vector:
+    """Cross product of two vectors."""
+    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+
+
+@inlined
+def felt_by_root(mem: FloatArray, lane: int, at: At, y: int, around: int) -> Vector:
+    """Specific force of the root's origin: that of the surroundings, less gravity turned to root axes (Rodrigues)."""
+    f0, f1, f2 = vector(mem, lane, around + at.n + 6)
+    if at.field != 0:
+        g0, g1, g2 = vector(mem, lane, at.gravity)
+        e = y + 2 * at.n + 3
+        w, (v0, v1, v2) = 2.0 * load(mem, e, lane), vector(mem, lane, e + 1)
+        t0, t1, t2 = cross(v0, v1, v2, g0, g1, g2)
+        x, y_, z = cross(v0, v1, v2, t0, t1, t2)
+        f0, f1, f2 = f0 - g0 + w * t0 - 2.0 * x, f1 - g1 + w * t1 - 2.0 * y_, f2 - g2 + w * t2 - 2.0 * z
+    return f0, f1, f2
+
+
+@inlined
 def drive_torques(links: Links, mem: FloatArray, lane: int, at: At, y: int, dy: int) -> None:
     """Add the torques of drives that give way to the joints' in `dy`, behind the joints' rates there."""
     torque = dy + at.n + 3
@@ -161,7 +188,7 @@ def mode_rates(mem: FloatArray, lane: int, at: At, y: int) -> None:
 def mode_derivatives(mem: FloatArray, lane: int, at: At, y: int, around: int, dy: int) -> None:
     """Derivatives of the modes' states."""
     mode_rates(mem, lane, at, y)
-    f0, f1, f2 = vector(mem, lane, around + at.n + 6)
+    f0, f1, f2 = felt_by_root(mem, lane, at, y, around)
     for j in range(at.modes):
         row, eta = at.mode + j * (arrays.SHAPE + at.torquers), at.swings + 2 * j
         g0, g1, g2 = vector(mem, lane, row + arrays.BASE_FORCE)
