@@ -16,6 +16,7 @@ import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
+from numba.extending import overload
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -67,17 +68,22 @@ _njit: Any = numba.njit  # its types know nothing of the switches for wrappers
 # error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 # Without wrappers for Python and C, which take as long as a small function.
-PART = _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
+_PART = _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
 
 
 def internal(function: F) -> F:
     """Compile for compiled callers alone, within which it is kept."""
-    return cast(F, _njit(**PART)(function))
+    return cast(F, _njit(**_PART)(function))
 
 
 def inlined(function: F) -> F:
     """Compile into every caller."""
-    return cast(F, _njit(forceinline=True, **PART)(function))
+    return cast(F, _njit(forceinline=True, **_PART)(function))
+
+
+def overloading(function: Callable[..., Any]) -> Callable[[F], F]:
+    """Return what marks the choice, by the types of the arguments, of code that compiled callers run as a function."""
+    return cast(Callable[[F], F], overload(function, strict=False, jit_options=_PART))
 
 
 def compiled(function: F) -> F:

@@ -137,8 +137,8 @@ class _Parts:
 
 def _placed(platform: Platform) -> bool:
     """Return whether masses and joints lie anywhere, or motors have gears."""
-    masses = any(body.mass for body in (*platform.bodies, *platform.rotors))
-    return masses or bool(platform.motors) or any(g.origin.any() for g in platform.gimbals)
+    masses = [*(body.mass for body in platform.bodies), *(rotor.mass for rotor in platform.rotors)]
+    return any(masses) or bool(platform.motors) or any(g.origin.any() for g in platform.gimbals)
 
 
 def sight_of(platform: Platform) -> tuple[str, bytes] | None:
@@ -388,7 +388,7 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
 def _pack_places(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArray) -> None:
     frames, carriers = shape.frames, np.array(shape.carriers, dtype=np.intp)
     for row, p in zip(rows, platforms, strict=True):
-        masses = [body.mass for body in (*p.bodies, *p.rotors)]
+        masses = [*(body.mass for body in p.bodies), *(rotor.mass for rotor in p.rotors)]
         centres = np.array([*(body.centre for body in p.bodies), *(r.origin for r in p.rotors)])
         bodies = np.r_[range(len(frames)), carriers]
         np.add.at(row[:, arrays.MASS], bodies, masses)
