@@ -31,6 +31,7 @@ from platform_ctrl.simulation.kernel.arrays import At, Links, PlacedLinks
 from platform_ctrl.simulation.kernel.composites import add_vector, gather, in_gimbal, in_parent, mass_matrix, solve
 from platform_ctrl.simulation.kernel.forces import (
     cross,
+    drive_torques,
     erection_torques,
     joint_torque,
     servo_drives,
@@ -281,6 +282,8 @@ def _derivative(
         if at.joints != 0 and not bare:
             Q = Q + joint_torque(mem, lane, at, y, k, load(mem, dy + k, lane))
         add(mem, lane, torque + k, Q)
+    if not bare:
+        drive_torques(links, mem, lane, at, y, dy)
     if free:
         for i in range(3):
             store(mem, dy + n + i, lane, load(mem, around + i, lane))
