@@ -21,7 +21,7 @@ def direction(rng: np.random.Generator) -> np.ndarray:
 
 def body(rng: np.random.Generator, size: float) -> dict[str, Any]:
     """Return a body of point masses: `inertia` about its centre of mass, with products of inertia."""
-    points, masses = size * rng.normal(size=(5, 3)), rng.uniform(0.1, 1.0, 5)
+    points, masses = size * rng.normal(size=(8, 3)), rng.uniform(0.05, 0.5, 8)
     centre = masses @ points / masses.sum()
     arms = points - centre
     squares = np.einsum("p,pi,pj->ij", masses, arms, arms)
@@ -55,15 +55,18 @@ def offset_plant(rng: np.random.Generator, mode: str | None = None, gimbals: int
         )
         if rng.random() < 0.6:
             rotors[-1] |= {"mass": rng.uniform(0.1, 1.0), "origin": rng.uniform(-0.2, 0.2, 3).tolist()}
-    driven = [f"g{k}" for k in range(n) if rng.random() < 0.4]
-    motors = [
-        {"gimbal": name, "gear": float(rng.choice([1.0, -3.5, 40.0])), "rotor_inertia": 10 ** rng.uniform(-5, -3)}
-        for name in driven
-    ]
+    root = {"name": "base", "mode": mode, "gravity": rng.normal(size=3) * 9.81} | body(rng, 0.3)
+    inertias = {one["name"]: one["inertia"] for one in (root, *tree)}
+    motors = []
+    for k in range(n):
+        if rng.random() < 0.4:
+            # Its transverse inertia is part of the parent's.
+            J = 10 ** rng.uniform(-3, -1.5) * np.linalg.eigvalsh(inertias[tree[k]["parent"]])[0]
+            motors.append({"gimbal": f"g{k}", "gear": float(rng.choice([1.0, -3.5, 40.0])), "rotor_inertia": J})
     return {
         "schema": 1,
         "name": "as it is built",
-        "root": {"name": "base", "mode": mode, "gravity": rng.normal(size=3) * 9.81} | body(rng, 0.3),
+        "root": root,
         "gimbal": [tree[k] for k in rng.permutation(n)],
         "rotor": rotors,
         "motor": motors,
