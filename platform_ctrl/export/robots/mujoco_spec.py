@@ -16,6 +16,7 @@ from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.robots.robot import NO_BODY, ROTOR, WORLD, Link, Part, Pose, no_counterpart, plain, unread
 from platform_ctrl.export.robots.sdf import SHOWN, SensorReader
+from platform_ctrl.plant.fields import SMALLEST
 from platform_ctrl.plant.gimbals import Body
 from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.source import read_text
@@ -173,8 +174,8 @@ class _Urdf(_Spec):
         ends = {}
         for one in self.top.findall("joint"):
             found = [element.get("link", "") for end in ("parent", "child") for element in one.findall(end)[:1]]
-            if len(found) != 2:
-                raise self.error(f"joint {given(one.get('name'))} has no parent or no child; name both")
+            if len(found) != 2 or not one.get("name"):
+                raise self.error(f"joint {given(one.get('name'))} has no name, no parent or no child; add it")
             ends[one.get("name", "")] = (found[0], found[1])
         self.ordered(ends, [one.get("name", "") for one in self.top.findall("link")])
 
@@ -333,4 +334,4 @@ class _Mjcf(_Spec):
         if limits:
             keys["limit"] = float(f"{np.min(limits):.15g}")
         self.parts.append(Part(kind="torquer", on=joint.name, keys=keys))
-        self.gears[joint.name] = gear or 1.0
+        self.gears[joint.name] = gear if abs(gear) > SMALLEST else 1.0
