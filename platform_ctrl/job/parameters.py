@@ -162,8 +162,9 @@ def _of_plant(platform: Platform) -> Iterator[_Ruled]:
             name = part.name if hasattr(part, "name") else part.gimbal
             title = _numbered(name, taken.count(name))
             taken.append(name)
+            of_motor = getattr(part, "stall", None) is not None  # a torquer whose numbers are the motor's
             for key, expected in numbers.items():
-                if _there(part, key):
+                if _there(part, key) and (key == "gain" or not of_motor):
                     factor = key == "inertia" or (group, key) == ("torquers", "gain")
                     yield _one(f"{word}.{title}.{key}", expected, "platform", group, k, key, factor=factor)
     for body in (platform.root_name, *platform.gimbal_names):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import field
 from functools import cache
@@ -19,7 +20,7 @@ from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer, stops_wr
 from platform_ctrl.plant.flexible import Compliance, FlexibleMode, motor_side
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.gimbals import Body, GimbalTree, mass_misfits
-from platform_ctrl.plant.mistakes import Misfit, given, useless, wrong
+from platform_ctrl.plant.mistakes import Misfit, given, missing, useless, wrong
 from platform_ctrl.plant.sensors import (
     LOS_ANGLES,
     LOS_RATES,
@@ -137,6 +138,9 @@ class Torquer:
         Largest rate at which the torque follows its command, N m/s, or None.
     added
         Whether the device itself does not have it: whatever is proved with it is not proved of the device.
+    stall, back_emf
+        Of a motor: torque between −stall − back_emf q̇ and stall − back_emf q̇ is what its supply allows, N m and N m s;
+        stall None: any.
     """
 
     name: fields.Text = ""
@@ -146,6 +150,8 @@ class Torquer:
     lag: fields.NotNegative = 0.0
     rate_limit: fields.Positive | None = None
     added: fields.Truth = False
+    stall: float | None = None
+    back_emf: float = 0.0
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
@@ -164,13 +170,30 @@ class Torquer:
 
 
 @input_value
-class Motor:
-    """A rotor in a gimbal's parent that a gear turns about the joint's axis: φ̇ = gear q̇.
-
-    T has ½ rotor_inertia (a·ω_parent + gear q̇)²; torque τ of the motor is gear τ on the gimbal.
+class CurrentLoop:
+    """The loop that sets a motor's current.
 
     Attributes
     ----------
+    bandwidth_hz
+        Where the current is 3 dB down, its delay included, Hz.
+    """
+
+    bandwidth_hz: fields.Positive
+
+
+@input_value
+class Motor:
+    """A rotor in a gimbal's parent that a gear turns about the joint's axis: φ̇ = gear q̇; with a current loop it drives.
+
+    T has ½ rotor_inertia (a·ω_parent + gear q̇)². The current loop makes it a torquer, `drive`, whose torque on the
+    gimbal is efficiency gear torque_constant i. The current is limited, and the voltage: |supply| ≥ resistance i +
+    torque_constant gear q̇.
+
+    Attributes
+    ----------
+    name
+        Signal name of its torque on the gimbal; default ``Q`` + gimbal.
     gimbal
         Name of the gimbal that it turns against its parent.
     gear
@@ -179,15 +202,52 @@ class Motor:
         About its axis, kg m²; its mass and transverse inertia are part of the parent's.
     torque_constant, resistance, inductance, supply
         N m/A (V s/rad), ohm, H and V, or None.
+    current_limit
+        A, or None.
+    current_loop
+        Its bandwidth; None: nothing drives it, or a [[torquer]] says what does.
+    efficiency
+        Share of the motor's torque that arrives at the gimbal.
     """
 
+    name: fields.Text = ""
     gimbal: Annotated[fields.Text, Refers()]
-    rotor_inertia: fields.Positive
+    rotor_inertia: fields.NotNegative = 0.0
     gear: fields.NotZero = 1.0
     torque_constant: fields.Positive | None = None
     resistance: fields.Positive | None = None
     inductance: fields.Positive | None = None
     supply: fields.Positive | None = None
+    current_limit: fields.Positive | None = None
+    current_loop: Annotated[CurrentLoop | None, TABLE] = None
+    efficiency: fields.SomePart = 1.0
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        needed = ("torque_constant", "resistance", "supply")
+        if "current_loop" in table:
+            yield from (missing(key, "a current loop needs it") for key in needed if key not in table)
+        elif "rotor_inertia" not in table:
+            yield missing("rotor_inertia", "a motor without current_loop is a rotor alone, of so many kg m²")
+        for key in ("current_limit", "efficiency", "name"):
+            if key in table and "current_loop" not in table:
+                yield useless(table, key, 'without "current_loop"')
+
+    @property
+    def drive(self) -> Torquer | None:
+        """The torquer that it is, with what its supply allows; None without a current loop."""
+        loop, constant, resistance, supply = self.current_loop, self.torque_constant, self.resistance, self.supply
+        if loop is None or constant is None or resistance is None or supply is None:
+            return None
+        per_ampere = abs(self.gear) * constant * self.efficiency
+        return Torquer(
+            name=self.name,
+            gimbal=self.gimbal,
+            limit=per_ampere * min(supply / resistance, self.current_limit or math.inf),
+            lag=1.0 / (2.0 * math.pi * loop.bandwidth_hz),
+            stall=per_ampere * supply / resistance,
+            back_emf=per_ampere * abs(self.gear) * constant / resistance,
+        )
 
 
 @input_value
@@ -258,6 +318,9 @@ class Platform(GimbalTree):
 
     def __post_init__(self) -> None:
         """Add the motor sides of drives that give way, and name sensors after the signals that they measure."""
+        own = tuple(one for one in self.torquers if one.stall is None)
+        drives = tuple(one for motor in self.motors if (one := motor.drive) is not None)
+        object.__setattr__(self, "torquers", (*own, *drives))
         self._add_motor_sides()
         if all(sensor.name for sensor in self.sensors):
             return
@@ -442,6 +505,9 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             words = f"pick-off {pickoff.name!r} must be called {angle!r}, as its angle, to stand in a plant file"
             raise ArgumentError(f"{words}; leave its name out, or make it an AngleSensor")
     data = {"schema": 1} | written(platform)
+    driven = [torquer.stall is not None for torquer in platform.torquers]
+    if any(driven):
+        data["torquer"] = [one for one, by_motor in zip(data["torquer"], driven, strict=True) if not by_motor]
     loads = {one.motor_side: one.gimbal for one in platform.compliances}
     if loads:
         data["gimbal"] = [gimbal for gimbal in data["gimbal"] if gimbal["name"] not in loads]

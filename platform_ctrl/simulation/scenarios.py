@@ -330,9 +330,9 @@ def put_torquers(plants: Plants, rows: FloatArray, half: FloatArray) -> None:
     if rows.size == 0:
         return
     # Where there is no limit it is None, as a number NaN.
-    limits = plants.rows(lambda p: [(t.limit, t.rate_limit, t.lag) for t in p.torquers])
-    limit, slew, lag = np.where(np.isnan(limits), math.inf, limits).transpose(2, 0, 1)
-    rows[:, :, arrays.LIMIT] = limit
+    limits = plants.rows(lambda p: [(t.limit, t.rate_limit, t.stall, t.lag, t.back_emf) for t in p.torquers])
+    limit, slew, stall, lag, back_emf = np.where(np.isnan(limits), math.inf, limits).transpose(2, 0, 1)
+    rows[:, :, arrays.LIMIT], rows[:, :, arrays.STALL], rows[:, :, arrays.BACK_EMF] = limit, stall, back_emf
     rows[:, :, arrays.AT_ONCE] = np.where(np.isinf(slew), math.inf, 0.0)
     for segment in range(2):
         step = half[:, segment, None]

@@ -21,6 +21,16 @@ def acts(mem: FloatArray, lane: int, fault: int, t: Number) -> Mask:
     return (load(mem, fault + arrays.BEGIN, lane) <= t) & (load(mem, fault + arrays.UNTIL, lane) > t)
 
 
+@inlined
+def within_reach(shared: Shared, mem: FloatArray, lane: int, layout: Layout, i: int, torque: Number) -> Number:
+    """A torquer's torque within its limit, and within what a motor's supply allows at the joint's rate."""
+    slot = layout.torquer + i * arrays.TORQUER
+    limit, stall = load(mem, slot + arrays.LIMIT, lane), load(mem, slot + arrays.STALL, lane)
+    counter = load(mem, slot + arrays.BACK_EMF, lane) * load(mem, layout.velocity + shared.targets[i], lane)
+    most, least = lesser(limit, stall - counter), greater(-limit, -stall - counter)
+    return lesser(greater(torque, least), most)
+
+
 @internal
 def ready_torquers(shared: Shared, mem: FloatArray, lane: int, layout: Layout) -> None:
     """Find how far the lags stay behind a torque that slews."""

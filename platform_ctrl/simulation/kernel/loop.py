@@ -21,6 +21,7 @@ from platform_ctrl.simulation.kernel.devices import (
     ready_torquers,
     torquers_fail,
     uniforms,
+    within_reach,
     work_on,
 )
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
@@ -146,12 +147,9 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
                 mem, layout.controller + nx + row, lane, choose(lost, load(mem, layout.controller + row, lane), total)
             )
         else:
-            command, limit = (
-                layout.command + row - nx,
-                load(mem, layout.torquer + (row - nx) * arrays.TORQUER + arrays.LIMIT, lane),
-            )
+            command = layout.command + row - nx
             excess = layout.sensor + (layout.sensors + layout.commands + row - nx) * arrays.SENSOR + arrays.LAST
-            store(mem, excess, lane, lesser(greater(total, -limit), limit) - total)
+            store(mem, excess, lane, within_reach(shared, mem, lane, layout, row - nx, total) - total)
             if layout.drives > 0:
                 total = _driven(shared, mem, lane, layout, row - nx, total)
             total = total + load(mem, layout.torquer + (row - nx) * arrays.TORQUER + arrays.EQUILIBRIUM, lane)
@@ -299,9 +297,7 @@ def _sample(
     going = judge(mem, lane, at, layout, shared)
     update_metrics(shared, mem, lane, at, layout, k)
     for i in range(nu):
-        slot = layout.torquer + i * arrays.TORQUER
-        limit = load(mem, slot + arrays.LIMIT, lane)
-        command = lesser(greater(load(mem, layout.command + i, lane), -limit), limit)
+        command = within_reach(shared, mem, lane, layout, i, load(mem, layout.command + i, lane))
         ring = layout.ring + k % (layout.whole + 2) * nu + i
         store(mem, ring, lane, command)
     if record.shape[0] > 0:

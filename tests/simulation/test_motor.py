@@ -1,0 +1,72 @@
+"""Motors from their data sheets: what they turn, and what current and voltage leave of their torque."""
+
+import control
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import simulation
+
+KT, R, SUPPLY, GEAR, ETA = 0.05, 2.0, 12.0, -10.0, 0.8
+J, JM = 0.02, 1e-5
+
+
+def plant(**motor):
+    gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J, J, J], "angle": "q"}
+    keys = {"torque_constant": KT, "resistance": R, "supply": SUPPLY, "gear": GEAR, "efficiency": ETA}
+    own = {"gimbal": "g", "rotor_inertia": JM, "current_limit": 4.0, "current_loop": {"bandwidth_hz": 1500.0}}
+    return {
+        "schema": 1,
+        "name": "motor",
+        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
+        "gimbal": [gimbal],
+        "pickoff": [{"gimbal": "g"}],
+        "motor": [keys | own | motor],
+    }
+
+
+def test_a_motor_with_a_current_loop_is_the_torquer_of_its_gimbal():
+    platform = pc.read_platform(plant())
+    [torquer] = platform.torquers
+    assert torquer.name == "Qg"
+    assert torquer.limit == pytest.approx(ETA * 10.0 * KT * 4.0)
+    assert torquer.lag == pytest.approx(1.0 / (2.0 * np.pi * 1500.0))
+    assert pc.read_platform(platform).to_toml() == platform.to_toml()
+    assert "torquer" not in platform.to_toml()
+    system = pc.state_space(pc.linearise(platform))
+    assert system.input_labels[0] == "Qg"
+
+
+def test_its_torque_ends_where_the_back_emf_takes_the_supply():
+    # Without a current limit the motor runs up to its idling speed, torque falling in proportion to the rate.
+    platform = pc.read_platform(plant(current_limit=100.0))
+    full = control.StateSpace([], [], [], [[1e6]], 1e-3, inputs=["q"], outputs=["Qg"])
+    one = simulation.Scenario(platform=platform, mode="caged", duration=3.0, delay=0.0, q=[1e-3])
+    run = simulation.simulate(one, [full], period=1e-3, noise=False)
+    stall, slope = ETA * 10.0 * KT * SUPPLY / R, ETA * (10.0 * KT) ** 2 / R
+    idle, inertia = stall / slope, J + GEAR**2 * JM
+    assert idle == pytest.approx(SUPPLY / (10.0 * KT))
+    expected = idle * (1.0 - np.exp(-slope / inertia * run.t))
+    np.testing.assert_allclose(run.rate[:, 0], expected, rtol=0, atol=0.01 * idle)
+    assert run.rate[-1, 0] == pytest.approx(idle, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("motor", "words"),
+    [
+        ({"gear": 0.0}, "gear must be a number other than 0"),
+        ({"efficiency": 1.2}, "efficiency must be a share > 0, up to 1"),
+        ({"current_loop": {"bandwidth_hz": 0.0}}, "bandwidth_hz must be a number > 0"),
+        ({"current_loop": {"bandwidth": 10.0}}, "unknown key"),
+    ],
+)
+def test_a_motor_that_cannot_be_is_refused(motor, words):
+    with pytest.raises(pc.PlatformCtrlError, match=words):
+        pc.read_platform(plant(**motor))
+
+
+def test_a_current_loop_needs_the_numbers_of_its_motor():
+    data = plant()
+    del data["motor"][0]["resistance"]
+    with pytest.raises(pc.PlatformCtrlError, match='key "resistance" is missing; a current loop needs it'):
+        pc.read_platform(data)
