@@ -14,7 +14,17 @@ from scipy.spatial.transform import Rotation
 
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.robots.robot import NO_BODY, ROTOR, WORLD, Link, Part, Pose, no_counterpart, plain, unread
+from platform_ctrl.export.robots.robot import (
+    NO_BODY,
+    ROTOR,
+    WORLD,
+    Link,
+    Pose,
+    RobotPart,
+    no_counterpart,
+    plain,
+    unread,
+)
 from platform_ctrl.export.robots.sdf import SHOWN, SensorReader
 from platform_ctrl.plant.fields import SMALLEST
 from platform_ctrl.plant.gimbals import Body
@@ -290,10 +300,10 @@ class _Mjcf(_Spec):
                 self.gyro(sensor.name or f"{body}_Omega", body, turn, [noise] * 3)
             elif sensor.type in kinds:
                 name = {"name": plain(sensor.name)} if sensor.name else {}
-                self.parts.append(Part(kind=kinds[sensor.type], on=sensor.objname, keys=name | noise))
+                self.parts.append(RobotPart(kind=kinds[sensor.type], on=sensor.objname, keys=name | noise))
         for camera in spec.cameras:
             along = -(self.poses[camera.parent.name] @ self.placed(camera)).turn[:, 2]
-            self.parts.append(Part(kind="camera", on=camera.parent.name, keys={"name": camera.name}, axis=along))
+            self.parts.append(RobotPart(kind="camera", on=camera.parent.name, keys={"name": camera.name}, axis=along))
         for one in spec.equalities:
             # The first of two joints follows the other.
             names = (one.name1,) if one.type == enums.mjtEq.mjEQ_JOINT else (one.name1, one.name2)
@@ -333,5 +343,5 @@ class _Mjcf(_Spec):
             self.notes.append(f"{where}: its limits differ to both sides: the smaller ones are taken")
         if limits:
             keys["limit"] = float(f"{np.min(limits):.15g}")
-        self.parts.append(Part(kind="torquer", on=joint.name, keys=keys))
+        self.parts.append(RobotPart(kind="torquer", on=joint.name, keys=keys))
         self.gears[joint.name] = gear if abs(gear) > SMALLEST else 1.0

@@ -16,7 +16,7 @@ import numpy as np
 from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.robots.robot import NO_BODY, ROTOR, WORLD, Link, Part, Pose, Reader, plain
+from platform_ctrl.export.robots.robot import NO_BODY, ROTOR, WORLD, Link, Pose, Reader, RobotPart, plain
 from platform_ctrl.plant.gimbals import Body
 from platform_ctrl.plant.mistakes import given, one_line, suggestion
 from platform_ctrl.plant.platform import Platform
@@ -277,7 +277,7 @@ class _Tree:
             self.robot.notes.append(f"rotor {given(out['name'])}: {words}")
         return out | {"origin": _rounded(body.centre - self._origin(above), self.size)}
 
-    def _add(self, part: Part, gimbals: dict[str, str], out: dict[str, Any]) -> None:
+    def _add(self, part: RobotPart, gimbals: dict[str, str], out: dict[str, Any]) -> None:
         """Add a table on a joint or a link, or a note where that is no body of the plant."""
         kind, owner = part.kind, self.owner.get(part.on)
         if part.axis is not None and owner is not None:

@@ -71,7 +71,7 @@ class Link:
 
 
 @value
-class Part:
+class RobotPart:
     """A table of the plant file on a joint, or, with an axis in the model's axes, on a link."""
 
     kind: str
@@ -89,7 +89,7 @@ class Reader:
         self.label, self.top = label, top
         self.name = ""
         self.links: list[Link] = []  # Carriers before what they carry
-        self.parts: list[Part] = []
+        self.parts: list[RobotPart] = []
         self.gears: dict[str, float] = {}  # Of joints, where the file says it
         self.notes: list[str] = []
         self.gravity = np.array([0.0, 0.0, -9.81])
@@ -124,7 +124,7 @@ class Reader:
         friction = {key: item for key, item in (("viscous", viscous), ("coulomb", dry)) if item}
         spring = {"stiffness": stiffness, "rest": rest} if stiffness else {}
         self.parts += [
-            Part(kind=k, on=joint, keys=own) for k, own in (("friction", friction), ("spring", spring)) if own
+            RobotPart(kind=k, on=joint, keys=own) for k, own in (("friction", friction), ("spring", spring)) if own
         ]
 
     def stops(self, joint: str, lower: float, upper: float) -> dict[str, Any]:
@@ -145,13 +145,13 @@ class Reader:
         limited = 0.0 < effort < math.inf
         if not limited:
             self.notes.append(f"joint {given(joint)}: no effort limit: give its torquer a limit, or remove it")
-        self.parts.append(Part(kind="torquer", on=joint, keys={"limit": effort} if limited else {}))
+        self.parts.append(RobotPart(kind="torquer", on=joint, keys={"limit": effort} if limited else {}))
 
     def gyro(self, name: str, link: str, turn: FloatArray, keys: Iterable[Mapping[str, Any]]) -> None:
         """Add three rate sensors about the axes `turn`, with the keys of each."""
         for k, own in enumerate(keys):
             table = {"name": f"{plain(name)}{k + 1}", **own}
-            self.parts.append(Part(kind="rate_sensor", on=link, keys=table, axis=turn[:, k]))
+            self.parts.append(RobotPart(kind="rate_sensor", on=link, keys=table, axis=turn[:, k]))
 
     def assume_gravity(self) -> None:
         """Say that the file has none."""

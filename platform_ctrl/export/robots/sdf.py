@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.export.robots.robot import NO_BODY, WORLD, Link, Part, Pose, Reader, no_counterpart, unread
+from platform_ctrl.export.robots.robot import NO_BODY, WORLD, Link, Pose, Reader, RobotPart, no_counterpart, unread
 from platform_ctrl.plant.gimbals import Body
 from platform_ctrl.plant.mistakes import given
 
@@ -53,7 +53,7 @@ class SensorReader(Reader):
         name, kind = sensor.get("name", ""), sensor.get("type", "")
         where, keys = f"sensor {given(name)} of {given(link)}", []
         if kind == "camera":
-            self.parts.append(Part(kind=kind, on=link, keys={"name": name}, axis=turn[:, 0]))
+            self.parts.append(RobotPart(kind=kind, on=link, keys={"name": name}, axis=turn[:, 0]))
         elif kind != "imu":
             self.notes.append(no_counterpart(f"{where}: {kind}", "sensor"))
             return
