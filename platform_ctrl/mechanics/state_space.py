@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 
 __all__ = ["state_space", "subsystems"]
 
+# States of a free root: its momenta.
+ROOT_MOMENTA = ("P1", "P2", "P3")
+
 ComplexArray = NDArray[np.complex128]
 
 
@@ -305,7 +308,7 @@ def _free(model: LinearModel, specific_force: bool) -> NamedMatrices:
     C = np.zeros((gimbals + 3, 2 * n + 3))
     C[:gimbals, :gimbals] = np.eye(gimbals)
     C[gimbals:, n:] = omega
-    states = [*names, *(f"p_{name}" for name in names), "P1", "P2", "P3"]
+    states = [*names, *(f"p_{name}" for name in names), *ROOT_MOMENTA]
     if (falling := B[:, -3:] @ -cross_matrix(model.platform.gravity)).any():  # of δf = θ × gravity
         A = np.block([[A, falling], [np.zeros((3, n)), omega, -turn]])
         B, C = np.pad(B, ((0, 3), (0, 0))), np.pad(C, ((0, 0), (0, 3)))

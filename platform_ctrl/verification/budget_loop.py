@@ -32,7 +32,7 @@ from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
 from platform_ctrl.plant.sensors import LOS_RATES
-from platform_ctrl.verification.coupled_plant import acts_on_root
+from platform_ctrl.verification.coupled_plant import moves_freely
 
 if TYPE_CHECKING:
     import control
@@ -46,7 +46,7 @@ class BudgetLoop:
 
     def __init__(self, job: Job, budget: BudgetSpec, controllers: Sequence[control.StateSpace]) -> None:
         self.job, self.budget = job, budget
-        self.free = acts_on_root(job, controllers)
+        self.free = moves_freely(job, controllers)
         self.dry = job.platform.dry_frictions
         read = {name for one in controllers for name in one.input_labels}
         used = {name for one in controllers for name in one.output_labels}

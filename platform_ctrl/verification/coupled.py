@@ -40,8 +40,8 @@ from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.coupled_plant import (
     CoupledPlant,
-    acts_on_root,
     coupled_plant,
+    moves_freely,
     one_way_plant,
     sensed_rates,
     used_signals,
@@ -194,7 +194,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         controller=together.controller,
         poles=together.poles,
         period=together.period,
-        free=acts_on_root(job, controllers),
+        free=moves_freely(job, controllers),
         free_angles=together.free_angles,
         uncontrolled=together.uncontrolled,
         growing=bool(together.growing),
@@ -212,6 +212,8 @@ def _conditions(job: Job, together: _Together, growing: str) -> str:
     """Return what the stability of all loops rests on, in words."""
     words = [f"no loop acts on {growing}: it moves away by itself"] if growing else []
     words += [f"nothing holds the angle {name}: it drifts" for name in together.free_angles]
+    if together.conserved:
+        words.append(f"no loop changes the platform's momentum {', '.join(together.conserved)}: it counts as zero")
     if together.uncontrolled and not growing:
         words.append(f"no loop acts on {', '.join(together.uncontrolled)}, which no loop depends on")
     return "".join(f"; {one}" for one in words) + _dry(job)
@@ -228,7 +230,7 @@ class _Together:
         self._job, self._whole = job, whole
         plant = self._plant = whole.system
         self._seen, torquers = used_signals(job, controllers, plant)
-        self.channels, self.uncontrolled = tuple(torquers), whole.uncontrolled
+        self.channels, self.uncontrolled, self.conserved = tuple(torquers), whole.uncontrolled, whole.conserved
         self.controller: control.StateSpace | None = None
         self._periodic: PeriodicLoop | None = None
         by_sample = interconnected_by_sample(controllers, self._seen, torquers, job.sampling.period)

@@ -14,7 +14,7 @@ from platform_ctrl.design.cases import secant_gains
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.mechanics.state_space import ROOT_MOMENTA, state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
@@ -23,33 +23,37 @@ if TYPE_CHECKING:
 # A gimbal that no loop acts on grows by itself where its pole is this much larger than rounding may make it: that of
 # poles that coincide, as those of a body that turns freely, may be anything.
 _GROWS = 1e3
+# A sum of states changes by no more than this share of what each of them may change by: it is constant.
+_CONSTANT = 1e-9
 
 
 class CoupledPlant(NamedTuple):
     """The sampled model that all controllers work in, and what it leaves out.
 
     `left_out`: angles on which nothing depends. `uncontrolled`: gimbals on which nothing depends that a controller
-    reads; they grow at `growth`, 1/s.
+    reads; they grow at `growth`, 1/s. `conserved`: momenta of a free root that nothing changes, and that are zero.
     """
 
     system: control.StateSpace
     left_out: tuple[str, ...]
     uncontrolled: tuple[str, ...]
     growth: float
+    conserved: tuple[str, ...] = ()
 
 
 def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledPlant:
     """Return the sampled model in which all `controllers` work, from torquers (in the file's order) to what they read.
 
-    With a controller that acts on the root the platform is free and reacts. Without one nothing would hold it: it
-    counts as carried by the vehicle, Omega given.
+    With a controller that acts on the root, and where the plant says so, the platform is free and reacts. Otherwise
+    nothing would hold it: it counts as carried by the vehicle, Omega given.
     """
-    platform, free = job.platform, acts_on_root(job, controllers)
+    platform, free = job.platform, moves_freely(job, controllers)
     system = state_space(model, root="free" if free else "prescribed")
     torquers = [t for t in platform.torquers if free or t.gimbal is not None]
     read = {name for K in controllers for name in K.input_labels}
     outputs = [*(name for name in model.angle_names if name in read), *sensed_rates(job, controllers)]
     whole = observed(system, platform, outputs, model.q0, model.Omega0)
+    whole, conserved = _without_conserved(whole, [t.signal for t in torquers if _sets(controllers, t.name)], free)
     states, columns = list(whole.state_labels), [whole.input_labels.index(t.signal) for t in torquers]
     seen = seen_states(whole.A[None], whole.C[None])
     kept, growth = list(range(whole.nstates)), 0.0
@@ -75,7 +79,42 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     left_out = tuple(
         name for name in model.angle_names if (k := states.index(name)) not in kept and not whole.A[:, k].any()
     )
-    return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth)
+    return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth, conserved)
+
+
+def _sets(controllers: Sequence[control.StateSpace], torquer: str) -> bool:
+    return any(torquer in K.output_labels for K in controllers)
+
+
+def _without_conserved(
+    whole: control.StateSpace, used: Sequence[str], free: bool
+) -> tuple[control.StateSpace, tuple[str, ...]]:
+    """Return a model without the momenta of a free root that no used torquer changes, and their names.
+
+    Sums wᵀx of states with wᵀ[A, B] = 0 keep what they have. They are zero for a platform that was at rest, and no loop
+    could bring them there: the largest momentum of the root in each follows from the other states.
+    """
+    from scipy.linalg import null_space, qr
+
+    names = list(whole.state_labels)
+    momenta = [k for k, name in enumerate(names) if name in ROOT_MOMENTA]
+    if not free or not momenta:
+        return whole, ()
+    B = whole.B[:, [whole.input_labels.index(name) for name in used]]
+    scale = state_scaling(whole.A, B, whole.C)
+    changes = np.hstack([whole.A * scale, B]) / scale[:, None]
+    constant = null_space((changes / np.linalg.norm(changes, axis=0).clip(1e-300)).T, rcond=_CONSTANT).T / scale
+    constant = constant[np.linalg.norm(constant[:, momenta] * scale[momenta], axis=1) > _CONSTANT]
+    if not len(constant):
+        return whole, ()
+    order = qr(constant[:, momenta], mode="r", pivoting=True)[1][: len(constant)]
+    gone = [momenta[k] for k in order]
+    kept = [k for k in range(len(names)) if k not in gone]
+    T = np.eye(len(names))[:, kept]
+    T[gone] = -np.linalg.solve(constant[:, gone], constant[:, kept])
+    arrays = System(whole.A[kept] @ T, whole.B[kept], whole.C @ T, whole.D, 0.0)
+    labels = list(whole.input_labels), list(whole.output_labels), [names[k] for k in kept]
+    return arrays.to_control(*labels), tuple(sorted(names[k] for k in gone))
 
 
 def _growth(A: FloatArray) -> float:
@@ -109,8 +148,10 @@ def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[st
     return [s.name for s in job.platform.sensors if s.name in used]
 
 
-def acts_on_root(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
-    """Return whether a controller sets a torque on the root: the platform is free then."""
+def moves_freely(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
+    """Return whether the platform is free: the plant says how it moves, or a controller sets a torque on the root."""
+    if job.platform.mode is not None:
+        return job.platform.mode != "held"
     return any(set(job.platform.root_torquers) & set(K.output_labels) for K in controllers)
 
 

@@ -35,7 +35,7 @@ from platform_ctrl.simulation.scenarios import equilibrium_torques
 from platform_ctrl.simulation.step_limit import longest_step
 from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
 from platform_ctrl.verification.budget_result import SimulatedBudget
-from platform_ctrl.verification.coupled_plant import acts_on_root
+from platform_ctrl.verification.coupled_plant import moves_freely
 
 if TYPE_CHECKING:
     import control
@@ -281,7 +281,7 @@ def simulated_budget(
     budget, runs = expect_budget(job), whole("runs", runs, 2)
     seed = whole("seed", seed, 0)
     length = 1.0 / budget.from_hz if time is None else positive("time", time)
-    free = acts_on_root(job, controllers)
+    free = moves_freely(job, controllers)
     vibrations = tuple(one for source in budget.sources for one in _vibrations(source, budget))
     scenarios = [
         Scenario(
