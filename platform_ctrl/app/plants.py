@@ -27,7 +27,8 @@ from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import named_rows, whole_subsystems
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 T = TypeVar("T")
 

@@ -24,7 +24,9 @@ def import_description(
     ] = None,
     root: Annotated[
         str | None,
-        typer.Option("--root", metavar="BODY", help="Body that is the root; what carries it is cut off. Default: the base."),
+        typer.Option(
+            "--root", metavar="BODY", help="Body that is the root; what carries it is cut off. Default: the base."
+        ),
     ] = None,
     tip: Annotated[
         str | None,

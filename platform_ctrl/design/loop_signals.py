@@ -18,7 +18,8 @@ from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.plant.platform import Platform, Torquer
+from platform_ctrl.plant.drives import Torquer
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import LOS_RATES, Sensor
 
 # Share of their effect at zero angles below which torquers are near a keyhole: 1/cos of the elevation is 10 there.

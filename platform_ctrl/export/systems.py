@@ -22,7 +22,7 @@ from platform_ctrl.common.files import write_json, write_whole
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import one_line
-from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.source import MOST_OF_ANY, path_of, read_json
 from platform_ctrl.verification.result_file import MOST_STATES, SCHEMA, JSONTable

@@ -20,6 +20,7 @@ from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.methods import WITH_SIGNALS, DesignSpec
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.scenario import Command
+from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.fields import TURN
 from platform_ctrl.plant.mistakes import (
     Misfit,
@@ -34,7 +35,7 @@ from platform_ctrl.plant.mistakes import (
     within,
     wrong,
 )
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 # Sample periods from sample to torque at most: each is a state of every torquer in every plant.
 LONGEST_DELAY = 100

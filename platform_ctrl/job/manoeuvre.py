@@ -21,8 +21,9 @@ from platform_ctrl.job.scenario import (
     Vibration,
 )
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, within, wrong
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.plant.platform import OMEGA_NAMES
 from platform_ctrl.plant.tables import Array, Key, Shape
 
 MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 20, 100, 100

@@ -16,7 +16,7 @@ from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected
 from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.plant.mistakes import suggestion
-from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor, Torquer
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.tables import shape
 
 # Rules for drawn numbers, by the rules for numbers of a file: zeros and ends of ranges may be drawn.

@@ -21,10 +21,10 @@ from platform_ctrl.job.parameters import (
 )
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.drives import Rotor
 from platform_ctrl.plant.fields import Expected, Unfit
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, takes, wrong
-from platform_ctrl.plant.platform import Rotor
 from platform_ctrl.plant.tables import Array, Collected, record_value, shape, written
 
 Points = Literal["sobol", "latin-hypercube", "random"]

@@ -16,7 +16,8 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.forces import specific_force_at
 from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topology
 from platform_ctrl.mechanics.matrices import directions, mass_matrix, solved_inertia, world_inertias
-from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, RotorControl
+from platform_ctrl.plant.drives import RotorControl
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 
 def inverse_dynamics(

@@ -35,7 +35,8 @@ from platform_ctrl.mechanics.linearisation import (
     momentum_rounding,
 )
 from platform_ctrl.mechanics.matrices import inverse_inertia
-from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
 
 if TYPE_CHECKING:
     import control

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import field
 from functools import cache
 from itertools import chain
@@ -16,11 +15,11 @@ from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer, stops_written
+from platform_ctrl.plant.drives import Motor, Rotor, Torquer
+from platform_ctrl.plant.fields import stops_written
 from platform_ctrl.plant.flexible import Compliance, FlexibleMode, motor_side
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.gimbals import Body, GimbalTree, mass_misfits
-from platform_ctrl.plant.mistakes import Misfit, given, missing, useless, wrong
+from platform_ctrl.plant.gimbals import GimbalTree
 from platform_ctrl.plant.sensors import (
     LOS_ANGLES,
     LOS_RATES,
@@ -32,222 +31,16 @@ from platform_ctrl.plant.sensors import (
     Sensor,
     gimbal_rate,
 )
-from platform_ctrl.plant.tables import TABLE, Array, Instead, InTable, Shape, either, shape, written
+from platform_ctrl.plant.tables import TABLE, Array, InTable, Shape, shape, written
 
-RotorControl = Literal["regulated", "free", "servo"]
 RootMode = Literal["held", "pivot", "floating"]
 
 # Signals that every plant has: the root's rates, the torques on it, and its specific force.
 OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
-ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 FORCE_NAMES = ("f1", "f2", "f3")
 
 # Of each kind but gimbals: their equations and matrices are worked out in full.
 MOST_PARTS = 200
-
-_SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
-
-
-@input_value
-class Rotor:
-    """A rotor that spins in a carrier.
-
-    Attributes
-    ----------
-    name, carrier
-        Names of the rotor and of the gimbal (or root) that it spins in.
-    axis : (3,)
-        Unit vector of the spin axis in the carrier's axes; dimensionless.
-    axial_inertia, transverse_inertia
-        C and A of the paper, kg m².
-    angular_momentum
-        L = C times the spin relative to the carrier, N m s. For a free rotor its constant axial momentum p; for a
-        servo rotor the L that its speed loop aims at.
-    control
-        ``"regulated"``: relative spin constant, (8)-(15); ``"free"``: cyclic, (4)-(7); ``"servo"``: a degree of freedom
-        of its own, whose spin a real loop controls. Matrices and linear models take a servo rotor for regulated, the
-        limit of a fast loop; simulations run the loop.
-    speed_gain, speed_integral
-        Speed loop of a servo rotor, N m s and N m: torque = −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
-    torque_limit
-        Largest motor torque, N m, or None; the integral does not change while the torque is at its limit.
-    mass
-        Own mass, kg; 0: that of the carrier contains it.
-    origin : (3,)
-        Its centre of mass from the carrier's origin, in the carrier's axes, m.
-
-    References
-    ----------
-    K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
-
-    See docs/reference/plant-file.md.
-    """
-
-    name: fields.Text
-    carrier: Annotated[fields.Text, Refers(root=True)]
-    axis: fields.Axis
-    axial_inertia: fields.Positive
-    transverse_inertia: fields.Positive
-    angular_momentum: Annotated[fields.Number, _SPIN]
-    control: Annotated[RotorControl, fields.one_of(get_args(RotorControl))] = "regulated"
-    speed_gain: fields.Positive = 0.0
-    speed_integral: fields.NotNegative = 0.0
-    torque_limit: fields.Positive | None = None
-    mass: fields.Positive = 0.0
-    origin: fields.Vector = field(default_factory=fields.zero_vector)
-
-    @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        yield from mass_misfits(table, "origin", "the rotor's centre from the carrier's origin")
-        axial, servo = table["axial_inertia"], table.get("control") == "servo"
-        if table["transverse_inertia"] < axial / 2 * (1 - fields.ROUNDING):
-            yield wrong(table, "transverse_inertia", f"at least half of axial_inertia = {given(axial)}")
-        if servo and "speed_gain" not in table:
-            yield "control", 'control = "servo" needs "speed_gain", N m s'
-        for key in ("speed_gain", "speed_integral", "torque_limit"):
-            if key in table and not servo:
-                yield useless(table, key, 'without control = "servo"')
-
-    @property
-    def spin(self) -> float:
-        """Spin relative to the carrier (for a free rotor: with the carrier at rest), rad/s."""
-        return self.angular_momentum / self.axial_inertia
-
-    @property
-    def body(self) -> Body:
-        """The rotor without its axial inertia, in the carrier's axes, from the carrier's origin."""
-        across = np.eye(3) - np.outer(self.axis, self.axis)
-        return Body(self.mass, self.origin, self.transverse_inertia * across)
-
-
-@input_value
-class Torquer:
-    """A motor that turns a gimbal against its parent, or the root against inertial space.
-
-    Attributes
-    ----------
-    name
-        Signal name; default ``Q`` + gimbal or ``M`` + root axis.
-    gimbal, root_axis
-        Exactly one is given: the gimbal's name, or 1, 2 or 3.
-    limit
-        Largest torque, N m, or None.
-    lag
-        Time constant of the first-order lag from command to torque, s.
-    rate_limit
-        Largest rate at which the torque follows its command, N m/s, or None.
-    added
-        Whether the device itself does not have it: whatever is proved with it is not proved of the device.
-    stall, back_emf
-        Of a motor: torque between −stall − back_emf q̇ and stall − back_emf q̇ is what its supply allows, N m and N m s;
-        stall None: any.
-    """
-
-    name: fields.Text = ""
-    gimbal: Annotated[fields.Text | None, Refers(hint="root_axis turns the root")] = None
-    root_axis: fields.RootAxis | None = None
-    limit: fields.Positive | None = None
-    lag: fields.NotNegative = 0.0
-    rate_limit: fields.Positive | None = None
-    added: fields.Truth = False
-    stall: float | None = None
-    back_emf: float = 0.0
-
-    @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        if ("gimbal" in table) == ("root_axis" in table):
-            yield (), either("gimbal", "root_axis", "gimbal" in table)
-
-    def __post_init__(self) -> None:
-        """Name the signal."""
-        if not self.name:
-            object.__setattr__(self, "name", default_torquer(self.gimbal, self.root_axis))
-
-    @property
-    def signal(self) -> str:
-        """Name of the linear model's input that it drives: its own, or M1, M2 or M3 on the root."""
-        return self.name if self.root_axis is None else ROOT_TORQUE_NAMES[self.root_axis - 1]
-
-
-@input_value
-class CurrentLoop:
-    """The loop that sets a motor's current.
-
-    Attributes
-    ----------
-    bandwidth_hz
-        Where the current is 3 dB down, its delay included, Hz.
-    """
-
-    bandwidth_hz: fields.Positive
-
-
-@input_value
-class Motor:
-    """A rotor in a gimbal's parent that a gear turns about the joint's axis: φ̇ = gear q̇; with a current loop it drives.
-
-    T has ½ rotor_inertia (a·ω_parent + gear q̇)². The current loop makes it a torquer, `drive`, whose torque on the
-    gimbal is efficiency gear torque_constant i. The current is limited, and the voltage: |supply| ≥ resistance i +
-    torque_constant gear q̇.
-
-    Attributes
-    ----------
-    name
-        Signal name of its torque on the gimbal; default ``Q`` + gimbal.
-    gimbal
-        Name of the gimbal that it turns against its parent.
-    gear
-        Turns of the motor for a turn of the gimbal; negative where the gear turns the motor the other way.
-    rotor_inertia
-        About its axis, kg m²; its mass and transverse inertia are part of the parent's.
-    torque_constant, resistance, inductance, supply
-        N m/A (V s/rad), ohm, H and V, or None.
-    current_limit
-        A, or None.
-    current_loop
-        Its bandwidth; None: nothing drives it, or a [[torquer]] says what does.
-    efficiency
-        Share of the motor's torque that arrives at the gimbal.
-    """
-
-    name: fields.Text = ""
-    gimbal: Annotated[fields.Text, Refers()]
-    rotor_inertia: fields.NotNegative = 0.0
-    gear: fields.NotZero = 1.0
-    torque_constant: fields.Positive | None = None
-    resistance: fields.Positive | None = None
-    inductance: fields.Positive | None = None
-    supply: fields.Positive | None = None
-    current_limit: fields.Positive | None = None
-    current_loop: Annotated[CurrentLoop | None, TABLE] = None
-    efficiency: fields.SomePart = 1.0
-
-    @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        needed = ("torque_constant", "resistance", "supply")
-        if "current_loop" in table:
-            yield from (missing(key, "a current loop needs it") for key in needed if key not in table)
-        elif "rotor_inertia" not in table:
-            yield missing("rotor_inertia", "a motor without current_loop is a rotor alone, of so many kg m²")
-        for key in ("current_limit", "efficiency", "name"):
-            if key in table and "current_loop" not in table:
-                yield useless(table, key, 'without "current_loop"')
-
-    @property
-    def drive(self) -> Torquer | None:
-        """The torquer that it is, with what its supply allows; None without a current loop."""
-        loop, constant, resistance, supply = self.current_loop, self.torque_constant, self.resistance, self.supply
-        if loop is None or constant is None or resistance is None or supply is None:
-            return None
-        per_ampere = abs(self.gear) * constant * self.efficiency
-        return Torquer(
-            name=self.name,
-            gimbal=self.gimbal,
-            limit=per_ampere * min(supply / resistance, self.current_limit or math.inf),
-            lag=1.0 / (2.0 * math.pi * loop.bandwidth_hz),
-            stall=per_ampere * supply / resistance,
-            back_emf=per_ampere * abs(self.gear) * constant / resistance,
-        )
 
 
 @input_value

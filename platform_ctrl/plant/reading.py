@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.common.values import replaced
+from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
 from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
 from platform_ctrl.plant.locking import carried_inertia
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, plant_data
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, plant_data
 from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.plant.source import InputData, is_shipped_name, open_file, open_mapping, open_shipped, path_of
 from platform_ctrl.plant.tables import Key, Shape, made, read_table, references, shape

@@ -29,7 +29,7 @@ from platform_ctrl.job.quantities import (
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.modes import Mode, modes
-from platform_ctrl.plant.platform import Torquer
+from platform_ctrl.plant.drives import Torquer
 from platform_ctrl.plant.sensors import PickOff
 from platform_ctrl.report import comparison
 from platform_ctrl.report.blocks import (

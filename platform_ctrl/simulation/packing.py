@@ -18,7 +18,8 @@ from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import topology
-from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor
+from platform_ctrl.plant.drives import Rotor
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Links, PlacedLinks

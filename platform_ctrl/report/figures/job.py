@@ -24,7 +24,8 @@ from platform_ctrl.mechanics.modes import nutates
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.drawing import root_series, signal_series
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
+from platform_ctrl.plant.platform import OMEGA_NAMES
 from platform_ctrl.report.captions import bandwidth_hz
 from platform_ctrl.report.curves import ShownLoop, damping_rays
 from platform_ctrl.report.figures.plant import campbell

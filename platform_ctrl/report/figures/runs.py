@@ -21,7 +21,8 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import handy_unit, plain
 from platform_ctrl.plant.drawing import root_series, signal_series
-from platform_ctrl.plant.platform import Platform, Torquer
+from platform_ctrl.plant.drives import Torquer
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.report.style import (
     BEYOND,
