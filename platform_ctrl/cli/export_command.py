@@ -6,7 +6,7 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -20,6 +20,7 @@ from platform_ctrl.cli.job_arguments import (
     Word,
     controller_file,
     existing_controllers,
+    expect_target,
     job_of,
     one_of,
 )
@@ -120,7 +121,8 @@ def export(
         file = work.controller_file
         inputs = [job, job.parent / work.job.plant, *([file] if file else [])]
         for one, target in chosen.items():
-            _check_target(one, target, [*inputs, *(at for other, at in chosen.items() if other is not one)])
+            others = [*inputs, *(at for other, at in chosen.items() if other is not one)]
+            expect_target(one.flag, target, others, folder=one.folder)
         work.controller_sha256 = None if file is None else sha256(file)
         owned = {one: own_files(one.flag, target) for one, target in chosen.items() if one.folder}
         about = {
@@ -186,27 +188,6 @@ def _write(
         for name in before.keys() - {path.name for path in made[form]}:
             (chosen[form] / name).unlink(missing_ok=True)
     return made
-
-
-def _check_target(form: Form, target: Path, others: list[Path]) -> None:
-    """Make the folder of a target and try to write there: before the work, not after it.
-
-    None of `others`, which the command reads or writes, may be the target.
-    """
-    where, kind = f"{form.flag} {target}", "folder" if form.folder else "file"
-    try:
-        blocked = next((part for part in target.parents if part.exists() and not part.is_dir()), None)
-        if blocked is not None:
-            raise InputError(f"{where}: {blocked} is a file, but must be a folder or not exist")
-        if target.resolve() in [other.resolve() for other in others]:
-            raise InputError(f"{where}: the command reads or writes it for something else too; name another {kind}")
-        if os.path.lexists(target) and not (target.is_dir() if form.folder else target.is_file()):
-            raise InputError(f"{where}: is no {kind}, but must be a {kind} or not exist")
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=target.parent):
-            pass
-    except OSError as error:
-        raise InputError(f"{where}: cannot be written: {error.strerror or error}") from None
 
 
 # What a folder holds that an export made: the files that are its own.

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from platform_ctrl.cli.exits import noted, print_json
-from platform_ctrl.cli.job_arguments import Json, writable
+from platform_ctrl.cli.job_arguments import Json, expect_target
 
 Description = Annotated[
     Path,
@@ -25,7 +25,7 @@ def import_description(
     root: Annotated[
         str | None,
         typer.Option(
-            "--root", metavar="BODY", help="Body that is the root; what carries it is cut off. Default: the base."
+            "--root", metavar="BODY", help="Body that is the root; what carries it is cut off. Default: base."
         ),
     ] = None,
     tip: Annotated[
@@ -52,7 +52,7 @@ def import_description(
     from platform_ctrl.export.robots.plant_file import import_robot
 
     if out is not None:
-        writable("--out", out, [file])
+        expect_target("--out", out, [file])
     made = import_robot(file, root, tip)
     gimbals = made.platform.gimbal_names
     if out is not None:

@@ -187,3 +187,24 @@ def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
     for name in files:
         if os.path.isdir(folder / name):
             raise InputError(f"-o {folder}: {name} is a folder there, but must be a file or not exist")
+
+
+def expect_target(option: str, target: Path, others: Sequence[Path], folder: bool = False) -> None:
+    """Make the folder of a target and try to write there: before the work, not after it.
+
+    None of `others`, which the command reads or writes, may be the target.
+    """
+    where, kind = f"{option} {target}", "folder" if folder else "file"
+    try:
+        blocked = next((part for part in target.parents if part.exists() and not part.is_dir()), None)
+        if blocked is not None:
+            raise InputError(f"{where}: {blocked} is a file, but must be a folder or not exist")
+        if target.resolve() in [other.resolve() for other in others]:
+            raise InputError(f"{where}: the command reads or writes it for something else too; name another {kind}")
+        if os.path.lexists(target) and not (target.is_dir() if folder else target.is_file()):
+            raise InputError(f"{where}: is no {kind}, but must be a {kind} or not exist")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        raise InputError(f"{where}: cannot be written: {error.strerror or error}") from None

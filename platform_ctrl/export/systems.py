@@ -21,6 +21,7 @@ from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.files import write_json, write_whole
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.mistakes import one_line
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate

@@ -13,6 +13,7 @@ from platform_ctrl.job.drive import Drive
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.scenario import Command, Scenario
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.drives import Rotor, Torquer
 from platform_ctrl.plant.fields import Expected
 from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.plant.mistakes import suggestion
