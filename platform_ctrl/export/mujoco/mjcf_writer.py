@@ -38,9 +38,9 @@ def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root =
     path
         Of the file; its folder is there.
     root
-        ``"free"``: it turns about the fixed point as torques make it; ``"prescribed"``: the controls ``Omega1_dot`` to
-        ``Omega3_dot`` are its angular acceleration, rad/s², in its own axes, whatever reacts on it; ``"fixed"``: it
-        does not move.
+        ``"free"``: it moves as the plant's mode says: about its origin, or freely in space; one that is held is fixed.
+        ``"prescribed"``: the controls ``Omega1_dot`` to ``Omega3_dot`` are its angular acceleration, rad/s², in its own
+        axes, whatever reacts on it; ``"fixed"``: it does not move.
 
     Returns
     -------
@@ -50,22 +50,30 @@ def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root =
     Raises
     ------
     ArgumentError
-        `platform` is no `Platform`, `root` is another word, or MuJoCo uses a name for something else.
+        `platform` is no `Platform`, `root` is another word or does not go with the plant's mode, a drive gives way, or
+        MuJoCo uses a name for something else.
     InputError
         The file cannot be written there.
     """
     instance("platform", platform, Platform)
     one_of("write_mjcf: root", root, get_args(Root))
     _check_names(platform)
+    floating = platform.mode == "floating"
+    if floating and root == "prescribed":
+        raise ArgumentError("write_mjcf: root: a floating root is free or fixed, its rates are not prescribed")
+    if platform.compliances:
+        drive = platform.compliances[0].gimbal
+        raise ArgumentError(f"write_mjcf: no body of MuJoCo is the motor side of the drive of gimbal {drive!r}")
+    if platform.mode == "held" and root == "free":
+        root = "fixed"
     notes = _notes(platform, root)
     top = Element("mujoco", model=_line(platform.name))
     for line in (platform.source, *notes):
         if line:
             top.append(Comment(f" {re.sub('-(?=-)', '- ', _line(line))} "))
     SubElement(top, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
-    option = SubElement(
-        top, "option", timestep=repr(_STEP), integrator="RK4", gravity=text(0.0 - platform.specific_force)
-    )
+    field = text(platform.gravity - platform.specific_force if not floating else np.zeros(3))
+    option = SubElement(top, "option", timestep=repr(_STEP), integrator="RK4", gravity=field)
     SubElement(option, "flag", contact="disable")
     bodies = placed(platform)
     SubElement(SubElement(top, "default"), "geom", contype="0", conaffinity="0", group="1")
@@ -73,9 +81,9 @@ def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root =
     hinges = _add_root(world, platform, bodies, root)
     controls = _add_actuators(top, platform, root)
     _add_sensors(top, platform, root)
-    still = root == "fixed"
-    qpos = [*([] if still else [1.0, 0.0, 0.0, 0.0]), *(0.0 for _ in hinges)]
-    qvel = [*([] if still else [0.0, 0.0, 0.0]), *hinges]
+    still, place = root == "fixed", [0.0, 0.0, 0.0] if floating else []
+    qpos = [*([] if still else [*place, 1.0, 0.0, 0.0, 0.0]), *(0.0 for _ in hinges)]
+    qvel = [*([] if still else [*place, 0.0, 0.0, 0.0]), *hinges]
     key = SubElement(SubElement(top, "keyframe"), "key", name="running", qpos=text(qpos), qvel=text(qvel))
     if controls:
         key.set("ctrl", text(controls))
@@ -99,7 +107,8 @@ def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Ro
     """Add all bodies; return the rates of the hinges as the model begins, in MuJoCo's order."""
     element = SubElement(world, "body", name=_line(platform.root_name))
     if root != "fixed":
-        joint = SubElement(element, "joint", name="root", type="ball")
+        kind = "free" if platform.mode == "floating" else "ball"
+        joint = SubElement(element, "joint", name="root", type=kind)
         if root == "prescribed":
             joint.set("armature", repr(PRESCRIBED * _whole(platform)))
     _add_inertia(element, bodies[0])
@@ -112,10 +121,12 @@ def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Ro
 
 def _add_carried(element: Element, platform: Platform, bodies: list[Placed], body: int, depth: int) -> list[float]:
     carriers = zip(platform.rotors, platform.carriers, strict=True)
-    rates = [_add_rotor(element, rotor) for rotor, carrier in carriers if carrier == body - 1]
+    own = bodies[body]
+    rates = [_add_rotor(element, rotor, own) for rotor, carrier in carriers if carrier == body - 1]
     for child in children(platform, body):
         gimbal = platform.gimbals[child - 1]
-        inner = SubElement(element, "body", name=_line(gimbal.name))
+        place = {"pos": text(gimbal.origin)} if gimbal.origin.any() else {}
+        inner = SubElement(element, "body", {"name": _line(gimbal.name)} | place)
         joint = SubElement(inner, "joint", name=_line(gimbal.angle), type="hinge", axis=text(gimbal.axis))
         for key, item in _joint(platform, child - 1).items():
             joint.set(key, item)
@@ -143,6 +154,9 @@ def _joint(platform: Platform, k: int) -> dict[str, str]:
         out["damping"] = repr(damping)
     if dry:
         out["frictionloss"] = repr(dry)
+    armature = sum(one.gear**2 * one.rotor_inertia for one in platform.motors if one.gimbal == gimbal.name)
+    if armature:
+        out["armature"] = repr(armature)
     if gimbal.stops is not None:
         # A stop is a contact that gives a little: four steps to settle, the rate given back by its damping.
         away = np.log(max(gimbal.restitution, 1e-3))
@@ -159,18 +173,22 @@ def _spring(platform: Platform, gimbal: str) -> tuple[float, float, float]:
     return stiffness, torque, sum(damping for _, _, damping in springs)
 
 
-def _add_rotor(element: Element, rotor: Rotor) -> float:
+def _add_rotor(element: Element, rotor: Rotor, carrier: Placed) -> float:
     """Add a rotor; return its rate relative to its carrier as the model begins."""
     body = SubElement(element, "body", name=_line(f"rotor {rotor.name}"))
     joint = SubElement(body, "joint", name=_line(f"spin {rotor.name}"), type="hinge", axis=text(rotor.axis))
     if rotor.control == "regulated":
         joint.set("armature", repr(REGULATED * rotor.axial_inertia))
     A, C = rotor.transverse_inertia, rotor.axial_inertia
+    # Without a mass of its own it has a share of the carrier's, where that has its centre.
+    share = carrier.rotor_mass or _LIGHT * 2.0 * C / ROTOR_RADIUS**2
+    if rotor.mass or carrier.rotor_mass:
+        body.set("pos", text(rotor.origin if rotor.mass else carrier.centre))
     SubElement(
         body,
         "inertial",
         pos="0 0 0",
-        mass=repr(_LIGHT * 2.0 * C / ROTOR_RADIUS**2),
+        mass=repr(rotor.mass or share),
         diaginertia=text([A, A, C]),
         quat=text(quaternion_to(rotor.axis)),
     )
@@ -193,9 +211,11 @@ def _add_inertia(element: Element, one: Placed) -> None:
 
 def _whole(platform: Platform) -> float:
     """Return an inertia that is not less than that of everything, kg m²."""
-    own = [platform.root_inertia, *(g.inertia for g in platform.gimbals)]
     rotors = sum(2.0 * r.transverse_inertia + r.axial_inertia for r in platform.rotors)
-    return float(sum(np.trace(inertia) for inertia in own) + rotors)
+    arm = sum(float(np.linalg.norm(g.origin)) for g in platform.gimbals)
+    masses = [(b.mass, b.centre) for b in platform.bodies] + [(r.mass, r.origin) for r in platform.rotors]
+    moved = sum(2.0 * mass * (arm + float(np.linalg.norm(centre))) ** 2 for mass, centre in masses)
+    return float(sum(np.trace(body.inertia) for body in platform.bodies) + rotors + moved)
 
 
 def _add_actuators(top: Element, platform: Platform, root: Root) -> list[float]:
@@ -290,7 +310,8 @@ def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
 
 def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
     """Return notes on parts of the plant that the MJCF file leaves out, or has in another form."""
-    moved = root != "fixed" and platform.unbalances and platform.specific_force.any()
+    heavy = bool(platform.unbalances) or any(body.mass for body in platform.bodies)
+    moved = root != "fixed" and heavy and platform.specific_force.any()
     left_out = [*platform.root_torquers] if root != "free" else []
     found: dict[str, list[str]] = {
         "dry friction of {}: MuJoCo's frictionloss, the mean of both directions, in place of a smooth curve": [
@@ -312,6 +333,9 @@ def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
         ],
         "stops of {}: contacts that give a little, in place of impacts": [
             gimbal.name for gimbal in platform.gimbals if gimbal.stops is not None
+        ],
+        "motor of {}: its inertia is the joint's armature, which lacks N J of the parent's rate in the gimbal's row": [
+            one.gimbal for one in platform.motors
         ],
         "specific force {}: gravity, which keeps its direction in the world when the root turns": [
             text(platform.specific_force) for _ in range(bool(moved))
@@ -360,25 +384,31 @@ class Placed:
     """A gimbal, or the root, with its mass."""
 
     radius: float  # That it is drawn with, m
-    mass: float  # Its own, kg, rotors not included: of no effect on the motion but through centre
+    mass: float  # Its own, kg, rotors not included; without one in the plant: of no effect but through centre
     centre: FloatArray  # (3,): Of its own mass, m, body axes
     inertia: FloatArray  # (3, 3): About that centre, kg m²
+    rotor_mass: float  # What each rotor without a mass of its own takes of the plant's, kg
 
 
 def placed(platform: Platform) -> list[Placed]:
     """Return the root and all gimbals, in the order of `Platform.body`."""
     out = []
-    for body, inertia in enumerate([platform.root_inertia, *(g.inertia for g in platform.gimbals)]):
+    for body, (own, centre, _) in enumerate(platform.bodies):
+        inertia = platform.bodies[body].inertia_about_origin
         name = platform.gimbal_names[body - 1] if body else platform.root_name
-        moment = sum((one.moment for one in platform.unbalances if one.body == name), np.zeros(3))
+        moment = sum((one.moment for one in platform.unbalances if one.body == name), own * centre)
         radius = _radius(platform, body)
-        mass = _LIGHT * float(np.trace(inertia)) / radius**2
-        if moment.any():
+        mass = own or _LIGHT * float(np.trace(inertia)) / radius**2
+        if moment.any() and not own:
             # The centre of mass takes a quarter of the smallest second moment away.
             spread = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
             mass = max(mass, float(4.0 * (moment @ moment) / max(spread[0], _FLAT * spread[-1])))
         centre = moment / mass
-        out.append(Placed(radius=radius, mass=mass, centre=centre, inertia=inertia - mass * point_inertia(centre)))
+        inertia = inertia - mass * point_inertia(centre)
+        light = sum(rotor.carrier == name and not rotor.mass for rotor in platform.rotors)
+        share = _LIGHT * own
+        mass -= light * share
+        out.append(Placed(radius=radius, mass=mass, centre=centre, inertia=inertia, rotor_mass=share))
     return out
 
 
