@@ -375,9 +375,9 @@ def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
     for k, source in enumerate(budget.sources):
         gimbals = platform.gimbal_names
         yield from within(("source", k), strange("gimbal", [source.gimbal], "gimbal of the plant", gimbals))
-        if source.kind == "specific-force" and not platform.unbalances:
+        if source.kind == "specific-force" and not platform.weighs:
             words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]]"
-            yield ("source", k, "kind"), f"kind: {words} to it"
+            yield ("source", k, "kind"), f"kind: {words} to it, or the masses of its bodies"
     names = [source.name for source in budget.sources]
     taken: dict[frozenset[str], int] = {}
     for k, one in enumerate(budget.correlations):

@@ -348,6 +348,14 @@ def _run(job: Job, k: int) -> Iterator[Misfit]:
         yield wrong(run, "duration", f"at most {MOST_SAMPLES:.0e} sample periods", more)
     yield from within(("initial",), _initial(run, job.platform))
     yield from within(("limits",), _run_limits(run, job.platform))
+    if run.mode == "stabilised" and job.platform.mode == "held":
+        words = 'frees the root, which mode = "held" of the plant holds'
+        yield "mode", f'mode = "stabilised" {words}; use "caged", or another mode of the plant'
+    if job.platform.mode == "floating":
+        words = "a specific force has no effect on a plant that floats: its acceleration follows from the forces"
+        kinds = {"vibration": [one.kind for one in run.vibrations], "sine": [one.kind for one in run.sines]}
+        for key, found in kinds.items():
+            yield from (((key, i, "kind"), f"kind: {words}") for i, kind in enumerate(found) if kind == "force")
     shaken = {"vibration": [one.gimbal for one in run.vibrations], "sine": [one.gimbal for one in run.sines]}
     for key, names in shaken.items():
         for i, name in enumerate(names):

@@ -181,6 +181,8 @@ def _there(part: Any, key: str) -> bool:
             return math.isfinite(part.stribeck_rate)
         case "restitution":
             return part.stops is not None
+        case "mass":
+            return bool(part.mass)
         case "bandwidth_hz":
             return part.bandwidth_hz is not None
         case _:

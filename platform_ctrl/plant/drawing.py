@@ -55,7 +55,7 @@ def camera(platform: Platform) -> FloatArray:
     only where an axis would be seen almost end on, a frame almost from its edge, or where two
     arrows would end in one place.
     """
-    force = platform.specific_force
+    force = platform.specific_force - platform.gravity
     k = int(np.argmax(np.abs(force))) if np.any(force) else 2
     sign = -1.0 if force[k] < 0.0 else 1.0
     up, right = sign * np.eye(3)[k], sign * np.eye(3)[(k + 2) % 3]

@@ -152,6 +152,12 @@ class Platform(GimbalTree):
         return tuple(part for part in parts if part.added)
 
     @property
+    def weighs(self) -> bool:
+        """Whether a specific force of the root's origin turns any body: one with a mass or an unbalance."""
+        heavy = self.mode != "floating" and any(body.mass for body in self.bodies)
+        return heavy or bool(self.unbalances)
+
+    @property
     def root_torquers(self) -> tuple[str, ...]:
         """Names of the torquers that act on the root, in the file's order."""
         return tuple(one.name for one in self.torquers if one.root_axis is not None)

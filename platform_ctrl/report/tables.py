@@ -116,6 +116,7 @@ def _mark(part: Torquer | PickOff) -> str:
 
 
 # Of the plant file: what has a table of its own, and the keys that say where a part is.
+_BODY = ("mode", "gravity", "mass", "centre", "origin")
 _SHOWN, _PLACES = ("gimbal", "rotor", "torquer", "pickoff"), ("name", "gimbal", "body")
 
 
@@ -125,7 +126,11 @@ def element_table(result: JobResult) -> Table | None:
     rows = []
     if np.any(platform.specific_force):
         rows.append(("specific force", platform.root_name, _value(platform.specific_force.tolist())))
-    for kind, parts in job_data(result.job)["plant"].items():
+    plant = job_data(result.job)["plant"]
+    for part in (plant["root"], *plant.get("gimbal", ()), *plant.get("rotor", ())):
+        if own := [f"{key.replace('_', ' ')} {_value(part[key])}" for key in _BODY if key in part]:
+            rows.append(("body", part["name"], ", ".join(own)))
+    for kind, parts in plant.items():
         for part in parts if kind not in _SHOWN and isinstance(parts, list) else ():
             place = next((key for key in _PLACES if key in part), "")
             numbers = ", ".join(f"{key} {_value(one)}" for key, one in part.items() if key != place)

@@ -15,7 +15,8 @@ from platform_ctrl.simulation.scenarios import equilibrium_torques
 from platform_ctrl.verification.coupled_plant import coupled_plant
 
 
-def job(mode):
+def offset_job(mode):
+    """Return the job of a gimbal with offsets as a dict."""
     gimbals = [
         {
             "name": "yaw",
@@ -52,7 +53,7 @@ def job(mode):
     loop = {"name": "pointing", "kind": "caging", "gimbals": ["yaw", "pitch"], "use": "structured"}
     limits = {"bandwidth_hz": 10, "disk_margin": 0.4}
     turn = {"name": "turn", "mode": "caged", "axis": 1, "rate": 0.3, "rise": 0.3, "hold": 0.1, "duration": 0.8}
-    data = {
+    return {
         "schema": 2,
         "name": "offsets",
         "plant": plant,
@@ -61,7 +62,10 @@ def job(mode):
         "loop": [loop | {"limits": limits, "design": [{"name": "structured", "method": "structured"}]}],
         "manoeuvre": [turn | {"start": "equilibrium", "limits": {"angle": 0.02}}],
     }
-    return read_job(data)
+
+
+def job(mode):
+    return read_job(offset_job(mode))
 
 
 def loop_of(K):
