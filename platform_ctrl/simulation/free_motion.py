@@ -13,7 +13,8 @@ from platform_ctrl.common.processes import processors
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation.packing import initial_spins, pack, servo_rotors, spins_of, with_rotor_states
+from platform_ctrl.simulation.packing import pack
+from platform_ctrl.simulation.rotor_states import initial_spins, servo_rotors, spins_of, with_rotor_states
 from platform_ctrl.simulation.scenarios import unit_quaternions
 from platform_ctrl.simulation.step_limit import check_steps
 

@@ -12,13 +12,10 @@ from functools import lru_cache
 from typing import NamedTuple, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import topology
-from platform_ctrl.plant.drives import Rotor
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 from platform_ctrl.simulation.kernel import arrays
@@ -98,8 +95,7 @@ class Packed(NamedTuple):
 
 def pack(platform: Platform) -> Packed:
     """Return a platform in the form of the kernel."""
-    shape = skeleton(platform)
-    constants, around = numbers(shape, [platform])
+    constants, around = numbers(shape := skeleton(platform), [platform])
     return Packed(shape.links, shape.at, constants[0], around[0])
 
 
@@ -389,14 +385,13 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
 def _pack_places(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArray) -> None:
     frames, carriers = shape.frames, np.array(shape.carriers, dtype=np.intp)
     for row, p in zip(rows, platforms, strict=True):
-        masses = [*(body.mass for body in p.bodies), *(rotor.mass for rotor in p.rotors)]
-        centres = np.array([*(body.centre for body in p.bodies), *(r.origin for r in p.rotors)])
+        masses, centres, _ = zip(*p.bodies, *(rotor.body for rotor in p.rotors), strict=True)
         bodies = np.r_[range(len(frames)), carriers]
         np.add.at(row[:, arrays.MASS], bodies, masses)
-        first_moments = np.einsum("bij,bj->bi", frames[bodies], np.array(masses)[:, None] * centres)
+        first_moments = np.einsum("bij,bj->bi", frames[bodies], np.array(masses)[:, None] * np.array(centres))
         np.add.at(row[:, arrays.FIRST_MOMENT : arrays.ARM], bodies, first_moments)
-        for k, g in enumerate(p.gimbals):
-            row[1 + k, arrays.ARM : arrays.GEARED] = frames[1 + p.parents[k]] @ g.origin
+        for k, (above, g) in enumerate(zip(1 + p.parents, p.gimbals, strict=True)):
+            row[1 + k, arrays.ARM : arrays.GEARED] = frames[above] @ g.origin
         for one in p.motors:
             drive = one.gear * one.rotor_inertia
             row[1 + p.gimbal(one.gimbal), arrays.GEARED :] += drive, one.gear * drive
@@ -453,70 +448,3 @@ def _pack_joints(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArra
 
 def _or_infinite(limit: float | None) -> float:
     return math.inf if limit is None else limit
-
-
-# The states of m servo rotors are behind those of the bodies: the axial momenta P = C (φ̇ + B u), eq. (4), and the
-# integrals x = ∫(φ̇ − spin) dt. P' = τ = clamp(−speed_gain (φ̇ − spin) − speed_integral x, ± torque_limit) and
-# x' = φ̇ − spin, but x' = 0 while the torque is at its limit and the error would drive it further in.
-
-
-def servo_rotors(platform: Platform) -> tuple[Rotor, ...]:
-    """Return the rotors whose speed a real loop controls, in the file's order."""
-    return tuple(r for r in platform.rotors if r.control == "servo")
-
-
-def initial_spins(platform: Platform, given: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
-    """Return the servo rotors' spins at the start, `shape`; the nominal ones if `given` is None."""
-    if given is None:
-        return np.array(np.broadcast_to([r.spin for r in servo_rotors(platform)], shape), dtype=np.float64)
-    return real_array("spin", given, shape)
-
-
-def spins_of(plant: Packed, states: FloatArray) -> FloatArray:
-    """Return the servo rotors' spins, (..., m), at states (..., 2 n + 7 + 2 m) whose v holds the rates."""
-    at = plant.at
-    momenta = states[..., 2 * at.n + 7 : 2 * at.n + 7 + at.servos]
-    return np.asarray(momenta / _axial_inertias(plant) - _carrier_rates(plant, states))
-
-
-def with_rotor_states(
-    plant: Packed, states: FloatArray, spins: FloatArray, inertias: FloatArray | None = None
-) -> FloatArray:
-    """Return `states` (N, 2 n + 7), whose v holds the rates, with those of servo rotors at `spins` (N, m) behind.
-
-    Behind these are the frictions' states, of joints that slide as they turn.
-
-    `inertias` (N, m) are C of the servo rotors where the states are of different plants.
-    """
-    at, first = plant.at, states.shape[1]
-    out = np.concatenate([states, np.zeros((len(states), at.size - first))], axis=1)
-    if at.modes:  # at rest in a platform that turns
-        modes = plant.constants[at.mode : at.work].reshape(at.modes, -1)
-        momenta = states[:, at.n : at.n + 3] @ modes[:, arrays.BASE : arrays.BASE_FORCE].T
-        out[:, at.swings + 1 : at.swings + 2 * at.modes : 2] = momenta
-    if at.keeps:
-        rows = plant.constants[at.joint : at.servo].reshape(-1, arrays.JOINT)
-        side = np.sign(states[:, at.n + 3 : 2 * at.n + 3])
-        most = rows[:, arrays.COULOMB : arrays.BREAKAWAY].mean(axis=1) / np.maximum(rows[:, arrays.BRISTLE], 1e-300)
-        begin = np.select([rows[:, arrays.LAW] == arrays.STICKING, rows[:, arrays.LAW] > arrays.STICKING], [1.0, most])
-        out[:, at.keeps :: arrays.FRICTION] = begin * side
-    C = _axial_inertias(plant) if inertias is None else inertias
-    out[:, first : first + plant.at.servos] = C * (spins + _carrier_rates(plant, out))
-    return out
-
-
-def _axial_inertias(plant: Packed) -> FloatArray:
-    at = plant.at
-    return plant.constants[at.servo : at.erection].reshape(-1, arrays.SERVO)[:, arrays.C]
-
-
-def _carrier_rates(plant: Packed, states: FloatArray) -> FloatArray:
-    """Rates of the servo rotors' carriers about their spin axes, (..., m)."""
-    rates = np.empty((*states.shape[:-1], plant.at.servos))
-    if rates.size:
-        from platform_ctrl.common.simd import memory
-        from platform_ctrl.simulation.kernel.advance import carrier_rates
-
-        flat = np.ascontiguousarray(states).reshape(-1, plant.at.size)
-        carrier_rates(*plant, memory(plant.at.end), flat, rates.reshape(-1, plant.at.servos))
-    return rates

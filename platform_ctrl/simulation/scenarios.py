@@ -19,7 +19,8 @@ from platform_ctrl.mechanics.forces import element_forces, specific_force_at
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.packing import Packed, Skeleton, initial_spins, servo_rotors, with_rotor_states
+from platform_ctrl.simulation.packing import Packed, Skeleton
+from platform_ctrl.simulation.rotor_states import initial_spins, servo_rotors, with_rotor_states
 
 # Limits of memory and time of a run.
 _SAMPLES, _PERIODS, _SUBSTEPS = 1e8, 1e3, 1e8

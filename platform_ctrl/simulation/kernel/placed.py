@@ -266,7 +266,7 @@ def _derivative(
     around: int,
     dy: int,
 ) -> None:
-    """See `placed_derivative`."""
+    """Derivative of a state without its attitude: see `dynamics.derivative`."""
     n = at.n
     torque = dy + n + 3
     if not free:
@@ -298,7 +298,7 @@ def _derivative(
 
 @internal
 def _joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int) -> None:
-    """See `placed_momenta`."""
+    """Momenta of the subtrees of a state whose v holds the rates: see `dynamics.joint_momenta`."""
     gather(links, mem, lane, at, y, around)
     if at.floating != 0:
         mass_matrix(links, mem, lane, at, at.no)
@@ -306,59 +306,31 @@ def _joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, aro
     _momenta(links, mem, lane, at, y, around, y + at.n + 3)
 
 
-# Code for centred plants, whose links are of another type, contains nothing of all this, and is compiled sooner.
+def _of_placed(function: Any) -> Any:
+    """Return what calls a function and returns True if masses and joints lie anywhere, and returns False otherwise.
+
+    Code for centred plants, whose links are of another type, does not contain the function, and is compiled sooner.
+    """
+
+    def called(links: Any, *rest: Any) -> bool:
+        if isinstance(links, PlacedLinks):
+            function(links, *rest)
+            return True
+        return False
+
+    @overloading(called)
+    def _choice(links: Any, *rest: Any) -> Any:
+        if links.instance_class is not PlacedLinks:
+            return lambda links, *rest: False
+
+        def there(links: Any, *rest: Any) -> bool:
+            function(links, *rest)
+            return True
+
+        return there
+
+    return called
 
 
-def placed_derivative(
-    links: Links,
-    mem: FloatArray,
-    lane: int,
-    at: At,
-    free: bool,
-    locking: bool,
-    bare: bool,
-    y: int,
-    around: int,
-    dy: int,
-) -> bool:
-    """Return whether masses and joints lie anywhere; if so do what `dynamics.derivative` does, but for the attitude."""
-    if isinstance(links, PlacedLinks):
-        _derivative(links, mem, lane, at, free, locking, bare, y, around, dy)
-        return True
-    return False
-
-
-@overloading(placed_derivative)
-def _of_derivative(
-    links: Any, mem: Any, lane: Any, at: Any, free: Any, locking: Any, bare: Any, y: Any, around: Any, dy: Any
-) -> Any:
-    if links.instance_class is not PlacedLinks:
-        return lambda links, mem, lane, at, free, locking, bare, y, around, dy: False
-
-    def there(
-        links: Any, mem: Any, lane: Any, at: Any, free: Any, locking: Any, bare: Any, y: Any, around: Any, dy: Any
-    ) -> bool:
-        _derivative(links, mem, lane, at, free, locking, bare, y, around, dy)
-        return True
-
-    return there
-
-
-def placed_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int) -> bool:
-    """Return whether masses and joints lie anywhere; if so put the subtrees' momenta into MOMENT."""
-    if isinstance(links, PlacedLinks):
-        _joint_momenta(links, mem, lane, at, y, around)
-        return True
-    return False
-
-
-@overloading(placed_momenta)
-def _of_momenta(links: Any, mem: Any, lane: Any, at: Any, y: Any, around: Any) -> Any:
-    if links.instance_class is not PlacedLinks:
-        return lambda links, mem, lane, at, y, around: False
-
-    def there(links: Any, mem: Any, lane: Any, at: Any, y: Any, around: Any) -> bool:
-        _joint_momenta(links, mem, lane, at, y, around)
-        return True
-
-    return there
+# As `dynamics.derivative`, but for the attitude; and the subtrees' momenta into MOMENT.
+placed_derivative, placed_momenta = _of_placed(_derivative), _of_placed(_joint_momenta)
