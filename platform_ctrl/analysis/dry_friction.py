@@ -25,6 +25,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.budget_integrals import KRONROD, between, nodes
 from platform_ctrl.analysis.hybrid_plant import Density
@@ -42,6 +43,43 @@ _MOST_STICKING = 0.1
 _LEAST_RATE = 1e-12
 # Rounds of the balance of friction at most: a handful is the rule.
 _ITERATIONS = 200
+
+
+@value
+class TurningFriction:
+    """Dry friction of a bearing that turns at a mean rate, about that rate: what differs from its mean torque.
+
+    Attributes
+    ----------
+    friction
+        Of the bearing.
+    turning
+        Mean rate, rad/s, not 0.
+    """
+
+    friction: Friction
+    turning: float
+
+    @property
+    def coulomb_rate(self) -> float:
+        """As of `Friction`, rad/s: where the bearing may come to rest."""
+        return abs(self.turning)
+
+    @property
+    def stribeck_rate(self) -> float:
+        """As of `Friction`, rad/s."""
+        return self.friction.stribeck_rate
+
+    @property
+    def breakaway(self) -> tuple[float, float]:
+        """Torque that the slope at the mean rate has grown to at the rate where the bearing may rest, N m."""
+        step = 1e-6 * self.turning
+        slope = (self.dry(step) - self.dry(-step)) / (2.0 * step)
+        return slope * self.coulomb_rate, slope * self.coulomb_rate
+
+    def dry(self, rate: float) -> float:
+        """Return the torque against motion, N m, at a rate beside the mean one, rad/s."""
+        return self.friction.dry(self.turning + rate) - self.friction.dry(self.turning)
 
 
 @value
@@ -101,7 +139,7 @@ class FedFriction:
 
 
 # A torque that depends on the sign of a rate, smooth about zero.
-DryTorque = Friction | FedFriction
+DryTorque = Friction | TurningFriction | FedFriction
 
 
 class Describing(NamedTuple):
@@ -167,6 +205,8 @@ class FrictionBalance:
         rms of the torque that is not in proportion to these rates, what is fed forward taken off the friction, N m.
     undamped : (J,)
         rms of the relative rate without dry friction, rad/s; infinite where it was not needed.
+    turning : (J,)
+        Mean rates about which the bearings move, rad/s.
     """
 
     frictions: tuple[Friction, ...]
@@ -177,20 +217,23 @@ class FrictionBalance:
     fed: FloatArray
     remainder: FloatArray
     undamped: FloatArray
+    turning: FloatArray
 
     @property
     def sticking(self) -> FloatArray:
         """How far from sliding all the time the bearings are (J,), dimensionless.
 
         Of smooth friction the probability that the rate is within ±coulomb_rate, where the bearing hardly slides; else
-        the share of the variance of the rate that friction takes away: it sticks instead of moving so much.
+        the share of the variance of the rate that friction takes away: it sticks instead of moving so much. Of a
+        bearing that turns the probability that it turns back.
         """
-        from scipy.special import erf
+        from scipy.special import erf, erfc
 
         near = np.array([one.coulomb_rate for one in self.frictions])
         creeping = np.asarray(erf(near / (np.maximum(self.rate, 1e-300) * math.sqrt(2.0))))
         taken = 1.0 - np.minimum(self.rate / np.maximum(self.undamped, 1e-300), 1.0) ** 2
-        return np.where(near > 0.0, creeping, taken)
+        back = 0.5 * np.asarray(erfc(np.abs(self.turning) / (np.maximum(self.rate, 1e-300) * math.sqrt(2.0))))
+        return np.where(self.turning != 0.0, back, np.where(near > 0.0, creeping, taken))
 
     @property
     def valid(self) -> FloatArray:
@@ -200,8 +243,8 @@ class FrictionBalance:
     @property
     def statement(self) -> tuple[str, ...]:
         """A sentence for each bearing."""
-        rows = zip(self.frictions, self.drives, self.rate, self.sticking, self.remainder, strict=True)
-        return tuple(_statement(one, drive, float(v), float(p), float(r)) for one, drive, v, p, r in rows)
+        rows = zip(self.frictions, self.drives, self.rate, self.sticking, self.remainder, self.turning, strict=True)
+        return tuple(_statement(one, drive, *map(float, numbers)) for one, drive, *numbers in rows)
 
 
 def friction_balance(
@@ -210,6 +253,7 @@ def friction_balance(
     start: FloatArray | None = None,
     tolerance: float = 1e-8,
     drives: Sequence[FedFriction | None] = (),
+    turning: ArrayLike | None = None,
 ) -> FrictionBalance:
     """Return the equivalent damping of J dry frictions at which the linear loop moves as assumed.
 
@@ -217,7 +261,7 @@ def friction_balance(
     that there are, the rms of the relative rates (J,) and of the rates that these drives find (D,), rad/s, of the
     linear loop with them; the viscous parts are the caller's. `start` (J + D,) are first guesses of the rates, by
     default ten times coulomb_rate, or without one those of a loop without dry friction; `drives` is what is fed forward
-    against each friction, or None.
+    against each friction, or None; `turning` (J,) the mean rates of the bearings, rad/s.
 
     The remainder is that of the friction alone: how much of it a drive takes off depends on the spectra of the rates,
     see `friction_noise`. Raises `NotFoundError` where the rates still change by more than `tolerance`, relative, after
@@ -225,13 +269,17 @@ def friction_balance(
     """
     drives = tuple(drives) or (None,) * len(frictions)
     driven = [k for k, one in enumerate(drives) if one is not None]
-    torques: list[DryTorque] = [*frictions, *(one for one in drives if one is not None)]
+    means = real_array("friction balance: turning", turning, (len(frictions),), 0.0)
+    torques: list[DryTorque] = [about_mean(one, float(mean)) for one, mean in zip(frictions, means, strict=True)]
+    torques += [one for one in drives if one is not None]
     near = np.array([one.coulomb_rate for one in torques])
     undamped = np.full(len(near), math.inf)
     if not near.all():
         undamped = np.asarray(rate_rms(np.zeros(len(torques))), dtype=np.float64)
         near = np.where(near > 0.0, near, np.maximum(0.1 * undamped, 10.0 * _LEAST_RATE))
     rate = real_array("friction balance: start", start, (len(near),)) if start is not None else 10.0 * near
+    if start is None:
+        rate[: len(frictions)][means != 0.0] *= 1e-3
     least = 1e-12 * near
     before: tuple[FloatArray, FloatArray] | None = None
     for _ in range(_ITERATIONS):
@@ -265,13 +313,26 @@ def friction_balance(
         fed=fed,
         remainder=np.array([one.remainder for one in found[:J]]),
         undamped=undamped[:J],
+        turning=means,
     )
 
 
-def _statement(friction: Friction, drive: FedFriction | None, rate: float, sticking: float, remainder: float) -> str:
+def about_mean(friction: Friction, turning: float) -> Friction | TurningFriction:
+    """Return a friction about a mean rate, rad/s: itself where that is 0."""
+    return TurningFriction(friction=friction, turning=turning) if turning else friction
+
+
+def _statement(
+    friction: Friction, drive: FedFriction | None, rate: float, sticking: float, remainder: float, turning: float
+) -> str:
     where = f"friction of gimbal {friction.gimbal}: "
     less = "" if drive is None else f", less the {drive.friction:.3g} N m that are fed forward,"
     left = f"{remainder:.3g} N m rms of its torque{less} are not in proportion to the rate"
+    if turning:
+        back = f"turns at {turning:.3g} rad/s, with {rate:.3g} rad/s rms beside that"
+        if sticking <= _MOST_STICKING:
+            return f"{where}it {back}; {left}"
+        return f"{where}the linear budget does not hold: it {back}, and often turns back; simulate; {left}"
     if sticking <= _MOST_STICKING:
         still = "of the time nearly at rest" if friction.coulomb_rate else "of its motion held back by friction"
         return f"{where}it slides at {rate:.3g} rad/s rms, {100 * sticking:.2g} % {still}; {left}"

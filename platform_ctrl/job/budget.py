@@ -32,7 +32,7 @@ from platform_ctrl.plant.mistakes import (
     wrong,
 )
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.plant.tables import TABLE, Array, OneOf, record_value
+from platform_ctrl.plant.tables import TABLE, Array, OneOf, Shape, record_value
 
 MOST_SOURCES = 100
 
@@ -258,6 +258,8 @@ class BudgetSpec:
         At which the modulation transfer function is wanted, cycles/rad.
     runs
         How many runs of the non-linear plant are simulated beside the linear budget; None: none.
+    turning
+        Mean rates of gimbals by the names of their angles, rad/s: dry friction is that of bearings that turn so.
     limits
         What the line of sight has to keep.
     sources, correlations
@@ -269,6 +271,7 @@ class BudgetSpec:
     exposure: fields.Positives = ()
     spatial_frequencies: fields.Positives = ()
     runs: fields.SeveralRuns | None = None
+    turning: Annotated[dict[str, float], Shape(dict, {}, others=("", fields.NUMBER))] = field(default_factory=dict)
     limits: Annotated[BudgetLimits, TABLE] = field(default_factory=BudgetLimits)
     sources: Annotated[tuple[Source, ...], Array("source", least=1, most=MOST_SOURCES, unique=("name",))]
     correlations: Annotated[tuple[Correlation, ...], Array("correlation")] = ()
@@ -372,10 +375,12 @@ def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
             yield "limits", f"limits: {words}"
         limited = [k for k, source in enumerate(budget.sources) if source.limit is not None]
         yield from ((("source", k, "limit"), f"limit: {words}") for k in limited)
+    yield from strange("turning", budget.turning, "angle of a gimbal", platform.angle_names)
+    moved = platform.weighs or any(one.base_force.any() for one in platform.modes)
     for k, source in enumerate(budget.sources):
         gimbals = platform.gimbal_names
         yield from within(("source", k), strange("gimbal", [source.gimbal], "gimbal of the plant", gimbals))
-        if source.kind == "specific-force" and not platform.weighs:
+        if source.kind == "specific-force" and not moved:
             words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]]"
             yield ("source", k, "kind"), f"kind: {words} to it, or the masses of its bodies"
     names = [source.name for source in budget.sources]

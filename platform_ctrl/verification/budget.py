@@ -21,6 +21,7 @@ from platform_ctrl.analysis.dry_friction import (
     FedFriction,
     FoundRate,
     FrictionBalance,
+    about_mean,
     friction_balance,
     friction_noise,
 )
@@ -31,7 +32,7 @@ from platform_ctrl.analysis.poles import poles
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import at_angles
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.errors import ArgumentError, NotFoundError
 from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
@@ -218,6 +219,8 @@ def _result(loop: BudgetLoop, at: Balanced, apart: BudgetResult, together: Budge
 
 # Relative error of the rates that friction is balanced with.
 _FRICTION_TOLERANCE = 1e-4
+# Share of dry friction below which its noise is none.
+_NO_REMAINDER = 1e-9
 # Noise of dry friction in a cycle of several samples counts up to so many sample frequencies, or of the fastest mode.
 _SAMPLING, _MODES = 1.0, 4.0
 # Outputs of a drive where spectra are wanted: the rate that it finds, with the bearing's, with that behind a low-pass.
@@ -248,14 +251,23 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
         return loop.prepared(plant, loop.together, ()).of(controller, _TOLERANCE, over_frequency=spectra)
 
     def rates(gains: FloatArray) -> FloatArray:
-        return np.asarray(found(gains, False).total[[*bearings, *range(first, first + len(driven))]])
+        try:
+            total = found(gains, False).total
+        except ArgumentError as error:
+            if not gains.any():
+                raise
+            raise NotFoundError(
+                "budget: with the damping that dry friction has at these rates the loop is not stable: bearings stick "
+                "and slip; say in [budget.turning] how fast they turn, or leave [budget] out and simulate a manoeuvre"
+            ) from error
+        return np.asarray(total[[*bearings, *range(first, first + len(driven))]])
 
     drives = tuple(
         None if law is None else FedFriction(friction=law.friction, friction_rate=law.friction_rate)
         for law in loop.laws
     )
     start = None if near is None else np.concatenate([near.rate, near.measured[driven]])
-    balance = friction_balance(loop.dry, rates, start, _FRICTION_TOLERANCE, drives=drives)
+    balance = friction_balance(loop.dry, rates, start, _FRICTION_TOLERANCE, drives, loop.turning)
     moved = found(np.concatenate([balance.viscous, balance.fed[driven]]), True)
     lowest = 2.0 * math.pi * loop.budget.from_hz
     left, rest, highest = np.zeros(len(drives)), [], _highest(loop, balance, q)
@@ -272,7 +284,12 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
                 filtered=spectra[2],
                 corner=corner,
             )
-        noise = friction_noise(one, float(balance.rate[k]), moved.edges, moved.total_cumulative[at], lowest, of_drive)
+        if balance.remainder[k] <= _NO_REMAINDER * max(one.breakaway):
+            continue  # it turns all the time
+        bearing = about_mean(one, float(loop.turning[k]))
+        noise = friction_noise(
+            bearing, float(balance.rate[k]), moved.edges, moved.total_cumulative[at], lowest, of_drive
+        )
         if noise is not None:
             left[k] = noise.rms
             at_gimbal, spectrum = (loop.torque_on(one.gimbal),), _within(noise.spectrum, highest)

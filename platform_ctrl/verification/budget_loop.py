@@ -54,6 +54,7 @@ class BudgetLoop:
         self.sensors = [one.name for one in job.platform.sensors if one.name in read]
         self.torquers = [one.name for one in job.platform.torquers if one.name in used]
         self.laws = self._drives()
+        self.turning = self._turning()
         self.controller = self.controllers_of(controllers)
         self.inputs: list[str] = []
         columns = [self._input(source) for source in budget.sources]
@@ -101,6 +102,21 @@ class BudgetLoop:
             for law in laws:
                 self.torquers += [law.torquer] if law.torquer not in self.torquers else []
                 self.sensors += [name for name in law.weights if name not in self.sensors]
+        return out
+
+    def _turning(self) -> FloatArray:
+        """Return the mean rates of the bearings with dry friction (J,), rad/s; motor sides turn as their loads."""
+        platform, rates = self.job.platform, dict(self.budget.turning)
+        angles = dict(zip(platform.gimbal_names, platform.angle_names, strict=True))
+        for one in platform.compliances:
+            rates.setdefault(angles[one.motor_side], rates.get(angles[one.gimbal], 0.0))
+        out = np.array([rates.get(angles[one.gimbal], 0.0) for one in self.dry])
+        for one, law, rate in zip(self.dry, self.laws, out, strict=True):
+            if law is not None and rate:
+                raise ArgumentError(
+                    f"budget: turning: {law.torquer} feeds friction of gimbal {one.gimbal!r} forward, of which the "
+                    "linear budget knows no mean rate; leave one of the two out, or simulate"
+                )
         return out
 
     def prepared(self, plant: HybridPlant, sources: Sequence[Disturbance], exposures: Sequence[float]) -> JitterBudget:

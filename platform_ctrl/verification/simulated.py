@@ -321,7 +321,14 @@ def simulated_budget(
         low=np.sqrt(np.maximum(mean - reach, 0.0)),
         high=np.sqrt(mean + reach),
         linear=linear,
-        left_out=("correlations: the sources of a run are independent",) if budget.correlations else (),
+        left_out=tuple(
+            words
+            for words, has in (
+                ("correlations: the sources of a run are independent", budget.correlations),
+                ("turning: gimbals are at rest but for what the sources do", budget.turning),
+            )
+            if has
+        ),
     )
 
 

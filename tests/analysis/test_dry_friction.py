@@ -145,3 +145,21 @@ def test_friction_that_sticks_is_described_by_its_sign_and_judged_by_what_it_hol
         balance = friction_balance([sticks], lambda b, q=q: np.sqrt(q / (2.0 * 0.01 * (b + 0.1))))
         assert bool(balance.valid[0]) is valid
         assert ("it sticks" in balance.statement[0]) is not valid
+
+
+def test_a_bearing_that_turns_all_the_time_has_the_slope_of_its_friction_there_and_no_noise() -> None:
+    bearing = Friction(gimbal="pitch", coulomb=(0.02, 0.02), breakaway=(0.03, 0.03), stribeck_rate=0.1)
+    found = friction_balance([bearing], lambda b: np.full(1, 1e-4), turning=[0.05])
+    slope = -2.0 * 0.05 / 0.1**2 * 0.01 * math.exp(-0.25)  # of 0.02 + 0.01 exp(-(v/0.1)²)
+    assert found.viscous[0] == pytest.approx(slope, rel=1e-5)
+    assert found.remainder[0] < 1e-5 * 0.03
+    assert found.valid[0]
+    assert "it turns at 0.05 rad/s" in found.statement[0]
+    # One that often turns back is described, and not trusted.
+    often = friction_balance([bearing], lambda b: np.full(1, 0.05), turning=[0.05])
+    assert not often.valid[0]
+    assert often.sticking[0] == pytest.approx(0.5 * math.erfc(1.0 / math.sqrt(2.0)))
+    x = np.random.default_rng(1).normal(size=400_000)
+    torque = np.array([bearing.dry(float(v)) for v in 0.05 + 0.05 * x])
+    assert often.viscous[0] == pytest.approx(float(np.mean(torque * x)) / 0.05, rel=0.02)
+    assert often.remainder[0] == pytest.approx(float(np.std(torque - often.viscous[0] * 0.05 * x)), rel=0.02)
