@@ -76,6 +76,8 @@ _SMALL = 1e-6
 _MOST_KEPT, _MOST_AT_ONCE = 4_000_000, 1_000_000
 # Frequencies that differ by less, relative, are the same.
 _SAME = 1e-12
+# Poles below this share of the sample frequency are those of what turns freely, but for rounding.
+_RESTING = 1e-9
 
 
 class JitterBudget:
@@ -148,13 +150,13 @@ class JitterBudget:
         dense = plant.cycle == 1 or (over_frequency and plant.cycle <= _MANY_SAMPLES)
         knots = [self.lowest, *(k for one in self._random for s in one.spectra for k in s.knots)]
         own = poles(plant.plant.A)
+        own = own[np.abs(own) > _RESTING * turn]
         if not dense:
             # Resonances wider than the distance of images need no panels of their own.
             own = own[(np.abs(own.real) < turn) | (np.abs(own) < turn)]
         found = np.concatenate([np.array(knots), edges_around(own)])
         folded = np.abs(found - turn * np.round(found / turn))
-        slow = np.abs(own)[np.abs(own) > 1e-9 * turn]
-        least = min([1e-4 * turn, *(k for k in knots if k > 0.0), *(0.1 * slow)])
+        least = min([1e-4 * turn, *(k for k in knots if k > 0.0), *(0.1 * np.abs(own))])
         decades = math.log10(0.5 * turn / least)
         count = max(2, math.ceil((3.0 if dense else 1.0) * decades))
         return np.concatenate([folded, np.geomspace(least, 0.5 * turn, count)])
@@ -165,6 +167,7 @@ class JitterBudget:
         """Return the integrals over all panels, halved until their errors are below the tolerance."""
         half = 0.5 * self.plant.turn
         s = continuous_poles(z[np.abs(z) > 0.0], math.pi / half)
+        s = s[np.abs(s) > _RESTING * self.plant.turn]
         fixed = self._edges(over_frequency)
         base = between(fixed, 0.0, half)
         # Poles that a slider hardly moves stay within existing panels, whose responses are known.
