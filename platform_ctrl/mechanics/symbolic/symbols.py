@@ -219,7 +219,13 @@ def elements(platform: Platform, names: SymbolNames) -> tuple[list[Element], lis
             notes.append(f"cage of gimbal {cage.gimbal} is left out: within its clearance it does not act")
     if platform.erections and not f.any():
         notes.append("erection is left out: there is no specific force")
+    for mode in platform.modes:
+        notes.append(
+            f"mode {mode.name} is left out: it has no inertia in common with the gimbals, linear models have it"
+        )
     families = (
+        ("compliances", "gimbal", "ks", "stiffness of the drive of gimbal {}", "N m/rad", "strength"),
+        ("compliances", "gimbal", "ds", "damping of the drive of gimbal {}", "N m s", "damping"),
         ("springs", "gimbal", "k", "spring at gimbal {}", "N m/rad", "stiffness"),
         ("frictions", "gimbal", "d", "viscous friction of gimbal {}", "N m s", "viscous"),
         ("cages", "gimbal", "kc", "stiffness of the cage of gimbal {}", "N m/rad", "stiffness"),
@@ -232,7 +238,7 @@ def elements(platform: Platform, names: SymbolNames) -> tuple[list[Element], lis
         for element in getattr(platform, field):
             acting = ForceElements(replaced(alone, {field: (element,)}), at, f)
             slopes = acting.slopes(still)
-            if head in ("d", "dc"):
+            if strength in ("viscous", "damping"):
                 parts = np.zeros((n, n)), -slopes.rate, still
             else:
                 parts = -slopes.angle[3:], np.zeros((n, n)), -acting.forces(still, still)[3:]
