@@ -19,6 +19,7 @@ from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.drives import Torquer
+from platform_ctrl.plant.locking import with_rigid_drives
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import LOS_RATES, Sensor
 
@@ -78,8 +79,8 @@ def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:
     """Return the rates across the line of sight that the loop's torquers move, at the angles zero."""
     if platform.line_of_sight is None:
         return ()
-    model = linearise(platform)
-    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), platform, LOS_RATES[:2])
+    model, signals = _tied(linearise(platform), signals)
+    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), model.platform, LOS_RATES[:2])
     gain = np.abs(system.C @ system.B[:, [system.input_labels.index(t.name) for t in signals.torquers]]).max(axis=1)
     largest = gain.max(initial=0.0)
     return tuple(name for name, one in zip(LOS_RATES, gain, strict=False) if one > _MOVES * largest > 0.0)
@@ -175,7 +176,8 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
     if not signals.held:
         found = channels(model, rows)
         return dataclasses.replace(found, noise=np.sqrt(found.basis**2 @ noise**2))
-    effect = _effect(model, signals, period)
+    model, signals = _tied(model, signals)
+    rows, effect = rows_of(model, signals.gimbals), _effect(model, signals, period)
     own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
     mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
     if not shows_each(effect):
@@ -200,6 +202,23 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
         sense=sense,
         noise=np.sqrt(sense**2 @ noise**2),
     )
+
+
+def _tied(model: LinearModel, signals: LoopSignals) -> tuple[LinearModel, LoopSignals]:
+    """Return a model and a loop's signals with drives that do not give way, as they are well below their resonances."""
+    platform = with_rigid_drives(model.platform)
+    if platform is model.platform:
+        return model, signals
+    loads = {one.motor_side: one.gimbal for one in model.platform.compliances}
+    sensors, torquers = ({one.name: one for one in part} for part in (platform.sensors, platform.torquers))
+    tied = dataclasses.replace(
+        signals,
+        gimbals=tuple(dict.fromkeys(loads.get(name, name) for name in signals.gimbals)),
+        torquers=tuple(torquers[one.name] for one in signals.torquers),
+        sensors=tuple(sensors[one.name] for one in signals.sensors),
+    )
+    q = model.q0[[model.platform.gimbal(name) for name in platform.gimbal_names]]
+    return linearise(platform, model.Omega0, model.terms, q, model.specific_force), tied
 
 
 def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArray:
@@ -266,7 +285,11 @@ def parallel(what: str, names: Sequence[str], axes: Sequence[FloatArray], do: st
 def expect_no_keyhole(job: Job, signals: LoopSignals) -> None:
     """Refuse gimbal angles at which a torquer hardly turns what the sensors read, as at an elevation of 90°."""
     least = [
-        float(np.linalg.svd(_effect(linearise(job.platform, q=q), signals, job.sampling.period), compute_uv=False)[-1])
+        float(
+            np.linalg.svd(
+                _effect(*_tied(linearise(job.platform, q=q), signals), job.sampling.period), compute_uv=False
+            )[-1]
+        )
         for q in job.trims
     ]
     for q, one in zip(job.trims[1:], least[1:], strict=True):

@@ -402,7 +402,12 @@ class Job:
         torque[manoeuvre.axis - 1] = manoeuvre.torque
         q, rate, Omega = (np.zeros(k) for k in (len(self.platform.gimbals), len(self.platform.gimbals), 3))
         angles = self.platform.angle_names
-        for name, number in manoeuvre.initial.items():
+        gimbals, initial = self.platform.gimbals, dict(manoeuvre.initial)
+        for one in self.platform.compliances:  # a motor side starts with its load
+            load, side = (gimbals[self.platform.gimbal(name)].angle for name in (one.gimbal, one.motor_side))
+            for end in ("", "_rate"):
+                initial.setdefault(side + end, initial.get(load + end, 0.0))
+        for name, number in initial.items():
             if name in angles:
                 q[angles.index(name)] = number
             elif name in OMEGA_NAMES:

@@ -19,6 +19,7 @@ from platform_ctrl.job.budget import misplaced, too_large
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.spectra import interpolated
+from platform_ctrl.mechanics.forces import specific_force_at, twisted
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, useless
 from platform_ctrl.plant.platform import Platform
@@ -374,7 +375,7 @@ class Scenario:
         Spins against the carriers at t = 0, rad/s; None: the nominal ones of `platform`.
     start
         ``"rest"``: the torquers give what the controllers command alone. ``"equilibrium"``: from before t = 0 on a
-        constant torque of each torquer holds springs, unbalance and erection at the initial angles, as that of a motor
+        constant torque of each torquer holds springs, weight and erection at the initial angles, as that of a motor
         whose loop has settled; the controllers' commands add to it, and it counts against the limits.
     seed, run
         What the noise is drawn from.
@@ -424,3 +425,6 @@ class Scenario:
                 given = getattr(self, name)
                 left_out = name in ("q", "rate") and not given.size
                 object.__setattr__(self, name, read_only(np.zeros(n) if left_out else given))
+        if self.start == "equilibrium" and self.platform.compliances:
+            f = specific_force_at(self.platform, attitude=self.attitude)
+            object.__setattr__(self, "q", read_only(twisted(self.platform, self.q, f)))

@@ -108,6 +108,25 @@ def element_forces(
     return ForceElements(platform, configuration(tree, angles), f).forces(angles, rates)
 
 
+def resting_forces(platform: Platform, q: FloatArray, f: FloatArray) -> FloatArray:
+    """Return [M, Q], (3 + n,) N m, of force elements and weight at rest at angles (n,), under specific force f (3,)."""
+    at = configuration(topology(platform), q)
+    forces = ForceElements(platform, at, f).forces(q, np.zeros(len(q)))
+    return forces if at.tree.floating else np.asarray(forces - at.momentum.T @ f)
+
+
+def twisted(platform: Platform, q: FloatArray, f: FloatArray) -> FloatArray:
+    """Return angles (n,) with the motor sides of drives where they hold their loads at rest, under f (3,)."""
+    out = np.array(q)
+    sides = [(platform.gimbal(one.gimbal), platform.gimbal(one.motor_side), one) for one in platform.compliances]
+    for load, motor, _ in sides:
+        out[motor] = out[load]
+    forces = resting_forces(platform, out, f)
+    for load, motor, one in sides:
+        out[motor] -= forces[3 + load] / one.strength
+    return out
+
+
 class _Erecting(NamedTuple):
     """An erection: gimbal, body and axis (root axes) of its sensor, sine of the tilt, gain and limit."""
 

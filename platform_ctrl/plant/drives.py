@@ -209,6 +209,11 @@ class Motor:
             if key in table and "current_loop" not in table:
                 yield useless(table, key, 'without "current_loop"')
 
+    def __post_init__(self) -> None:
+        """Name the signal after the gimbal, not after its motor side."""
+        if not self.name and self.current_loop is not None:
+            object.__setattr__(self, "name", default_torquer(self.gimbal, None))
+
     @property
     def drive(self) -> Torquer | None:
         """The torquer that it is, with what its supply allows; None without a current loop."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import replaced
 from platform_ctrl.plant.drives import Rotor
+from platform_ctrl.plant.flexible import Compliance
 from platform_ctrl.plant.gimbals import Body, Gimbal
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import Sensor
@@ -43,11 +44,37 @@ def with_locked(platform: Platform, names: Sequence[str]) -> Platform:
         The platform has no such gimbal.
     """
     drives = {one.gimbal: one.motor_side for one in platform.compliances}
+    # A motor side goes with its load.
+    gone = {drives[name] for name in names if name in drives}
     for name in names:
+        if name in gone:
+            continue
         platform = _with_one(platform, name)
         if drives.get(name) in platform.gimbal_names:
             platform = _with_one(platform, drives[name])
     return platform
+
+
+def with_rigid_drives(platform: Platform) -> Platform:
+    """Return the platform with drives that do not give way: what is on their motor sides is on their loads."""
+    sides = {one.motor_side: one for one in platform.compliances}
+    if not sides:
+        return platform
+    changes: dict[str, Any] = {"compliances": ()}
+    for kind in (key.field for key in shape(Platform).keys.values() if key.array is not None):
+        changes.setdefault(kind, tuple(_on_load(part, sides) for part in getattr(platform, kind)))
+    added = {one.gimbal: one.inertia for one in sides.values()}
+    changes["gimbals"] = tuple(
+        replaced(one, {"inertia": one.inertia + added.get(one.name, 0.0) * np.outer(one.axis, one.axis)})
+        for one in platform.gimbals
+        if one.name not in sides
+    )
+    return replaced(platform, changes)
+
+
+def _on_load(part: Any, sides: Mapping[str, Compliance]) -> Any:
+    side = sides.get(getattr(part, "gimbal", None) or "")
+    return part if side is None else replaced(part, {"gimbal": side.gimbal})
 
 
 def carried_inertia(platform: Platform, name: str) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 from platform_ctrl.common.values import replaced
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
+from platform_ctrl.plant.flexible import Compliance
 from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
 from platform_ctrl.plant.locking import carried_inertia
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
@@ -177,7 +178,8 @@ def _tree_mistakes(parts: Mapping[str, Any]) -> list[Mistake]:
 
 
 def _references(parts: Mapping[str, Any], root: str, gimbals: list[str]) -> Iterator[Mistake]:
-    """Yield the names of bodies that are not there."""
+    """Yield the names of bodies that are not there; what acts or measures on a gimbal may name a motor side."""
+    turning = [*gimbals, *(one.motor_side for one in parts.get("compliances", ()))]
     for table, of in shape(Platform).keys.items():
         if not isinstance(of.holds, Shape) or not isinstance(of.holds.make, type):
             continue
@@ -187,7 +189,8 @@ def _references(parts: Mapping[str, Any], root: str, gimbals: list[str]) -> Iter
             places = [((table,), part)]
         for path, one in places:
             for key, refers in references(of.holds.make):
-                name, known = getattr(one, key), [root, *gimbals] if refers.root else gimbals
+                own = gimbals if of.holds.make is Compliance else turning
+                name, known = getattr(one, key), [root, *gimbals] if refers.root else own
                 if name is not None and name not in known:
                     hint = f" ({refers.hint})" if refers.hint and name == root else ""
                     words = f"the name of {'the root or a gimbal' if refers.root else 'a gimbal'}{hint}"

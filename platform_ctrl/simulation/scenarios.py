@@ -14,8 +14,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
 from platform_ctrl.job.scenario import Command, Scenario, Sine, Vibration
-from platform_ctrl.mechanics.equations import inverse_dynamics
-from platform_ctrl.mechanics.forces import element_forces, specific_force_at
+from platform_ctrl.mechanics.forces import resting_forces, specific_force_at
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.simulation.kernel import arrays
@@ -358,8 +357,8 @@ def equilibrium_torques(scenario: Scenario) -> FloatArray:
     The first torquer of a gimbal or root axis has it; a gimbal that none turns has to be in equilibrium by itself.
     """
     platform = scenario.platform
-    f, still = specific_force_at(platform, attitude=scenario.attitude), np.zeros(3 + len(platform.gimbals))
-    forces = element_forces(platform, scenario.q, still, f) - inverse_dynamics(platform, scenario.q, still, still, f)
+    f = specific_force_at(platform, attitude=scenario.attitude)
+    forces = resting_forces(platform, scenario.q, f)
     free = 0 if scenario.mode == "stabilised" else 3
     forces[:free] = 0.0
     out = np.zeros(len(platform.torquers))

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
-from platform_ctrl import analysis, simulation
+from platform_ctrl import analysis, design, simulation
+from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.mechanics.outputs import observed
 
 J1, J2, K, C = 0.02, 0.05, 300.0, 0.04
@@ -89,6 +90,93 @@ def test_a_plant_with_a_drive_is_written_as_it_was_read():
     again = pc.read_platform(tomllib.loads(platform.to_toml()))
     assert again.to_toml() == platform.to_toml()
     assert again.gimbal_names == ("g", "h", "g_motor")
+
+
+def test_equations_have_the_stiffness_of_a_drive_and_name_the_modes_that_they_leave_out():
+    shape = {"frequency": 500.0, "damping": 0.01, "participation": {"Qg": 1.0}}
+    platform = pc.read_platform(
+        drive() | {"mode": [{"name": "arm"} | shape], "friction": [{"gimbal": "g_motor", "viscous": 0.3}]}
+    )
+    found, model = pc.equations(platform, "sympy"), pc.linearise(platform, terms="paper")
+    for row, terms in enumerate(found.rows["partially_linear"]):
+        numbers = {str(v): float(found.evaluate(c, velocity=np.zeros(6))) for c, v in terms}
+        for k in range(3):
+            assert numbers.get(str(found.q[k]), 0.0) == pytest.approx(model.stiffness[row, k], abs=1e-12)
+            assert numbers.get(str(found.rates[k]), 0.0) == pytest.approx(model.damping[row, k], abs=1e-12)
+    assert {"ks_g", "ds_g", "d_g_motor"} <= {one.name for one in found.symbols}
+    assert "mode arm is left out" in pc.equations(platform)
+    # At angles that twist the drive its torque counts once.
+    twisted = pc.parameter_varying(platform, q=[0.0, 0.0, 0.01])
+    expected = pc.linearise(platform, q=[0.0, 0.0, 0.01])
+    np.testing.assert_allclose(twisted.at([0.0, 0.0, 0.0]).forcing, expected.Q0)
+
+
+def hanging():
+    """A pendulum of 2 kg, 0.1 m out, that a geared motor holds through a drive; a second one on it."""
+    data = drive() | {"torquer": []}
+    data["root"] |= {"gravity": [0.0, 0.0, -9.81], "mode": "held"}
+    mass = {"mass": 2.0, "centre": [0.1, 0.0, 0.0], "inertia": [0.01, 0.01, 0.01]}
+    data["gimbal"] = [data["gimbal"][0] | mass | {"axis": [0, -1, 0]}]
+    current = {"torque_constant": 0.1, "resistance": 1.0, "supply": 48.0, "current_loop": {"bandwidth_hz": 500.0}}
+    return data | {"motor": [{"gimbal": "g", "rotor_inertia": 1e-5, "gear": 50} | current]}
+
+
+def test_a_start_in_equilibrium_winds_the_drive_up_by_the_weight_that_it_holds():
+    platform = pc.read_platform(hanging())
+    assert [one.name for one in platform.torquers] == ["Qg"]  # after the gimbal, not its motor side
+    at = simulation.Scenario(
+        platform=platform, mode="caged", duration=0.05, delay=0.0, q=[0.4, 0.0], start="equilibrium"
+    )
+    weight = 2.0 * 9.81 * 0.1 * np.cos(0.4)
+    assert at.q == pytest.approx([0.4, 0.4 + weight / K], rel=1e-12)
+    none = control.StateSpace([], [], [], [[0.0]], 1e-3, inputs=["q"], outputs=["Qg"])
+    run = simulation.simulate(at, [none], period=1e-3, step=1e-4, noise=False)
+    np.testing.assert_allclose(run.q, np.tile(at.q, (len(run.t), 1)), rtol=0, atol=1e-12)
+
+
+def test_a_loop_reads_the_load_of_a_drive_that_it_turns_by_its_motor_side():
+    job = {
+        "schema": 2,
+        "name": "drive",
+        "plant": hanging() | {"line_of_sight": {"body": "g", "direction": [1, 0, 0]}},
+        "operation": {"Omega": [0.01, 0.01, 0.01]},
+        "sampling": {"rate_hz": 1000, "delay": 0.0},
+        "loop": [
+            {
+                "name": "load",
+                "kind": "pointing",
+                "gimbals": ["g_motor"],
+                "sensors": ["q"],
+                "use": "d",
+                "design": [{"name": "d", "method": "hinf", "inertial_bandwidth_hz": 0.5}],
+                "limits": {"disk_margin": 0.3},
+            }
+        ],
+    }
+    read = pc.read_job(job)
+    plants = loop_plants(read, read.loops[0])
+    assert plants.sight == ("los_rate1",)
+    # At 10 Hz, below the resonance, the motor turns motor side and load together.
+    w = 2 * np.pi * 1.0
+    z = np.exp(1j * w * plants.period)
+    G = plants.C[0] @ np.linalg.solve(z * np.eye(plants.A.shape[-1]) - plants.A[0], plants.B[0]) + plants.D[0]
+    whole = 0.03 + J1 + 50**2 * 1e-5
+    assert abs(G[0, 0]) == pytest.approx(1.0 / (whole * w**2), rel=0.05)
+    [found] = design.loops(read)
+    assert found.closed.passed
+
+
+def test_sensors_friction_and_springs_may_be_on_the_motor_side():
+    on = {"gimbal": "g_motor"}
+    more = {"angle_sensor": [on | {"name": "motor"}], "rate_sensor": [on], "friction": [on | {"viscous": 0.1}]}
+    platform = pc.read_platform(drive() | more | {"spring": [on | {"stiffness": 1.0}]})
+    assert [one.name for one in platform.sensors] == ["q", "q_motor_rate", "motor"]
+    assert pc.read_platform(tomllib.loads(platform.to_toml())).to_toml() == platform.to_toml()
+    carried = {
+        "gimbal": [*drive()["gimbal"], {"name": "k", "parent": "g_motor", "axis": [1, 0, 0], "inertia": [1] * 3}]
+    }
+    with pytest.raises(pc.PlatformCtrlError, match="parent must be the name of the root or a gimbal"):
+        pc.read_platform(drive() | carried)
 
 
 @pytest.mark.parametrize(
