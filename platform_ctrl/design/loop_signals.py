@@ -210,7 +210,8 @@ def _tied(model: LinearModel, signals: LoopSignals) -> tuple[LinearModel, LoopSi
     if platform is model.platform:
         return model, signals
     loads = {one.motor_side: one.gimbal for one in model.platform.compliances}
-    sensors, torquers = ({one.name: one for one in part} for part in (platform.sensors, platform.torquers))
+    sensors = {one.name: one for one in platform.sensors}
+    torquers = {one.name: one for one in platform.torquers}
     tied = dataclasses.replace(
         signals,
         gimbals=tuple(dict.fromkeys(loads.get(name, name) for name in signals.gimbals)),

@@ -50,7 +50,7 @@ _OF_MANOEUVRES: dict[str, tuple[Expected, tuple[str, ...]]] = {
 _SHAKING = "vibration.scale"
 
 
-class Element(NamedTuple):
+class Chosen(NamedTuple):
     """The k-th of several records that has this name under this key."""
 
     key: str
@@ -73,7 +73,7 @@ class RunParameter:
     """
 
     path: str
-    place: tuple[str | int | Element, ...]
+    place: tuple[str | int | Chosen, ...]
     factor: bool = False
 
     @property
@@ -135,14 +135,14 @@ def _ruled(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> Iterator[_
         for k in range(max(sum(one.reading == reading for one in of.commands) for of in scenarios)):
             for key, expected in _numbers(Command).items():
                 path = f"command.{_numbered(reading, k)}.{key}"
-                yield _one(path, expected, "commands", Element("reading", reading, k), key)
+                yield _one(path, expected, "commands", Chosen("reading", reading, k), key)
     for fault in faults:
         for key in ("at", *FAULT_KINDS[fault.kind].keys):
             path = f"fault.{fault.name}.{key}"
-            yield _one(path, _numbers(Fault)[key], "faults", Element("name", fault.name), key)
+            yield _one(path, _numbers(Fault)[key], "faults", Chosen("name", fault.name), key)
 
 
-def _one(path: str, expected: Expected, *place: str | int | Element, factor: bool = False) -> _Ruled:
+def _one(path: str, expected: Expected, *place: str | int | Chosen, factor: bool = False) -> _Ruled:
     return RunParameter(path=path, place=place, factor=factor), expected
 
 
@@ -170,7 +170,7 @@ def _of_plant(platform: Platform) -> Iterator[_Ruled]:
                     yield _one(f"{word}.{title}.{key}", expected, "platform", group, k, key, factor=factor)
     for body in (platform.root_name, *platform.gimbal_names):
         for axis in (1, 2, 3):
-            place = ("platform", "unbalances", Element("body", body), "moment", axis - 1)
+            place = ("platform", "unbalances", Chosen("body", body), "moment", axis - 1)
             yield _one(f"unbalance.{body}.moment{axis}", fields.NUMBER, *place)
 
 
@@ -213,7 +213,7 @@ def _place(parameter: RunParameter, scenario: Scenario) -> _Place | None:
     for step in parameter.place:
         if item is None:
             return None
-        if isinstance(step, Element):
+        if isinstance(step, Chosen):
             found = [k for k, one in enumerate(item) if getattr(one, step.key) == step.name]
             if step.k >= len(found):
                 return None
@@ -291,7 +291,7 @@ def varied_scenario(
             weak.insert(0, Fault(name=parameter.path, kind="torquer weak", part=part, at=0.0, share=number))
         elif place is None and "unbalances" in parameter.place:
             *_, body, _, axis = parameter.place
-            assert isinstance(body, Element)
+            assert isinstance(body, Chosen)
             assert isinstance(axis, int)
             moments.setdefault(body.name, np.zeros(3))[axis] = 0.0 if relative else number
         elif place is not None:

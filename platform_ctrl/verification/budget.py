@@ -17,14 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.budget_integrals import BudgetResult, motion_transfer
-from platform_ctrl.analysis.dry_friction import (
-    FedFriction,
-    FoundRate,
-    FrictionBalance,
-    about_mean,
-    friction_balance,
-    friction_noise,
-)
+from platform_ctrl.analysis.dry_friction import FedFriction, FrictionBalance, about_mean, friction_balance
+from platform_ctrl.analysis.friction_noise import FoundRate, friction_noise
 from platform_ctrl.analysis.hybrid_plant import Density, HybridPlant, RandomDisturbance
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.jitter_budget import JitterBudget
