@@ -252,6 +252,8 @@ def test_any_tree_accelerates_as_its_plant_there_and_when_it_is_back(drawn):
 def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
     for name in MODELS:
         platform = pc.read_platform(name)
+        if platform.motors:
+            continue  # an armature is not all of a geared rotor
         write_mjcf(platform, tmp_path / "plant.xml", root=root)
         made = import_robot(tmp_path / "plant.xml")
         back = made.platform
@@ -294,3 +296,26 @@ def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
         for unbalance in platform.unbalances:
             mass, centre, _ = bodies[unbalance.body]
             assert np.allclose(mass * centre, unbalance.moment, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if pc.read_platform(name).motors])
+def test_geared_drives_that_give_way_accelerate_as_in_the_simulation(name: str, tmp_path: Path) -> None:
+    platform = pc.read_platform(name)
+    notes = write_mjcf(platform, tmp_path / "plant.xml", root="fixed")
+    for what, parts in (("mode of the structure", platform.modes), ("drive of", platform.compliances)):
+        assert any(note.startswith(what) for note in notes) == bool(parts)
+    if not platform.compliances:
+        return
+    # The axis of the elevation's motor is normal to that of the azimuth: its armature lacks nothing.
+    bare = dataclasses.replace(smooth(platform), modes=(), gravity=platform.gravity)
+    run = Run(bare, tmp_path, step=1e-5, root="fixed")
+    n = len(platform.gimbals)
+    q, rates = 0.2 * np.random.default_rng(3).normal(size=(2, n))
+    for one in platform.compliances:  # not wound up by much
+        q[platform.gimbal(one.motor_side)] = q[platform.gimbal(one.gimbal)] + 1e-3
+    run.data.qpos[run.angles], run.data.qvel[run.rates] = q, rates
+    mujoco.mj_forward(run.model, run.data)
+    u, still = np.r_[np.zeros(3), rates], np.zeros(3 + n)
+    forces = pc.element_forces(bare, q, u) - pc.inverse_dynamics(bare, q, u, still)
+    expected = np.linalg.solve(pc.matrices(bare, q).A_star[3:, 3:], forces[3:])
+    assert np.allclose(run.data.qacc[run.rates], expected, rtol=1e-9)

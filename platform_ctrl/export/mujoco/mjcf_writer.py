@@ -61,9 +61,6 @@ def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root =
     floating = platform.mode == "floating"
     if floating and root == "prescribed":
         raise ArgumentError("write_mjcf: root: a floating root is free or fixed, its rates are not prescribed")
-    if platform.compliances:
-        drive = platform.compliances[0].gimbal
-        raise ArgumentError(f"write_mjcf: no body of MuJoCo is the motor side of the drive of gimbal {drive!r}")
     if platform.mode == "held" and root == "free":
         root = "fixed"
     notes = _notes(platform, root)
@@ -79,6 +76,7 @@ def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root =
     SubElement(SubElement(top, "default"), "geom", contype="0", conaffinity="0", group="1")
     world = SubElement(top, "worldbody")
     hinges = _add_root(world, platform, bodies, root)
+    _add_drives(top, platform)
     controls = _add_actuators(top, platform, root)
     _add_sensors(top, platform, root)
     still, place = root == "fixed", [0.0, 0.0, 0.0] if floating else []
@@ -155,6 +153,7 @@ def _joint(platform: Platform, k: int) -> dict[str, str]:
     if dry:
         out["frictionloss"] = repr(dry)
     armature = sum(one.gear**2 * one.rotor_inertia for one in platform.motors if one.gimbal == gimbal.name)
+    armature += sum(one.inertia for one in platform.compliances if one.motor_side == gimbal.name)
     if armature:
         out["armature"] = repr(armature)
     if gimbal.stops is not None:
@@ -163,6 +162,18 @@ def _joint(platform: Platform, k: int) -> dict[str, str]:
         ratio = 1.0 if gimbal.restitution == 0.0 else float(-away / np.hypot(np.pi, away))
         out |= {"range": text(gimbal.stops), "solreflimit": text([4.0 * _STEP, ratio])}
     return out
+
+
+def _add_drives(top: Element, platform: Platform) -> None:
+    """Add a tendon for each drive that gives way: its length is the load's angle less that of the motor side."""
+    group, angles = Element("tendon"), dict(zip(platform.gimbal_names, platform.angle_names, strict=True))
+    for one in platform.compliances:
+        numbers = {"stiffness": repr(one.strength), "damping": repr(one.damping), "springlength": "0"}
+        tendon = SubElement(group, "fixed", {"name": _line(f"drive {one.gimbal}")} | numbers)
+        for side, share in ((one.gimbal, "1"), (one.motor_side, "-1")):
+            SubElement(tendon, "joint", joint=_line(angles[side]), coef=share)
+    if platform.compliances:
+        top.append(group)
 
 
 def _spring(platform: Platform, gimbal: str) -> tuple[float, float, float]:
@@ -337,6 +348,13 @@ def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
         "motor of {}: its inertia is the joint's armature, which lacks N J of the parent's rate in the gimbal's row": [
             one.gimbal for one in platform.motors
         ],
+        "drive of {}: a tendon between load and motor side, the motor side's inertia as armature": [
+            one.gimbal for one in platform.compliances
+        ],
+        "mode of the structure {}: left out, the bodies are rigid": [mode.name for mode in platform.modes],
+        "voltage of {}: left out, the torque limit is that at rest": [
+            torquer.name for torquer in platform.torquers if torquer.stall is not None
+        ],
         "specific force {}: gravity, which keeps its direction in the world when the root turns": [
             text(platform.specific_force) for _ in range(bool(moved))
         ],
@@ -372,6 +390,8 @@ ROTOR_RADIUS = 0.05
 _AROUND = 1.22
 # Mass of a body, relative to its inertia over its size.
 _LIGHT = 1e-3
+# Of a body that has none, kg and kg m²: MuJoCo wants some.
+_NO_MASS = 1e-12
 # Second moments below this share of a body's largest are those of a plate; no mass can be moved out of it.
 _FLAT = 1e-6
 # Okabe and Ito's colours, which colour-blind people can tell apart; gimbals by their depth.
@@ -398,6 +418,10 @@ def placed(platform: Platform) -> list[Placed]:
         name = platform.gimbal_names[body - 1] if body else platform.root_name
         moment = sum((one.moment for one in platform.unbalances if one.body == name), own * centre)
         radius = _radius(platform, body)
+        if name in platform.motor_sides:  # its inertia is the joint's armature
+            bare = _NO_MASS * np.eye(3)
+            out.append(Placed(radius=radius, mass=_NO_MASS, centre=np.zeros(3), inertia=bare, rotor_mass=0.0))
+            continue
         mass = own or _LIGHT * float(np.trace(inertia)) / radius**2
         if moment.any() and not own:
             # The centre of mass takes a quarter of the smallest second moment away.
