@@ -192,7 +192,9 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
 
 
 def _plant(result: JobResult) -> tuple[Block, ...]:
-    words = "Which body turns about which axis. Bodies are drawn apart; in the model all axes go through one point."
+    placed = any(gimbal.origin.any() for gimbal in result.job.platform.gimbals)
+    where = "joints are where the plant file says" if placed else "all axes go through one point"
+    words = f"Which body turns about which axis. Bodies are drawn apart; in the model {where}."
     caption = sentences("nutation", uncertainty=result.job.uncertainty.spin)
     return (
         *made("Subsystems", lambda: _subsystems(result)),

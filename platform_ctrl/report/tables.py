@@ -141,6 +141,8 @@ def element_table(result: JobResult) -> Table | None:
 def _value(one: object) -> str:
     if isinstance(one, list | tuple):
         return f"({', '.join(map(_value, one))})"
+    if isinstance(one, dict):
+        return f"({', '.join(f'{key} {_value(number)}' for key, number in one.items())})"
     return plain(float(one)) if isinstance(one, float) else str(one)
 
 
