@@ -194,8 +194,16 @@ def _caging(job: Job, k: int) -> Iterator[Misfit]:
             continue
         for part, parts in (("torquer", platform.torquers), ("pick-off", platform.pickoffs)):
             if all(one.gimbal != name for one in parts):
-                words = f"has no {part} in the plant; every caged gimbal needs one"
+                words = f"has no {part} in the plant; every caged gimbal needs one{_by_motor_side(platform, name)}"
                 yield "gimbals", f"gimbals: {given(name)} {words}"
+
+
+def _by_motor_side(platform: Platform, name: str) -> str:
+    """Return what turns a gimbal behind a drive that gives way, in words; empty of others."""
+    sides = [one.motor_side for one in platform.compliances if name in (one.gimbal, one.motor_side)]
+    if not sides:
+        return ""
+    return f"; [[compliance]] has its torquer on {given(sides[0])}: take a rate or pointing loop that turns that"
 
 
 def _stabilising(job: Job, k: int) -> Iterator[Misfit]:
@@ -234,7 +242,8 @@ def _signals(platform: Platform, loop: LoopSpec) -> Iterator[Misfit]:
     yield from strange("gimbals", loop.gimbals, "gimbal of the plant", platform.gimbal_names)
     for name in loop.gimbals:
         if name in platform.gimbal_names and not loop.torquers and name not in torquers.values():
-            yield "gimbals", f"gimbals: {given(name)} has no torquer in the plant; add a [[torquer]]"
+            hint = _by_motor_side(platform, name) or "; add a [[torquer]]"
+            yield "gimbals", f"gimbals: {given(name)} has no torquer in the plant{hint}"
     yield from _sensors(platform, loop.kind, loop.sensors)
     for name in loop.torquers:
         if torquers.get(name) not in loop.gimbals:

@@ -11,6 +11,7 @@ from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import replaced
 from platform_ctrl.plant.drives import Rotor
 from platform_ctrl.plant.flexible import Compliance
+from platform_ctrl.plant.force_elements import Friction, Spring
 from platform_ctrl.plant.gimbals import Body, Gimbal
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import Sensor
@@ -49,10 +50,22 @@ def with_locked(platform: Platform, names: Sequence[str]) -> Platform:
     for name in names:
         if name in gone:
             continue
-        platform = _with_one(platform, name)
+        held = next((one for one in platform.compliances if one.motor_side == name), None)
+        platform = _with_one(platform if held is None else _on_its_drive(platform, held), name)
         if drives.get(name) in platform.gimbal_names:
             platform = _with_one(platform, drives[name])
     return platform
+
+
+def _on_its_drive(platform: Platform, drive: Compliance) -> Platform:
+    """Return the platform with a load that its drive holds at rest, as a spring does."""
+    others = tuple(one for one in platform.compliances if one is not drive)
+    springs, frictions = [*platform.springs, Spring(gimbal=drive.gimbal, stiffness=drive.strength)], platform.frictions
+    own = next((one for one in frictions if one.gimbal == drive.gimbal), Friction(gimbal=drive.gimbal))
+    damped = replaced(own, {"viscous": own.viscous + drive.damping})
+    kept = [one for one in frictions if one is not own]
+    changes = {"compliances": others, "springs": tuple(springs), "frictions": (*kept, damped)}
+    return replaced(platform, changes)
 
 
 def with_rigid_drives(platform: Platform) -> Platform:

@@ -179,7 +179,11 @@ def test_what_is_wrong_with_a_log_is_said_at_its_key(tmp_path: Path) -> None:
 
 def test_a_specific_force_without_unbalance_is_refused() -> None:
     data = job_data(read_job(every_job_key(), folder=HERE))
-    data["plant"]["unbalance"] = []
+    plant = data["plant"]
+    plant["unbalance"], plant["mode"] = [], []
+    for part in (plant["root"], *plant["gimbal"], *plant["rotor"]):
+        for key in ("mass", "centre", "origin"):
+            part.pop(key, None)
     with pytest.raises(InputError, match="moves the line of sight by unbalance, and the plant has none; add"):
         read_job(data)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import platform_ctrl as pc
 from platform_ctrl import analysis, design, simulation
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.mechanics.outputs import observed
 
 J1, J2, K, C = 0.02, 0.05, 300.0, 0.04
@@ -134,6 +134,33 @@ def test_a_start_in_equilibrium_winds_the_drive_up_by_the_weight_that_it_holds()
     np.testing.assert_allclose(run.q, np.tile(at.q, (len(run.t), 1)), rtol=0, atol=1e-12)
 
 
+def test_a_motor_side_that_is_locked_holds_its_load_by_the_drive():
+    from platform_ctrl.plant.locking import with_locked
+
+    held = with_locked(pc.read_platform(drive()), ["g_motor"])
+    assert held.gimbal_names == ("g", "h")
+    poles = pc.state_space(pc.linearise(held)).poles()
+    assert np.abs(poles).max() == pytest.approx(np.sqrt(K / (J2 + 1e-9)), rel=1e-9)
+    assert -2.0 * poles.real.min() * J2 == pytest.approx(C, rel=1e-6)
+    assert with_locked(pc.read_platform(drive()), ["g", "g_motor"]).gimbal_names == ("h",)
+
+
+def test_a_loop_that_names_the_load_is_told_of_the_motor_side():
+    plant = hanging()
+    for kind, sensors in (("caging", {}), ("pointing", {"sensors": ["q"]})):
+        loop = {
+            "name": "l",
+            "kind": kind,
+            "gimbals": ["g"],
+            "use": "d",
+            "design": [{"name": "d", "method": "classical"}],
+        }
+        job = {"schema": 2, "name": "j", "plant": plant, "loop": [loop | sensors]}
+        job |= {"operation": {"Omega": [0.0, 0.0, 0.0]}, "sampling": {"rate_hz": 1000, "delay": 0.0}}
+        with pytest.raises(pc.PlatformCtrlError, match='torquer on "g_motor": take a rate or pointing loop'):
+            pc.read_job(job)
+
+
 def test_a_loop_reads_the_load_of_a_drive_that_it_turns_by_its_motor_side():
     job = {
         "schema": 2,
@@ -154,7 +181,7 @@ def test_a_loop_reads_the_load_of_a_drive_that_it_turns_by_its_motor_side():
         ],
     }
     read = pc.read_job(job)
-    plants = loop_plants(read, read.loops[0])
+    plants = plants_of(read, read.loops[0])
     assert plants.sight == ("los_rate1",)
     # At 10 Hz, below the resonance, the motor turns motor side and load together.
     w = 2 * np.pi * 1.0
