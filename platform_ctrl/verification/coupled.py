@@ -46,6 +46,7 @@ from platform_ctrl.verification.coupled_plant import (
     sensed_rates,
     used_signals,
 )
+from platform_ctrl.verification.holding import holding_results
 
 if TYPE_CHECKING:
     import control
@@ -189,6 +190,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         if one.name in measured
         for found, evidence, method in [measured[one.name]]
     ]
+    results += holding_results(job, channels, ALL_LOOPS)
     return CoupledCheck(
         plant=plant.system,
         controller=together.controller,

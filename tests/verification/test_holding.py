@@ -1,0 +1,84 @@
+"""Torquers that cannot hold a weight, or overcome dry friction: no linear loop shows it, and nothing passes."""
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import design
+from platform_ctrl.verification import check_job
+from platform_ctrl.verification.holding import holding_results
+
+MASS, ARM, G = 2.0, 0.1, 9.81
+
+
+def job(plant, **operation):
+    gimbal = {"name": "g", "parent": "base", "axis": [0, 1, 0], "inertia": [0.02] * 3, "angle": "q"}
+    weight = {"mass": MASS, "centre": [ARM, 0, 0]}
+    data = {
+        "schema": 1,
+        "name": "arm",
+        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0], "mode": "held", "gravity": [0, 0, -G]},
+        "gimbal": [gimbal | weight],
+        "pickoff": [{"gimbal": "g"}],
+    }
+    side = "g_motor" if "compliance" in plant else "g"
+    loop = {"name": "L", "kind": "pointing", "gimbals": [side], "sensors": ["q"], "use": "c"}
+    return pc.read_job(
+        {
+            "schema": 2,
+            "name": "arm",
+            "plant": data | plant,
+            "operation": {"Omega": [0.1, 0.1, 0.1]} | operation,
+            "sampling": {"rate_hz": 2000.0, "delay": 1e-4},
+            "loop": [loop | {"limits": {"disk_margin": 0.3}, "design": [{"name": "c", "method": "classical"}]}],
+        }
+    )
+
+
+def motor(**numbers):
+    own = {"gimbal": "g", "rotor_inertia": 1e-5, "torque_constant": 0.05, "resistance": 2.0, "supply": 1e3}
+    return {"motor": [own | {"current_loop": {"bandwidth_hz": 1000.0}} | numbers]}
+
+
+WEIGHT = MASS * G * ARM
+WEAK = motor(current_limit=0.5 * WEIGHT / 0.05)
+TORQUER = {"torquer": [{"gimbal": "g", "limit": 1.1 * WEIGHT}]}
+
+
+@pytest.mark.parametrize(
+    ("plant", "share"),
+    [
+        (WEAK, 2.0),
+        (motor(supply=0.8 * WEIGHT / 0.05 * 2.0), 1.25),  # stall current times the torque constant
+        (motor(current_limit=1.1 * WEIGHT / 0.05), None),
+        ({"torquer": [{"gimbal": "g"}]}, None),
+        (TORQUER, None),
+        (TORQUER | {"friction": [{"gimbal": "g", "coulomb": 0.2 * WEIGHT}]}, 1.2 / 1.1),
+        (WEAK | {"spring": [{"gimbal": "g", "stiffness": 1.0, "rest": WEIGHT}]}, 4.0),
+        (WEAK | {"compliance": [{"gimbal": "g", "stiffness": 200, "inertia": 1e-3}]}, 2.0),
+    ],
+)
+def test_a_weight_that_no_torque_holds_is_a_requirement_that_is_missed(plant, share):
+    read = job(plant)
+    found = list(holding_results(read, [one.name for one in read.platform.torquers], "all"))
+    assert [one.value for one in found] == ([] if share is None else [pytest.approx(share)])
+    assert not any(one.passed for one in found)
+
+
+def test_the_worst_angle_of_the_job_counts():
+    read = job(
+        motor(current_limit=1.05 * WEIGHT / 0.05) | {"unbalance": [{"body": "g", "moment": [0, 0, 0.1]}]},
+        angles={"q": [0.5]},
+    )
+    [one] = holding_results(read, ["Qg"], "all")
+    torques = [abs(G * (MASS * ARM * np.cos(q) + 0.1 * np.sin(q))) for q in (0.0, 0.5)]
+    assert one.value == pytest.approx(max(torques) / (1.05 * WEIGHT))
+    assert one.evidence.endswith("q = 0.5 rad")
+
+
+def test_a_loop_that_cannot_hold_the_weight_is_no_pass():
+    read = job(WEAK)
+    result = check_job(read, design.loops(read))
+    assert result.coupled.stable
+    assert not result.passed
+    assert [one.name for one in result.requirements if not one.passed] == ["torque at rest over its limit"]
