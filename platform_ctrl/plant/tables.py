@@ -21,7 +21,7 @@ from platform_ctrl.common.values import input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.fields import Expected, Refers, Unfit
 from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, given, suggestion
-from platform_ctrl.plant.units import base_key, in_si
+from platform_ctrl.plant.units import BITS, base_key, in_si
 
 T = TypeVar("T")
 
@@ -331,15 +331,22 @@ def _converted(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mi
     """Return a table whose numbers are all in SI."""
     if table.others is not None:
         return data
-    out = {}
+    out, units = {}, dict[str, str]()
     for name, item in data.items():
         found = None if name in table.keys else base_key(name, table.keys, getattr(table.make, "unit", ""))
         if found is None:
             out[name] = item
             continue
         base, suffix = found
-        if base in data:
-            mistakes.append(Mistake((*path, name), either(base, name, True)))
+        first = base if base in data else next((one for one, key in units.items() if key == base), None)
+        if first is not None:
+            mistakes.append(Mistake((*path, name), either(first, name, True)))
+        if suffix == "bits" and not (type(item) in (int, float) and item in BITS):
+            mistakes.append(
+                Mistake((*path, name), f"{name} must be a whole number from 1 to {BITS[-1]}, got {given(item)}")
+            )
+            continue
+        units[name] = base
         out[base] = in_si(item, suffix)
     return out
 

@@ -18,6 +18,8 @@ SUFFIXES: dict[str, tuple[str, float]] = {
     "ms": ("time", 1e-3),
     "us": ("time", 1e-6),
 }
+# How many an encoder may have.
+BITS = range(1, 65)
 # Keys by what they are, in whatever table they are numbers.
 _QUANTITIES = {
     "angle": """rest angle clearance phase misalignment attitude angle_following_error los_angle_rms jitter
@@ -53,4 +55,7 @@ def in_si(item: Any, suffix: str) -> Any:
     if isinstance(item, bool) or not isinstance(item, int | float):
         return item
     unit = SUFFIXES[suffix][1]
-    return unit / 2.0**item if suffix == "bits" else item * unit
+    try:
+        return unit / 2.0**item if suffix == "bits" else item * unit
+    except OverflowError:  # an integer beyond all floats
+        return item
