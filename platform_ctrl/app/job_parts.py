@@ -69,7 +69,7 @@ class SightBudgets:
 
     def results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the budget's limits as `check` judges them."""
-        if not self._loops.coupled(settings).stable:
+        if not self._loops.coupled(settings).stable_at_all_angles:
             return unstable_results(self._loops.job(settings))
         return self.exact(settings).results
 

@@ -252,7 +252,7 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
                 raise
             raise NotFoundError(
                 "budget: with the damping that dry friction has at these rates the loop is not stable: bearings stick "
-                "and slip; say in [budget.turning] how fast they turn, or leave [budget] out and simulate a manoeuvre"
+                "and slip; say in [budget.turning] how fast they turn, or limit the line of sight in a manoeuvre"
             ) from error
         return np.asarray(total[[*bearings, *range(first, first + len(driven))]])
 

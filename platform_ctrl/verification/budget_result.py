@@ -365,10 +365,12 @@ def budget_requirements(budget: BudgetSpec | None) -> list[tuple[tuple[str, str]
     return out
 
 
-def unstable_results(job: Job) -> tuple[CheckResult, ...]:
-    """Return the limits of a job's budget as they are judged where the loop is not stable; none without a budget."""
-    evidence = "the loop is not stable"
+def unstable_results(job: Job, reason: str = "the loop is not stable") -> tuple[CheckResult, ...]:
+    """Return the limits of a job's budget, not met for a reason that leaves no budget; none where none are stated."""
     return tuple(
-        one.judge(math.inf, subject=LINE_OF_SIGHT, stage="coupled", evidence=evidence, method="exact")
+        replaced(
+            one.judge(math.inf, subject=LINE_OF_SIGHT, stage="coupled", evidence=reason, method="exact"),
+            {"reason": reason},
+        )
         for _, one in budget_requirements(job.budget)
     )

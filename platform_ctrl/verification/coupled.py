@@ -117,6 +117,11 @@ class CoupledCheck:
         """Whether every pole lies inside the unit circle, and nothing that no loop acts on moves away by itself."""
         return bool(np.abs(self.poles).max(initial=0.0) < 1.0) and not self.growing
 
+    @property
+    def stable_at_all_angles(self) -> bool:
+        """Whether it is stable at zero angles, as `stable`, and at the other gimbal angles of the job too."""
+        return self.stable and all(one.value > 0.0 for one in self.results if one.name == STABLE.name)
+
 
 def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledCheck:
     """Close `controllers` around the coupled sampled model and compare it with the job's limits.

@@ -10,6 +10,7 @@ from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.values import replaced, value
 from platform_ctrl.design.cases import subsystems_over
 from platform_ctrl.design.loop import FailedDesign, LoopOutcome
+from platform_ctrl.errors import NotFoundError, reason
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.quantities import assumed_words
@@ -124,6 +125,7 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
     complete = len(loops) == len(outcomes)
     controllers = [outcome.closed.controller for outcome in loops]
     coupled, budget, simulated, runs = None, None, None, []
+    unjudged = "the loop is not stable"
     if complete:
         say("coupled check: all loops on the coupled sampled model")
         coupled = coupled_check(job, model, controllers)
@@ -134,10 +136,13 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
         if coupled is not None:
             proofs["", ""] = coupled_proofs(coupled, controllers)
     shaken = job.budget.runs if job.budget is not None else None
-    if coupled is not None and coupled.stable and (budget_requirements(job.budget) or shaken):
+    if coupled is not None and coupled.stable_at_all_angles and (budget_requirements(job.budget) or shaken):
         say("budget: every source through the coupled sampled model")
-        budget = line_of_sight_budget(job, controllers)
-        if shaken:
+        try:
+            budget = line_of_sight_budget(job, controllers)
+        except NotFoundError as error:  # dry friction; everything else has its verdict
+            unjudged = reason(error)
+        if shaken and budget is not None:
             say(f"budget: {shaken} runs of the non-linear plant")
             simulated = simulated_budget(job, controllers, shaken, seed=job.seed, threads=os.cpu_count() or 1)
             budget = replaced(budget, {"results": by_simulation(budget.results, simulated)})
@@ -150,7 +155,7 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
         requirements += with_proofs(design.results, proofs.get((design.loop, design.name)), design.loop, design.name)
     if coupled is not None:
         requirements += with_proofs(coupled.results, proofs.get(("", "")), ALL_LOOPS)
-        requirements += unstable_results(job) if budget is None else budget.results
+        requirements += unstable_results(job, unjudged) if budget is None else budget.results
     requirements += [result for run in runs for result in run.results]
     return JobResult(
         job=job,

@@ -17,8 +17,9 @@ from platform_ctrl.analysis.hybrid_plant import Density, HybridPlant, RandomDist
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.system import System
 from platform_ctrl.cli import main
+from platform_ctrl.common.values import replaced
 from platform_ctrl.design import loops
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.errors import ArgumentError, NotFoundError
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.simulation import Scenario, TimeTable, simulate
 from platform_ctrl.verification import check_job
@@ -328,6 +329,35 @@ def test_the_verdict_of_a_job_counts_the_limits_and_its_report_has_a_section(tmp
     assert again.runs == shown.runs == 4
     page = page_html(result)
     assert all(words in page for words in ("4 runs of the non-linear plant", "vibration", "Dry friction", "rms up to"))
+
+
+def test_a_budget_that_dry_friction_leaves_none_of_is_not_met_and_the_rest_has_its_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stuck(*_: object) -> None:
+        raise NotFoundError("budget: bearings stick and slip")
+
+    monkeypatch.setattr("platform_ctrl.verification.verdict.line_of_sight_budget", stuck)
+    limited = job(tmp_path, LIMITS)
+    result = check_job(limited, loops(limited))
+    missed = [one for one in result.requirements if one.subject == "line of sight"]
+    assert len(missed) == len(unstable_results(limited))
+    assert not any(one.passed for one in missed)
+    assert {one.reason for one in missed} == {"budget: bearings stick and slip"}
+    assert result.budget is None
+    assert result.coupled is not None
+    assert "bearings stick and slip" in page_html(result)
+
+
+def test_a_loop_that_is_not_stable_at_an_angle_of_the_job_has_no_budget(tmp_path: Path) -> None:
+    limited = job(tmp_path, LIMITS)
+    coupled = check_job(limited, loops(limited)).coupled
+    assert coupled is not None
+    assert coupled.stable_at_all_angles
+    results = [replaced(one, {"value": -1.0}) if "decay" in one.name else one for one in coupled.results]
+    elsewhere = replaced(coupled, {"results": tuple(results)})
+    assert elsewhere.stable
+    assert not elsewhere.stable_at_all_angles
 
 
 def test_the_command_prints_a_table_of_80_columns_or_json(
