@@ -226,6 +226,11 @@ def test_a_telescope_that_rests_is_not_said_to_slide():
     resting = dataclasses.replace(job, budget=dataclasses.replace(job.budget, turning={}))
     with pytest.raises(NotFoundError, match="bearings stick and slip"):
         line_of_sight_budget(resting, [outcome.closed.controller for outcome in loops])
+    # The rest is judged, and the budget's limit is missed for that reason.
+    verdict = verification.check_job(dataclasses.replace(resting, manoeuvres=()), loops)
+    [missed] = [one for one in verdict.requirements if not one.passed]
+    assert missed.name == "line-of-sight jitter"
+    assert "bearings stick and slip" in missed.reason
 
 
 def test_the_drone_gimbal_works_at_the_angles_of_its_job_and_with_its_mode_off_by_a_tenth():
