@@ -371,7 +371,7 @@ RUN_METRICS: dict[str, RunMetric] = {
         RunMetric(
             name="largest torque over its limit",
             key="torque_share",
-            meaning="largest commanded torque over its torquer's limit",
+            meaning="largest commanded torque over its torquer's limit, a motor's over what its supply leaves",
             always=True,
         ),
         RunMetric(

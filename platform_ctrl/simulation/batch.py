@@ -54,7 +54,7 @@ class BatchResult:
     attitude : (N, 3)
         Largest component of the platform's rotation vector against inertial axes, rad.
     torque_share : (N, torquers)
-        Largest commanded torque as a share of the torquer's limit.
+        Largest commanded torque as a share of the torquer's limit, or of what a motor's supply leaves at its rate.
     saturated : (N, torquers)
         Number of samples whose command reached the limit.
     stop_contacts : (N, n)

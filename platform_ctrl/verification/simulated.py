@@ -94,9 +94,8 @@ def _lost(job: Job, trajectory: Trajectory) -> str:
     """Return when a run diverged, or from when on a torquer stays at its limit or a gimbal beyond half a turn."""
     if not trajectory.completed:
         return trajectory.ended
-    limits = [np.inf if torquer.limit is None else torquer.limit for torquer in job.platform.torquers]
     parts = (
-        (trajectory.torquer_names, np.abs(trajectory.command) >= limits, "at its limit"),
+        (trajectory.torquer_names, np.abs(trajectory.command) >= _reach(job, trajectory), "at its limit"),
         (trajectory.angle_names, np.abs(trajectory.q) > math.pi, "beyond half a turn"),
     )
     for names, there, words in parts:
@@ -109,6 +108,21 @@ def _lost(job: Job, trajectory: Trajectory) -> str:
         if found:
             return ", ".join(found)
     return ""
+
+
+def _reach(job: Job, trajectory: Trajectory) -> FloatArray:
+    """Return the torque that each torquer has at each sample in the direction of its command, N m.
+
+    The supply of a motor leaves less of it the faster the motor turns that way, at last nothing.
+    """
+    out = np.full(trajectory.command.shape, np.inf)
+    for k, one in enumerate(job.platform.torquers):
+        if one.limit is not None:
+            out[:, k] = one.limit
+        if one.limit is not None and one.gimbal is not None and one.stall is not None:
+            turning = np.sign(trajectory.command[:, k]) * trajectory.rate[:, job.platform.gimbal(one.gimbal)]
+            out[:, k] = np.clip(one.stall - one.back_emf * turning, 1e-9 * one.limit, one.limit)
+    return out
 
 
 def _for_good(there: NDArray[np.bool_]) -> int | None:
@@ -132,7 +146,7 @@ def _largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str
     names = run_metrics([manoeuvre.limits])
     if not trajectory.completed:
         return {name: (worst_value(name), trajectory.ended) for name in names}
-    limits = np.array([np.inf if t.limit is None else t.limit for t in job.platform.torquers])
+    shares = np.abs(trajectory.command) / _reach(job, trajectory)
     settled = trajectory.t >= manoeuvre.settle - 1e-9 * trajectory.period
     shown = trajectory.line_of_sight[settled]
     base, jitter = trajectory.Omega[settled].std(axis=0), shown.std(axis=0)
@@ -141,7 +155,7 @@ def _largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str
     found = {
         "angle": _worst(np.abs(trajectory.q).max(axis=0), trajectory.angle_names, "no gimbal"),
         "attitude": _worst(np.abs(trajectory.attitude_angles).max(axis=0), ("axis 1", "axis 2", "axis 3")),
-        "torque_share": _worst(np.abs(trajectory.command).max(axis=0) / limits, trajectory.torquer_names),
+        "torque_share": _worst(shares.max(axis=0), trajectory.torquer_names),
         "gimbal_rate": _worst(np.abs(trajectory.rate).max(axis=0), trajectory.angle_names, "no gimbal"),
     }
     for key in names:

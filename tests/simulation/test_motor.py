@@ -6,6 +6,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import simulation
+from platform_ctrl.verification.simulated import simulate_manoeuvre
 
 KT, R, SUPPLY, GEAR, ETA = 0.05, 2.0, 12.0, -10.0, 0.8
 J, JM = 0.02, 1e-5
@@ -49,6 +50,37 @@ def test_its_torque_ends_where_the_back_emf_takes_the_supply():
     expected = idle * (1.0 - np.exp(-slope / inertia * run.t))
     np.testing.assert_allclose(run.rate[:, 0], expected, rtol=0, atol=0.01 * idle)
     assert run.rate[-1, 0] == pytest.approx(idle, rel=1e-3)
+
+
+def test_a_torque_is_over_its_limit_where_the_supply_does_not_leave_it_at_the_rate():
+    # Full command up to the idling speed, then braking: there the supply adds to the back-EMF.
+    data = plant(current_limit=100.0) | {"rate_sensor": [{"body": "g", "axis": [0, 0, 1], "name": "gyro"}]}
+    torque = 0.3 * ETA * 10.0 * KT * SUPPLY / R
+    loop = {"name": "rate", "kind": "rate", "gimbals": ["g"], "sensors": ["gyro"], "use": "pi"}
+    run = {"name": "spin up", "mode": "caged", "duration": 0.3, "initial": {"q": 0.1}, "limits": {"torque_share": 1.0}}
+    job = pc.read_job(
+        {
+            "schema": 2,
+            "name": "motor",
+            "plant": data,
+            "operation": {"Omega": [0.0, 0.0, 1.0]},
+            "sampling": {"rate_hz": 1000.0, "delay": 0.0},
+            "loop": [loop | {"limits": {"disk_margin": 0.1}, "design": [{"name": "pi", "method": "pi"}]}],
+            "manoeuvre": [run],
+        }
+    )
+    # 30 % of the stall torque: more than is left beyond 70 % of the idling speed.
+    steady = control.StateSpace([], [], [], [[10.0 * torque]], 1e-3, inputs=["q"], outputs=["Qg"])
+    out = simulate_manoeuvre(job, job.manoeuvres[0], [steady])
+    [motor] = job.platform.torquers
+    command, rate = out.trajectory.command[:, 0], out.trajectory.rate[:, 0]
+    left = np.clip(motor.stall - motor.back_emf * np.sign(command) * rate, 1e-9 * motor.limit, motor.limit)
+    assert np.abs(command).max() < 100.0 * motor.limit
+    assert out.largest["torque_share"][0] == pytest.approx((np.abs(command) / left).max(), rel=1e-12)
+    assert out.largest["torque_share"][0] > 1.2 * np.abs(command).max() / motor.limit
+    assert out.trajectory.saturated[0] == np.sum(np.abs(command) >= left)
+    batch = simulation.simulate_batch([job.scenario(job.manoeuvres[0])], [steady], period=1e-3, step=1e-4)
+    assert batch.torque_share[0, 0] == pytest.approx(out.largest["torque_share"][0], rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from platform_ctrl.common.compiling import inlined, internal
-from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, load, root, store, whole
+from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, lesser, load, root, store, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import from_parent, put, vector
@@ -206,8 +206,12 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
     for i in range(3):
         _keep_largest(mem, lane, layout.metrics + n + i, going, 2.0 * per_sine * load(mem, e + 1 + i, lane))
     for i in range(nu):
-        limit = load(mem, layout.torquer + i * arrays.TORQUER + arrays.LIMIT, lane)
-        command, slot = load(mem, layout.command + i, lane), layout.metrics + n + 3 + i
+        own, slot = layout.torquer + i * arrays.TORQUER, layout.metrics + n + 3 + i
+        command = load(mem, layout.command + i, lane)
+        limit, turning = load(mem, own + arrays.LIMIT, lane), load(mem, layout.velocity + shared.targets[i], lane)
+        counter = load(mem, own + arrays.BACK_EMF, lane) * choose(command < 0.0, -turning, turning)
+        # What the supply of a motor leaves in this direction; nothing where it turns faster than it idles.
+        limit = greater(lesser(limit, load(mem, own + arrays.STALL, lane) - counter), 1e-9 * limit)
         command = choose(command < 0.0, -command, command)
         _keep_largest(mem, lane, slot, going, command / limit)
         slot += nu
