@@ -144,8 +144,8 @@ def _document(
                 title="",
                 blocks=(
                     *made("First screen", lambda: first_screen(result, campaign)),
-                    *made("What to change", lambda: change_part(result, changes(result))),
                     *made("Summary", lambda: _summary(result, campaign)),
+                    *made("What to change", lambda: change_part(result, changes(result))),
                 ),
             ),
             PageSection(

@@ -155,7 +155,7 @@ _KIND = {
 
 def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
     if mode.frequency == 0.0:
-        frequency = "at the origin" if mode.growth == 0.0 else "no oscillation"
+        frequency = "no oscillation" if mode.kind in ("decay", "divergence") else "at the origin"
     else:
         frequency = f"{plain(mode.frequency)} rad/s = {plain(mode.frequency / (2.0 * np.pi))} Hz"
     kind = _KIND.get(mode.kind, mode.kind)
