@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -148,3 +149,11 @@ class Requirement:
 
 # Stable, and by more than rounding: what decays more slowly takes an hour.
 STABLE = Requirement.of(METRICS["stability"], 1e-3)
+
+
+def drifting(angles: Sequence[str]) -> list[str]:
+    """Return the condition under which a loop is stable that leaves angles free, in words; none without any."""
+    if not angles:
+        return []
+    more, moves = ("s", "they drift") if len(angles) > 1 else ("", "it drifts")
+    return [f"nothing holds the angle{more} {', '.join(angles)}: {moves}"]

@@ -20,7 +20,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import known_name, nearest, one_of, positive
 from platform_ctrl.common.values import FloatArray, input_value, replaced
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
+from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
 from platform_ctrl.plant.mistakes import Misfit, missing, wrong
 from platform_ctrl.plant.tables import unknown_key
 
@@ -191,7 +191,7 @@ class LoopRequirement(Requirement):
             if plants.held:
                 words.append(f"held: {', '.join(plants.held)}")
             if self.kind == "stability":
-                words += [f"nothing holds the angle {name}: it drifts" for name in free]
+                words += drifting(free)
             if self.kind == "torque noise" and free:
                 words.append("with an hour of that drift")
             if plants.dry_friction:

@@ -36,7 +36,7 @@ from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import at_angles
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
+from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.coupled_plant import (
     CoupledPlant,
@@ -218,7 +218,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
 def _conditions(job: Job, together: _Together, growing: str) -> str:
     """Return what the stability of all loops rests on, in words."""
     words = [f"no loop acts on {growing}: it moves away by itself"] if growing else []
-    words += [f"nothing holds the angle {name}: it drifts" for name in together.free_angles]
+    words += drifting(together.free_angles)
     if together.conserved:
         words.append(f"no loop changes the platform's momentum {', '.join(together.conserved)}: it counts as zero")
     if together.uncontrolled and not growing:

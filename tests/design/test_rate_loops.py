@@ -145,7 +145,7 @@ def test_one_axis_by_itself_holds_the_other_and_the_whole_is_checked():
     margin = next(one for one in result.requirements if one.name == "simultaneous disk margin")
     assert "q_el = 0.9 rad" in margin.evidence
     stable = next(one for one in result.requirements if one.stage == "coupled" and "decay" in one.name)
-    assert "nothing holds the angle q_az: it drifts" in stable.evidence
+    assert "nothing holds the angles q_az, q_el: they drift" in stable.evidence
 
 
 def test_sensors_that_do_not_show_what_a_torquer_does_are_refused():
@@ -250,7 +250,7 @@ def test_angles_that_a_pointing_loop_leaves_free_are_no_instability(spring):
         one for one in check_job(job, outcomes).requirements if one.stage == "coupled" and "decay" in one.name
     )
     assert stable.passed
-    assert "nothing holds the angle q_az: it drifts" in stable.evidence
+    assert "nothing holds the angles q_az, q_el: they drift" in stable.evidence
 
 
 def test_the_verdict_names_what_it_rests_on_and_rows_have_the_units_of_rates():
