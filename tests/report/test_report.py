@@ -110,7 +110,7 @@ def compared_designs() -> JobResult:
         **CAGING,
         "use": "simple",
         "limits": limits,
-        "soft": {"bandwidth_hz": 25, "disk_margin": 3.0},
+        "soft": {"bandwidth_hz": 25, "disk_margin": 1.9},
         "design": [
             classical("simple"),
             {"name": "H-infinity", "method": "hinf", "bandwidth_hz": 50},
@@ -362,7 +362,7 @@ def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResul
     assert [round(float(line.get_xdata()[0]), 6) for line in left.lines if line.get_color() == style.MUTED] == [25.0]
     assert levels(middle, style.LIMIT) == set()
     assert levels(right, style.LIMIT) == {2.5}
-    assert levels(right, style.MUTED) == {round(1 / 3, 6)}
+    assert levels(right, style.MUTED) == {round(1 / 1.9, 6)}
     assert levels(shares, style.LIMIT) == {5.0}
 
 
