@@ -32,7 +32,7 @@ def commands(capsys: pytest.CaptureFixture[str]) -> list[str]:
 
 def test_every_argument_and_option_is_described(capsys: pytest.CaptureFixture[str]) -> None:
     listed = commands(capsys)
-    assert len(listed) == 11
+    assert len(listed) == 12
     for name in listed:
         text = help_of(capsys, name)
         described = entries(text, "Arguments") | entries(text, "Options")

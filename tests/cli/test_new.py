@@ -16,6 +16,8 @@ KINDS = {
     "caged-gyro": "caged_gyro",
     "camera-gimbal": "camera_gimbal",
     "multirotor-gimbal": "multirotor_gimbal",
+    "drone-gimbal": "drone_gimbal",
+    "telescope-mount": "telescope_mount",
     "seeker-head": "seeker_head",
     "steering-mirror": "fast_steering_mirror",
     "floated-gyro": "floated_gyro_platform",
