@@ -368,6 +368,19 @@ def response(links: Links, mem: FloatArray, lane: int, at: At, free: bool, k: in
             store(mem, dy + i, lane, load(mem, dy + n + 3 + i, lane))
 
 
+@inlined
+def push(mem: FloatArray, lane: int, at: At, free: bool, k: int, dy: int, impulse: Number) -> None:
+    """Change the state by an impulse at joint k; with a free root `dy` holds the response to it."""
+    n = at.n
+    if free:
+        for i in range(n + 3):
+            v = at.state + n + i
+            store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, dy + n + i, lane))
+    else:
+        p = at.state + n + 3 + k
+        store(mem, p, lane, load(mem, p, lane) + impulse)
+
+
 @internal
 def joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int, result: int) -> None:
     """Joint momenta dT/dqdot of a state whose v holds the rates; all of it stays in the root's MOMENT."""

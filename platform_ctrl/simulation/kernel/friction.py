@@ -7,29 +7,13 @@ from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser,
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Links
-from platform_ctrl.simulation.kernel.dynamics import derivative, response
+from platform_ctrl.simulation.kernel.dynamics import derivative, push, response
 from platform_ctrl.simulation.kernel.forces import deflection, dry_torque
 
 # Rounds over the joints until none changes any more: joints that do not move each other need one.
 _ROUNDS = 50
 # A rate that is smaller counts as zero, rad/s.
 _ZERO = 1e-13
-
-
-@inlined
-def _push(mem: FloatArray, lane: int, at: At, free: bool, k: int, dy: int, impulse: Number) -> None:
-    """Add the response in `dy` to an impulse at joint k to the state and to the joints' rates."""
-    n = at.n
-    if free:
-        for i in range(n + 3):
-            v = at.state + n + i
-            store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, dy + n + i, lane))
-    else:
-        p = at.state + n + 3 + k
-        store(mem, p, lane, load(mem, p, lane) + impulse)
-    for i in range(n):
-        rate = at.during + 1 + i * arrays.DURING + arrays.TURNS
-        store(mem, rate, lane, load(mem, rate, lane) + impulse * load(mem, dy + i, lane))
 
 
 @inlined
@@ -84,7 +68,11 @@ def settle_friction(links: Links, mem: FloatArray, lane: int, at: At, free: bool
             most, least = load(mem, joint + arrays.BREAKAWAY + 1, lane), -load(mem, joint + arrays.BREAKAWAY, lane)
             given = lesser(greater(wanted, least), most)
             direction = choose(wanted > most, zero + 1.0, choose(wanted < least, zero - 1.0, zero))
-            _push(mem, lane, at, free, k, dy, choose(turning, (had - given) * step, zero))
+            impulse = choose(turning, (had - given) * step, zero)
+            push(mem, lane, at, free, k, dy, impulse)
+            for i in range(n):
+                turns = at.during + 1 + i * arrays.DURING + arrays.TURNS
+                store(mem, turns, lane, load(mem, turns, lane) + impulse * load(mem, dy + i, lane))
             store(mem, during + arrays.HAD, lane, choose(turning, given, had))
             store(mem, kept + arrays.SLIDING, lane, choose(turning, direction, side))
             held = load(mem, kept + arrays.HELD_BY, lane)

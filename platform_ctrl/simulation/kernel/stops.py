@@ -7,7 +7,7 @@ from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, l
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
-from platform_ctrl.simulation.kernel.dynamics import at_rest, derivative, joint_momenta, response, runge_kutta
+from platform_ctrl.simulation.kernel.dynamics import at_rest, derivative, joint_momenta, push, response, runge_kutta
 
 # A run of fewer steps than these from a stop back to it ends at most as fast as it began.
 _SHORT = 20.0
@@ -37,7 +37,6 @@ def strike(
     links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, sample: int
 ) -> None:
     """Throw gimbals towards their stops: the blows that are due since the last sample."""
-    n = at.n
     for f in range(shared.faults.shape[0]):
         if shared.faults[f, 0] != arrays.CONTACT:
             continue
@@ -47,14 +46,9 @@ def strike(
         if not anywhere(due):
             continue
         impulse = choose(due, impulse, 0.0 * impulse)
-        if not free:
-            p = at.state + n + 3 + k
-            store(mem, p, lane, load(mem, p, lane) + impulse)
-        else:
+        if free:
             response(links, mem, lane, at, free, k, at.stages)
-            for i in range(n + 3):
-                v = at.state + n + i
-                store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, at.stages + n + i, lane))
+        push(mem, lane, at, free, k, at.stages, impulse)
         if layout.stops != 0:
             _come_anew(links, mem, lane, at, layout, free, due)
 
@@ -74,9 +68,7 @@ def _brake(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, fre
             settled = False
             response(links, mem, lane, at, free, k, dy)
             impulse = choose(turning, -rate / load(mem, dy + k, lane), 0.0 * rate)
-            for i in range(n + 3):
-                v = at.state + n + i
-                store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, dy + n + i, lane))
+            push(mem, lane, at, free, k, dy, impulse)
         if settled:
             return
 
@@ -211,13 +203,7 @@ def meet_stops(
                 for j in range(n):
                     slot = layout.velocity + j
                     store(mem, slot, lane, load(mem, slot, lane) + impulse * load(mem, dy + j, lane))
-                if free:
-                    for i in range(n + 3):
-                        slot = at.state + n + i
-                        store(mem, slot, lane, load(mem, slot, lane) + impulse * load(mem, dy + n + i, lane))
-                else:
-                    slot = at.state + n + 3 + k
-                    store(mem, slot, lane, load(mem, slot, lane) + impulse)
+                push(mem, lane, at, free, k, dy, impulse)
             if settled:
                 break
     for k in range(n):
