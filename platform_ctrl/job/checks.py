@@ -333,7 +333,7 @@ def _carries(platform: Platform, gimbal: int, other: int) -> bool:
 def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[Misfit]:
     """Yield what is wrong with friction that is fed forward: whether there is any, how much, and from which rate."""
     platform, name = job.platform, job.platform.gimbal_names[gimbal]
-    there = max((max(*one.coulomb, *one.breakaway) for one in platform.frictions if one.gimbal == name), default=0.0)
+    there = platform.breakaway(name)
     if there == 0.0:
         words = f"friction: gimbal {name!r} has no dry friction; add coulomb to its [[friction]] in the plant"
         yield "friction", words

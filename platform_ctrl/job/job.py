@@ -402,11 +402,10 @@ class Job:
         torque[manoeuvre.axis - 1] = manoeuvre.torque
         q, rate, Omega = (np.zeros(k) for k in (len(self.platform.gimbals), len(self.platform.gimbals), 3))
         angles = self.platform.angle_names
-        gimbals, initial = self.platform.gimbals, dict(manoeuvre.initial)
-        for one in self.platform.compliances:  # a motor side starts with its load
-            load, side = (gimbals[self.platform.gimbal(name)].angle for name in (one.gimbal, one.motor_side))
+        initial = dict(manoeuvre.initial)
+        for load, motor in self.platform.sides:  # a motor side starts with its load
             for end in ("", "_rate"):
-                initial.setdefault(side + end, initial.get(load + end, 0.0))
+                initial.setdefault(angles[motor] + end, initial.get(angles[load] + end, 0.0))
         for name, number in initial.items():
             if name in angles:
                 q[angles.index(name)] = number

@@ -118,11 +118,10 @@ def resting_forces(platform: Platform, q: FloatArray, f: FloatArray) -> FloatArr
 def twisted(platform: Platform, q: FloatArray, f: FloatArray) -> FloatArray:
     """Return angles (n,) with the motor sides of drives where they hold their loads at rest, under f (3,)."""
     out = np.array(q)
-    sides = [(platform.gimbal(one.gimbal), platform.gimbal(one.motor_side), one) for one in platform.compliances]
-    for load, motor, _ in sides:
+    for load, motor in platform.sides:
         out[motor] = out[load]
     forces = resting_forces(platform, out, f)
-    for load, motor, one in sides:
+    for (load, motor), one in zip(platform.sides, platform.compliances, strict=True):
         out[motor] -= forces[3 + load] / one.strength
     return out
 
@@ -149,7 +148,7 @@ class ForceElements:
     def __init__(self, platform: Platform, at: Kinematics, f: FloatArray) -> None:
         gimbal, body = platform.gimbal, platform.body
         self._at, self._f = at, f
-        self._drives = [(gimbal(one.gimbal), gimbal(one.motor_side), one) for one in platform.compliances]
+        self._drives = [(*sides, one) for sides, one in zip(platform.sides, platform.compliances, strict=True)]
         self._springs = [(gimbal(spring.gimbal), spring) for spring in platform.springs]
         self._frictions = [(gimbal(friction.gimbal), friction) for friction in platform.frictions]
         self._cages = [(gimbal(cage.gimbal), cage) for cage in platform.cages]

@@ -97,15 +97,13 @@ def carried_inertia(platform: Platform, name: str) -> float:
         carried = [one.name for one in platform.gimbals if one.parent in (name, *carried)]
     rigid = with_locked(platform, carried)
     own = rigid.gimbals[rigid.gimbal(name)]
-    offset = np.cross(own.axis, own.centre)
-    total = float(own.axis @ own.inertia @ own.axis + own.mass * float(offset @ offset))
+    whole = own.body
     for rotor in rigid.rotors:
         if rotor.carrier == name:
-            along, away = float(rotor.axis @ own.axis) ** 2, np.cross(own.axis, rotor.origin)
-            total += (
-                rotor.transverse_inertia * (1.0 - along) + rotor.axial_inertia * along + rotor.mass * float(away @ away)
-            )
-    return total
+            axial = rotor.axial_inertia * np.outer(rotor.axis, rotor.axis)
+            whole |= rotor.body._replace(inertia=rotor.body.inertia + axial)
+    arm = np.cross(own.axis, whole.centre)
+    return float(own.axis @ whole.inertia @ own.axis + whole.mass * (arm @ arm))
 
 
 def _with_one(platform: Platform, name: str) -> Platform:

@@ -146,6 +146,11 @@ class Platform(GimbalTree):
         return tuple(one.motor_side for one in self.compliances)
 
     @property
+    def sides(self) -> tuple[tuple[int, int], ...]:
+        """Indices of the gimbals on the load and motor sides of each of the `compliances`."""
+        return tuple((self.gimbal(one.gimbal), self.gimbal(one.motor_side)) for one in self.compliances)
+
+    @property
     def added(self) -> tuple[Torquer | PickOff, ...]:
         """Torquers and pick-offs that the device itself does not have."""
         parts: tuple[Torquer | PickOff, ...] = (*self.torquers, *self.pickoffs)
@@ -166,6 +171,21 @@ class Platform(GimbalTree):
     def dry_frictions(self) -> tuple[Friction, ...]:
         """Frictions with a dry part, in the file's order."""
         return tuple(one for one in self.frictions if max(one.breakaway) > 0.0)
+
+    def breakaway(self, gimbal: str) -> float:
+        """Return the dry friction of a gimbal at the start of sliding, N m, against the worse direction; 0 for none.
+
+        Parameters
+        ----------
+        gimbal
+            Name of the gimbal.
+
+        Returns
+        -------
+        float
+            Not less than that of fast sliding.
+        """
+        return max((max(one.breakaway) for one in self.frictions if one.gimbal == gimbal), default=0.0)
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:

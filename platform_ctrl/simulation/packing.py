@@ -173,8 +173,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
     servos = tuple(k for k, control in enumerate(controls) if control == "servo")
     carriers = tuple(tree.carriers.tolist())
     erections = [(gimbal(one.gimbal), body(one.senses)) for one in platform.erections]
-    drives = [(gimbal(one.gimbal), gimbal(one.motor_side)) for one in platform.compliances]
-    links = _links(tree.parents.tolist(), tree.order, frames, drives, erections, [carriers[k] for k in servos])
+    links = _links(tree.parents.tolist(), tree.order, frames, platform.sides, erections, [carriers[k] for k in servos])
     return Skeleton(
         links=cast(Links, PlacedLinks(*links)) if _placed(platform) else links,
         at=_at(platform, len(tree.parents), len(servos)),
@@ -231,7 +230,7 @@ def _links(
     parents: list[int],
     order: tuple[int, ...],
     frames: FloatArray,
-    drives: list[tuple[int, int]],
+    drives: tuple[tuple[int, int], ...],
     erections: list[tuple[int, int]],
     carriers: list[int],
 ) -> Links:

@@ -108,8 +108,8 @@ class BudgetLoop:
         """Return the mean rates of the bearings with dry friction (J,), rad/s; motor sides turn as their loads."""
         platform, rates = self.job.platform, dict(self.budget.turning)
         angles = dict(zip(platform.gimbal_names, platform.angle_names, strict=True))
-        for drive in platform.compliances:
-            rates.setdefault(angles[drive.motor_side], rates.get(angles[drive.gimbal], 0.0))
+        for load, motor in platform.sides:
+            rates.setdefault(platform.angle_names[motor], rates.get(platform.angle_names[load], 0.0))
         out = np.array([rates.get(angles[one.gimbal], 0.0) for one in self.dry])
         for one, law, rate in zip(self.dry, self.laws, out, strict=True):
             if law is not None and rate:

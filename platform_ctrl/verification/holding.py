@@ -14,7 +14,6 @@ from platform_ctrl.design.cases import at_angles
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.mechanics.forces import resting_forces, specific_force_at, twisted
-from platform_ctrl.plant.platform import Platform
 
 HOLDS = Requirement(name="torque at rest over its limit", limit=1.0, unit="", sense="at most")
 
@@ -36,7 +35,7 @@ def holding_results(job: Job, torquers: Collection[str], subject: str) -> Iterat
     for gimbal, limit in limits.items():
         own = forces[:, platform.gimbal(gimbal)]
         worst = int(np.argmax(own))
-        stuck = _breakaway(platform, gimbal)
+        stuck = platform.breakaway(gimbal)
         if own[worst] + stuck > limit:
             where = f", {at_angles(platform, job.trims[worst])}" if worst else ""
             parts = [f"{own[worst]:.3g} N m hold it"] if own[worst] > 0.0 else []
@@ -48,8 +47,3 @@ def holding_results(job: Job, torquers: Collection[str], subject: str) -> Iterat
                 evidence=f"gimbal {gimbal}: {' and '.join(parts)}, its torquers have {limit:.3g} N m{where}",
                 method="exact",
             )
-
-
-def _breakaway(platform: Platform, gimbal: str) -> float:
-    """Return the dry friction at the start of sliding, N m, against the worse direction."""
-    return max((max(one.breakaway) for one in platform.frictions if one.gimbal == gimbal), default=0.0)
