@@ -95,6 +95,7 @@ def attempted_loops(
     plants_of_all = {spec.name: plants_of_designs(job, spec) for spec in job.loops}
     specs, made = {spec.name: spec for spec in job.loops}, dict[str, LoopOutcome]()
     kept, newest = reuse.kept_in(folder), dict[str, Design]()
+    code = "" if folder is None else reuse.code_hash()
     with shown(progress) as say:
         # A tracking loop has the rate loop that it commands in its plants.
         for tracking in (False, True):
@@ -107,7 +108,7 @@ def attempted_loops(
                     around = None if inner is None else inner.closed
                     problems[name] = problems_of(job, spec, model, plants_of_all[name], around, say)
             every = [one for own in problems.values() for one in own]
-            keys = [None if folder is None else reuse.key_of(one) for one in every]
+            keys = [None if folder is None else reuse.key_of(one, code) for one in every]
             all_made = _made_of([_known(one, key, kept) for one, key in zip(every, keys, strict=True)], processes, say)
             newest |= {key: one for key, one in zip(keys, all_made, strict=True) if key and isinstance(one, Design)}
             found = iter(all_made)

@@ -51,14 +51,14 @@ def keep(folder: Path, designs: Iterable[tuple[str, Design]]) -> None:
         return
 
 
-def key_of(problem: LoopProblem) -> str | None:
-    """Return a hash of all that a design depends on, the code that makes it among it; None where it is made at once."""
+def key_of(problem: LoopProblem, code: str) -> str | None:
+    """Return a hash of all that a design depends on, `code` that makes it among it; None where it is made at once."""
     if problem.plant_set is None:
         return None
     # Whether it is the design that is closed decides on some of its claims.
     spec = dataclasses.replace(problem.spec, designs=(problem.design,), use=problem.design.name)
     closed, sampling = problem.spec.use == problem.design.name, problem.job.sampling
-    parts = (_code(), spec, closed, sampling, problem.model, problem.directions, problem.plant_set)
+    parts = (code, spec, closed, sampling, problem.model, problem.directions, problem.plant_set)
     return hashlib.sha256(pickle.dumps(parts)).hexdigest()
 
 
@@ -97,7 +97,7 @@ def _hash(found: Mapping[str, Any]) -> str:
     return data_hash({"designs": found["designs"]})
 
 
-def _code() -> str:
+def code_hash() -> str:
     """Return a hash of the package's own code and the versions of what it computes with."""
     found = hashlib.sha256(repr([__version__, *(metadata.version(name) for name in _PACKAGES)]).encode())
     root = Path(__file__).parents[1]

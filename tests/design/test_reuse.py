@@ -50,7 +50,7 @@ def test_what_a_design_depends_on_makes_it_again(data, tmp_path, monkeypatch, ch
     elif change == "uncertainty":
         data["uncertainty"] = {"inertia": 0.01}
     else:
-        monkeypatch.setattr(reuse, "_code", lambda: "another")
+        monkeypatch.setattr(reuse, "code_hash", lambda: "another")
     assert not designed(data, tmp_path)[1]
     assert designed(data, tmp_path)[1]
 
