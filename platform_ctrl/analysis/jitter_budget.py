@@ -89,11 +89,7 @@ class JitterBudget:
     """
 
     def __init__(
-        self,
-        plant: HybridPlant,
-        sources: Sequence[Disturbance],
-        exposures: Sequence[float] = (),
-        lowest: float = 0.0,
+        self, plant: HybridPlant, sources: Sequence[Disturbance], exposures: Sequence[float] = (), lowest: float = 0.0
     ) -> None:
         self.plant, self.open_loop, self.sources = plant, OpenLoop(plant), tuple(sources)
         self.lowest = positive("jitter budget: lowest", lowest, zero=True)

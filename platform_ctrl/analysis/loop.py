@@ -22,11 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.between_samples import Disturbed
-from platform_ctrl.analysis.feedback import (
-    commanded_loop,
-    sensitivities_of_plants,
-    with_error_alone,
-)
+from platform_ctrl.analysis.feedback import commanded_loop, sensitivities_of_plants, with_error_alone
 from platform_ctrl.analysis.norms import (
     PEAK_TOLERANCE,
     Band,

@@ -375,10 +375,7 @@ RUN_METRICS: dict[str, RunMetric] = {
             always=True,
         ),
         RunMetric(
-            name="largest gimbal rate",
-            key="gimbal_rate",
-            unit="rad/s",
-            meaning="largest magnitude of a gimbal's rate",
+            name="largest gimbal rate", key="gimbal_rate", unit="rad/s", meaning="largest magnitude of a gimbal's rate"
         ),
         RunMetric(
             name="largest error behind a commanded angle",

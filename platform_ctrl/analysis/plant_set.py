@@ -162,10 +162,7 @@ class PlantSet:
         """Return the set on another grid of frequencies (F,), rad/s."""
         known = None if self.disturbed is None else self.disturbed_at(frequency)
         return dataclasses.replace(
-            self,
-            frequency=frequency,
-            response=frequency_response(self.arrays, frequency, -3),
-            disturbed=known,
+            self, frequency=frequency, response=frequency_response(self.arrays, frequency, -3), disturbed=known
         )
 
     def with_disturbances(self) -> PlantSet:

@@ -137,11 +137,7 @@ def _require_same(system: control.TransferFunction, found: System, where: str) -
         )
 
 
-def frequency_response(
-    system: StateSystem,
-    frequency: ArrayLike,
-    axis: int = -1,
-) -> ComplexArray:
+def frequency_response(system: StateSystem, frequency: ArrayLike, axis: int = -1) -> ComplexArray:
     """Return the response of `system` on the imaginary axis or on the unit circle.
 
     States are balanced. The response is summed over the modes where the condition number of the eigenvectors is below

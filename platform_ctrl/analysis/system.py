@@ -137,11 +137,7 @@ class System(NamedTuple):
         if states is not None:
             options["states"] = _distinct(states)  # type: ignore[assignment]
         system = control.StateSpace(
-            *self,
-            inputs=_distinct(inputs),
-            outputs=_distinct(outputs),
-            remove_useless_states=False,
-            **options,
+            *self, inputs=_distinct(inputs), outputs=_distinct(outputs), remove_useless_states=False, **options
         )
         return portable(system)
 

@@ -60,11 +60,7 @@ class Backend:
         job, if it exists.
     """
 
-    def __init__(
-        self,
-        job: str | Path | Job,
-        controllers: str | Path | None = None,
-    ) -> None:
+    def __init__(self, job: str | Path | Job, controllers: str | Path | None = None) -> None:
         self.path = None if isinstance(job, Job) else Path(job)
         self.folder = Path() if self.path is None else self.path.parent
         self.read = job if isinstance(job, Job) else read_job(job)
@@ -244,11 +240,7 @@ class Backend:
         """Call `listener` in a thread whenever a design that pictures wait for is available or failed."""
         return self._loops.designs.listen(listener)
 
-    def picture(
-        self,
-        settings: Settings,
-        on_drawn: Callable[[Drawing], None] | None = None,
-    ) -> Picture:
+    def picture(self, settings: Settings, on_drawn: Callable[[Drawing], None] | None = None) -> Picture:
         """Return the curves and the results for the settings.
 
         `on_drawn` is called with what is drawn before it is measured, which takes as long again. Requirements are

@@ -16,13 +16,7 @@ from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.background import Background, Designing, DesignPending, DesignQueue, IsCancelled
 from platform_ctrl.app.caged import CachedMetrics, CagedCurves, CagedLoop
-from platform_ctrl.app.controllers import (
-    DesignOptions,
-    built_directly,
-    direct_arrays,
-    existing_designs,
-    loop_names,
-)
+from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays, existing_designs, loop_names
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.settings import Settings, of_loop, with_limits
@@ -131,9 +125,7 @@ class ClosedLoops:
         closed, limited = self.closed(settings), with_limits(self.read, settings.limits)
         loops = tuple(
             dataclasses.replace(
-                spec,
-                use=closed[spec.name],
-                designs=tuple(self._as_set(settings, spec, d) for d in spec.designs),
+                spec, use=closed[spec.name], designs=tuple(self._as_set(settings, spec, d) for d in spec.designs)
             )
             for spec in limited.loops
         )

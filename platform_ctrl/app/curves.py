@@ -17,14 +17,7 @@ from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_absci
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.app.excitation import SampledInput, sampled_responses
-from platform_ctrl.app.pictures import (
-    Bode,
-    ClosedLoop,
-    Drawing,
-    FrequencyGain,
-    Measured,
-    TimeResponse,
-)
+from platform_ctrl.app.pictures import Bode, ClosedLoop, Drawing, FrequencyGain, Measured, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
@@ -74,10 +67,7 @@ def gain_range(response: ComplexArray) -> tuple[float, float]:
     ends = [real[k] for k in (0, -1) if abs(imaginary[k]) < 1e-2 * abs(real[k])]
     crossing = np.append(crossing, ends)
     factors = -1.0 / crossing[np.isfinite(crossing) & (crossing < 0.0)]
-    return (
-        float(factors[factors <= 1.0].max(initial=0.0)),
-        float(factors[factors > 1.0].min(initial=np.inf)),
-    )
+    return (float(factors[factors <= 1.0].max(initial=0.0)), float(factors[factors > 1.0].min(initial=np.inf)))
 
 
 # Sampled loops are shown up to this share of the Nyquist frequency: at its edge sensitivities have no meaning.

@@ -210,13 +210,7 @@ def _not_found(job: Job, wanted: Options) -> dict[str, dict[str, dict[str, float
 
 
 def _job_text(
-    before: str,
-    old: Path,
-    folder: Path,
-    closed: Mapping[str, str],
-    limits: Limits,
-    written: Options,
-    wanted: Options,
+    before: str, old: Path, folder: Path, closed: Mapping[str, str], limits: Limits, written: Options, wanted: Options
 ) -> str:
     """Return the text of the job in a folder with the changes of the page; all else stays, also comments."""
     import tomlkit

@@ -218,10 +218,7 @@ class Guard(AuthProvider):
         if request.path != "/":
             return 404, "there is nothing here"
         if not secrets.compare_digest(handler.get_argument("token", "").encode(), self._token.encode()):
-            return (
-                403,
-                "refused: not the link of this server; open the one that platform-ctrl serve prints",
-            )
+            return (403, "refused: not the link of this server; open the one that platform-ctrl serve prints")
         if len(handler.application.get_sessions("/")) >= PAGES:
             return 503, f"{PAGES} pages are open already; close one and try again"
         return None

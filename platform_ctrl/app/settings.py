@@ -271,11 +271,7 @@ _BEYOND = 100.0
 
 
 def option_sliders(
-    method: str,
-    options: Mapping[str, float],
-    start: Mapping[str, float],
-    rate_hz: float,
-    fixed: frozenset[str],
+    method: str, options: Mapping[str, float], start: Mapping[str, float], rate_hz: float, fixed: frozenset[str]
 ) -> list[Slider]:
     """Return a slider for each of the `options` of a method; `start` is what sliders reach to both sides of."""
     out = []

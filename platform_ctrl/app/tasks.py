@@ -155,10 +155,7 @@ def error_text(error: Exception) -> str:
 
 # Texts of the page's line while a task runs, and after it was cancelled.
 _RUNNING = {"tune": "Tuning is going on", "simulate": "A manoeuvre is being simulated"}
-_CANCELLED = {
-    "tune": "Tuning was cancelled; nothing was changed.",
-    "simulate": "The simulation was cancelled.",
-}
+_CANCELLED = {"tune": "Tuning was cancelled; nothing was changed.", "simulate": "The simulation was cancelled."}
 
 
 class _Superseded(Exception):

@@ -7,9 +7,4 @@ from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.single_run import rerun
 from platform_ctrl.campaign.summary import summarise
 
-__all__ = [
-    "plan",
-    "rerun",
-    "run_campaign",
-    "summarise",
-]
+__all__ = ["plan", "rerun", "run_campaign", "summarise"]

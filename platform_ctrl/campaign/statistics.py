@@ -272,11 +272,7 @@ def quantile(values: FloatArray, share: float) -> float:
 
 
 def _worst(
-    data: Mapping[str, Array],
-    metrics: Sequence[str],
-    compared: FloatArray,
-    here: NDArray[np.bool_],
-    requirement: str,
+    data: Mapping[str, Array], metrics: Sequence[str], compared: FloatArray, here: NDArray[np.bool_], requirement: str
 ) -> tuple[WorstRun, ...]:
     """Return the runs with the largest ratios of a metric, or of any; ties go to the lower run."""
     if not metrics:

@@ -131,10 +131,7 @@ def _varies(column: Array) -> bool:
 
 
 def _of_one(
-    of: tuple[str, str | None],
-    inputs: Mapping[str, Array],
-    violated: NDArray[np.bool_],
-    ratio: FloatArray,
+    of: tuple[str, str | None], inputs: Mapping[str, Array], violated: NDArray[np.bool_], ratio: FloatArray
 ) -> list[Influence]:
     """Return the influences on one requirement, within one manoeuvre or over all."""
     from scipy import stats
@@ -250,9 +247,7 @@ def summarise(plan: Plan, table: Table) -> Summary:
     """
     limits = {manoeuvre.name: manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres}
     return Summary(
-        plan=plan,
-        statistics=statistics(table, limits),
-        influences=influences(table, limits, inputs=plan.input_names),
+        plan=plan, statistics=statistics(table, limits), influences=influences(table, limits, inputs=plan.input_names)
     )
 
 

@@ -12,8 +12,7 @@ from platform_ctrl.cli.exits import noted, print_json
 from platform_ctrl.cli.job_arguments import Json, expect_target
 
 Description = Annotated[
-    Path,
-    typer.Argument(metavar="FILE", help="A robot description: URDF, MJCF or SDF.", show_default=False),
+    Path, typer.Argument(metavar="FILE", help="A robot description: URDF, MJCF or SDF.", show_default=False)
 ]
 
 

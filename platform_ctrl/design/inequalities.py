@@ -97,12 +97,7 @@ class LinearLoop:
         w, z = list(w), list(z)
         B, C, D = self.VB[:, w], self.out[z, :], self.direct[z, :][:, w]
         return _negative(
-            [
-                [self.VA + self.VA.T, B, C.T],
-                [B.T, -alpha * np.eye(len(w)), D.T],
-                [C, D, -beta * np.eye(len(z))],
-            ],
-            margin,
+            [[self.VA + self.VA.T, B, C.T], [B.T, -alpha * np.eye(len(w)), D.T], [C, D, -beta * np.eye(len(z))]], margin
         )
 
     def outputs_below(self, z: Sequence[int], square: Any) -> list[Any]:

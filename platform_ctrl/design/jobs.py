@@ -19,14 +19,7 @@ from platform_ctrl.common.processes import processes as pool
 from platform_ctrl.common.progress import Local, Progress, shown
 from platform_ctrl.design import reuse
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.loop import (
-    Design,
-    FailedDesign,
-    LoopOutcome,
-    commanded,
-    with_commands,
-    with_largest_rates,
-)
+from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, commanded, with_commands, with_largest_rates
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import METHODS, LoopProblem, evaluated, instability
 from platform_ctrl.design.methods import read_job
@@ -44,8 +37,7 @@ _given: Sequence[LoopProblem] = ()
 
 
 def loops(
-    job: Job | str | os.PathLike[str] | Mapping[str, object],
-    progress: Progress | bool | None = None,
+    job: Job | str | os.PathLike[str] | Mapping[str, object], progress: Progress | bool | None = None
 ) -> tuple[LoopOutcome, ...]:
     """Design every loop of `job` by each of its methods.
 

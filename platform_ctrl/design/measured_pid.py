@@ -20,13 +20,7 @@ from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.convex_step import OF_ANGLE, Sample, actions, controller_response, convex_step, realisation
 from platform_ctrl.design.responses import Contour, Controller, contour, unstable_poles
-from platform_ctrl.errors import (
-    DesignError,
-    InfeasibleError,
-    NotCertifiedError,
-    NotStabilisableError,
-    UnscalableError,
-)
+from platform_ctrl.errors import DesignError, InfeasibleError, NotCertifiedError, NotStabilisableError, UnscalableError
 
 _HZ = 1.0 / (2.0 * np.pi)
 # Between which values limits make sense.

@@ -422,11 +422,5 @@ def shaped(K: System, shaping: CommandShaping, directions: Channels, sense: Floa
                 torque = strength[:, None] * sense
                 fed_C += torque @ block_diag(*(one.C,) * p)
                 fed_D += torque @ block_diag(*(one.D,) * p)
-    whole = block(
-        [
-            [K.A, -K.B @ C, K.B, -K.B @ D],
-            [0, A, 0, B],
-            [K.C, fed_C - K.D @ C, K.D, fed_D - K.D @ D],
-        ]
-    )
+    whole = block([[K.A, -K.B @ C, K.B, -K.B @ D], [0, A, 0, B], [K.C, fed_C - K.D @ C, K.D, fed_D - K.D @ D]])
     return System.split(whole, len(K.A) + len(A), K.dt)

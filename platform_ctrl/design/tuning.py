@@ -298,10 +298,7 @@ class ResultChange:
 
 
 def option_effects(
-    options: Sequence[str],
-    requirements: Sequence[str],
-    before: FloatArray,
-    after: Sequence[Callable[[], FloatArray]],
+    options: Sequence[str], requirements: Sequence[str], before: FloatArray, after: Sequence[Callable[[], FloatArray]]
 ) -> OptionEffects:
     """Return the effects of `options`; `after` computes the ratios (R,) with each of them 5 % larger."""
     change = np.full((len(before), len(options)), np.nan)

@@ -11,15 +11,7 @@ import numpy as np
 from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.values import input_value
 from platform_ctrl.job.budget import too_large
-from platform_ctrl.job.scenario import (
-    COMMANDS,
-    Command,
-    Mode,
-    Sine,
-    Start,
-    TimeTable,
-    Vibration,
-)
+from platform_ctrl.job.scenario import COMMANDS, Command, Mode, Sine, Start, TimeTable, Vibration
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, within, wrong

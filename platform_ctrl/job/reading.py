@@ -43,10 +43,7 @@ _SCHEMA = Expected(f"{SCHEMA}, the format that this version reads", _schema)
 # The whole file.
 JOB_FILE = dataclasses.replace(
     shape(Job),
-    keys={
-        "schema": Key(_SCHEMA, "schema", needed=True),
-        "plant": Key(PLANT, "plant", needed=True),
-    }
+    keys={"schema": Key(_SCHEMA, "schema", needed=True), "plant": Key(PLANT, "plant", needed=True)}
     | {**shape(Job).keys},
 )
 

@@ -137,13 +137,7 @@ class LoopRequirement(Requirement):
         return self._worst(plants, self.values(metrics), subject, design, metrics.exact, metrics.free_angles)
 
     def _worst(
-        self,
-        plants: PlantSet,
-        values: FloatArray,
-        subject: str,
-        design: str,
-        exact: bool,
-        free: Sequence[str] = (),
+        self, plants: PlantSet, values: FloatArray, subject: str, design: str, exact: bool, free: Sequence[str] = ()
     ) -> CheckResult:
         worst = int(values.argmax() if self.sense == "at most" else values.argmin())
         if self.metric.of == "controller":

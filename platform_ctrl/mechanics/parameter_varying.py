@@ -224,10 +224,7 @@ class ParameterVaryingModel:
         return [FrozenSystem(parameters=corner, system=affine.system(corner)) for corner in corners]
 
     def grid(
-        self,
-        points: int | Sequence[int],
-        Omega_max: ArrayLike,
-        Omega_dot_max: ArrayLike | None = None,
+        self, points: int | Sequence[int], Omega_max: ArrayLike, Omega_dot_max: ArrayLike | None = None
     ) -> list[FrozenSystem]:
         """Return the model frozen on a regular grid of |Omega_a| <= max (and |Omega'_a| <= max).
 

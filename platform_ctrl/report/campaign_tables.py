@@ -11,16 +11,7 @@ from platform_ctrl.campaign.store import DIVERGED, MANOEUVRE, PASSED
 from platform_ctrl.campaign.summary import Influence, Summary
 from platform_ctrl.common.text import Rounding, rounded
 from platform_ctrl.common.values import value
-from platform_ctrl.job.quantities import (
-    BOUND,
-    DASH,
-    MINUS,
-    added_words,
-    plain,
-    quantity,
-    simulated_words,
-    times,
-)
+from platform_ctrl.job.quantities import BOUND, DASH, MINUS, added_words, plain, quantity, simulated_words, times
 from platform_ctrl.job.variation import Vary
 
 ALL_MANOEUVRES = "all manoeuvres, values relative to their limits"

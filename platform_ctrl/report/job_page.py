@@ -45,12 +45,7 @@ from platform_ctrl.report.figures.nichols import nichols_figure
 from platform_ctrl.report.figures.panels import paint
 from platform_ctrl.report.figures.plant import axes_picture
 from platform_ctrl.report.figures.runs import time_run
-from platform_ctrl.report.first_screen import (
-    change_part,
-    first_screen,
-    own_results,
-    section_verdict,
-)
+from platform_ctrl.report.first_screen import change_part, first_screen, own_results, section_verdict
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
 from platform_ctrl.verification.simulated import Run
@@ -127,12 +122,7 @@ def prepared(
     return _document(instance("result", result, JobResult), command, campaign, again)
 
 
-def _document(
-    result: JobResult,
-    command: str | None,
-    campaign: Summary | None,
-    again: str | None,
-) -> PageContent:
+def _document(result: JobResult, command: str | None, campaign: Summary | None, again: str | None) -> PageContent:
     job, palette = result.job, curves.palette_of(result.loops)
     together = [one for one in result.requirements if one.subject == ALL_LOOPS]
     of_runs = [one for run in result.runs for one in run.results]

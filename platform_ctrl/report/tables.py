@@ -32,18 +32,7 @@ from platform_ctrl.mechanics.modes import Mode, modes
 from platform_ctrl.plant.drives import Torquer
 from platform_ctrl.plant.sensors import PickOff
 from platform_ctrl.report import comparison
-from platform_ctrl.report.blocks import (
-    Cell,
-    Group,
-    Listing,
-    Paragraph,
-    Row,
-    Subsection,
-    Table,
-    cells,
-    columns,
-    table,
-)
+from platform_ctrl.report.blocks import Cell, Group, Listing, Paragraph, Row, Subsection, Table, cells, columns, table
 from platform_ctrl.verification import result_file
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import PROVED

@@ -4,6 +4,4 @@ from __future__ import annotations
 
 from platform_ctrl.verification.verdict import check_job
 
-__all__ = [
-    "check_job",
-]
+__all__ = ["check_job"]

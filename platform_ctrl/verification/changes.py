@@ -18,14 +18,7 @@ import numpy as np
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import (
-    Design,
-    LoopOutcome,
-    commanded,
-    limits_and_goals,
-    takes_commands,
-    with_commands,
-)
+from platform_ctrl.design.loop import Design, LoopOutcome, commanded, limits_and_goals, takes_commands, with_commands
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.plants import tracking_plants

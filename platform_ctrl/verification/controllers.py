@@ -14,13 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.design.jobs import in_order, plants_of_designs, problems_of
-from platform_ctrl.design.loop import (
-    Design,
-    FailedDesign,
-    LoopOutcome,
-    measured,
-    with_largest_rates,
-)
+from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, measured, with_largest_rates
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.errors import InputError, began_with_interrupt
@@ -171,9 +165,7 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
 
 
 def outcomes_from(
-    job: Job,
-    controllers: Sequence[control.StateSpace],
-    alternatives: Sequence[control.StateSpace] = (),
+    job: Job, controllers: Sequence[control.StateSpace], alternatives: Sequence[control.StateSpace] = ()
 ) -> tuple[LoopOutcome, ...]:
     """Return existing controllers as the outcome of the job's loops, measured again."""
     placed: dict[str, list[control.StateSpace]] = {}

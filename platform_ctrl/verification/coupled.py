@@ -24,13 +24,7 @@ from platform_ctrl.analysis.measuring import DRIFT_TIME
 from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
 from platform_ctrl.analysis.norms import drifting_rms, hinf_norm
 from platform_ctrl.analysis.periodic import PeriodicLoop
-from platform_ctrl.analysis.poles import (
-    continuous_poles,
-    poles,
-    spectral_abscissa,
-    unseen_equilibria,
-    without_drift,
-)
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, unseen_equilibria, without_drift
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value

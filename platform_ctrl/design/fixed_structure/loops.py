@@ -143,12 +143,7 @@ class LoopGradients:
         return Pieces(ratio=np.array(ratios), gradient=gradient, plant=np.zeros(k, dtype=np.intp))
 
     def peaks(
-        self,
-        of: Map,
-        floor: float,
-        members: Numbers,
-        band: tuple[float, float] = (0.0, np.inf),
-        ends: bool = True,
+        self, of: Map, floor: float, members: Numbers, band: tuple[float, float] = (0.0, np.inf), ends: bool = True
     ) -> Pieces:
         """Return the tops of a map's largest singular value that reach `floor`.
 

@@ -80,11 +80,7 @@ class MeasuredPID(Method):
         bounds["sensitivity_peak"] = min(bounds.get("sensitivity_peak", np.inf), options["sensitivity_peak"])
         bounds["resonance_damping"] = options["resonance_damping"]
         found, view = _searched(problem, options, bounds)
-        claims = {
-            "least integral gain": found.objective,
-            "plants": float(len(view)),
-            "steps": float(found.steps),
-        }
+        claims = {"least integral gain": found.objective, "plants": float(len(view)), "steps": float(found.steps)}
         return problem.made(found.controller, options, claims)
 
     def expect_responses(

@@ -32,10 +32,7 @@ def equations(
     platform: Platform, form: Literal["json"], order: int | None = ..., terms: Terms = ...
 ) -> dict[str, Any]: ...
 def equations(
-    platform: Platform,
-    form: Form = "text",
-    order: int | None = 1,
-    terms: Terms = "paper",
+    platform: Platform, form: Form = "text", order: int | None = 1, terms: Terms = "paper"
 ) -> str | dict[str, Any] | Equations:
     """Return the platform's equations in symbols: the paper's (15), (19), (21) to (27).
 

@@ -272,12 +272,7 @@ class SpinMode:
 
 
 @standalone
-def campbell(
-    platform: Platform,
-    *,
-    spins: ArrayLike | None = None,
-    orders: ArrayLike = (1.0, 2.0),
-) -> Figure:
+def campbell(platform: Platform, *, spins: ArrayLike | None = None, orders: ArrayLike = (1.0, 2.0)) -> Figure:
     """Natural frequencies of the uncontrolled gimbals over the speed of the rotors, with multiples of that speed.
 
     Nutation rises with L, one mode for each gyroscopic pair; precession is slower: it rises if a platform rate

@@ -120,11 +120,7 @@ class _Signals:
 
 
 def _drawn(
-    t: Trajectory,
-    torquers: Sequence[Torquer],
-    series: Mapping[str, int],
-    limits: Mapping[str, float],
-    duration: float,
+    t: Trajectory, torquers: Sequence[Torquer], series: Mapping[str, int], limits: Mapping[str, float], duration: float
 ) -> Figure:
     """Draw a run with the colour of each signal, `series`."""
     free = t.mode == "stabilised"
