@@ -302,6 +302,12 @@ COUPLED_METRICS: dict[str, Quantity] = {
         key="coupling_cost",
         meaning="largest relative loss of a loop-by-loop disk margin against the decoupled design",
     ),
+    "limit cycle": Quantity(
+        name="limit cycle from play",
+        key="limit_cycle",
+        unit="rad",
+        meaning="amplitude of the load's oscillation that the play of its drive sustains; without a limit none may be",
+    ),
 }
 
 # Of the line of sight; the limits are in ``[budget.limits]`` and, of one source, in ``[[budget.source]]``.

@@ -194,10 +194,13 @@ class CoupledLimits:
         Simultaneous disk margin in all channels, dimensionless, at least.
     coupling_cost
         Largest relative loss of a loop-by-loop disk margin against the decoupled design.
+    limit_cycle
+        Largest amplitude of a load's oscillation from the play of its drive, rad; None: there may be none.
     """
 
     disk_margin: fields.Positive | None = None
     coupling_cost: fields.Positive | None = None
+    limit_cycle: fields.Positive | None = None
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:

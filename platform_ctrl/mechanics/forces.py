@@ -12,7 +12,7 @@ from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Kinematics, configuration, cross_matrix, topology
-from platform_ctrl.plant.force_elements import Cage, Friction
+from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.platform import Platform
 
 # How far the square of a quaternion's length may be from 1.
@@ -122,7 +122,8 @@ def twisted(platform: Platform, q: FloatArray, f: FloatArray) -> FloatArray:
         out[motor] = out[load]
     forces = resting_forces(platform, out, f)
     for (load, motor), one in zip(platform.sides, platform.compliances, strict=True):
-        out[motor] -= forces[3 + load] / one.strength
+        twist = -forces[3 + load]
+        out[motor] += twist / one.strength + 0.5 * one.play * np.sign(twist)
     return out
 
 
@@ -173,8 +174,8 @@ class ForceElements:
         """Return [M, Q] of all elements at the gimbals' angles and rates, (3 + n,)."""
         out = np.asarray(self._unbalance @ self._f)
         for k, motor, one in self._drives:
-            twist = one.strength * (angles[motor] - angles[k])
-            twist += one.damping * (rates[motor] - rates[k])
+            apart, turning = float(angles[motor] - angles[k]), float(rates[motor] - rates[k])
+            twist = -_contact(one.strength, one.damping, 0.5 * one.play, apart, turning)
             out[3 + k] += twist
             out[3 + motor] -= twist
         for k, spring in self._springs:
@@ -182,7 +183,8 @@ class ForceElements:
         for k, friction in self._frictions:
             out[3 + k] -= friction.viscous * rates[k] + friction.dry(float(rates[k]))
         for k, cage in self._cages:
-            out[3 + k] += _contact(cage, float(angles[k]), float(rates[k]))
+            deflection = float(angles[k]) - cage.angle
+            out[3 + k] += _contact(cage.stiffness, cage.damping, cage.clearance, deflection, float(rates[k]))
         for erecting in self._erections:
             out[3 + erecting.gimbal] += erecting.torque
         return out
@@ -246,12 +248,12 @@ def _equivalent(friction: Friction, amplitude: float) -> float:
     return out
 
 
-def _contact(cage: Cage, angle: float, rate: float) -> float:
-    deflection = angle - cage.angle
-    if cage.clearance == 0.0:
-        return -cage.stiffness * deflection - cage.damping * rate
-    beyond = abs(deflection) - cage.clearance
+def _contact(stiffness: float, damping: float, clearance: float, deflection: float, rate: float) -> float:
+    """Torque of a spring that pushes back beyond the clearance to either side; without clearance it pulls too."""
+    if clearance == 0.0:
+        return -stiffness * deflection - damping * rate
+    beyond = abs(deflection) - clearance
     if beyond <= 0.0:
         return 0.0
     side = math.copysign(1.0, deflection)
-    return -side * max(0.0, cage.stiffness * beyond + cage.damping * rate * side)
+    return -side * max(0.0, stiffness * beyond + damping * rate * side)

@@ -39,6 +39,7 @@ class Compliance:
 
     The gimbal is the load side. The motor side is a further coordinate, GIMBAL_motor with the angle ANGLE_motor, on
     which torquers and motors of the gimbal work. Between them act stiffness (q_motor − q) + damping (q̇_motor − q̇).
+    With play this acts on what q_motor − q is beyond ± play/2, as a push that never pulls; linear models have no play.
 
     Attributes
     ----------
@@ -51,6 +52,8 @@ class Compliance:
         is read has the stiffness that gives it.
     inertia
         Of the motor side about the axis, at the joint, kg m²; a [[motor]] with a rotor adds its own.
+    play
+        Angle by which the motor side turns from one flank of the teeth to the other, at the joint, rad.
     """
 
     gimbal: Annotated[fields.Text, Refers()]
@@ -58,6 +61,7 @@ class Compliance:
     frequency: Annotated[fields.Positive | None, _HERTZ] = None
     damping: fields.NotNegative = 0.0
     inertia: fields.NotNegative = 0.0
+    play: fields.NotNegative = 0.0
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:

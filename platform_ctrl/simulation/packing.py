@@ -268,7 +268,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
     servo = joint + n * arrays.JOINT
     erection = servo + servos * arrays.SERVO
     drive = erection + len(platform.erections) * arrays.ERECTION
-    mode = drive + 2 * len(platform.compliances)
+    mode = drive + 3 * len(platform.compliances)
     gravity = mode + modes * (arrays.SHAPE + torquers)
     place, placed = gravity + 3, _placed(platform)
     work = place + (1 + n) * arrays.PLACE * placed
@@ -369,7 +369,7 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
             for m in (p.modes[j] for p in platforms)
         ]
     constants[:, at.drive : at.mode] = [
-        [number for c in p.compliances for number in (c.strength, c.damping)] for p in platforms
+        [number for c in p.compliances for number in (c.strength, c.damping, 0.5 * c.play)] for p in platforms
     ]
     erections = constants[:, at.erection : at.drive].reshape(N, len(platforms[0].erections), arrays.ERECTION)
     for j, device in enumerate(platforms[0].erections):

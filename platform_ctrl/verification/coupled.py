@@ -27,11 +27,13 @@ from platform_ctrl.analysis.periodic import PeriodicLoop
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, unseen_equilibria, without_drift
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.text import at_most
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.design.cases import at_angles
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.verification.backlash import limit_cycle_results
 from platform_ctrl.verification.coupled_plant import (
     CoupledPlant,
     coupled_plant,
@@ -190,6 +192,12 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         for found, evidence, method in [measured[one.name]]
     ]
     results += holding_results(job, channels, ALL_LOOPS)
+
+    def weakest(platform: Platform, q: FloatArray) -> tuple[complex, ComplexArray]:
+        changed = replaced(job, {"platform": platform})
+        return _Together(changed, controllers, coupled_plant(changed, linearise(platform, q=q), controllers)).slowest
+
+    results += limit_cycle_results(job, weakest, ALL_LOOPS)
     return CoupledCheck(
         plant=plant.system,
         controller=together.controller,
@@ -221,7 +229,8 @@ def _conditions(job: Job, together: _Together, growing: str) -> str:
 
 
 def _dry(job: Job) -> str:
-    return "; without dry friction" if job.platform.dry_frictions else ""
+    play = "; gears closed, without play" if any(one.play for one in job.platform.compliances) else ""
+    return play + ("; without dry friction" if job.platform.dry_frictions else "")
 
 
 class _Together:
@@ -255,6 +264,7 @@ class _Together:
         names, moved = list(plant.state_labels), np.abs(drift.equilibria).max(axis=1, initial=0.0)
         angles = set(job.platform.angle_names)
         drifting = [name for name, one in zip(names, moved, strict=False) if one > 0.0 and name in angles]
+        self._drift = drift
         self.free_angles = tuple(n for n in job.platform.angle_names if n in (*whole.left_out, *drifting))
 
     @property
@@ -267,6 +277,16 @@ class _Together:
         """The minimum decay rate, 1/s."""
         own = -float(spectral_abscissa(continuous_poles(self.poles, self.period)))
         return own if self._whole.growth <= 0.0 else min(own, -self._whole.growth)
+
+    @property
+    def slowest(self) -> tuple[complex, ComplexArray]:
+        """The pole that decays most slowly, 1/s, and its part of the gimbals' angles (n,)."""
+        z, modes = np.linalg.eig(self._drift.system.A)
+        s, names = continuous_poles(z, self.period), list(self._whole.system.state_labels)
+        k = int(np.argmax(s.real))
+        return complex(s[k]), np.array(
+            [modes[names.index(n), k] if n in names else 0.0 for n in self._job.platform.angle_names]
+        )
 
     @cached_property
     def loop_margins(self) -> FloatArray:

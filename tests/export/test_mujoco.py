@@ -298,6 +298,20 @@ def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
             assert np.allclose(mass * centre, unbalance.moment, rtol=1e-12, atol=1e-15)
 
 
+def test_play_of_a_drive_is_the_slack_of_its_tendon(tmp_path: Path) -> None:
+    turned = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05] * 3, "angle": "q"}
+    drive = {"gimbal": "g", "stiffness": 300.0, "inertia": 0.02, "play": 2e-3}
+    root = {"name": "base", "inertia": [1e6] * 3}
+    platform = pc.read_platform({"schema": 1, "name": "drive", "root": root, "gimbal": [turned], "compliance": [drive]})
+    # Twenty times from one flank of the teeth to the other and back.
+    q, steps = [0.0, 1.5e-3], 20_000
+    out = simulation.rollout(platform, [q], [np.zeros(5)], step=5e-5, steps=steps)
+    run = Run(platform, tmp_path, step=5e-5)
+    run.begin(np.array(q), np.zeros(5))
+    mujoco.mj_step(run.model, run.data, steps)
+    np.testing.assert_allclose(run.state[:2], out.q[0], rtol=0, atol=2e-6)
+
+
 @pytest.mark.parametrize("name", [name for name in MODELS if pc.read_platform(name).motors])
 def test_geared_drives_that_give_way_accelerate_as_in_the_simulation(name: str, tmp_path: Path) -> None:
     platform = pc.read_platform(name)

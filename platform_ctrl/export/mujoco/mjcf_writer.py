@@ -168,7 +168,8 @@ def _add_drives(top: Element, platform: Platform) -> None:
     """Add a tendon for each drive that gives way: its length is the load's angle less that of the motor side."""
     group, angles = Element("tendon"), dict(zip(platform.gimbal_names, platform.angle_names, strict=True))
     for one in platform.compliances:
-        numbers = {"stiffness": repr(one.strength), "damping": repr(one.damping), "springlength": "0"}
+        slack = f"{-0.5 * one.play!r} {0.5 * one.play!r}" if one.play else "0"
+        numbers = {"stiffness": repr(one.strength), "damping": repr(one.damping), "springlength": slack}
         tendon = SubElement(group, "fixed", {"name": _line(f"drive {one.gimbal}")} | numbers)
         for side, share in ((one.gimbal, "1"), (one.motor_side, "-1")):
             SubElement(tendon, "joint", joint=_line(angles[side]), coef=share)
@@ -350,6 +351,9 @@ def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
         ],
         "drive of {}: a tendon between load and motor side, the motor side's inertia as armature": [
             one.gimbal for one in platform.compliances
+        ],
+        "drive of {}: its damping acts within its play too": [
+            one.gimbal for one in platform.compliances if one.play and one.damping
         ],
         "mode of the structure {}: left out, the bodies are rigid": [mode.name for mode in platform.modes],
         "voltage of {}: left out, the torque limit is that at rest": [

@@ -217,6 +217,9 @@ def elements(platform: Platform, names: SymbolNames) -> tuple[list[Element], lis
     for cage in platform.cages:
         if cage.clearance and abs(cage.angle) <= cage.clearance:
             notes.append(f"cage of gimbal {cage.gimbal} is left out: within its clearance it does not act")
+    for drive in platform.compliances:
+        if drive.play:
+            notes.append(f"play of the drive of gimbal {drive.gimbal} is left out: its gear is closed")
     if platform.erections and not f.any():
         notes.append("erection is left out: there is no specific force")
     for mode in platform.modes:

@@ -240,7 +240,7 @@ class At(NamedTuple):
     joint: int
     servo: int
     erection: int
-    drive: int  # stiffness and damping of drives that give way
+    drive: int  # stiffness, damping and half the play of drives that give way
     swings: int  # where in the state the modes are: η and its momentum η̇ + Γ·Omega of each
     mode: int
     gravity: int  # vector in space

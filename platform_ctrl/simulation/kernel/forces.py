@@ -24,11 +24,9 @@ def _level(mem: FloatArray, lane: int, joint: int, rate: Number) -> Number:
     """Level of dry friction at a rate: the Stribeck curve of its side."""
     back = rate < 0.0
     level = choose(back, load(mem, joint + arrays.COULOMB, lane), load(mem, joint + arrays.COULOMB + 1, lane))
-    more = (
-        choose(back, load(mem, joint + arrays.BREAKAWAY, lane), load(mem, joint + arrays.BREAKAWAY + 1, lane)) - level
-    )
+    highest = choose(back, load(mem, joint + arrays.BREAKAWAY, lane), load(mem, joint + arrays.BREAKAWAY + 1, lane))
     sliding = rate * load(mem, joint + arrays.PER_STRIBECK_RATE, lane)
-    return level + more * exponential(-sliding * sliding)
+    return level + (highest - level) * exponential(-sliding * sliding)
 
 
 # Share of its largest deflection up to which an elasto-plastic bristle is elastic.
@@ -131,14 +129,19 @@ def joint_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Numbe
         Q = Q - dry_torque(mem, lane, at, y, k, rate)
     if at.cages != 0:
         # No cage is one with infinite clearance.
-        stiffness, damping = load(mem, joint + arrays.CAGE, lane), load(mem, joint + arrays.CAGE + 1, lane)
-        clearance, out = load(mem, joint + arrays.CAGE + 2, lane), q - load(mem, joint + arrays.CAGE + 3, lane)
-        held = stiffness * out + damping * rate
-        above = greater(held - stiffness * clearance, 0.0 * rate)
-        below = lesser(held + stiffness * clearance, 0.0 * rate)
-        push = choose(out > clearance, above, choose(out < -clearance, below, 0.0 * rate))
-        Q = Q - choose(clearance > 0.0, push, held)
+        Q = Q - _contact(mem, lane, joint + arrays.CAGE, q - load(mem, joint + arrays.CAGE + 3, lane), rate)
     return Q
+
+
+@inlined
+def _contact(mem: FloatArray, lane: int, slot: int, out: Number, rate: Number) -> Number:
+    """Torque that deflects by `out` a spring with stiffness, damping and clearance at a slot: beyond it only pushes."""
+    stiffness, clearance = load(mem, slot, lane), load(mem, slot + 2, lane)
+    held = stiffness * out + load(mem, slot + 1, lane) * rate
+    above = greater(held - stiffness * clearance, 0.0 * rate)
+    below = lesser(held + stiffness * clearance, 0.0 * rate)
+    push = choose(out > clearance, above, choose(out < -clearance, below, 0.0 * rate))
+    return choose(clearance > 0.0, push, held)
 
 
 @inlined
@@ -167,9 +170,9 @@ def drive_torques(links: Links, mem: FloatArray, lane: int, at: At, y: int, dy: 
     torque = dy + at.n + 3
     for d in range(links.drive.shape[0]):
         k, motor = links.drive[d, 0], links.drive[d, 1]
-        twist = load(mem, at.drive + 2 * d, lane) * (load(mem, y + motor, lane) - load(mem, y + k, lane))
+        apart = load(mem, y + motor, lane) - load(mem, y + k, lane)
         turning = load(mem, dy + motor, lane) - load(mem, dy + k, lane)
-        twist = twist + load(mem, at.drive + 2 * d + 1, lane) * turning
+        twist = _contact(mem, lane, at.drive + 3 * d, apart, turning)
         add(mem, lane, torque + k, twist)
         add(mem, lane, torque + motor, -twist)
 
@@ -220,9 +223,8 @@ def servo_drives(links: Links, mem: FloatArray, lane: int, at: At, react: bool, 
         spin = load(mem, y + p + r, lane) / load(mem, row + arrays.C, lane) - (s0 * w0 + s1 * w1 + s2 * w2)
         error = spin - load(mem, row + arrays.SPIN, lane)
         limit = load(mem, row + arrays.TORQUE_LIMIT, lane)
-        wanted = -load(mem, row + arrays.GAIN, lane) * error - load(mem, row + arrays.INTEGRAL, lane) * load(
-            mem, y + x + r, lane
-        )
+        wanted = -load(mem, row + arrays.GAIN, lane) * error
+        wanted = wanted - load(mem, row + arrays.INTEGRAL, lane) * load(mem, y + x + r, lane)
         torque = lesser(greater(wanted, -limit), limit)
         further = ((wanted >= limit) & (error < 0.0)) | ((wanted <= -limit) & (error > 0.0))
         store(mem, dy + p + r, lane, torque)
@@ -299,8 +301,7 @@ def _faded(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Number:
     """How much of the vibrations and sines is there."""
     fade, zero = load(mem, layout.rate + arrays.FADE, lane), 0.0 * t
     slow = fade > 0.0
-    part = choose(slow, lesser(t / choose(slow, fade, zero + 1.0), zero + 1.0), zero + 1.0)
-    c, _ = cosine_and_sine(math.pi * part)
+    c, _ = cosine_and_sine(math.pi * choose(slow, lesser(t / choose(slow, fade, zero + 1.0), zero + 1.0), zero + 1.0))
     return 0.5 - 0.5 * c
 
 

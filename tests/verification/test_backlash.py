@@ -1,0 +1,92 @@
+"""Play of a gear: the limit cycle that the check predicts against runs of the non-linear plant."""
+
+import control
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import simulation
+from platform_ctrl.verification.backlash import largest_amplitude
+from platform_ctrl.verification.coupled import coupled_check
+
+J1, J2, K, C, PLAY = 0.02, 0.05, 300.0, 0.04, 2e-3
+PERIOD, DELAY, SECONDS = 5e-4, 2e-4, 30.0
+
+
+def checked(sensor, crossover, weight=0.0, play=PLAY, **coupled):
+    """A motor and a load on a shaft with play, a lead and integral on one side's encoder; the coupled check."""
+    gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J2] * 3, "angle": "q"}
+    plant = {
+        "schema": 1,
+        "name": "drive",
+        "root": {"name": "base", "inertia": [1, 1, 1], "mode": "held", "specific_force": [0, 9.81, 0]},
+        "gimbal": [gimbal],
+        "torquer": [{"gimbal": "g"}],
+        "pickoff": [{"gimbal": "g"}],
+        "angle_sensor": [{"name": "motor", "gimbal": "g_motor"}],
+        "friction": [{"gimbal": "g", "viscous": 0.02}],
+        "unbalance": [{"body": "g", "moment": [weight / 9.81, 0, 0]}],
+        "compliance": [{"gimbal": "g", "stiffness": K, "damping": C, "inertia": J1, "play": play}],
+    }
+    loop = {"name": "L", "kind": "pointing", "gimbals": ["g_motor"], "sensors": [sensor], "use": "d"}
+    job = {"schema": 2, "name": "drive", "plant": plant, "operation": {"Omega": [0.1, 0.1, 0.1]}, "coupled": coupled}
+    job |= {"sampling": {"rate_hz": 1 / PERIOD, "delay": DELAY}}
+    read = pc.read_job(job | {"loop": [loop | {"design": [{"name": "d", "method": "classical"}]}]})
+    s, w = control.tf("s"), crossover
+    law = -0.4 * (J1 + J2) * w**2 * (1 + 2.5 * s / w + 0.15 * w / s) / (1 + s / (8 * w)) ** 2
+    one = control.ss(control.sample_system(law, PERIOD, "tustin"))
+    controller = control.StateSpace(one.A, one.B, one.C, one.D, PERIOD, inputs=[sensor], outputs=["Qg"])
+    check = coupled_check(read, pc.linearise(read.platform), [controller])
+    [found] = [one for one in check.results if "limit cycle" in one.name] or [None]
+    return read, controller, check, found
+
+
+def oscillation(read, controller, start):
+    """Return amplitude and frequency (Hz) of the fundamental of the load at the end of a run."""
+    q, begin = [start, 0.0], "equilibrium" if start == 0.0 else "rest"
+    at = simulation.Scenario(platform=read.platform, mode="caged", duration=SECONDS, delay=DELAY, q=q, start=begin)
+    run = simulation.simulate(at, [controller], period=PERIOD, step=1e-4, noise=False)
+    y = run.q[len(run.t) // 2 :, 0] - run.q[len(run.t) // 2 :, 0].mean()
+    up = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
+    if np.abs(y).max() < 0.01 * PLAY or len(up) < 2:
+        return np.abs(y).max(), 0.0
+    cycles, y = len(up) - 1, y[up[0] : up[-1]]
+    turns = np.exp(-2j * np.pi * cycles * np.arange(len(y)) / len(y))
+    return 2 * abs(np.mean(y * turns)), cycles / (len(y) * PERIOD)
+
+
+@pytest.mark.parametrize(("sensor", "crossover"), [("q", 8.0), ("q", 20.0), ("motor", 8.0)])
+def test_a_limit_cycle_has_the_amplitude_and_the_frequency_of_the_run(sensor, crossover):
+    read, controller, check, found = checked(sensor, crossover)
+    assert check.stable
+    assert not found.passed
+    amplitude, hertz = oscillation(read, controller, start=4e-3)
+    assert found.value == pytest.approx(amplitude, rel=0.1)
+    assert float(found.evidence.split("limit cycle of ")[1].split(" Hz")[0]) == pytest.approx(hertz, rel=0.1)
+    assert "play 2 mrad of the drive of gimbal g" in found.evidence
+    assert "preload the gear" in found.evidence
+
+
+@pytest.mark.parametrize(("sensor", "crossover", "weight"), [("motor", 30.0, 0.0), ("q", 20.0, 3.0)])
+def test_a_drive_whose_loop_or_weight_keeps_its_teeth_together_comes_to_rest(sensor, crossover, weight):
+    read, controller, _, found = checked(sensor, crossover, weight)
+    assert found.passed
+    assert found.value == 0.0
+    amplitude, _ = oscillation(read, controller, start=4e-3 if not weight else 0.0)
+    assert amplitude < 0.01 * PLAY
+
+
+def test_a_limit_says_how_large_a_limit_cycle_may_be():
+    assert checked("q", 8.0, limit_cycle=5e-4)[3].passed
+    assert not checked("q", 8.0, limit_cycle_arcsec=60.0)[3].passed
+    assert checked("q", 8.0, play=0.0, limit_cycle=5e-4)[3] is None
+    assert checked("q", 30.0)[3] is None  # unstable without play
+
+
+def test_play_leaves_the_share_of_stiffness_of_its_describing_function():
+    A = 2.5
+    gain = 1.0 - 2.0 / np.pi * (np.arcsin(1 / A) + np.sqrt(1.0 - 1.0 / A**2) / A)
+    assert largest_amplitude(gain) == pytest.approx(A, rel=1e-4)
+    # Pressed on one flank by a torque t, teeth stay together up to A = t: no share below that of large t is left.
+    assert largest_amplitude(0.9, preload=50.0) == 0.0
+    assert largest_amplitude(gain, preload=0.01) == pytest.approx(A, rel=1e-3)
