@@ -118,7 +118,8 @@ class CagedCurves(LoopCurves):
     def units(self) -> Mapping[str, str]:
         """Units of what is read, seen and set."""
         sensors = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
-        torques = {name: sensors.get(name.removesuffix(COMMAND), "N m") for name in self.torquers}
+        sets = sensors | {torquer.name: torquer.unit for torquer in self.job.platform.torquers}
+        torques = {name: sets[name.removesuffix(COMMAND)] for name in self.torquers}
         return sensors | dict.fromkeys(self.loop.plants.sight, "rad/s") | torques
 
     def limit(self, metric: str) -> float | None:

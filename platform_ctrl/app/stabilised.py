@@ -93,7 +93,7 @@ class StabilisedCurves(LoopCurves):
     def units(self) -> Mapping[str, str]:
         """Units of attitude, sensors and torques."""
         sensors = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
-        return dict.fromkeys(ATTITUDE, "rad") | sensors | dict.fromkeys(self.torquers, "N m")
+        return dict.fromkeys(ATTITUDE, "rad") | sensors | {one.name: one.unit for one in self.job.platform.torquers}
 
     def limit(self, metric: str) -> float | None:
         """Return the job's limit on all loops together, of the disk margin alone."""

@@ -46,7 +46,7 @@ def signal_units(platform: Platform) -> dict[str, str]:
     units |= dict.fromkeys([*map(gimbal_rate, platform.angle_names), *OMEGA_NAMES], "rad/s")
     units |= {f"{sensor.name}{COMMAND}": sensor.unit for sensor in platform.sensors}
     units |= {sensor.name: sensor.unit for sensor in platform.sensors} | dict.fromkeys(FORCE_NAMES, "m/s^2")
-    return units | dict.fromkeys([*(t.name for t in platform.torquers), *ROOT_TORQUE_NAMES], "N m")
+    return units | dict.fromkeys(ROOT_TORQUE_NAMES, "N m") | {t.name: t.unit for t in platform.torquers}
 
 
 def write_entries(systems: Sequence[ExportedSystem], path: str | os.PathLike[str], platform: Platform | None) -> Path:

@@ -150,7 +150,7 @@ class ForceElements:
         gimbal, body = platform.gimbal, platform.body
         self._at, self._f = at, f
         self._drives = [(*sides, one) for sides, one in zip(platform.sides, platform.compliances, strict=True)]
-        self._springs = [(gimbal(spring.gimbal), spring) for spring in platform.springs]
+        self._springs = [(gimbal(spring.gimbal), spring) for spring in platform.held_by]
         self._frictions = [(gimbal(friction.gimbal), friction) for friction in platform.frictions]
         self._cages = [(gimbal(cage.gimbal), cage) for cage in platform.cages]
         # Mass moments in root axes, (1 + n, 3), kg m.
@@ -179,7 +179,7 @@ class ForceElements:
             out[3 + k] += twist
             out[3 + motor] -= twist
         for k, spring in self._springs:
-            out[3 + k] -= spring.stiffness * (angles[k] - spring.rest)
+            out[3 + k] -= spring.stiffness * (angles[k] - spring.rest) + spring.damping * rates[k]
         for k, friction in self._frictions:
             out[3 + k] -= friction.viscous * rates[k] + friction.dry(float(rates[k]))
         for k, cage in self._cages:
@@ -206,6 +206,7 @@ class ForceElements:
             rate -= one.damping * np.outer(apart, apart)
         for k, spring in self._springs:
             angle[3 + k, k] -= spring.stiffness
+            rate[k, k] -= spring.damping
         for k, friction in self._frictions:
             rate[k, k] -= friction.viscous
             if rate_amplitude is not None:

@@ -108,7 +108,7 @@ def product(first: MatrixPolynomial, second: MatrixPolynomial) -> MatrixPolynomi
 
 def without_elements(platform: Platform) -> Platform:
     """Return the platform without force elements and without weight."""
-    acting = ("springs", "frictions", "cages", "compliances", "unbalances", "erections")
+    acting = ("springs", "servos", "frictions", "cages", "compliances", "unbalances", "erections")
     still = {name: np.zeros(3) for name in ("specific_force", "gravity")}
     return replaced(platform, dict.fromkeys(acting, ()) | still)
 

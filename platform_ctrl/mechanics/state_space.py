@@ -266,7 +266,7 @@ def _with_modes(
     ]
     rows = [np.array([m.base for m in modes]), np.zeros((k, 3)), -np.array([m.base_force for m in modes])]
     wides = [np.vstack([one, row.reshape(k, 3)]) for one, row in zip(wide, rows, strict=True)]
-    shapes = np.array([m.of(torquers) for m in modes]).reshape(k, len(torquers))
+    shapes = np.array([m.of(torquers) for m in modes]).reshape(k, len(torquers)) * torque_map.sum(axis=0)
     return [*names, *(m.name for m in modes)], squares, wides, np.vstack([torque_map, shapes])
 
 
@@ -341,14 +341,14 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
 
 
 def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[str], FloatArray]:
-    """Return the torquers on the named gimbals: names in the file's order, and a selection (g, t) of ones and zeros.
+    """Return the torquers on the named gimbals: names in the file's order, and their torques on each gimbal, (g, t).
 
-    A row of the selection is a gimbal, in the order given; 1 where the torquer turns it (dimensionless).
+    A row is a gimbal, in the order given; 1 where a torquer turns it, of a servo the torque for a unit of its command.
     """
     torquers = [t for t in model.platform.torquers if t.gimbal in gimbals]
     torque_map = np.zeros((len(gimbals), len(torquers)))
     for column, torquer in enumerate(torquers):
-        torque_map[list(gimbals).index(str(torquer.gimbal)), column] = 1.0
+        torque_map[list(gimbals).index(str(torquer.gimbal)), column] = torquer.gain
     return [t.name for t in torquers], torque_map
 
 

@@ -10,8 +10,10 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 
 from platform_ctrl.common.values import input_value
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer
+from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.gimbals import Body, mass_misfits
 from platform_ctrl.plant.mistakes import Misfit, given, missing, useless, wrong
 from platform_ctrl.plant.tables import TABLE, Instead, either
@@ -117,6 +119,9 @@ class Torquer:
     stall, back_emf
         Of a motor: torque between −stall − back_emf q̇ and stall − back_emf q̇ is what its supply allows, N m and N m s;
         stall None: any.
+    command, gain
+        Of a servo: what takes the place of the torque, ``"rate"`` or ``"angle"``, and the torque for a unit of it. Its
+        limits are those of the command.
     """
 
     name: fields.Text = ""
@@ -128,6 +133,8 @@ class Torquer:
     added: fields.Truth = False
     stall: float | None = None
     back_emf: float = 0.0
+    command: str = ""
+    gain: float = 1.0
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
@@ -138,6 +145,16 @@ class Torquer:
         """Name the signal."""
         if not self.name:
             object.__setattr__(self, "name", default_torquer(self.gimbal, self.root_axis))
+
+    @property
+    def driven(self) -> bool:
+        """Whether it is the drive of a motor or a servo, which make it."""
+        return self.stall is not None or bool(self.command)
+
+    @property
+    def unit(self) -> str:
+        """SI unit of what it takes."""
+        return {"rate": "rad/s", "angle": "rad"}.get(self.command, "N m")
 
     @property
     def signal(self) -> str:
@@ -228,4 +245,73 @@ class Motor:
             lag=1.0 / (2.0 * math.pi * loop.bandwidth_hz),
             stall=per_ampere * supply / resistance,
             back_emf=per_ampere * abs(self.gear) * constant / resistance,
+        )
+
+
+@input_value
+class Servo:
+    """A drive that takes a rate or an angle of a gimbal, and has a loop of its own that turns it there.
+
+    Its torque on the gimbal is inertia ω (command − q̇) or, of an angle, inertia (ω² (command − q) − √2 ω q̇), and the
+    opposite on what carries the gimbal: a command arrives 3 dB down at ω = 2π bandwidth_hz where the gimbal has that
+    inertia. Other torques T turn the gimbal at T/(inertia ω), or by T/(inertia ω²): the loop has no integral.
+
+    Attributes
+    ----------
+    name
+        Signal name of the command; default ``rate_`` or ``angle_`` + gimbal.
+    gimbal
+        Name of the gimbal that it turns against its parent.
+    command
+        ``"rate"`` or ``"angle"``.
+    bandwidth_hz
+        Where the response to a command is 3 dB down, Hz.
+    rate_limit
+        Largest rate, rad/s: that of the command or, of an angle, how fast the command is followed; None: any.
+    acceleration_limit
+        How fast a command of a rate is followed, rad/s², and so the largest acceleration; None: at once.
+    inertia
+        About the axis, kg m²; a platform that is read has by default that of all that turns with the gimbal at zero
+        angles.
+    """
+
+    name: fields.Text = ""
+    gimbal: Annotated[fields.Text, Refers()]
+    command: Annotated[Literal["rate", "angle"], fields.one_of(("rate", "angle"))]
+    bandwidth_hz: fields.Positive
+    rate_limit: fields.Positive | None = None
+    acceleration_limit: fields.Positive | None = None
+    inertia: fields.Positive | None = None
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        if "acceleration_limit" in table and table["command"] == "angle":
+            yield useless(table, "acceleration_limit", 'with command = "angle": rate_limit and bandwidth_hz bound it')
+
+    def __post_init__(self) -> None:
+        """Name the signal after the gimbal, not after its motor side."""
+        if not self.name:
+            object.__setattr__(self, "name", f"{self.command}_{self.gimbal}")
+
+    @property
+    def spring(self) -> Spring:
+        """What its loop makes of the joint where the command is 0."""
+        if self.inertia is None:
+            raise ArgumentError(f"servo of gimbal {self.gimbal!r}: give its inertia, or read the plant from a dict")
+        w = 2.0 * math.pi * self.bandwidth_hz
+        if self.command == "rate":
+            return Spring(gimbal=self.gimbal, stiffness=0.0, damping=self.inertia * w)
+        return Spring(gimbal=self.gimbal, stiffness=self.inertia * w**2, damping=math.sqrt(2.0) * self.inertia * w)
+
+    @property
+    def drive(self) -> Torquer:
+        """The torquer that it is, of commands in place of torques."""
+        rate, spring = self.command == "rate", self.spring
+        return Torquer(
+            name=self.name,
+            gimbal=self.gimbal,
+            limit=self.rate_limit if rate else None,
+            rate_limit=self.acceleration_limit if rate else self.rate_limit,
+            command=self.command,
+            gain=spring.damping if rate else spring.stiffness,
         )

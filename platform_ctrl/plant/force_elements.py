@@ -27,11 +27,14 @@ class Spring:
         Torque per angle, N m/rad; negative where a field or a flexure drives the gimbal away.
     rest
         Angle at which it is relaxed, rad.
+    damping
+        Torque per rate of the spring that a servo's own loop is, N m s.
     """
 
     gimbal: Annotated[fields.Text, Refers()]
     stiffness: fields.NotZero
     rest: fields.Number = 0.0
+    damping: float = 0.0
 
 
 @input_value

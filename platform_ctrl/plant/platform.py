@@ -15,7 +15,7 @@ from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.drives import Motor, Rotor, Torquer
+from platform_ctrl.plant.drives import Motor, Rotor, Servo, Torquer
 from platform_ctrl.plant.fields import stops_written
 from platform_ctrl.plant.flexible import Compliance, FlexibleMode, motor_side
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
@@ -65,8 +65,8 @@ class Platform(GimbalTree):
         The direction in which the payload looks, or None.
     springs, frictions, cages, unbalances, erections
         What acts besides the torquers, in the file's order.
-    motors
-        Rotors that gears couple to joints, in the file's order.
+    motors, servos
+        Rotors that gears couple to joints, and drives with loops of their own, in the file's order.
     specific_force : (3,)
         f of the root's origin in root axes, m/s²: its acceleration minus that of gravity, what an accelerometer reads
         (at rest it points upward). It turns with the root.
@@ -100,6 +100,7 @@ class Platform(GimbalTree):
     unbalances: Annotated[tuple[Unbalance, ...], Array("unbalance", most=MOST_PARTS)] = ()
     erections: Annotated[tuple[Erection, ...], Array("erection", most=MOST_PARTS)] = ()
     motors: Annotated[tuple[Motor, ...], Array("motor", most=MOST_PARTS)] = ()
+    servos: Annotated[tuple[Servo, ...], Array("servo", most=MOST_PARTS, unique=("gimbal",))] = ()
     compliances: Annotated[tuple[Compliance, ...], Array("compliance", most=MOST_PARTS, unique=("gimbal",))] = ()
     modes: Annotated[tuple[FlexibleMode, ...], Array("mode", most=MOST_PARTS, unique=("name",))] = ()
     specific_force: Annotated[fields.Vector, InTable("root", "specific_force")] = field(
@@ -111,9 +112,9 @@ class Platform(GimbalTree):
 
     def __post_init__(self) -> None:
         """Add the motor sides of drives that give way, and name sensors after the signals that they measure."""
-        own = tuple(one for one in self.torquers if one.stall is None)
-        drives = tuple(one for motor in self.motors if (one := motor.drive) is not None)
-        object.__setattr__(self, "torquers", (*own, *drives))
+        own = tuple(one for one in self.torquers if not one.driven)
+        drives = [one for motor in self.motors if (one := motor.drive) is not None]
+        object.__setattr__(self, "torquers", (*own, *drives, *(one.drive for one in self.servos)))
         self._add_motor_sides()
         if all(sensor.name for sensor in self.sensors):
             return
@@ -132,7 +133,7 @@ class Platform(GimbalTree):
         loads = {gimbal.name: gimbal for gimbal in self.gimbals}
         new = [motor_side(loads[name], one) for name, one in sides.items()]
         object.__setattr__(self, "gimbals", (*self.gimbals, *new))
-        for kind in ("torquers", "motors"):
+        for kind in ("torquers", "motors", "servos"):
             parts = getattr(self, kind)
             moved = [
                 replaced(part, {"gimbal": sides[part.gimbal].motor_side}) if part.gimbal in sides else part
@@ -166,6 +167,11 @@ class Platform(GimbalTree):
     def root_torquers(self) -> tuple[str, ...]:
         """Names of the torquers that act on the root, in the file's order."""
         return tuple(one.name for one in self.torquers if one.root_axis is not None)
+
+    @property
+    def held_by(self) -> tuple[Spring, ...]:
+        """The springs, then what the loops of the servos are to their joints."""
+        return (*self.springs, *(one.spring for one in self.servos))
 
     @property
     def dry_frictions(self) -> tuple[Friction, ...]:
@@ -324,13 +330,13 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             words = f"pick-off {pickoff.name!r} must be called {angle!r}, as its angle, to stand in a plant file"
             raise ArgumentError(f"{words}; leave its name out, or make it an AngleSensor")
     data = {"schema": 1} | written(platform)
-    driven = [torquer.stall is not None for torquer in platform.torquers]
+    driven = [torquer.driven for torquer in platform.torquers]
     if any(driven):
-        data["torquer"] = [one for one, by_motor in zip(data["torquer"], driven, strict=True) if not by_motor]
+        data["torquer"] = [one for one, made in zip(data["torquer"], driven, strict=True) if not made]
     loads = {one.motor_side: one.gimbal for one in platform.compliances}
     if loads:
         data["gimbal"] = [gimbal for gimbal in data["gimbal"] if gimbal["name"] not in loads]
-        for part in (*data.get("torquer", ()), *data.get("motor", ())):
+        for part in (*data.get("torquer", ()), *data.get("motor", ()), *data.get("servo", ())):
             if part.get("gimbal") in loads:
                 part["gimbal"] = loads[part["gimbal"]]
     # A mass is not read without its place, which may be the origin.

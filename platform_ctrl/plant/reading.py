@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.common.values import replaced
-from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
+from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES, Servo
 from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
 from platform_ctrl.plant.flexible import Compliance
 from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
-from platform_ctrl.plant.locking import carried_inertia
+from platform_ctrl.plant.locking import carried_inertia, with_rigid_drives
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, plant_data
 from platform_ctrl.plant.sensors import LOS_ANGLES
@@ -106,7 +106,7 @@ def judge_plant(document: InputData) -> tuple[Platform | None, list[Mistake]]:
         return None, mistakes
     if mistakes := list(_drives(parts)):
         return None, mistakes
-    platform = Platform(**parts)
+    platform = Platform(**_with_inertias(parts))
     mistakes = [
         *_masses(platform, data),
         *_relative_rates(platform),
@@ -143,6 +143,19 @@ def _with_stiffness(platform: Platform) -> Platform:
         for one in platform.compliances
     ]
     return replaced(platform, {"compliances": tuple(drives)})
+
+
+def _with_inertias(parts: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a platform whose servos have the inertia that they turn, where none is given."""
+    if all(one.inertia is not None for one in parts.get("servos", ())):
+        return parts
+    rigid = with_rigid_drives(Platform(**parts | {"servos": ()}))
+    turned = {one.gimbal: carried_inertia(rigid, one.gimbal) for one in parts["servos"]}
+    for one in rigid.motors:
+        if one.gimbal in turned:
+            turned[one.gimbal] += one.gear**2 * one.rotor_inertia
+    servos = tuple(replaced(one, {"inertia": one.inertia or turned[one.gimbal]}) for one in parts["servos"])
+    return parts | {"servos": servos}
 
 
 def _axis_by_axis(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -189,7 +202,7 @@ def _references(parts: Mapping[str, Any], root: str, gimbals: list[str]) -> Iter
             places = [((table,), part)]
         for path, one in places:
             for key, refers in references(of.holds.make):
-                own = gimbals if of.holds.make is Compliance else turning
+                own = gimbals if of.holds.make in (Compliance, Servo) else turning
                 name, known = getattr(one, key), [root, *gimbals] if refers.root else own
                 if name is not None and name not in known:
                     hint = f" ({refers.hint})" if refers.hint and name == root else ""

@@ -113,7 +113,7 @@ class _Parts:
             tuple([(t.name, t.gimbal, t.root_axis) for t in p.torquers]),
             tuple([s.place for s in p.sensors]),
             sight_of(p),
-            tuple([s.gimbal for s in p.springs]),
+            tuple([s.gimbal for s in p.held_by]),
             tuple([c.gimbal for c in p.compliances]),
             tuple([(f.gimbal, f.law) for f in p.frictions]),
             tuple([c.gimbal for c in p.cages]),
@@ -183,7 +183,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
         controls=controls,
         servos=servos,
         unbalances=tuple(body(one.body) for one in platform.unbalances),
-        springs=tuple(gimbal(one.gimbal) for one in platform.springs),
+        springs=tuple(gimbal(one.gimbal) for one in platform.held_by),
         frictions=tuple(gimbal(one.gimbal) for one in platform.frictions),
         cages=tuple(gimbal(one.gimbal) for one in platform.cages),
         sensors=tuple(terms[:many]),
@@ -289,7 +289,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         n=n,
         servos=servos,
         size=size,
-        joints=bool(platform.springs or platform.frictions or platform.cages),
+        joints=bool(platform.held_by or platform.frictions or platform.cages),
         modes=modes,
         torquers=torquers,
         dry=laws,
@@ -426,9 +426,6 @@ def inertias(shape: Skeleton, platforms: Sequence[Platform]) -> FloatArray:
 
 def _pack_joints(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArray) -> None:
     rows[:, :, arrays.CAGE + 2] = math.inf
-    for j, k in enumerate(shape.springs):
-        springs = [p.springs[j] for p in platforms]
-        rows[:, k, :2] += [(spring.stiffness, spring.stiffness * spring.rest) for spring in springs]
     for j, k in enumerate(shape.frictions):
         frictions = [p.frictions[j] for p in platforms]
         rows[:, k, arrays.VISCOUS : arrays.CAGE] = [
@@ -438,6 +435,9 @@ def _pack_joints(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArra
         rows[:, k, arrays.LAW : arrays.JOINT] = [
             (_LAWS[f.law], f.bristle_stiffness, f.bristle_damping) for f in frictions
         ]
+    for j, k in enumerate(shape.springs):
+        springs = [p.held_by[j] for p in platforms]
+        rows[:, k, : arrays.COULOMB] += [(one.stiffness, one.stiffness * one.rest, one.damping) for one in springs]
     for j, k in enumerate(shape.cages):
         cages = [p.cages[j] for p in platforms]
         rows[:, k, arrays.CAGE : arrays.LAW] = [

@@ -331,9 +331,10 @@ def put_torquers(plants: Plants, rows: FloatArray, half: FloatArray) -> None:
     if rows.size == 0:
         return
     # Where there is no limit it is None, as a number NaN.
-    limits = plants.rows(lambda p: [(t.limit, t.rate_limit, t.stall, t.lag, t.back_emf) for t in p.torquers])
-    limit, slew, stall, lag, back_emf = np.where(np.isnan(limits), math.inf, limits).transpose(2, 0, 1)
+    limits = plants.rows(lambda p: [(t.limit, t.rate_limit, t.stall, t.lag, t.back_emf, t.gain) for t in p.torquers])
+    limit, slew, stall, lag, back_emf, gain = np.where(np.isnan(limits), math.inf, limits).transpose(2, 0, 1)
     rows[:, :, arrays.LIMIT], rows[:, :, arrays.STALL], rows[:, :, arrays.BACK_EMF] = limit, stall, back_emf
+    rows[:, :, arrays.PER_COMMAND] = gain
     rows[:, :, arrays.AT_ONCE] = np.where(np.isinf(slew), math.inf, 0.0)
     for segment in range(2):
         step = half[:, segment, None]
@@ -348,7 +349,8 @@ def put_equilibrium(scenarios: Sequence[Scenario], rows: FloatArray) -> None:
     """Constant torques of scenarios that start in equilibrium."""
     for row, scenario in zip(rows, scenarios, strict=True):
         if scenario.start == "equilibrium":
-            row[:, arrays.EQUILIBRIUM] = equilibrium_torques(scenario)
+            gains = [torquer.gain for torquer in scenario.platform.torquers]
+            row[:, arrays.EQUILIBRIUM] = equilibrium_torques(scenario) / gains
 
 
 def equilibrium_torques(scenario: Scenario) -> FloatArray:

@@ -87,8 +87,9 @@ def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, 
             found.append(("compliance", int(k), _CONTACT / np.sqrt(stiffness * apart)))
             found.append(("compliance", int(k), _DECAY / (damping * apart)))
         for j, k in enumerate(shape.springs):
-            stiffness = np.array([p.springs[j].stiffness for p in platforms])
+            stiffness, damping = np.array([(p.held_by[j].stiffness, p.held_by[j].damping) for p in platforms]).T
             found.append(("spring", k, _PHASE / np.sqrt(np.abs(stiffness) * ease[:, k])))
+            found.append(("servo", k, _DECAY / (damping * ease[:, k])))
         for j, k in enumerate(shape.cages):
             cages = [p.cages[j] for p in platforms]
             phase, stiffness, damping = np.array(

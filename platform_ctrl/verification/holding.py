@@ -29,7 +29,7 @@ def holding_results(job: Job, torquers: Collection[str], subject: str) -> Iterat
     limits: dict[str, float] = {}
     for one in platform.torquers:
         if one.gimbal is not None and one.name in torquers:
-            limits[one.gimbal] = limits.get(one.gimbal, 0.0) + (inf if one.limit is None else one.limit)
+            limits[one.gimbal] = limits.get(one.gimbal, 0.0) + (inf if one.limit is None else one.gain * one.limit)
     trims = [twisted(platform, q, f) for q in job.trims]
     forces = np.abs([resting_forces(platform, q, f) for q in trims])[:, 3:]
     for gimbal, limit in limits.items():

@@ -117,7 +117,7 @@ PARTS = [kind for kind, tables in every_plant_key().items() if isinstance(tables
 def test_every_kind_of_part_in_the_register_is_read_written_and_refused_by_its_name(kind):
     platform = read_platform(every_plant_key())
     parts = getattr(platform, f"{kind}s")
-    assert len(parts) == len(every_plant_key()[kind]) + (kind == "gimbal")  # a motor side
+    assert len(parts) == len(every_plant_key()[kind]) + (kind in ("gimbal", "torquer"))  # a motor side; a servo
     assert len({type(part) for part in parts}) == 1
     assert len(tomllib.loads(platform.to_toml())[kind]) == len(every_plant_key()[kind])
     assert [repr(copy.deepcopy(part)) for part in parts] == [repr(part) for part in parts]

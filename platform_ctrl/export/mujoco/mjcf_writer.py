@@ -179,7 +179,7 @@ def _add_drives(top: Element, platform: Platform) -> None:
 
 def _spring(platform: Platform, gimbal: str) -> tuple[float, float, float]:
     """Return stiffness, torque at zero angle, and damping of all springs and closed cages of a gimbal."""
-    springs = [(s.stiffness, s.rest, 0.0) for s in platform.springs if s.gimbal == gimbal]
+    springs = [(s.stiffness, s.rest, s.damping) for s in platform.held_by if s.gimbal == gimbal]
     springs += [(c.stiffness, c.angle, c.damping) for c in platform.cages if c.gimbal == gimbal and not c.clearance]
     stiffness, torque = sum(k for k, _, _ in springs), sum(k * rest for k, rest, _ in springs)
     return stiffness, torque, sum(damping for _, _, damping in springs)
@@ -270,6 +270,7 @@ def _add_torquer(group: Element, platform: Platform, torquer: Torquer) -> None:
     about: dict[str, str] = {"name": _line(torquer.name)}
     if torquer.gimbal is not None:
         about["joint"] = _line(platform.gimbals[platform.gimbal(torquer.gimbal)].angle)
+        about |= {"gear": repr(torquer.gain)} if torquer.command else {}
     elif torquer.root_axis is not None:
         about |= {"joint": "root", "gear": text(np.eye(3)[torquer.root_axis - 1])}
     if torquer.limit is not None:

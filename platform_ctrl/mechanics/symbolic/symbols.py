@@ -230,6 +230,8 @@ def elements(platform: Platform, names: SymbolNames) -> tuple[list[Element], lis
         ("compliances", "gimbal", "ks", "stiffness of the drive of gimbal {}", "N m/rad", "strength"),
         ("compliances", "gimbal", "ds", "damping of the drive of gimbal {}", "N m s", "damping"),
         ("springs", "gimbal", "k", "spring at gimbal {}", "N m/rad", "stiffness"),
+        ("servos", "gimbal", "kv", "torque of the servo of gimbal {} per rate", "N m s", "damping"),
+        ("servos", "gimbal", "ka", "torque of the servo of gimbal {} per angle", "N m/rad", "stiffness"),
         ("frictions", "gimbal", "d", "viscous friction of gimbal {}", "N m s", "viscous"),
         ("cages", "gimbal", "kc", "stiffness of the cage of gimbal {}", "N m/rad", "stiffness"),
         ("cages", "gimbal", "dc", "damping of the cage of gimbal {}", "N m s", "damping"),

@@ -125,19 +125,22 @@ def _drawn(
     """Draw a run with the colour of each signal, `series`."""
     free = t.mode == "stabilised"
 
-    def torques(title: str, of_root: bool) -> _Signals:
-        chosen = [k for k, torquer in enumerate(torquers) if (torquer.root_axis is not None) == of_root]
+    def torques(title: str, of_root: bool, unit: str = "N m") -> _Signals:
+        chosen = [k for k, one in enumerate(torquers) if (one.root_axis is not None) == of_root and one.unit == unit]
         names = {t.torquer_names[k]: series[t.torquer_names[k]] for k in chosen}
         # Only a common limit has a line.
         common = {torquers[k].limit for k in chosen}
         limit = common.pop() if len(common) == 1 else None
         allowed = None if limit is None else limits.get("torque_share", 1.0) * limit
-        return _Signals(title=title, unit="N m", y=t.torque[:, chosen], names=names, limit=allowed)
+        return _Signals(title=title, unit=unit, y=t.torque[:, chosen], names=names, limit=allowed)
 
     angles = {name: series[name] for name in t.angle_names}
     wanted = [
         _Signals(title="gimbal angles", unit="rad", y=t.q, names=angles, limit=limits.get("angle")),
-        torques("gimbal torques", of_root=False),
+        *(
+            torques("gimbal torques" if unit == "N m" else "commands of servos", of_root=False, unit=unit)
+            for unit in dict.fromkeys(one.unit for one in torquers if one.root_axis is None)
+        ),
     ]
     if free:
         attitude: dict[str, Any] = {"names": _of_axes("θ"), "limit": limits.get("attitude")}

@@ -52,9 +52,9 @@ TRANSITION, BEFORE, NOW, INPUT, LAGGING, LOWPASS = 0, 4, 6, 8, 9, 11
 # Slots of a torquer: limit, how far it slews at once and in half a substep of each segment, decay of the lag over half
 # a substep of each segment; what it works towards, where it has slewed to, torque; share of what it slews in half a
 # substep of each segment by which the lag is behind at its end; constant torque that adds to the commands; largest
-# torque that a motor's supply allows at rest, and by how much less that is at a rate.
-LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, EQUILIBRIUM, STALL, BACK_EMF, TORQUER = (
-    0, 1, 2, 4, 6, 7, 8, 9, 11, 12, 13, 14,
+# torque that a motor's supply allows at rest, and by how much less that is at a rate; N m for a unit of its command.
+LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, EQUILIBRIUM, STALL, BACK_EMF, PER_COMMAND, TORQUER = (
+    0, 1, 2, 4, 6, 7, 8, 9, 11, 12, 13, 14, 15,
 )  # fmt: skip
 # Slots of a drive: friction that is fed forward, 1 over the rate from which on all of it acts, largest secant gain.
 DRIVE_FRICTION, PER_DRIVE_RATE, SECANT_LIMIT, DRIVEN = 0, 1, 2, 3

@@ -129,7 +129,8 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
         store(mem, T + i, lane, load(mem, layout.steady + i, lane) + load(mem, pushed + i, lane))
     for i in range(shared.targets.shape[0]):
         target = T + shared.targets[i]
-        torque = load(mem, layout.torquer + i * arrays.TORQUER + arrays.TORQUE, lane)
+        slot = layout.torquer + i * arrays.TORQUER
+        torque = load(mem, slot + arrays.PER_COMMAND, lane) * load(mem, slot + arrays.TORQUE, lane)
         store(mem, target, lane, load(mem, target, lane) + torque)
     for j in range(at.modes):
         shape, total = at.mode + j * (arrays.SHAPE + at.torquers) + arrays.SHAPE, 0.0 * load(mem, T, lane)
@@ -137,7 +138,7 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
             slot = layout.torquer + i * arrays.TORQUER
             # Modes deviate from how the structure is bent in equilibrium.
             torque = load(mem, slot + arrays.TORQUE, lane) - load(mem, slot + arrays.EQUILIBRIUM, lane)
-            total = total + load(mem, shape + i, lane) * torque
+            total = total + load(mem, shape + i, lane) * load(mem, slot + arrays.PER_COMMAND, lane) * torque
         store(mem, T + at.block - at.modes + j, lane, total)
 
 
