@@ -17,7 +17,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, sampled
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.cases import changed
+from platform_ctrl.design.cases import changed, swung
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop_signals import Channels, loop_channels, loop_signals
 from platform_ctrl.design.plants import commanded_channels, job_signals, tracking_plants, tracking_reference
@@ -109,17 +109,17 @@ def corners(job: Job) -> list[tuple[str, Platform, FloatArray]]:
     All inertias move together there, and all momenta: a corner for each sign of each would be hundreds.
     """
     platform, still = job.platform, np.zeros(3)
-    out = [("nominal", platform, still)]
+    out = [(label or "nominal", one, still) for label, one in swung(job)]
     gimbals, rotors = [g.name for g in platform.gimbals], [r.name for r in platform.rotors]
-    widths = [("J", job.uncertainty.inertia, gimbals), ("L", job.uncertainty.spin, rotors)]
+    widths = [("inertia", job.uncertainty.inertia, gimbals), ("spin", job.uncertainty.spin, rotors)]
     widths = [one for one in widths if one[1] > 0.0 and one[2]]
     for signs in product((-1.0, 1.0), repeat=len(widths)) if widths else ():
-        moved: dict[str, dict[str, float]] = {"J": {}, "L": {}}
-        words = []
-        for (letter, width, names), sign in zip(widths, signs, strict=True):
-            moved[letter] = dict.fromkeys(names, sign * width)
-            words.append(f"all {letter}{sign * width:+.0%}")
-        out.append((" ".join(words), changed(platform, moved["J"], moved["L"]), still))
+        moved = {of: dict.fromkeys(names, sign * width) for (of, width, names), sign in zip(widths, signs, strict=True)}
+        words = (
+            f"all {'J' if of == 'inertia' else 'L'}{sign * width:+.0%}"
+            for (of, width, _), sign in zip(widths, signs, strict=True)
+        )
+        out.append((" ".join(words), changed(platform, moved), still))
     axes = [(-rate, rate) if rate > 0.0 else (0.0,) for rate in map(float, job.Omega)]
     for rates in product(*axes):
         if any(rates):

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,16 +18,24 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.state_space import subsystems_of_all
+from platform_ctrl.plant.flexible import MODE_NUMBERS
 from platform_ctrl.plant.platform import Platform
 
+# Steps of the frequency of a mode between the ends of its uncertainty at most, relative.
+_STEP = 0.05
+# Relative changes of parameters by what they are of and its name.
+Changes = dict[str, dict[str, float]]
 
-def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float]) -> Platform:
-    """Return `platform` with other inertias and spins, relative changes by name.
 
-    `inertia` changes J about the axis of a gimbal alone: what the gimbal's own body gains or loses is a thin disk about
-    its axis, so that no other J about a gimbal axis through the same body changes unless the axes are parallel. `spin`
-    changes the L of a rotor.
+def changed(platform: Platform, changes: Changes) -> Platform:
+    """Return `platform` with other parameters, relative changes by name.
+
+    ``"inertia"`` changes J about the axis of a gimbal alone: what the gimbal's own body gains or loses is a thin disk
+    about its axis, so that no other J about a gimbal axis through the same body changes unless the axes are parallel.
+    ``"spin"`` changes the L of a rotor; ``"frequency"``, ``"damping"`` and ``"participation"`` those of a mode, the
+    first two those of the drive of a gimbal.
     """
+    inertia, spin = changes.get("inertia", {}), changes.get("spin", {})
     J = np.diag(matrices(platform).A_star)[3:]
     gimbals = tuple(
         replaced(g, {"inertia": g.inertia + inertia[g.name] * J[k] * np.outer(g.axis, g.axis)})
@@ -38,7 +47,13 @@ def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float
         replaced(r, {"angular_momentum": r.angular_momentum * (1.0 + spin[r.name])}) if spin.get(r.name) else r
         for r in platform.rotors
     )
-    return replaced(platform, {"gimbals": gimbals, "rotors": rotors})
+
+    def of(name: str) -> dict[str, float]:
+        return {what: changes[what][name] for what in MODE_NUMBERS if name in changes.get(what, {})}
+
+    modes = tuple(one.changed(**of(one.name)) for one in platform.modes)
+    drives = tuple(one.changed(**of(one.gimbal)) for one in platform.compliances)
+    return replaced(platform, {"gimbals": gimbals, "rotors": rotors, "modes": modes, "compliances": drives})
 
 
 @value
@@ -70,8 +85,8 @@ def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> l
     platform, whole, replace = job.platform, np.ones(len(torquers)), dataclasses.replace
     nominal = Case(label="nominal", group="nominal", platform=platform, Omega=np.zeros(3), torque=whole)
     out = [nominal]
-    for label, parameters in _varied(job, gimbals):
-        out.append(replace(nominal, label=label, group="uncertainty", platform=changed(platform, **parameters)))
+    for label, changes in _varied(job, gimbals, torquers):
+        out.append(replace(nominal, label=label, group="uncertainty", platform=changed(platform, changes)))
     for rates in _rates(job.Omega, job.Omega_grid):
         label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
         out.append(replace(nominal, label=label, group="Omega", Omega=np.array(rates)))
@@ -84,7 +99,7 @@ def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> l
     slow, weak = job.faults.slow_rotor, job.faults.weak_torquer
     if slow is not None:
         for name in carried(platform, gimbals):
-            label, slower = f"rotor {name} at {slow:.0%} of its spin", changed(platform, {}, {name: slow - 1.0})
+            label, slower = f"rotor {name} at {slow:.0%} of its spin", changed(platform, {"spin": {name: slow - 1.0}})
             out.append(replace(nominal, label=label, group="faults", platform=slower))
     if weak is not None:
         for k, name in enumerate(torquers):
@@ -151,28 +166,75 @@ def at_angles(platform: Platform, q: FloatArray) -> str:
     return ", ".join(f"{name} = {x:g} rad" for name, x in zip(platform.angle_names, q, strict=True) if x)
 
 
-def _varied(job: Job, gimbals: tuple[str, ...]) -> Iterator[tuple[str, dict[str, dict[str, float]]]]:
-    """Yield the relative changes of J and L at the corners of the uncertainty, then at the samples inside it."""
-    named = [("inertia", g, job.uncertainty.inertia) for g in gimbals]
-    named += [("spin", name, job.uncertainty.spin) for name in carried(job.platform, gimbals)]
-    named = [entry for entry in named if entry[2] > 0.0]
-    if not named:
+class _Width(NamedTuple):
+    """A parameter that is uncertain: what it is of, its name, and the half-width of its relative change."""
+
+    of: str
+    name: str
+    size: float
+
+    @property
+    def corner(self) -> tuple[str, str]:
+        """What it goes to its ends with: damping and participation of all modes go together."""
+        return self.of, "" if self.of in ("damping", "participation") else self.name
+
+    def moved(self, place: float, digits: str) -> str:
+        """Return in words that it is at a place from −1 to 1 of its range."""
+        letter = {"inertia": "J", "spin": "L", "frequency": "f_", "damping": "ζ_", "participation": "φ_"}[self.of]
+        return f"{letter}{self.name}{place * self.size:{digits}}"
+
+
+def _varied(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str]) -> Iterator[tuple[str, Changes]]:
+    """Yield the relative changes of parameters: corners of the uncertainty, frequencies of modes, samples inside it."""
+    of = job.uncertainty
+    widths = [_Width("inertia", g, of.inertia) for g in gimbals]
+    widths += [_Width("spin", name, of.spin) for name in carried(job.platform, gimbals)]
+    widths = [*(one for one in widths if one.size > 0.0), *_of_modes(job, gimbals, torquers)]
+    if not widths:
         return
-    for signs in product((-1.0, 1.0), repeat=len(named)):
-        yield _moved(named, signs, "+.0%")
-    for place in _samples(job, len(named)):
-        yield _moved(named, place, "+.1%")
+    corners = list(dict.fromkeys(one.corner for one in widths))
+    for signs in product((-1.0, 1.0), repeat=len(corners)):
+        at = dict(zip(corners, signs, strict=True))
+        yield _moved(widths, [at[one.corner] for one in widths], "+.0%")
+    yield from _swept(widths)
+    yield from (_moved(widths, place) for place in _samples(job, len(widths)))
 
 
-def _moved(
-    named: list[tuple[str, str, float]], place: Sequence[float], digits: str
-) -> tuple[str, dict[str, dict[str, float]]]:
-    out: dict[str, dict[str, float]] = {"inertia": {}, "spin": {}}
-    words = []
-    for (parameter, name, width), part in zip(named, place, strict=True):
-        out[parameter][name] = part * width
-        words.append(f"{'J' if parameter == 'inertia' else 'L'}{name}{part * width:{digits}}")
-    return " ".join(words), out
+def _of_modes(job: Job, gimbals: Sequence[str], torquers: Sequence[str]) -> list[_Width]:
+    """Return the widths of the modes that torquers or the base excite, and of the drives of gimbals."""
+    platform, of_mode = job.platform, job.uncertainty.of_mode
+    excited = [m.name for m in platform.modes if m.of(list(torquers)).any() or m.base.any() or m.base_force.any()]
+    names = [*excited, *(one.gimbal for one in platform.compliances if {one.gimbal, one.motor_side} & {*gimbals})]
+    return [
+        _Width(what, name, size)
+        for name in names
+        for what, size in of_mode(name).items()
+        if size > 0.0 and (name in excited or what != "participation")
+    ]
+
+
+def _swept(widths: Sequence[_Width], step: float = _STEP) -> Iterator[tuple[str, Changes]]:
+    """Yield the changes of each mode over the range of its frequency, where it is least damped and takes part most."""
+    others = {"damping": -1.0, "participation": 1.0}
+    for mode in (one for one in widths if one.of == "frequency"):
+        for place in np.linspace(-1.0, 1.0, 2 * max(math.ceil(mode.size / step), 1) + 1):
+            if place:
+                yield _moved(widths, [float(place) if one is mode else others.get(one.of, 0.0) for one in widths])
+
+
+def _moved(widths: Sequence[_Width], places: Sequence[float], digits: str = "+.1%") -> tuple[str, Changes]:
+    """Return the changes of parameters at places of their ranges, in words and as numbers."""
+    out: Changes = {}
+    for one, place in zip(widths, places, strict=True):
+        out.setdefault(one.of, {})[one.name] = place * one.size
+    return " ".join(one.moved(place, digits) for one, place in zip(widths, places, strict=True) if place), out
+
+
+def swung(job: Job) -> list[tuple[str, Platform]]:
+    """Return the platform in words and as it is, and with each mode and drive at the ends of its frequency's range."""
+    platform = job.platform
+    widths = _of_modes(job, platform.gimbal_names, [one.name for one in platform.torquers])
+    return [("", platform), *((label, changed(platform, changes)) for label, changes in _swept(widths, math.inf))]
 
 
 def subsystems_over(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.scenario import TimeTable
 from platform_ctrl.plant.fields import ROUNDING
-from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, within
+from platform_ctrl.plant.flexible import MODE_NUMBERS
+from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, strange, useless, within
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 # Samples behind `settle` at least.
@@ -28,11 +29,27 @@ _OF_OMEGA = ("Omega rejection", "attenuation", "torque limit")
 
 def unexercised(job: Job) -> Iterator[Mistake]:
     """Yield the limits of a job that nothing in the job tests."""
+    yield from at(("uncertainty",), _of_modes(job))
     for i, spec in enumerate(job.loops):
         for table, limits in (("limits", spec.limits), ("soft", spec.soft)):
             yield from at(("loop", i, table), _of_loop(job, spec, limits))
     for k, manoeuvre in enumerate(job.manoeuvres):
         yield from at(("manoeuvre", k), _of_run(job, manoeuvre))
+
+
+def _of_modes(job: Job) -> Iterator[Misfit]:
+    """Yield uncertain numbers of modes that the plant does not have."""
+    modes, drives = [m.name for m in job.platform.modes], [one.gimbal for one in job.platform.compliances]
+    for what in MODE_NUMBERS:
+        key, known = f"mode_{what}", modes if what == "participation" else [*modes, *drives]
+        width, none = (
+            getattr(job.uncertainty, key),
+            "[[mode]]" if what == "participation" else "[[mode]] or [[compliance]]",
+        )
+        if isinstance(width, Mapping):
+            yield from strange(key, width, "mode of the plant, nor a gimbal with a drive that gives way", known)
+        elif width > 0.0 and not known:
+            yield useless(job.uncertainty, key, f"without a {none} in the plant")
 
 
 def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float]) -> Iterator[Misfit]:
@@ -77,7 +94,9 @@ def _varied(job: Job, spec: LoopSpec) -> bool:
     spun = job.uncertainty.spin > _NOTHING and any(one.carrier in gimbals for one in job.platform.rotors)
     turned = np.any(job.Omega > _NOTHING) and (spec.kind == "caging" or job.platform.dry_frictions)
     tilted = any(np.abs(q).max(initial=0.0) > _NOTHING for q in job.trims)
-    return bool(job.uncertainty.inertia > _NOTHING or spun or turned or tilted)
+    widths = [getattr(job.uncertainty, f"mode_{what}") for what in MODE_NUMBERS]
+    swings = any(max(one.values()) if isinstance(one, Mapping) else one for one in widths)
+    return bool(job.uncertainty.inertia > _NOTHING or spun or swings or turned or tilted)
 
 
 def _of_run(job: Job, manoeuvre: Manoeuvre) -> Iterator[Misfit]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -15,6 +15,7 @@ from platform_ctrl.job.scenario import Command, Scenario
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.drives import Rotor, Torquer
 from platform_ctrl.plant.fields import Expected
+from platform_ctrl.plant.flexible import FlexibleMode
 from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.plant.mistakes import suggestion
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
@@ -90,8 +91,11 @@ class RunParameter:
 def _numbers(record: type) -> dict[str, Expected]:
     """Return the numbers of a record that may be varied, and what is expected of a drawn one."""
     keys = shape(record).keys.items()
-    drawn = {name: _DRAWN[key.holds] for name, key in keys if key.holds in _DRAWN and name not in _NOT_VARIED}
-    return drawn | ({"gain": fields.NOT_NEGATIVE} if record is Torquer else {})
+    own = ((name, key) for name, key in keys if name == key.field or hasattr(record, name))
+    factors = {Torquer: {"gain": fields.NOT_NEGATIVE}, FlexibleMode: {"participation": fields.NUMBER}}
+    return {
+        name: _DRAWN[key.holds] for name, key in own if key.holds in _DRAWN and name not in _NOT_VARIED
+    } | factors.get(record, {})
 
 
 def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, RunParameter]:
@@ -166,7 +170,7 @@ def _of_plant(platform: Platform) -> Iterator[_Ruled]:
             of_motor = getattr(part, "stall", None) is not None  # a torquer whose numbers are the motor's
             for key, expected in numbers.items():
                 if _there(part, key) and (key == "gain" or not of_motor):
-                    factor = key == "inertia" or (group, key) == ("torquers", "gain")
+                    factor = key in ("inertia", "participation") or (group, key) == ("torquers", "gain")
                     yield _one(f"{word}.{title}.{key}", expected, "platform", group, k, key, factor=factor)
     for body in (platform.root_name, *platform.gimbal_names):
         for axis in (1, 2, 3):
@@ -183,8 +187,8 @@ def _there(part: Any, key: str) -> bool:
             return part.stops is not None
         case "mass":
             return bool(part.mass)
-        case "bandwidth_hz":
-            return part.bandwidth_hz is not None
+        case "bandwidth_hz" | "frequency":
+            return getattr(part, key) is not None
         case _:
             return True
 
@@ -308,7 +312,7 @@ def varied_scenario(
 
 def _changed(item: Any, changes: Any) -> Any:
     """Return a value with others in places further in: fields of records, elements of tuples and arrays."""
-    if not isinstance(changes, dict):
+    if not isinstance(changes, dict) or isinstance(item, Mapping):
         return changes
     if isinstance(item, tuple):
         return tuple(_changed(one, changes.get(k, {})) for k, one in enumerate(item))
@@ -332,4 +336,6 @@ def drawn_value(old: Any, number: float, relative: bool) -> Any:
         return np.where(old, number, 0.0)
     if isinstance(old, tuple):
         return tuple(x * number for x in old) if relative else (number,) * len(old)
+    if isinstance(old, Mapping):
+        return {name: x * number for name, x in old.items()}
     return old * number if relative else number

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from platform_ctrl.common.values import FloatArray, input_value, read_only
+from platform_ctrl.common.values import FloatArray, input_value, read_only, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Refers, Unfit, number
@@ -17,6 +17,8 @@ from platform_ctrl.plant.gimbals import Gimbal
 from platform_ctrl.plant.mistakes import Misfit
 from platform_ctrl.plant.tables import Instead, either
 
+# Numbers of a mode that may be uncertain.
+MODE_NUMBERS = ("frequency", "damping", "participation")
 _HERTZ = Instead("frequency_hz", fields.POSITIVE, lambda hertz, _: 2.0 * math.pi * hertz)
 
 
@@ -78,6 +80,12 @@ class Compliance:
             )
         return self.stiffness
 
+    def changed(self, frequency: float = 0.0, damping: float = 0.0) -> Compliance:
+        """Return the drive with relative changes of the frequency and damping ratio of its load."""
+        faster = 1.0 + frequency
+        numbers = {"stiffness": self.strength * faster**2, "damping": self.damping * faster * (1.0 + damping)}
+        return replaced(self, numbers)
+
     @property
     def motor_side(self) -> str:
         """Name of the motor side."""
@@ -128,6 +136,12 @@ class FlexibleMode:
     ]
     base: fields.Vector = field(default_factory=fields.zero_vector)
     base_force: fields.Vector = field(default_factory=fields.zero_vector)
+
+    def changed(self, frequency: float = 0.0, damping: float = 0.0, participation: float = 0.0) -> FlexibleMode:
+        """Return the mode with relative changes of ω, ζ and φ."""
+        shares = {name: (1.0 + participation) * share for name, share in self.participation.items()}
+        numbers = {"frequency": self.frequency * (1.0 + frequency), "damping": self.damping * (1.0 + damping)}
+        return replaced(self, {**numbers, "participation": shares})
 
     @property
     def rate(self) -> str:

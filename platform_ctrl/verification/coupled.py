@@ -28,7 +28,7 @@ from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_absci
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, replaced, value
-from platform_ctrl.design.cases import at_angles
+from platform_ctrl.design.cases import at_angles, swung
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
@@ -156,10 +156,12 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     # A decoupled loop without a margin has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
     torque_noise = together.torque_noise
-    trims = [together]
-    for q in job.trims[1:]:
-        trims.append(_Together(job, controllers, coupled_plant(job, linearise(job.platform, q=q), controllers)))
-    at = ["", *(f", {at_angles(job.platform, q)}" for q in job.trims[1:])]
+    trims, at = [together], [""]
+    for label, platform in swung(job):
+        of = replaced(job, {"platform": platform})
+        for q in job.trims if label else job.trims[1:]:
+            at.append("".join(f", {words}" for words in (label, at_angles(platform, q)) if words))
+            trims.append(_Together(of, controllers, coupled_plant(of, linearise(platform, q=q), controllers)))
     margins = [one.simultaneous for one in trims]
     slowest = min(range(len(trims)), key=lambda k: trims[k].decay)
     least = min(range(len(trims)), key=lambda k: margins[k].guaranteed)

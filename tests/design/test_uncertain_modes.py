@@ -1,0 +1,144 @@
+"""Uncertain modes and drives that give way in the set of plants: which plants there are, and that verdicts see them."""
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import design
+from platform_ctrl.design.plants import plants_of
+from platform_ctrl.job.parameters import parameters, varied_scenario
+
+J, OMEGA, ZETA, PERIOD = 0.07, 150.0, 0.02, 1e-3
+SHARES = {"Q": 1.5, "gyro": -1.2}
+
+
+def job(uncertainty, mode=None, **more):
+    """A rate loop on one gimbal with a mode that its gyro sees with the other sign."""
+    gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, J], "angle": "q"}
+    plant = {
+        "schema": 1,
+        "name": "drive",
+        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
+        "gimbal": [gimbal],
+        "torquer": [{"gimbal": "g", "name": "Q"}],
+        "rate_sensor": [{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
+        "mode": [{"name": "arm", "frequency": OMEGA, "damping": ZETA, "participation": SHARES} | (mode or {})],
+    }
+    loop = {
+        "name": "rate",
+        "kind": "rate",
+        "gimbals": ["g"],
+        "sensors": ["gyro"],
+        "use": "pi",
+        "limits": {"disk_margin": 0.3, "disk_margin_worst_case": 0.3},
+        "design": [{"name": "pi", "method": "pi", "crossover_hz": 1.0, "integral_hz": 0.1, "rolloff_hz": 300.0}],
+    }
+    data = {"schema": 2, "name": "one axis", "plant": plant, "operation": {"Omega": [0, 0, 0]}, "loop": [loop]}
+    sampling = {"rate_hz": 1 / PERIOD, "delay": 0.0}
+    return pc.read_job(
+        data | {"uncertainty": uncertainty, "sampling": sampling, "coupled": {"disk_margin": 0.3}} | more
+    )
+
+
+def swings(plants):
+    """Frequency, damping ratio and size of the residue of the mode in each plant, from the sampled poles."""
+    z, vectors = np.linalg.eig(plants.A)
+    k = np.argmax(z.imag, axis=1)
+    s = np.log(z[np.arange(len(z)), k]) / PERIOD
+    shape = np.take_along_axis(vectors, k[:, None, None], axis=2)[..., 0]
+    left = np.linalg.inv(vectors)[np.arange(len(z)), k]
+    residue = np.abs(np.einsum("kpi,ki->k", plants.C[:, :1], shape) * np.einsum("ki,kim->k", left, plants.B))
+    return np.abs(s), -s.real / np.abs(s), residue
+
+
+def test_the_set_has_the_corners_of_a_mode_and_frequencies_between_them():
+    uncertain = {"mode_frequency": 0.1, "mode_damping": {"arm": 0.5}, "mode_participation": 0.2}
+    plants = plants_of((one := job(uncertain)), one.loops[0])
+    frequency, damping, residue = swings(plants)
+    np.testing.assert_allclose(sorted(set((frequency / OMEGA).round(6))), [0.9, 0.95, 1.0, 1.05, 1.1])
+    np.testing.assert_allclose(sorted(set((damping / ZETA).round(6))), [0.5, 1.0, 1.5])
+    assert len(plants.labels) == 1 + 2**3 + 4
+    assert plants.labels[1] == "f_arm-10% ζ_arm-50% φ_arm-20%"
+    # The response of a mode at its resonance goes with φ of the torquer times φ of the sensor; sampled at 24 a period.
+    corner = {label: residue[k] / residue[0] for k, label in enumerate(plants.labels)}
+    assert corner["f_arm+10% ζ_arm-50% φ_arm+20%"] / corner["f_arm+10% ζ_arm-50% φ_arm-20%"] == pytest.approx(2.25)
+
+
+def test_a_loop_that_only_the_nominal_mode_lets_be_stable_does_not_pass():
+    # The mode turns the phase by 180 degrees; with a quarter of its damping the loop grows.
+    [certain] = design.loops(job({"inertia": 0.01}))
+    [swinging] = design.loops(job({"inertia": 0.01, "mode_damping": 0.9}))
+    passed, failed = ({r.name: r for r in one.closed.results}["disk margin, worst case"] for one in (certain, swinging))
+    assert passed.passed
+    assert not failed.passed
+    assert "ζ_arm-90%" in failed.evidence
+
+
+def test_the_coupled_check_sees_both_ends_of_the_frequency():
+    one = job({"mode_frequency": 0.3})
+    loops = design.loops(one)
+    verdict = pc.verification.check_job(one, loops)
+    row = next(r for r in verdict.requirements if r.stage == "coupled" and "disk margin" in r.name)
+    assert "f_arm" in row.evidence
+    still = job({"inertia": 0.1})
+    other = pc.verification.check_job(still, design.loops(still))
+    assert row.value < next(r.value for r in other.requirements if r.stage == "coupled" and "disk margin" in r.name)
+
+
+def test_a_drive_that_gives_way_has_its_frequency_off():
+    plant = pc.read_platform("telescope_mount")
+    data = {"schema": 2, "plant": plant, "name": "mount", "operation": {"Omega": [0.0, 0.0, 0.0]}}
+    motor = {"name": "motor", "kind": "rate", "gimbals": ["azimuth_motor"], "sensors": ["azimuth_motor_rate"]}
+    motor |= {"use": "pi", "design": [{"name": "pi", "method": "pi", "crossover_hz": 10.0}]}
+    motor["limits"] = {"disk_margin_worst_case": 0.3}
+    data |= {"loop": [motor], "sampling": {"rate_hz": 2000, "delay": 0.0}}
+    one = pc.read_job(data | {"uncertainty": {"mode_frequency": {"azimuth": 0.1}}})
+    plants = plants_of(one, one.loops[0])
+    own = [k for k, label in enumerate(plants.labels) if label in ("nominal", "f_azimuth-10%", "f_azimuth+10%")]
+    poles = np.linalg.eigvals(plants.A[own[:3]])
+    nominal, low, high = np.where(np.abs(poles) > 0.9, np.angle(poles), 0.0).max(axis=1)
+    assert [low / nominal, high / nominal] == pytest.approx([0.9, 1.1], rel=1e-2)  # friction is not scaled
+
+
+@pytest.mark.parametrize(("key", "found"), [("frequency", 1.1 * OMEGA), ("damping", 1.1 * ZETA)])
+def test_a_campaign_varies_a_mode(key, found):
+    once = {"name": "turn", "mode": "caged", "duration": 0.1, "initial": {"q_rate": 0.1}}
+    one = job({"mode_frequency": 0.1}, manoeuvre=[once])
+    scenario = one.scenario(one.manoeuvres[0])
+    known = parameters([scenario], ())
+    varied = varied_scenario(scenario, [(known[f"mode.arm.{key}"], 1.1, True)], seed=None)
+    assert getattr(varied.platform.modes[0], key) == pytest.approx(found)
+    varied = varied_scenario(scenario, [(known["mode.arm.participation"], 1.1, True)], seed=None)
+    assert dict(varied.platform.modes[0].participation) == pytest.approx({"Q": 1.65, "gyro": -1.32})
+
+
+@pytest.mark.parametrize(
+    ("uncertainty", "words"),
+    [
+        ({"mode_frequency": {"arms": 0.1}}, r"mode_frequency: \"arms\" is no mode .* did you mean \"arm\"\?"),
+        ({"mode_frequency": 1.5}, "mode_frequency must be a number from 0 to 0.9, or a table"),
+        ({"mode_damping": {"arm": "much"}}, "mode_damping must be a number from 0 to 0.9, or a table"),
+        ({"samples": 3}, "samples = 3 has no effect"),
+    ],
+)
+def test_uncertainty_that_no_mode_can_have_is_refused(uncertainty, words):
+    with pytest.raises(pc.PlatformCtrlError, match=words):
+        job(uncertainty)
+
+
+def test_uncertain_modes_need_a_mode():
+    data = pc.read_platform("gimballed_gyro")
+    loop = {"name": "c", "kind": "caging", "gimbals": list(data.gimbal_names), "use": "d"}
+    loop["design"] = [{"name": "d", "method": "lqg"}]
+    with pytest.raises(pc.PlatformCtrlError, match=r"mode_frequency = 0\.1 has no effect without"):
+        pc.read_job(
+            {
+                "schema": 2,
+                "name": "gyro",
+                "plant": data,
+                "operation": {"Omega": [0, 0, 0]},
+                "uncertainty": {"mode_frequency": 0.1},
+                "sampling": {"rate_hz": 1000, "delay": 0.0},
+                "loop": [loop],
+            }
+        )
