@@ -222,6 +222,19 @@ def test_the_telescope_follows_a_satellite_within_an_arc_second_and_the_linear_b
     assert result.budget.friction.valid.all()
 
 
+def test_the_satellite_is_turned_by_its_wheel_and_the_verdict_says_what_takes_no_momentum_off():
+    """The numbers of its page; runs against the linear satellite are in tests/design/test_free_root.py."""
+    job, loops = designed(Path("examples/double_gimbal_wheel_satellite.toml"))
+    result = verification.check_job(dataclasses.replace(job, manoeuvres=()), loops)
+    assert [(r.subject, r.name, r.value) for r in result.requirements if not r.passed] == []
+    assert all(one.passed for one in loops[0].designs)
+    margin = next(r for r in loops[0].closed.results if r.name == "disk margin, worst case")
+    assert margin.value == pytest.approx(0.58, rel=0.02)
+    stable = next(r for r in result.requirements if r.subject == "all loops closed")
+    assert "no loop changes the platform's momentum P1, P2, P3" in stable.evidence
+    assert "no torque from outside takes off the momentum" in result.assumptions
+
+
 def test_a_telescope_that_rests_is_not_said_to_slide():
     job, loops = designed(MOUNT)
     resting = dataclasses.replace(job, budget=dataclasses.replace(job.budget, turning={}))

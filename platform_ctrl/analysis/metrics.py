@@ -355,6 +355,7 @@ class RunMetric(Quantity):
     always: bool = False  # whether it is shown also where no manoeuvre limits it
     sight: bool = False  # whether the plant needs a line of sight
     commanded: bool = False  # whether the run needs a command in its unit
+    stops: bool = False  # whether the plant needs a gimbal with stops
 
 
 RUN_METRICS: dict[str, RunMetric] = {
@@ -366,6 +367,14 @@ RUN_METRICS: dict[str, RunMetric] = {
             unit="rad",
             meaning="largest magnitude of a gimbal's angle",
             always=True,
+        ),
+        RunMetric(
+            name="largest angle between stops",
+            key="angle_between_stops",
+            unit="rad",
+            meaning="largest magnitude of the angle of a gimbal with stops; those that may turn on, as wheels, do not "
+            "count",
+            stops=True,
         ),
         RunMetric(
             name="largest platform angle",

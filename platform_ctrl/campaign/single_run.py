@@ -75,6 +75,9 @@ def metric_of(result: BatchResult, name: str, scenarios: Sequence[Scenario]) -> 
         return np.asarray(sight[:, slice(0, 2) if name == "los_rate_rms" else slice(3, 5)].max(axis=1))
     if name == "attenuation_db":
         return attenuation_db(result.Omega_rms, jitter[:, :2])
+    if name == "angle_between_stops":
+        stopped = [k for k, one in enumerate(scenarios[0].platform.gimbals) if one.stops]
+        return np.asarray(result.angle[:, stopped].max(axis=1))
     return np.asarray(getattr(result, name).max(axis=1, initial=0.0))
 
 

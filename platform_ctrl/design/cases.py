@@ -32,8 +32,8 @@ def changed(platform: Platform, changes: Changes) -> Platform:
 
     ``"inertia"`` changes J about the axis of a gimbal alone: what the gimbal's own body gains or loses is a thin disk
     about its axis, so that no other J about a gimbal axis through the same body changes unless the axes are parallel.
-    ``"spin"`` changes the L of a rotor; ``"frequency"``, ``"damping"`` and ``"participation"`` those of a mode, the
-    first two those of the drive of a gimbal.
+    By the name of the root it multiplies all of the root's own. ``"spin"`` changes the L of a rotor; ``"frequency"``,
+    ``"damping"`` and ``"participation"`` those of a mode, the first two those of the drive of a gimbal.
     """
     inertia, spin = changes.get("inertia", {}), changes.get("spin", {})
     J = np.diag(matrices(platform).A_star)[3:]
@@ -53,7 +53,9 @@ def changed(platform: Platform, changes: Changes) -> Platform:
 
     modes = tuple(one.changed(**of(one.name)) for one in platform.modes)
     drives = tuple(one.changed(**of(one.gimbal)) for one in platform.compliances)
-    return replaced(platform, {"gimbals": gimbals, "rotors": rotors, "modes": modes, "compliances": drives})
+    root = platform.root_inertia * (1.0 + inertia.get(platform.root_name, 0.0))
+    parts = {"gimbals": gimbals, "rotors": rotors, "modes": modes, "compliances": drives, "root_inertia": root}
+    return replaced(platform, parts)
 
 
 @value
@@ -73,19 +75,19 @@ class Case:
     feedback: FloatArray | None = None
 
 
-def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> list[Case]:
+def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = (), root: bool = False) -> list[Case]:
     """Return the plants that the loop on `gimbals` with `torquers` must control, the nominal one first.
 
     Default: the first torquer on each of the gimbals.
 
     Then every corner of the parameter uncertainty and the samples inside it, the grid of Omega, the gimbal angles with
-    the nominal and with the other parameters, and the faults.
+    the nominal and with the other parameters, and the faults. `root`: whether the root's inertia varies too.
     """
     torquers = torquers or [job.platform.torquer_on(name).name for name in gimbals]
     platform, whole, replace = job.platform, np.ones(len(torquers)), dataclasses.replace
     nominal = Case(label="nominal", group="nominal", platform=platform, Omega=np.zeros(3), torque=whole)
     out = [nominal]
-    for label, changes in _varied(job, gimbals, torquers):
+    for label, changes in _varied(job, gimbals, torquers, root):
         out.append(replace(nominal, label=label, group="uncertainty", platform=changed(platform, changes)))
     for rates in _rates(job.Omega, job.Omega_grid):
         label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
@@ -184,10 +186,10 @@ class _Width(NamedTuple):
         return f"{letter}{self.name}{place * self.size:{digits}}"
 
 
-def _varied(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str]) -> Iterator[tuple[str, Changes]]:
+def _varied(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str], root: bool) -> Iterator[tuple[str, Changes]]:
     """Yield the relative changes of parameters: corners of the uncertainty, frequencies of modes, samples inside it."""
     of = job.uncertainty
-    widths = [_Width("inertia", g, of.inertia) for g in gimbals]
+    widths = [_Width("inertia", name, of.inertia) for name in (*gimbals, *([job.platform.root_name] if root else ()))]
     widths += [_Width("spin", name, of.spin) for name in carried(job.platform, gimbals)]
     widths = [*(one for one in widths if one.size > 0.0), *_of_modes(job, gimbals, torquers)]
     if not widths:

@@ -16,8 +16,8 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import inverse_inertia
-from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.mechanics.outputs import observed, observed_system
+from platform_ctrl.mechanics.state_space import NamedMatrices, free_system, linear_system, state_space
 from platform_ctrl.plant.drives import Torquer
 from platform_ctrl.plant.locking import with_rigid_drives
 from platform_ctrl.plant.platform import Platform
@@ -48,6 +48,9 @@ class LoopSignals:
     # that no loop turns. passive: names of gimbals that no loop turns and that take part.
     held: bool = False
     passive: tuple[str, ...] = ()
+    # Whether the loop reads the motion of a floating root, which is a part of its plants then: no torque from outside
+    # acts on the whole.
+    free: bool = False
     # Sensors from which drives of its torquers find the rates by which they feed friction forward: of gimbal rates, a
     # feedback, and where dry friction counts of the root.
     fed: tuple[Sensor, ...] = ()
@@ -71,13 +74,22 @@ def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
         torquers=tuple(torquers[name] for name in spec.torquers) or own,
         sensors=tuple(sensors[name] for name in spec.sensors),
         held=True,
+        free=spec.moves_root(platform),
     )
     return dataclasses.replace(out, sight=_moved_sight(platform, out))
 
 
+def bare_system(model: LinearModel, signals: LoopSignals) -> NamedMatrices:
+    """Return the linear model of a loop's gimbals and of those that no loop turns."""
+    gimbals = [*signals.gimbals, *signals.passive]
+    if signals.free:
+        return free_system(model, gimbals, isolated=True)
+    return linear_system(model, gimbals, others="held" if signals.held else "coupled")
+
+
 def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:
     """Return the rates across the line of sight that the loop's torquers move, at the angles zero."""
-    if platform.line_of_sight is None:
+    if platform.line_of_sight is None or signals.free:  # which no prescribed rate disturbs
         return ()
     model, signals = _tied(linearise(platform), signals)
     system = observed(state_space(model, gimbals=signals.gimbals, others="held"), model.platform, LOS_RATES[:2])
@@ -180,6 +192,8 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
     rows, effect = rows_of(model, signals.gimbals), _effect(model, signals, period)
     own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
     mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
+    if signals.free:  # what is read is not the motion of the gimbals
+        mobility = np.linalg.norm(effect, axis=0)
     if not shows_each(effect):
         names = [sensor.name for sensor in signals.sensors]
         axes = [model.platform.gimbals[model.platform.gimbal(name)].axis for name in signals.gimbals]
@@ -197,8 +211,8 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
         inertias=1.0 / mobility,
         spins=np.array([abs(rotor.spin) for rotor in carried]),
         order=signals.order,
-        damping=np.diag(model.damping)[rows][own],
-        stiffness=np.diag(model.stiffness)[rows][own],
+        damping=None if signals.free else np.diag(model.damping)[rows][own],
+        stiffness=None if signals.free else np.diag(model.stiffness)[rows][own],
         sense=sense,
         noise=np.sqrt(sense**2 @ noise**2),
     )
@@ -231,7 +245,7 @@ def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArr
     names = list(dict.fromkeys(name for one in weights for name in one))
     # A sensor may have the name of the signal that it reads, but shows it with its low-pass and errors.
     bare = without_sensors(model.platform)
-    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), bare, names, model.q0)
+    system = observed_system(bare_system(model, signals), bare, names, model.q0)
     inputs = [system.input_labels.index(torquer.name) for torquer in signals.torquers]
     rows = rows_of(model, signals.gimbals)
     stiffness = np.linalg.solve(model.M[np.ix_(rows, rows)], model.stiffness[np.ix_(rows, rows)])

@@ -34,6 +34,7 @@ from platform_ctrl.design.cases import (
 from platform_ctrl.design.loop_signals import (
     Channels,
     LoopSignals,
+    bare_system,
     expect_no_keyhole,
     loop_channels,
     loop_signals,
@@ -44,7 +45,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed_system
-from platform_ctrl.mechanics.state_space import linear_system
+from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 # Open-loop motion slower than this share of the Nyquist frequency is no reference for the loop.
@@ -53,6 +54,8 @@ _SLOW_MOTION = 1e-3
 _PHASE = 0.5
 # A loop that is slower by this factor is seen at its samples and at those of the fast loop alone, not between these.
 _SLOW_LOOP = 8
+# Sine of the angle between rate and momentum up to which a platform turns steadily.
+_STEADY = 1e-6
 # Largest angle of a motion in a sample period, rad: beyond it a sampled plant has lost all digits.
 _LARGEST_ANGLE = 1e6
 
@@ -95,9 +98,11 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     for one in plants:
         rates = None if one.rate is None else np.full(len(one.platform.gimbals), one.rate)
         model = linearise(one.platform, Omega=one.Omega, q=one.q, rate_amplitude=rates)
-        bare = linear_system(model, gimbals=gimbals, others="held" if signals.held else "coupled")
+        bare = bare_system(model, signals)
         systems.append(observed_system(bare, one.platform, list(dict.fromkeys(outputs)), model.q0, model.Omega0))
-    columns = [systems[0].input_labels.index(name) for name in [*torques, *OMEGA_NAMES]]
+    # Torques on a floating root do nothing here: no rate of the root is prescribed.
+    columns = [systems[0].input_labels.index(name) for name in torques]
+    columns += [systems[0].input_labels.index(name) for name in (ROOT_TORQUE_NAMES if signals.free else OMEGA_NAMES)]
     rows = [systems[0].output_labels.index(name) for name in outputs]
     A, B, C, D = (np.array([getattr(one, name) for one in systems]) for name in "ABCD")
     A, B, C, D, _ = System(A, B, C, D).part(rows, columns)
@@ -111,7 +116,8 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
         A, B, C, states = A[:, kept][:, :, kept], B[:, kept], C[:, :, kept], [states[k] for k in kept]
         platform = plants[0].platform
         read = {signal for sensor in signals.sensors for signal in sensor.signals(platform)}
-        drifting = tuple(name for name in states if name in set(platform.angle_names) - read)
+        if not signals.free:  # else the momentum of the whole says where they are
+            drifting = tuple(name for name in states if name in set(platform.angle_names) - read)
     return LinearPlants(
         cases=tuple(plants),
         signals=signals,
@@ -302,7 +308,7 @@ def loop_reference(linear: LinearPlants, period: float) -> float:
     angles = {gimbal.angle for gimbal in linear.cases[0].platform.gimbals}
     own = [k for k, name in enumerate(linear.states) if name.removeprefix("p_") in angles]
     nyquist, fastest = np.pi / period, 0.0
-    if rotors or not linear.signals.held:
+    if (rotors or not linear.signals.held) and not linear.signals.free:
         fastest = float(np.abs(np.linalg.eigvals(linear.system.A[0][np.ix_(own, own)])).max())
     return fastest if fastest > _SLOW_MOTION * nyquist else 0.1 * nyquist
 
@@ -326,8 +332,8 @@ def _passive(job: Job, signals: LoopSignals) -> tuple[str, ...]:
     # A gimbal with a torquer could be caged as well: left out, the loop cuts through a subsystem.
     driven = set() if signals.held else {torquer.gimbal for torquer in job.platform.torquers}
     free = [name for name in job.passive_gimbals if name not in driven]
-    if not free:
-        return ()
+    if not free or signals.free:
+        return tuple(free)  # the root couples them all
     own: set[str] = set()
     for q in job.trims:
         for group in subsystems_over(job.platform, job.Omega, job.Omega_grid, q):
@@ -355,8 +361,11 @@ def _drive_gains(linear: LinearPlants) -> FloatArray:
 
 def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:
     """Return the plants that a loop with these signals must control, the nominal one first."""
-    plants = cases(job, (*signals.gimbals, *signals.passive), [torquer.name for torquer in signals.torquers])
-    if signals.held:
+    turned = (*signals.gimbals, *signals.passive)
+    plants = cases(job, turned, [torquer.name for torquer in signals.torquers], root=signals.free)
+    if signals.free:
+        _expect_steady(plants)
+    elif signals.held:
         # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
         # which the gimbals rest. Friction brings it in.
         plants = [one for one in plants if one.group != "Omega"]
@@ -365,6 +374,19 @@ def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:
     plants += with_friction(job, torquers, fed, still) if signals.held else []
     plants += with_feedback(job, torquers, fed, still) if signals.fed else []
     return plants
+
+
+def _expect_steady(plants: Sequence[Case]) -> None:
+    """Refuse rates at which a floating platform does not go on turning by itself."""
+    for one in plants:
+        momentum = linearise(one.platform, Omega=one.Omega, q=one.q).root_momentum
+        if np.linalg.norm(np.cross(one.Omega, momentum)) > _STEADY * np.linalg.norm(one.Omega) * np.linalg.norm(
+            momentum
+        ):
+            raise InputError(
+                f"[operation]: at {one.label} a floating platform does not turn steadily, its momentum "
+                f"({', '.join(f'{x:.3g}' for x in momentum)}) N m s lies along another axis; give a rate about it"
+            )
 
 
 def _expect_slow(A: FloatArray, plants: Sequence[Case], period: float) -> None:

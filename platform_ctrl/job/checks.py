@@ -278,7 +278,10 @@ def _design(job: Job, loop: LoopSpec, design: DesignSpec, rate: float) -> Iterat
     if design.command is not None:
         yield from within(("command",), _below_half(design.command, ["filter_hz"], rate))
     yield from _sensors(job.platform, loop.kind, design.sensors)
-    if design.feedforward is not None:
+    if design.feedforward is not None and loop.moves_root(job.platform):
+        words = f"feedforward: its rates are those of {job.platform.root_name!r}, which this loop moves itself"
+        yield "feedforward", f"{words}; leave it out"
+    elif design.feedforward is not None:
         yield from within(("feedforward",), _feedforward(job, design.feedforward))
 
 
@@ -357,6 +360,9 @@ def _run(job: Job, k: int) -> Iterator[Misfit]:
         yield wrong(run, "duration", f"at most {MOST_SAMPLES:.0e} sample periods", more)
     yield from within(("initial",), _initial(run, job.platform))
     yield from within(("limits",), _run_limits(run, job.platform))
+    if run.mode == "caged" and (moving := [one.name for one in job.loops if one.moves_root(job.platform)]):
+        words = f'mode = "caged" prescribes the rate of {job.platform.root_name!r}, which loop {moving[0]!r} moves'
+        yield "mode", f'{words}; use "stabilised"'
     if run.mode == "stabilised" and job.platform.mode == "held":
         words = 'frees the root, which mode = "held" of the plant holds'
         yield "mode", f'mode = "stabilised" {words}; use "caged", or another mode of the plant'
@@ -381,6 +387,8 @@ def _run_limits(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
         metric = RUN_METRICS[key]
         if metric.sight and platform.line_of_sight is None:
             yield key, f"{key} has no effect: the plant has no line of sight; add [line_of_sight] to it"
+        elif metric.stops and not any(one.stops for one in platform.gimbals):
+            yield key, f"{key} has no effect: no gimbal of the plant has stops; add stops, or use angle"
         elif metric.commanded and metric.unit not in commanded:
             yield key, f"{key} has no effect: no [[manoeuvre.command]] is of a reading in {metric.unit}; add one"
 

@@ -58,7 +58,10 @@ def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float]) -> Iterator[Mis
         kind, scope = known.get(key, ("", ""))
         if not kind or scope in ("hz", "from_hz"):
             continue
-        if kind in _OF_OMEGA and not np.any(job.Omega > _NOTHING):
+        if kind in _OF_OMEGA and spec.moves_root(job.platform):
+            words = f"{key} is about a prescribed rate of {job.platform.root_name!r}, which this loop moves"
+            yield key, f"{words}; use torque_rejection, or a manoeuvre with a torque on it"
+        elif kind in _OF_OMEGA and not np.any(job.Omega > _NOTHING):
             words = f"{key} is about the platform's rate, and Omega = [0, 0, 0]: the platform never turns"
             yield key, f"{words}; state how fast it turns in [operation], or leave the limit out"
         if kind == "torque limit":
@@ -92,7 +95,9 @@ def _varied(job: Job, spec: LoopSpec) -> bool:
     if spec.kind == "tracking":
         gimbals = next((one.gimbals for one in job.loops if one.name == spec.around), ())
     spun = job.uncertainty.spin > _NOTHING and any(one.carrier in gimbals for one in job.platform.rotors)
-    turned = np.any(job.Omega > _NOTHING) and (spec.kind == "caging" or job.platform.dry_frictions)
+    turned = np.any(job.Omega > _NOTHING) and (
+        spec.kind == "caging" or spec.moves_root(job.platform) or job.platform.dry_frictions
+    )
     tilted = any(np.abs(q).max(initial=0.0) > _NOTHING for q in job.trims)
     widths = [getattr(job.uncertainty, f"mode_{what}") for what in MODE_NUMBERS]
     swings = any(max(one.values()) if isinstance(one, Mapping) else one for one in widths)

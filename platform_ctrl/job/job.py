@@ -26,6 +26,7 @@ from platform_ctrl.plant.fields import Expected
 from platform_ctrl.plant.flexible import MODE_NUMBERS
 from platform_ctrl.plant.mistakes import Misfit, suggestion, useless, within, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+from platform_ctrl.plant.sensors import body_rotations
 from platform_ctrl.plant.tables import TABLE, Array, Instead, InTable, Shape, shape
 
 MOST_LOOPS, MOST_DRIVES = 100, 100
@@ -199,6 +200,11 @@ class LoopSpec:
     def has_plants(self) -> bool:
         """Whether the loop has plants of its own; else it is checked in the coupled system alone."""
         return self.kind != "stabilisation"
+
+    def moves_root(self, platform: Platform) -> bool:
+        """Return whether the loop reads the motion of a floating root: its torquers move it then."""
+        read = {name for one in platform.sensors if one.name in self.sensors for name in one.signals(platform)}
+        return platform.mode == "floating" and bool(read & {*OMEGA_NAMES, *body_rotations(platform, 0)})
 
     @property
     def closed(self) -> DesignSpec:

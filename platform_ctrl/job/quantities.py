@@ -224,7 +224,10 @@ def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tup
         )
     if uncontrolled:
         words.append(f"no loop acts on gimbal{'' if len(uncontrolled) == 1 else 's'} {listed(uncontrolled)}")
-    if not {spec.kind for spec in job.loops} & {"rate", "pointing"}:
+    kinds = {spec.kind for spec in job.loops}
+    if any(spec.moves_root(job.platform) for spec in job.loops) and "stabilisation" not in kinds:
+        words.append("no torque from outside takes off the momentum that others leave in what the loops turn")
+    if not kinds & {"rate", "pointing"}:
         return _assuming(words)
     rate = float(max(job.Omega))
     if job.platform.dry_frictions:

@@ -19,7 +19,7 @@ from platform_ctrl.common.arguments import distinct, real_array
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topology
-from platform_ctrl.mechanics.state_space import NamedMatrices
+from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS, NamedMatrices
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, gimbal_rate
 
@@ -105,6 +105,8 @@ class _Signals:
         still = [*platform.angle_names, *map(gimbal_rate, platform.angle_names), *OMEGA_NAMES]
         self.rows: dict[str, FloatArray] = dict.fromkeys(still, np.zeros(n + m))
         self.rows |= {name: np.eye(1, n + m, n + inputs.index(name))[0] for name in OMEGA_NAMES if name in inputs}
+        held = [(name, system.state_labels.index(name)) for name in ROOT_ROTATIONS if name in system.state_labels]
+        self.rows |= {name: np.eye(1, n + m, k)[0] for name, k in held}
         for k, name in enumerate(system.output_labels):
             self.rows[name] = shown[k]
             if name not in OMEGA_NAMES:

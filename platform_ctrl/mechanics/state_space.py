@@ -45,6 +45,8 @@ __all__ = ["state_space", "subsystems"]
 
 # States of a free root: its momenta.
 ROOT_MOMENTA = ("P1", "P2", "P3")
+# Its small rotations against inertial space, where they are states.
+ROOT_ROTATIONS = ("theta1", "theta2", "theta3")
 
 ComplexArray = NDArray[np.complex128]
 
@@ -163,7 +165,7 @@ def state_space(
     root
         ``"prescribed"``: Omega is an input, the gimbals do not react on the platform. ``"free"``: the platform reacts.
     gimbals
-        Names of the gimbals of one or several subsystems; default all. Only with a prescribed root.
+        Names of the gimbals of one or several subsystems; default all. With a free root only where others are held.
     specific_force
         Whether the specific force is an input as well, for platforms with masses or unbalance: f1 to f3 behind the
         others, m/s².
@@ -182,7 +184,7 @@ def state_space(
     Raises
     ------
     ArgumentError
-        Unknown gimbal or `root`; `gimbals` cuts through a subsystem; `gimbals` with a free root.
+        Unknown gimbal or `root`; `gimbals` cuts through a subsystem, or is given with a free root and others coupled.
     MechanicsError
         A* is singular at the trim (gimbal lock).
 
@@ -203,9 +205,11 @@ def state_space(
     one_of("root", root, ("prescribed", "free"))
     one_of("others", others, ("coupled", "held"))
     if root == "free":
-        if gimbals is not None:
-            raise ArgumentError("gimbals: given with root='free'; a free platform couples them all: leave it out")
-        return _free(model, specific_force).state_space()
+        if gimbals is not None and others == "coupled":
+            raise ArgumentError(
+                "gimbals: given with root='free'; a free platform couples them all: leave it out, or hold the others"
+            )
+        return free_system(model, gimbals, specific_force).state_space()
     return linear_system(model, gimbals, specific_force, others).state_space()
 
 
@@ -279,12 +283,24 @@ def _modes_last(
     return A[np.ix_(order, order)], B[order], C[:, order], [states[k] for k in order]
 
 
-def _free(model: LinearModel, specific_force: bool) -> NamedMatrices:
-    gimbals = len(model.gimbal_names)
-    torquers, torque_map = gimbal_torquers(model, list(model.gimbal_names))
-    square, wide = (model.M, model.damping, model.stiffness), (model.M_Omega, model.G_Omega, model.Q_force)
+def free_system(
+    model: LinearModel, gimbals: Sequence[str] | None = None, specific_force: bool = False, isolated: bool = False
+) -> NamedMatrices:
+    """Return the result of `state_space` with a free root, gimbals that are not named held.
+
+    An `isolated` floating root has no torques from outside: M1 to M3 do nothing. The momentum of the whole keeps its
+    direction in space, P − G_Omegaᵀ q − p0 × θ = 0, so that the rotations theta1 to theta3 are states in place of P.
+    """
+    rows = named_rows(model, gimbals)
+    angles = [model.angle_names[k] for k in rows]
+    torquers, torque_map = gimbal_torquers(model, [model.gimbal_names[k] for k in rows])
     names, (M, damping, stiffness), (M_Omega, G_Omega, Q_force), torque_map = _with_modes(
-        model, list(model.angle_names), square, wide, torquers, torque_map
+        model,
+        angles,
+        [one[np.ix_(rows, rows)] for one in (model.M, model.damping, model.stiffness)],
+        (model.M_Omega[rows], model.G_Omega[rows], model.Q_force[rows]),
+        torquers,
+        torque_map,
     )
     n = len(names)
     to_rates = inverse_inertia(np.block([[M, M_Omega], [M_Omega.T, model.root_inertia]]), (*names, *OMEGA_NAMES))
@@ -297,7 +313,7 @@ def _free(model: LinearModel, specific_force: bool) -> NamedMatrices:
     A[:n, n:] = q_dot
     A[n : 2 * n, :n] = -stiffness
     A[n : 2 * n, n:] = -damping @ q_dot - G_Omega @ omega
-    A[2 * n :, :n] = turn @ G_Omega.T + np.pad(model.M_angle, ((0, 0), (0, n - gimbals)))
+    A[2 * n :, :n] = turn @ G_Omega.T + np.pad(model.M_angle[:, rows], ((0, 0), (0, n - len(rows))))
     A[2 * n :, n:] = root_rates
     if model.terms == "paper":
         # J Omega Omega is dropped with G_A: the root's momentum P turns no further.
@@ -306,16 +322,22 @@ def _free(model: LinearModel, specific_force: bool) -> NamedMatrices:
     B[n : 2 * n, : len(torquers)] = torque_map
     B[2 * n :, len(torquers) : -3] = np.eye(3)
     B[n:, -3:] = np.vstack([Q_force, model.M_force])
-    C = np.zeros((gimbals + 3, 2 * n + 3))
-    C[:gimbals, :gimbals] = np.eye(gimbals)
-    C[gimbals:, n:] = omega
+    C = np.zeros((len(rows) + 3, 2 * n + 3))
+    C[: len(rows)] = np.eye(len(rows), 2 * n + 3)
+    C[len(rows) :, n:] = omega
     states = [*names, *(f"p_{name}" for name in names), *ROOT_MOMENTA]
-    if (falling := B[:, -3:] @ -cross_matrix(model.platform.gravity)).any():  # of δf = θ × gravity
+    falling = B[:, -3:] @ -cross_matrix(model.platform.gravity)  # of δf = θ × gravity
+    if isolated or falling.any():
         A = np.block([[A, falling], [np.zeros((3, n)), omega, -turn]])
         B, C = np.pad(B, ((0, 3), (0, 0))), np.pad(C, ((0, 0), (0, 3)))
-        states += ["theta1", "theta2", "theta3"]
-    inputs, outputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES], [*model.angle_names, *OMEGA_NAMES]
-    return _named(*_modes_last(A, B, C, states, gimbals, n), inputs, outputs, specific_force)
+        states += ROOT_ROTATIONS
+    if isolated:
+        kept = [*range(2 * n), *range(2 * n + 3, 2 * n + 6)]
+        T = np.eye(2 * n + 6)[:, kept]
+        T[2 * n : 2 * n + 3] = np.hstack([G_Omega.T, np.zeros((3, n)), cross_matrix(model.root_momentum)])
+        A, B, C, states = A[kept] @ T, B[kept], C @ T, [states[k] for k in kept]
+    inputs, outputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES], [*angles, *OMEGA_NAMES]
+    return _named(*_modes_last(A, B, C, states, len(rows), n), inputs, outputs, specific_force)
 
 
 def named_rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:

@@ -22,8 +22,8 @@ SUFFIXES: dict[str, tuple[str, float]] = {
 BITS = range(1, 65)
 # Keys by what they are, in whatever table they are numbers.
 _QUANTITIES = {
-    "angle": """rest angle clearance play limit_cycle phase misalignment attitude angle_following_error los_angle_rms
-        jitter jitter_per_axis windowed_jitter smear""",
+    "angle": """rest angle angle_between_stops clearance play limit_cycle phase misalignment attitude
+        angle_following_error los_angle_rms jitter jitter_per_axis windowed_jitter smear""",
     "rate": """spin coulomb_rate stribeck_rate friction_rate turning_rate gimbal_rate rate_following_error
         los_rate_rms rate Omega Omega1 Omega2 Omega3""",
     "time": "lag delay duration rise hold settle fade at until time_constant exposure t",

@@ -94,9 +94,16 @@ def _lost(job: Job, trajectory: Trajectory) -> str:
     """Return when a run diverged, or from when on a torquer stays at its limit or a gimbal beyond half a turn."""
     if not trajectory.completed:
         return trajectory.ended
+    # Wheels that turn the root run on.
+    wheels = {name for spec in job.loops if spec.moves_root(job.platform) for name in spec.gimbals}
+    endless = [one.name in wheels and one.stops is None for one in job.platform.gimbals]
     parts = (
         (trajectory.torquer_names, np.abs(trajectory.command) >= _reach(job, trajectory), "at its limit"),
-        (trajectory.angle_names, np.abs(trajectory.q) > math.pi, "beyond half a turn"),
+        (
+            trajectory.angle_names,
+            (np.abs(trajectory.q) > math.pi) & ~np.array(endless, dtype=bool),
+            "beyond half a turn",
+        ),
     )
     for names, there, words in parts:
         since = [_for_good(column) for column in there.T]
@@ -152,8 +159,10 @@ def _largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str
     base, jitter = trajectory.Omega[settled].std(axis=0), shown.std(axis=0)
     # Under a command the mean turns on purpose; without one it is an error like any other.
     sight = jitter if manoeuvre.commands else np.sqrt(np.mean(shown**2, axis=0))
+    angles, stopped = np.abs(trajectory.q).max(axis=0), [k for k, one in enumerate(job.platform.gimbals) if one.stops]
     found = {
-        "angle": _worst(np.abs(trajectory.q).max(axis=0), trajectory.angle_names, "no gimbal"),
+        "angle": _worst(angles, trajectory.angle_names, "no gimbal"),
+        "angle_between_stops": _worst(angles[stopped], [trajectory.angle_names[k] for k in stopped]),
         "attitude": _worst(np.abs(trajectory.attitude_angles).max(axis=0), ("axis 1", "axis 2", "axis 3")),
         "torque_share": _worst(shares.max(axis=0), trajectory.torquer_names),
         "gimbal_rate": _worst(np.abs(trajectory.rate).max(axis=0), trajectory.angle_names, "no gimbal"),

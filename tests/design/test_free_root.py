@@ -1,0 +1,178 @@
+"""Loops that turn a floating root from within: a satellite by the wheel that it tilts, and by the wheel's speed."""
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import design, simulation
+from platform_ctrl.errors import InputError
+
+JOB = {
+    "schema": 2,
+    "name": "satellite",
+    "plant": "double_gimbal_wheel_satellite",
+    "operation": {"Omega": [0.0, 0.00106, 0.0]},
+    "uncertainty": {"inertia": 0.1},
+    "sampling": {"rate_hz": 10, "delay": 0.02},
+    "loop": [
+        {
+            "name": "attitude",
+            "kind": "pointing",
+            "gimbals": ["outer", "inner", "rim"],
+            "sensors": ["roll", "yaw", "pitch"],
+            "use": "classical",
+            "limits": {"disk_margin_worst_case": 0.3},
+            "design": [{"name": "classical", "method": "classical"}],
+        }
+    ],
+}
+TORQUERS, READINGS = ["Qouter", "Qinner", "Qrim"], ["roll", "yaw", "pitch"]
+
+
+@pytest.fixture(scope="module")
+def outcome():
+    return design.loops(JOB)[0]
+
+
+def gyrostat():
+    """The satellite as a bias-momentum satellite (P. C. Hughes, Spacecraft Attitude Dynamics, 1986, ch. 11).
+
+    Small rotations θ of the satellite, tilts α, γ of the wheel and the angle r by which it has run ahead. What tilts
+    has the momentum −h e2 and turns by θ1 + α and θ3 + γ. States [θ, α, γ, r and their rates], inputs M1 to M3 and the
+    torques of the satellite on outer, inner, rim; outputs θ1, θ3, θ2.
+    """
+    # kg m2 and m of the plant file; what tilts, 5.6 kg, lies 0.2, 0, 0.1 m from the centre of mass of the other 300 kg.
+    mu, at = 300.0 * 5.6 / 305.6, np.array([0.2, 0.0, 0.1])
+    Js = np.diag([60.0, 50.0, 70.0]) + mu * (at @ at * np.eye(3) - np.outer(at, at))
+    outer = inner = np.full(3, 1e-3)
+    rim = np.array([0.0122, 0.0202, 0.0122])
+    h, d = 9.0, np.array([0.3, 0.3, 1e-5])
+    # velocities u = [ω1, ω2, ω3, α', γ', r'] of satellite, outer, inner, rim
+    e = np.eye(6)
+    roll, pitch, yaw = e[:3]
+    bodies = [
+        (outer, (roll + e[3], pitch, yaw)),
+        (inner, (roll + e[3], pitch, yaw + e[4])),
+        (rim, (roll + e[3], pitch - e[5], yaw + e[4])),
+    ]
+    M = np.zeros((6, 6))
+    M[:3, :3] = Js
+    for inertias, rates in bodies:
+        M += sum(J * np.outer(w, w) for J, w in zip(inertias, rates, strict=True))
+    # The wheel's momentum −h e2 turns with θ + (α, 0, γ): its change about 1 and 3 is a torque on what tilts.
+    one, three = roll + e[3], yaw + e[4]
+    G = h * (np.outer(one, three) - np.outer(three, one))
+    A = np.block([[np.zeros((6, 6)), np.eye(6)], [np.zeros((6, 6)), -np.linalg.solve(M, G + np.diag([0, 0, 0, *d]))]])
+    B = np.vstack([np.zeros((6, 6)), np.linalg.inv(M)])
+    C = np.eye(12)[[0, 2, 1]]
+    return A, B, C
+
+
+def sampled(A, B, C):
+    """Exactly sampled at 10 Hz: torques held from 20 ms after a sample on, lag 10 ms; readings 0.1 s old."""
+    from scipy.linalg import expm
+
+    (n, m), p = B.shape, len(C)
+    whole = np.zeros((n + 2 * m, n + 2 * m))
+    whole[:n, : n + m] = np.hstack([A, B])
+    whole[n : n + m, n:] = np.hstack([-np.eye(m), np.eye(m)]) / 0.01
+    first, second = expm(whole * 0.02), expm(whole * 0.08)
+    k = n + m
+    # State: plant and torques, commands of the sample before, readings of the sample before.
+    Ad, Bd = np.zeros((k + m + p, k + m + p)), np.zeros((k + m + p, m))
+    Ad[:k, :k], Ad[:k, k : k + m] = second[:k, :k] @ first[:k, :k], second[:k, :k] @ first[:k, k:]
+    Ad[k + m :, :n] = C
+    Bd[:k], Bd[k : k + m] = second[:k, k:], np.eye(m)
+    return Ad, Bd, np.hstack([np.zeros((p, k + m)), np.eye(p)])
+
+
+def closed_poles(K, plant):
+    """Poles of u = K y around a sampled plant."""
+    A, B, C = plant
+    at, of = [K.input_labels.index(name) for name in READINGS], [K.output_labels.index(name) for name in TORQUERS]
+    BK, CK, DK = K.B[:, at], K.C[of], K.D[np.ix_(of, at)]
+    return np.linalg.eigvals(np.block([[A + B @ DK @ C, B @ CK], [BK @ C, K.A]]))
+
+
+def test_the_poles_are_those_of_a_bias_momentum_satellite(outcome):
+    """Its equations have four roots more: those of a momentum that nothing changes, and of an angle that none reads."""
+    closed = outcome.closed
+    found = design.loop.closed_loop_poles(closed.plants, closed.controller)[0]
+    A, B, C = gyrostat()
+    expected = closed_poles(closed.controller, sampled(A, B[:, 3:], C))
+    conserved = np.argsort(np.abs(expected - 1.0))[:4]
+    assert np.abs(expected[conserved] - 1.0).max() < 1e-4
+    left = np.delete(expected, conserved)
+    nearest = np.abs(found[:, None] - left).min(axis=0)
+    assert nearest[np.abs(left) > 0.01].max() < 1e-6
+    assert np.abs(found).max() < 1.0
+
+
+def test_a_run_of_the_non_linear_satellite_is_what_the_linear_one_does(outcome):
+    """A constant torque of 0.1 mN m about each axis for 40 s, without noise: attitude and tilts."""
+    K = outcome.closed.controller
+    A, B, C = gyrostat()
+    M = np.full(3, 1e-4)
+    run = simulation.simulate(
+        simulation.Scenario(
+            platform=pc.read_platform(JOB["plant"]), mode="stabilised", duration=40.0, delay=0.02, torque=M
+        ),
+        [K],
+        period=0.1,
+        step=5e-4,
+        noise=False,
+    )
+    # The disturbance is a state of the plant that stays as it is.
+    whole = np.block([[A, B[:, :3]], [np.zeros((3, 15))]])
+    step, torques, read = sampled(whole, np.vstack([B[:, 3:], np.zeros((3, 3))]), np.hstack([C, np.zeros((3, 3))]))
+    x, k = np.zeros(len(step)), np.zeros(K.nstates)
+    x[12:15] = M
+    at, of = [K.input_labels.index(name) for name in READINGS], [K.output_labels.index(name) for name in TORQUERS]
+    shown = []
+    for _ in run.t:
+        shown.append(x[:6])
+        y = read @ x
+        x = step @ x + torques @ (K.C[of] @ k + K.D[np.ix_(of, at)] @ y)
+        k = K.A @ k + K.B[:, at] @ y
+    shown = np.array(shown)
+    for found, expected in ((run.attitude_angles, shown[:, :3]), (run.q, shown[:, 3:])):
+        assert np.abs(found - expected).max(axis=0) == pytest.approx(np.zeros(3), abs=1e-3 * np.abs(expected).max())
+    # What comes from outside is in the tilt of the wheel in the end: h tilt = M t.
+    assert run.q[-1, 1] == pytest.approx(M[0] * 40.0 / 9.0, rel=0.01)
+
+
+def edited(**loop):
+    return JOB | {"loop": [JOB["loop"][0] | loop]}
+
+
+@pytest.mark.parametrize(
+    ("job", "words"),
+    [
+        (JOB | {"operation": {"Omega": [0.001, 0.0, 0.0]}}, "does not turn steadily"),
+        (edited(limits={"Omega_rejection": 1.0}), "which this loop moves; use torque_rejection"),
+        (
+            JOB
+            | {
+                "manoeuvre": [
+                    {"name": "m", "mode": "caged", "duration": 1.0, "axis": 1, "rate": 0.1, "rise": 0.1, "hold": 0.1}
+                ]
+            },
+            "prescribes the rate of 'satellite', which loop 'attitude' moves",
+        ),
+        (
+            edited(
+                design=[
+                    {
+                        "name": "classical",
+                        "method": "classical",
+                        "feedforward": {"sensors": ["gyro1"], "into": "torque"},
+                    }
+                ]
+            ),
+            "which this loop moves itself",
+        ),
+    ],
+)
+def test_what_is_about_a_prescribed_rate_is_refused(job, words):
+    with pytest.raises(InputError, match=words):
+        design.loops(job)
