@@ -174,7 +174,12 @@ class JitterBudget:
         active = between(np.concatenate([fixed, edges_around(s[width > WIDE * np.abs(s.real)])]), 0.0, half)
         done: list[Contribution] = []
         for _ in range(_HALVINGS):
-            found = self._contributions(active, controller, over_frequency)
+            # Some panels after the others: their densities are large.
+            step = max(1, _MOST_AT_ONCE // (21 * self._size))
+            every = range(0, len(active), step)
+            found = Contribution.joined(
+                [self._contribution(active[k : k + step], controller, over_frequency) for k in every]
+            )
             total = np.sum([one.variance.sum(axis=0) for one in [*done, found]], axis=0)
             least = tolerance * (total + _SMALL * total.sum(axis=1, keepdims=True)) / _ADDING
             good = np.all(found.error <= least, axis=(1, 2, 3))
@@ -185,14 +190,6 @@ class JitterBudget:
         raise ArgumentError(
             "jitter budget: a variance grows without bound towards zero frequency; "
             "give the lowest frequency that counts"
-        )
-
-    def _contributions(self, panels: list[Panel], controller: MultiRate, over_frequency: bool) -> Contribution:
-        """Return the contributions of panels, some after the other: their densities are large."""
-        step = max(1, _MOST_AT_ONCE // (21 * self._size))
-        every = range(0, len(panels), step)
-        return Contribution.joined(
-            [self._contribution(panels[k : k + step], controller, over_frequency) for k in every]
         )
 
     def _contribution(self, panels: list[Panel], controller: MultiRate, over_frequency: bool) -> Contribution:

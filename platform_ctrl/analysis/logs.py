@@ -258,7 +258,9 @@ def log_density(time: FloatArray, x: FloatArray, resolution_hz: float) -> LogDen
     raw = np.average([one[1] for one in found], axis=0, weights=counts)
     # SciPy doubles what has a negative frequency: with the ends doubled, too, trapezoids give what Parseval says.
     raw[[0, -1]] *= (2.0, 1.0 if length % 2 else 2.0)
-    bands = _bands(len(raw))
+    bands = [0]  # the first bin of each: one bin, or as many as are within `BAND` of its frequency
+    while (following := bands[-1] + max(1, int(BAND * bands[-1]))) < len(raw):
+        bands.append(following)
     width = np.diff([*bands, len(raw)])
     f, density = np.add.reduceat(found[0][0], bands) / width, np.add.reduceat(raw, bands) / width
     return LogDensity(
@@ -269,14 +271,6 @@ def log_density(time: FloatArray, x: FloatArray, resolution_hz: float) -> LogDen
         segments=sum(counts),
         lost=max(0.0, 1.0 - period * sum(len(one) - 1 for one in clocks) / float(time[-1] - time[0])),
     )
-
-
-def _bands(bins: int) -> list[int]:
-    """Return the first bin of each band: one bin, or as many as are within `BAND` of its frequency."""
-    first = [0]
-    while (following := first[-1] + max(1, int(BAND * first[-1]))) < bins:
-        first.append(following)
-    return first
 
 
 def _segment(period: float, lengths: list[int], resolution_hz: float) -> int:

@@ -47,7 +47,7 @@ def linear_arrays(system: StateSystem, where: str) -> System:
         )
     if not is_rational(system):
         return System.of(system, where)
-    if not is_proper(system, where):
+    if not all(len(num) <= len(den) for _, _, num, den in _entries(system, where)):
         raise ArgumentError(
             f"{where}: the transfer function is improper, an entry has more zeros than poles; add fast poles"
         )
@@ -57,11 +57,6 @@ def linear_arrays(system: StateSystem, where: str) -> System:
 def is_rational(system: Any) -> bool:
     """Return whether it is a `control.TransferFunction`."""
     return hasattr(system, "num_list") and hasattr(system, "den_list")
-
-
-def is_proper(system: control.TransferFunction, where: str) -> bool:
-    """Return whether no entry has more zeros than poles."""
-    return all(len(num) <= len(den) for _, _, num, den in _entries(system, where))
 
 
 def rational_response(system: control.TransferFunction, frequency: FloatArray) -> ComplexArray:

@@ -34,16 +34,6 @@ def channel_response(S: ComplexArray, channel: int) -> ComplexArray:
     return np.asarray(np.where(np.isfinite(out), out, 0.0), dtype=np.complex128)
 
 
-def degrees_beside(responses: ComplexArray, leading: ComplexArray, phase: FloatArray) -> FloatArray:
-    """Return the phases (N, F) of responses like `leading` (F,), whose unwrapped `phase` is given, on its sheet.
-
-    The difference of phases is unwrapped: it turns slowly where a grid is too coarse for the phase itself.
-    """
-    with np.errstate(all="ignore"):
-        ratio = responses * np.conj(leading)
-    return np.asarray(phase + np.degrees(np.unwrap(np.angle(ratio), axis=-1)))
-
-
 def gain_crossings(frequency: FloatArray, response: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """Return where the gain passes 1, rad/s, and the phase there above -180, degrees, from -180 to 180."""
     with np.errstate(divide="ignore"):
@@ -245,6 +235,9 @@ class LoopCurves(ABC):
         grid, phase = self.frequency, loop_phase(response)
         labels, w, band = self.band or ((self.settings.plant,), np.zeros(0), np.zeros((1, 0), dtype=np.complex128))
         at = np.searchsorted(grid, w)
+        # The difference of phases is unwrapped: it turns slowly where the band's grid is too coarse for phases.
+        with np.errstate(all="ignore"):
+            ratio = band * np.conj(response[at])
         return Bode(
             channel=self.channel,
             frequency=grid,
@@ -253,7 +246,7 @@ class LoopCurves(ABC):
             labels=labels,
             band_frequency=w,
             band=band,
-            band_phase=degrees_beside(band, response[at], phase[at]),
+            band_phase=np.asarray(phase[at] + np.degrees(np.unwrap(np.angle(ratio), axis=-1))),
             crossovers=gain_crossings(grid, response)[0],
             nyquist=math.pi / self.plant.dt,
         )

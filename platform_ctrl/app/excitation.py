@@ -59,7 +59,8 @@ def caged_excitation(
     turn = drive(title, duration, period, lambda t: _rate(scenario, axis, t), limit)
     commanded = _commands(found, readings)
     times = np.arange(len(turn.u), dtype=np.float64) * period
-    return turn, commanded, _commanded(scenario, commanded, times)
+    names = commanded_readings(scenario)
+    return turn, commanded, courses_of(scenario, times)[:, 1, [names.index(name) for name in commanded]]
 
 
 def _turns(manoeuvre: Manoeuvre, axis: int) -> bool:
@@ -90,11 +91,6 @@ def _rate(scenario: Scenario, axis: int, t: FloatArray) -> FloatArray:
         if one.kind == "rate" and one.axis == axis:
             out += one.amplitude * np.sin(2.0 * math.pi * one.frequency_hz * t + one.phase)
     return out
-
-
-def _commanded(scenario: Scenario, readings: Sequence[str], t: FloatArray) -> FloatArray:
-    names = commanded_readings(scenario)
-    return courses_of(scenario, t)[:, 1, [names.index(name) for name in readings]]
 
 
 def _half_cosine(profile: HalfCosine, t: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from platform_ctrl.plant.source import is_shipped_name, read_text
 from platform_ctrl.verification.result_file import SCHEMA, write_record
 
 if TYPE_CHECKING:
-    from tomlkit import TOMLDocument
+    pass
 
 
 # Ending of the file of a job's controllers.
@@ -225,7 +225,11 @@ def _job_text(
             if numbers is not None:
                 _put(design, numbers, written[name][str(design["name"])])
     put_into(document, limits)
-    _plant(document, old.parent, folder)
+    plant: Any = document["plant"]
+    if isinstance(plant, str) and not is_shipped_name(str(plant)) and old.parent.resolve() != folder.resolve():
+        file = Path(str(plant))
+        if not file.is_absolute():
+            document["plant"] = Path(os.path.relpath((old.parent / file).resolve(), folder.resolve())).as_posix()
     return str(tomlkit.dumps(document))
 
 
@@ -265,14 +269,6 @@ def _unasked(before: str, after: str, settings: Settings, start: Settings) -> tu
     if old["plant"] != new["plant"]:
         lines.append(f"plant = {json.dumps(new['plant'])}, seen from the new folder")
     return tuple(lines)
-
-
-def _plant(document: TOMLDocument, old: Path, new: Path) -> None:
-    plant: Any = document["plant"]
-    if isinstance(plant, str) and not is_shipped_name(str(plant)) and old.resolve() != new.resolve():
-        file = Path(str(plant))
-        if not file.is_absolute():
-            document["plant"] = Path(os.path.relpath((old / file).resolve(), new.resolve())).as_posix()
 
 
 def _entry(one: Design, delay: float) -> dict[str, Any]:

@@ -263,7 +263,13 @@ def _bound(host: str, port: int | None) -> socket.socket:
     ports = [*range(PORT, PORT + _TRIED), 0] if port is None else [port]
     for tried in ports:
         try:
-            return _listening(host, tried)
+            bare = host.strip("[]")
+            try:
+                made = socket.create_server((bare, tried), family=socket.AF_INET6 if ":" in bare else socket.AF_INET)
+            except UnicodeError:
+                raise OSError(errno.EINVAL, "not a host's name or address") from None
+            made.setblocking(False)
+            return made
         except OSError as error:
             if error.errno == errno.EADDRINUSE and tried != ports[-1]:
                 continue
@@ -274,16 +280,6 @@ def _bound(host: str, port: int | None) -> socket.socket:
             what = f"--port {tried}" if error.errno == errno.EACCES else f"--host {host}"
             raise InputError(f"{what}: cannot be listened on: {error.strerror or error}") from None
     raise AssertionError("the last port ends the loop")
-
-
-def _listening(host: str, port: int) -> socket.socket:
-    bare = host.strip("[]")
-    try:
-        made = socket.create_server((bare, port), family=socket.AF_INET6 if ":" in bare else socket.AF_INET)
-    except UnicodeError:
-        raise OSError(errno.EINVAL, "not a host's name or address") from None
-    made.setblocking(False)
-    return made
 
 
 @contextmanager

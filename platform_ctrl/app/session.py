@@ -128,21 +128,18 @@ class Session(LongTasks):
             request = parse_request(new)
             count = request.count
             if request.what in CHANGES:
-                self._change(request)
+                change, more = getattr(self.backend, CHANGES[request.what]), request.more
+                if request.what == "set" and more["name"] == "loop":
+                    self._show_view("loop")
+                # The first part says what is changed.
+                key = f"{request.what} {next(iter(more.values()))}"
+                self.change(key, lambda settings: change(settings, **more), count=request.count)
             else:
                 getattr(self, f"_on_{request.what}")(request)
         except Exception as error:
             # The sliders show their values again, not what was typed.
             html = {} if self.picture is None else self._chosen(self.picture.settings)
             self.connection.answer(count, line={"text": error_text(error), "kind": "error"}, html=html)
-
-    def _change(self, request: Request) -> None:
-        change, more = getattr(self.backend, CHANGES[request.what]), request.more
-        if request.what == "set" and more["name"] == "loop":
-            self._show_view("loop")
-        # The first part says what is changed.
-        key = f"{request.what} {next(iter(more.values()))}"
-        self.change(key, lambda settings: change(settings, **more), count=request.count)
 
     def _on_ready(self, request: Request) -> None:
         self.change("ready", lambda settings: settings, count=request.count, gesture="ready")
@@ -216,7 +213,11 @@ class Session(LongTasks):
 
         try:
             if self._view == "budget":
-                self._budgeted(settings)
+                state = self.backend.budget(settings)
+                if state is not None:
+                    self._sent.clear()
+                    self.connection.later(lambda: self._show_budget(state, self._sent.set))
+                    self._sent.wait(_SENDING)
             picture = self.backend.picture(settings, self._drawn)
         except DesignPending as error:
             line, awaits = str(error), True
@@ -228,14 +229,6 @@ class Session(LongTasks):
             self.settings = settings
         count = max(task.count for task in tasks)
         self.connection.later(partial(self._show, settings, gesture, picture, line, awaits, count))
-
-    def _budgeted(self, settings: Settings) -> None:
-        """Show the budget before the loop is measured; called in a thread."""
-        state = self.backend.budget(settings)
-        if state is not None:
-            self._sent.clear()
-            self.connection.later(lambda: self._show_budget(state, self._sent.set))
-            self._sent.wait(_SENDING)
 
     def _show_budget(self, state: BudgetState, shown: Callable[[], None] = lambda: None) -> None:
         if state.found is not None:
@@ -393,7 +386,11 @@ BUDGET_PANELS = (
 
 def page(backend: Backend, document: Document) -> None:
     """Fill a new document with a page, which ends with the document's session."""
-    session = Session(backend, document, _state(document))
+    context: Any = document.session_context
+    request = None if context is None else context.request
+    given: Any = {} if request is None else request.arguments
+    texts = given.get("state") or [b""]
+    session = Session(backend, document, bytes(texts[0]).decode("utf-8", "replace"))
     with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
         for root in session.roots():
             document.add_root(root)
@@ -412,12 +409,3 @@ def page(backend: Backend, document: Document) -> None:
         stem="job" if backend.path is None else backend.path.stem,
         tree=json.dumps(tree_data(backend.read.platform), separators=(",", ":")),
     )
-
-
-def _state(document: Document) -> str:
-    """Return the state in the page's address, or an empty text."""
-    context: Any = document.session_context
-    request = None if context is None else context.request
-    given: Any = {} if request is None else request.arguments
-    texts = given.get("state") or [b""]
-    return bytes(texts[0]).decode("utf-8", "replace")

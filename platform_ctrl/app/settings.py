@@ -345,7 +345,12 @@ def moved(
 ) -> Settings:
     """Return the settings with a slider at `number`; `start` are the options of the job, `rate_hz` its sample rate."""
     known_name("slider", name, tuple(sliders))
-    at = _number(name, number)
+    try:
+        at = float(number) if isinstance(number, int | float) and not isinstance(number, bool) else math.nan
+    except OverflowError:
+        at = math.inf
+    if not math.isfinite(at):
+        raise ArgumentError(f"{name} must be a finite number, got {short(number)}")
     low, high, unit = sliders[name].low / _BEYOND, sliders[name].high * _BEYOND, sliders[name].unit
     if unit == "Hz":
         high = max(min(high, 0.5 * rate_hz), sliders[name].high)
@@ -368,13 +373,3 @@ def with_options(settings: Settings, changes: Mapping[str, float]) -> Settings:
     mine = {**settings.options[settings.loop][settings.design], **changes}
     designs = {**settings.options[settings.loop], settings.design: mine}
     return dataclasses.replace(settings, options={**settings.options, settings.loop: designs})
-
-
-def _number(name: str, given: object) -> float:
-    try:
-        out = float(given) if isinstance(given, int | float) and not isinstance(given, bool) else math.nan
-    except OverflowError:
-        out = math.inf
-    if not math.isfinite(out):
-        raise ArgumentError(f"{name} must be a finite number, got {short(given)}")
-    return out

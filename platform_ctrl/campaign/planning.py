@@ -57,7 +57,12 @@ def unit_points(sampling: Points, seed: int, runs: int, dimensions: int, first: 
         case "latin-hypercube":
             return _latin_hypercube(seed, runs, dimensions)[first:last]
         case _:
-            return _random(seed, dimensions, first, last)
+            # A step of the counter makes four numbers; every run begins at another step.
+            steps = -(-dimensions // 4)
+            generator = np.random.Philox(key=seed)
+            generator.advance(first * steps)
+            raw = generator.random_raw((last - first) * steps * 4).reshape(last - first, 4 * steps)[:, :dimensions]
+            return (raw >> np.uint64(11)).astype(np.float64) * 0.5**53 + 0.5**54
 
 
 def _sobol(seed: int, dimensions: int, first: int, last: int) -> FloatArray:
@@ -76,15 +81,6 @@ def _sobol(seed: int, dimensions: int, first: int, last: int) -> FloatArray:
 def _latin_hypercube(seed: int, runs: int, dimensions: int) -> FloatArray:
     points = qmc.LatinHypercube(dimensions, seed=np.random.default_rng(seed)).random(runs)
     return read_only(np.clip(points, 0.5**54, 1.0 - 0.5**53))
-
-
-def _random(seed: int, dimensions: int, first: int, last: int) -> FloatArray:
-    # A step of the counter makes four numbers; every run begins at another step.
-    steps = -(-dimensions // 4)
-    generator = np.random.Philox(key=seed)
-    generator.advance(first * steps)
-    raw = generator.random_raw((last - first) * steps * 4).reshape(last - first, 4 * steps)[:, :dimensions]
-    return (raw >> np.uint64(11)).astype(np.float64) * 0.5**53 + 0.5**54
 
 
 def quantiles(vary: Vary, points: FloatArray) -> FloatArray:

@@ -128,7 +128,9 @@ def columns_of(plan: Plan, runs: Sequence[int], simulate: SimulateRuns) -> Colum
             middle = len(runs) // 2
             halves = [columns_of(plan, part, simulate) for part in (runs[:middle], runs[middle:])]
             return {name: np.concatenate([half[name] for half in halves]) for name in halves[0]}
-        return row_not_simulated(plan, runs[0], _reason(error))
+        text = one_line(" ".join(str(error).split()))
+        title = "" if isinstance(error, PlatformCtrlError) else type(error).__name__ + (": " if text else "")
+        return row_not_simulated(plan, runs[0], (title + text)[:_LONGEST])
 
 
 def row_not_simulated(plan: Plan, run: int, why: str) -> Columns:
@@ -138,12 +140,6 @@ def row_not_simulated(plan: Plan, run: int, why: str) -> Columns:
     with suppress(PlatformCtrlError):  # where the draws themselves are what cannot be made
         columns |= inputs_of(plan, [run])
     return columns | {ENDED: np.array([f"{NOT_SIMULATED}: {why}"], dtype=object)}
-
-
-def _reason(error: Exception) -> str:
-    text = one_line(" ".join(str(error).split()))
-    title = "" if isinstance(error, PlatformCtrlError) else type(error).__name__ + (": " if text else "")
-    return (title + text)[:_LONGEST]
 
 
 # Metrics of another machine's processor agree to rounding.

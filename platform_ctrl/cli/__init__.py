@@ -54,7 +54,13 @@ def _guarded(arguments: list[str]) -> int:
     try:
         # The matrices are small: BLAS threads would spend their time waiting for each other.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        _prepare_streams()
+        # Streams that the caller has closed are replaced; characters that a terminal cannot show are escaped.
+        if sys.stdout is None or sys.stderr is None:
+            nowhere = open(os.devnull, "w")  # noqa: SIM115 - open as long as the process
+            sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
+        for stream in (sys.stdout, sys.stderr):
+            if hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="backslashreplace")
         code = _run(arguments)
         sys.stdout.flush()
     except BrokenPipeError:
@@ -72,16 +78,6 @@ def _guarded(arguments: list[str]) -> int:
             raise
         code = INTERRUPTED
     return code
-
-
-def _prepare_streams() -> None:
-    """Replace streams that the caller has closed; characters that a terminal cannot show are escaped."""
-    if sys.stdout is None or sys.stderr is None:
-        nowhere = open(os.devnull, "w")  # noqa: SIM115 - open as long as the process
-        sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
 
 
 def _run(arguments: list[str]) -> int:
@@ -102,7 +98,12 @@ def _run(arguments: list[str]) -> int:
         # What typer raises for a wrong command line: its class has moved between modules, this method has not.
         if not hasattr(error, "format_message"):
             raise
-        return failed(_usage_message(error), 2)
+        message: str = error.format_message()
+        param, context = getattr(error, "param", None), getattr(error, "ctx", None)
+        meaning = getattr(param, "help", None)
+        if message.startswith("Missing") and meaning:
+            message = f"{message.rstrip('.')}: {meaning}"
+        return failed(f"{message} (see {getattr(context, 'command_path', 'platform-ctrl')} --help)", 2)
 
 
 def _with_help(arguments: list[str]) -> list[str]:
@@ -110,13 +111,3 @@ def _with_help(arguments: list[str]) -> list[str]:
     if not arguments or arguments[0] == "help":
         return [*arguments[1:2], "--help"]
     return arguments
-
-
-def _usage_message(error: Any) -> str:
-    """Return a sentence about a wrong command line, with the meaning of a missing argument and where help is."""
-    message: str = error.format_message()
-    param, context = getattr(error, "param", None), getattr(error, "ctx", None)
-    meaning = getattr(param, "help", None)
-    if message.startswith("Missing") and meaning:
-        message = f"{message.rstrip('.')}: {meaning}"
-    return f"{message} (see {getattr(context, 'command_path', 'platform-ctrl')} --help)"

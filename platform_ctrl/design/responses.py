@@ -330,7 +330,14 @@ def unstable_poles(plant: Contour, controller: Controller, unstable: int = 0) ->
     frequency, P = plant.frequency, plant.P
     L = P @ controller(plant.s)
     _require_gains_at_ends(frequency, L)
-    _require_gain_at_resonances(plant, L)
+    # The closed-loop pole must not be between the half circle and the axis.
+    k = np.flatnonzero(plant.s.real > _OFF_AXIS * plant.frequency)
+    weak = np.abs(np.linalg.eigvals(L[k])).max(axis=-1, initial=0.0) < 1.0
+    if weak.any():
+        raise NotCertifiedError(
+            f"stability from data: the gain of P K next to the resonance at {plant.frequency[k[weak][0]] * _HZ:.4g} "
+            "Hz must exceed 1; measure more frequencies there, or require resonance_damping"
+        )
     turned = _below(frequency, P, L, controller)
     turned += _between(frequency, np.asarray(np.eye(P.shape[-1]) - L, dtype=np.complex128))
     turned -= float(np.angle(1.0 - np.linalg.eigvals(L[-1])).sum())
@@ -348,17 +355,6 @@ def _require_gains_at_ends(frequency: FloatArray, L: ComplexArray) -> None:
         raise NotCertifiedError(
             f"stability from data: at the highest frequency, {frequency[-1] * _HZ:.3g} Hz, the gain of P K must be "
             f"below 1, but is {high:.2g}; measure higher frequencies, or limit torque_per_noise"
-        )
-
-
-def _require_gain_at_resonances(plant: Contour, L: ComplexArray) -> None:
-    """The closed-loop pole must not be between the half circle and the axis."""
-    k = np.flatnonzero(plant.s.real > _OFF_AXIS * plant.frequency)
-    weak = np.abs(np.linalg.eigvals(L[k])).max(axis=-1, initial=0.0) < 1.0
-    if weak.any():
-        raise NotCertifiedError(
-            f"stability from data: the gain of P K next to the resonance at {plant.frequency[k[weak][0]] * _HZ:.4g} "
-            "Hz must exceed 1; measure more frequencies there, or require resonance_damping"
         )
 
 

@@ -340,7 +340,13 @@ def h2_riccati(plant: Partition, direct: bool, P: StateSpace) -> tuple[System, f
         require_assumptions(scaled, P, H2)
         p, gain = _without_direct_path(p, P)
     try:
-        for_X, for_Y = _solutions(p)
+        for_X, for_Y = [
+            riccati_solution(
+                Equation(one.A, one.B2, one.C1.T @ one.C1, one.D12.T @ one.D12, one.C1.T @ one.D12, discrete=p.dt > 0),
+                f"{H2}: the Riccati equation of {name}",
+            )
+            for name, one in zip("XY", (p, p.dual), strict=True)
+        ]
     except UnscalableError:
         # Sampled plants need less, but this is what to look at.
         require_assumptions(scaled, P, H2)
@@ -359,17 +365,6 @@ def h2_riccati(plant: Partition, direct: bool, P: StateSpace) -> tuple[System, f
     # The norm of a slower system: time is counted in units of 1/rate.
     least = scaled.gain * float(np.sqrt(max(square, 0.0) * scaled.rate))
     return unscale(made, scaled), least
-
-
-def _solutions(p: Partition) -> list[Solution]:
-    """Return the solutions of the equations of X and of Y."""
-    return [
-        riccati_solution(
-            Equation(one.A, one.B2, one.C1.T @ one.C1, one.D12.T @ one.D12, one.C1.T @ one.D12, discrete=p.dt > 0),
-            f"{H2}: the Riccati equation of {name}",
-        )
-        for name, one in zip("XY", (p, p.dual), strict=True)
-    ]
 
 
 def _without_direct_path(plant: Partition, P: StateSpace) -> tuple[Partition, FloatArray]:

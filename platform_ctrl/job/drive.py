@@ -16,7 +16,7 @@ from platform_ctrl.mechanics.kinematics import configuration, topology
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, missing, useless
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
-from platform_ctrl.plant.sensors import RateSensor, gimbal_rate
+from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.tables import no_misfits, record_value
 
 # The keys that belong together: the first, and what has no effect without it.
@@ -211,7 +211,8 @@ def _weights(platform: Platform, gimbal: int, names: tuple[str, ...]) -> tuple[d
     known = {sensor.name: sensor for sensor in platform.rate_sensors}
     rows = np.zeros((len(names), len(signals)))
     for row, name in zip(rows, names, strict=True):
-        for signal, weight in _nominal(known[name], platform).items():
+        # The misalignment is not known to the computer.
+        for signal, weight in dataclasses.replace(known[name], misalignment=None).signals(platform).items():
             if signal not in signals:
                 raise ArgumentError(
                     f"{name!r} turns with the gimbal {known[name].body!r}; use rate sensors on {platform.root_name!r} "
@@ -229,11 +230,6 @@ def _weights(platform: Platform, gimbal: int, names: tuple[str, ...]) -> tuple[d
         f"{', '.join(names)} do not give the rate of {platform.gimbal_names[gimbal]!r}, which is that of the base, "
         f"{axis or 'here zero'}; name sensors of it, or one of the gimbal against its parent"
     )
-
-
-def _nominal(sensor: RateSensor, platform: Platform) -> dict[str, float]:
-    """Return the nominal reading of a sensor: its misalignment is not known to the computer."""
-    return dict(dataclasses.replace(sensor, misalignment=None).signals(platform))
 
 
 def slide_rates(platform: Platform) -> FloatArray:

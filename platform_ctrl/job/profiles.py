@@ -43,19 +43,14 @@ class Profile:
     points: FloatArray
 
 
-def _olympus() -> FloatArray:
-    """Return points of the rate of an angle whose density is 160/(1 + f²) µrad²/Hz, f in Hz."""
-    f = np.geomspace(0.01, 500.0, round(_PER_DECADE * np.log10(500.0 / 0.01)) + 1)
-    return np.array([f, (2.0 * np.pi * f) ** 2 * 160e-12 / (1.0 + f**2)]).T
-
-
 def _profiles() -> dict[str, Profile]:
+    f = np.geomspace(0.01, 500.0, round(_PER_DECADE * np.log10(500.0 / 0.01)) + 1)
     olympus = Profile(
         name="olympus-satellite",
         kind="base-rate",
         title="angular micro-vibration of a large satellite: angle 160/(1 + f²) µrad²/Hz, 16 µrad rms",
         source="published: ESA, fitted to accelerations of Olympus: M. Wittig et al., Proc. SPIE 1218, 1990",
-        points=_olympus(),
+        points=np.array([f, (2.0 * np.pi * f) ** 2 * 160e-12 / (1.0 + f**2)]).T,
     )
     tables = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))["profile"]
     unit = {"base-rate": 1.0, "specific-force": G**2}

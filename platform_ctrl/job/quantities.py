@@ -90,14 +90,6 @@ def pessimistic_rounding(sense: Sense) -> Rounding:
     return "down" if sense == "at least" else "up"
 
 
-def distinguishing_digits(one: CheckResult) -> int:
-    """Return how many digits show that a value with a limit is not its limit."""
-    for digits in (4, 6, 9):
-        if one.value == one.limit or rounded(one.value, digits) != rounded(one.limit, digits):
-            break
-    return digits
-
-
 # Values below this in the unit of their limit are shown in their own, with the limit: 3.6 µrad, not 0.0036 mrad.
 _TOO_SMALL = 0.01
 # Values from this on in the unit of their limit are shown in their own: 9.8 rad, not 9.8·10⁶ µrad.
@@ -116,7 +108,10 @@ def compared(one: CheckResult) -> tuple[str, str]:
         return "diverged" if one.stage == "simulated" else words, shown_limit
     if abs(one.value) * factor >= _TOO_LARGE:
         factor, name = handy_unit(one.unit, one.value)
-    shown = plain(times(factor, one.value), distinguishing_digits(one), pessimistic_rounding(one.sense))
+    for digits in (4, 6, 9):
+        if one.value == one.limit or rounded(one.value, digits) != rounded(one.limit, digits):
+            break
+    shown = plain(times(factor, one.value), digits, pessimistic_rounding(one.sense))
     return f"{shown} {name}".rstrip(), shown_limit
 
 

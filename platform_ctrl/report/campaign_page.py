@@ -90,7 +90,13 @@ def campaign_sections(summary: Summary, again: str) -> list[PageSection]:
     sections += _worst_trace(summary)
     shown = (probability_table(summary), bounds)
     sections.append(PageSection(name="probabilities", title="Probability of a violation", blocks=shown))
-    plates = campaign_plates(summary)
+    found, caption = summary.statistics, sentences("campaign_histogram")
+    each = [
+        drawn(metric.name.capitalize(), partial(histogram_figure, found, name), caption)
+        for name, metric in RUN_METRICS.items()
+        if with_limit(found, name)
+    ]
+    plates = tuple(block for blocks in each for block in blocks)
     if plates:
         sections.append(PageSection(name="figures", title="Figures", blocks=plates))
     endings = table("ended|runs|share", tables.ending_rows(summary), numbers="runs|share", form="narrow")
@@ -127,17 +133,6 @@ def probability_table(summary: Summary) -> Table:
 
 def _bounds(summary: Summary) -> str:
     return f"{plain(100.0 * summary.statistics.confidence, 3)} % bounds"
-
-
-def campaign_plates(summary: Summary) -> tuple[Block, ...]:
-    """Return a histogram of every metric that has a limit."""
-    found, caption = summary.statistics, sentences("campaign_histogram")
-    each = [
-        drawn(metric.name.capitalize(), partial(histogram_figure, found, name), caption)
-        for name, metric in RUN_METRICS.items()
-        if with_limit(found, name)
-    ]
-    return tuple(block for blocks in each for block in blocks)
 
 
 def _influences(summary: Summary) -> tuple[Block, ...]:

@@ -153,7 +153,9 @@ _UNIT = re.compile(r"(?<=\d) (?=(?:%|\u00b0|m?rad|k?Hz|m?N m|1/s|s)\b|%)|(?<=[\u
 
 def opening(result: JobResult, campaign: Summary | None) -> list[str]:
     """Return one to three sentences: what was designed, and what holds of all loops together."""
-    found = [_designed(result)]
+    given = all(design.method == "given" for outcome in result.loops for design in outcome.designs)
+    rate = float(np.linalg.norm(result.job.Omega, np.inf)) if result.job.Omega.size else 0.0
+    found = [sentences("designed", job=result.job, loops=result.loops, given=given, rate=rate)]
     if result.coupled is not None:
         found.append(sentences("together", check=result.coupled, loops=result.loops))
     found.append("" if campaign is None else _campaign(campaign))
@@ -167,12 +169,6 @@ def tightest(results: Sequence[CheckResult]) -> CheckResult | None:
     """
     counted = [one for one in results if not (one.passed and one.name.startswith((STABLE.name, PROVED.name)))]
     return min(counted, key=lambda one: (one.passed, one.margin), default=None)
-
-
-def _designed(result: JobResult) -> str:
-    given = all(design.method == "given" for outcome in result.loops for design in outcome.designs)
-    rate = float(np.linalg.norm(result.job.Omega, np.inf)) if result.job.Omega.size else 0.0
-    return sentences("designed", job=result.job, loops=result.loops, given=given, rate=rate)
 
 
 def _campaign(summary: Summary) -> str:

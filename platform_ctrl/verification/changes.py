@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design, LoopOutcome, commanded, limits_and_goals, takes_commands, with_commands
 from platform_ctrl.design.method import LoopProblem
@@ -258,12 +257,19 @@ class _Trials:
             design = next(one for one in outcome.designs if one.name == trial.name)
             own = keyed(design.results)
         else:
-            design = self._moved(outcome, trial)
+            closed, problem = outcome.closed, self._problem(outcome)
+            assert problem is not None, "a loop with moves has a problem"
+            moved = dataclasses.replace(problem.design, options={**closed.options, trial.name: trial.after}, tune=False)
+            problem = dataclasses.replace(problem, design=moved)
+            made = METHODS[closed.method].design(problem)
+            design = commanded(made) if takes_commands(closed) else made
             own = {} if design.plants is None else _own(outcome, design, exact)
         out = self.before | own
         around = self._around.get(trial.loop)
         if around is not None:
-            plants = self._plants_around(around, outcome, design)
+            assert design.plants is not None, "a rate loop has plants"
+            K = with_commands(design.plants, design.controller)
+            plants = tracking_plants(self._job, around.spec, outcome.spec, design.plants, K)[0]
             out |= _own(around, dataclasses.replace(around.closed, plants=plants), exact)
         controllers = [
             design.controller if name == trial.loop else one.closed.controller for name, one in self._outcomes.items()
@@ -317,15 +323,6 @@ class _Trials:
             if name in known and not known[name].whole and x > 0.0 and (known[name].group == "gains" or not gains)
         ]
 
-    def _moved(self, outcome: LoopOutcome, trial: _Trial) -> Design:
-        """Return the closed design with one option moved, not measured."""
-        closed, problem = outcome.closed, self._problem(outcome)
-        assert problem is not None, "a loop with moves has a problem"
-        moved = dataclasses.replace(problem.design, options={**closed.options, trial.name: trial.after}, tune=False)
-        problem = dataclasses.replace(problem, design=moved)
-        made = METHODS[closed.method].design(problem)
-        return commanded(made) if takes_commands(closed) else made
-
     def _problem(self, outcome: LoopOutcome) -> LoopProblem | None:
         """Return what the method of a closed design is given; None where it does not build a design from options."""
         closed, method = outcome.closed, METHODS.get(outcome.closed.method)
@@ -340,12 +337,6 @@ class _Trials:
             plant_set=closed.plants,
             directions=closed.directions,
         )
-
-    def _plants_around(self, outcome: LoopOutcome, inner: LoopOutcome, design: Design) -> PlantSet:
-        """Return the plants of a tracking loop around a `design` of the loop inside."""
-        assert design.plants is not None, "a rate loop has plants"
-        K = with_commands(design.plants, design.controller)
-        return tracking_plants(self._job, outcome.spec, inner.spec, design.plants, K)[0]
 
 
 def _own(outcome: LoopOutcome, design: Design, exact: bool) -> Results:

@@ -325,7 +325,11 @@ def simulated_budget(
         )
         for k in range(runs)
     ]
-    linear = _linear(job, budget, controllers, length)
+    same = dataclasses.replace(
+        budget, correlations=(), limits=BudgetLimits(), exposure=(length,), spatial_frequencies=()
+    )
+    at_rest = dataclasses.replace(job, budget=same, angles={})
+    linear = line_of_sight_budget(at_rest, controllers).windows[0].about_mean
     found = simulate_batch(scenarios, controllers, period=job.sampling.period, threads=threads)
     if not found.completed.all():
         k = int(np.argmin(found.completed))
@@ -353,15 +357,6 @@ def simulated_budget(
             if has
         ),
     )
-
-
-def _linear(job: Job, budget: BudgetSpec, controllers: Sequence[control.StateSpace], length: float) -> FloatArray:
-    """Return the linear rms about the mean within a length of time from sources that are independent, rad."""
-    same = dataclasses.replace(
-        budget, correlations=(), limits=BudgetLimits(), exposure=(length,), spatial_frequencies=()
-    )
-    at_rest = dataclasses.replace(job, budget=same, angles={})
-    return line_of_sight_budget(at_rest, controllers).windows[0].about_mean
 
 
 def _vibrations(source: Source, budget: BudgetSpec) -> list[Vibration]:

@@ -264,7 +264,9 @@ class Search:
         unstable = LoopGradients(self._plants, K).unstable()
         view = np.union1d(view, unstable[:_MORE])
         self._view = np.union1d(self._view, unstable[:_MORE])
-        loops = LoopGradients(self._only(view), K, self._regular)
+        if not np.array_equal(view, self._chosen[0]):
+            self._chosen = view, self._plants.only(list(view))
+        loops = LoopGradients(self._chosen[1], K, self._regular)
         if len(unstable):
             parts = [_Part(_GROWTH, loops.decay(0.0, np.arange(len(view))), False)]
             stable = False
@@ -298,12 +300,6 @@ class Search:
             owner=np.concatenate(owner).astype(np.intp),
             stable=stable,
         )
-
-    def _only(self, view: NDArray[np.intp]) -> PlantSet:
-        """Return the plants in view, the same set as long as these are the same."""
-        if not np.array_equal(view, self._chosen[0]):
-            self._chosen = view, self._plants.only(list(view))
-        return self._chosen[1]
 
     def _bandwidth_parts(self, loops: LoopGradients, bandwidth: float, floor: float) -> list[_Part]:
         """Return what requires S to stay below its level up to `bandwidth`, Hz, and a bandwidth as wanted."""
@@ -373,7 +369,7 @@ def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.
     """
     plants, metric = loops.plants, requirement.metric
     limit, measure = metric.in_SI(requirement.limit), metric.measure
-    members = members_of(plants, requirement)
+    members = np.flatnonzero([group in requirement.over for group in plants.groups])
     if not len(members):
         return loops.none()
     if isinstance(measure, Peak):
@@ -411,8 +407,3 @@ def _maps(transfer: Transfer, plants: PlantSet) -> Iterator[Map]:
         return
     for k in np.flatnonzero(np.isfinite(plants.torque_limit)):
         yield torque_per_Omega(int(k), plants)
-
-
-def members_of(plants: PlantSet, requirement: LoopRequirement) -> NDArray[np.intp]:
-    """Return the numbers of the plants that a requirement is about."""
-    return np.flatnonzero([group in requirement.over for group in plants.groups])

@@ -133,7 +133,10 @@ def _synthesis(
 ) -> tuple[System, dict[str, float]]:
     """Return the sampled controller of the plants, and claims."""
     unit = torque_units(channel, plants.nutation)
-    flat = _flat(channel, plants, unit)
+    A, B, C, D, period = plants.of_torques()
+    into = channel.basis.T * unit
+    B, D = np.hstack([B @ into, plants.B_Omega[0, : len(A)]]), np.hstack([D @ into, plants.D_Omega[0]])
+    flat = to_w_plane(System(A, B, channel.basis @ C, channel.basis @ D, period))
     noise = channel.basis.T * unit * np.sqrt(np.mean(plants.noise**2) * plants.period)
     if not noise.any():
         raise DesignError(
@@ -151,14 +154,6 @@ def _synthesis(
         "torque noise bound, N m": float(np.linalg.norm([bound for _, _, bound in found])),
     }
     return between(channel.basis, from_w_plane(K, plants.period), channel.basis.T * unit), claims
-
-
-def _flat(channel: Channels, plants: PlantSet, unit: FloatArray) -> System:
-    """Return the nominal plant in the w-plane, from the channels' torques in their units and Omega to the channels."""
-    A, B, C, D, period = plants.of_torques()
-    into = channel.basis.T * unit
-    B, D = np.hstack([B @ into, plants.B_Omega[0, : len(A)]]), np.hstack([D @ into, plants.D_Omega[0]])
-    return to_w_plane(System(A, B, channel.basis @ C, channel.basis @ D, period))
 
 
 def _uncoupled(flat: System, size: int) -> list[list[int]]:

@@ -146,7 +146,12 @@ def _searched(
     plants = problem.plants.regular()
     requirements = problem.spec.requests
     counts = [_unstable(A) for A in plants.A]
-    plants = plants.on(_frequencies(plants))
+    z = np.linalg.eigvals(plants.A[0])
+    s = np.asarray(np.log(z[np.abs(z) > _INTEGRATOR] + 0j) / plants.period, dtype=np.complex128)
+    moving = np.abs(s) * plants.period > _INTEGRATOR
+    slowest = float(np.abs(s[moving]).min(initial=_SLOW))
+    low = min(plants.frequency[0], _BELOW * slowest)
+    plants = plants.on(following_grid(s, low, float(plants.frequency[-1]), _POINTS))
     data = [(plants.frequency, P) for P in plants.response]
     if of_file := _of_file(problem):
         sense = problem.channel.sense
@@ -214,16 +219,6 @@ def _bounded(
             bound = floor + (found.peaks[name] - floor) * (1.0 - _RESERVE) / excess
             out[name] = min(out.get(name, np.inf), bound)
     return out
-
-
-def _frequencies(plants: PlantSet) -> FloatArray:
-    """Return frequencies that show the nominal plant's poles, from below the slowest of them up to the Nyquist one."""
-    z = np.linalg.eigvals(plants.A[0])
-    s = np.asarray(np.log(z[np.abs(z) > _INTEGRATOR] + 0j) / plants.period, dtype=np.complex128)
-    moving = np.abs(s) * plants.period > _INTEGRATOR
-    slowest = float(np.abs(s[moving]).min(initial=_SLOW))
-    low = min(plants.frequency[0], _BELOW * slowest)
-    return following_grid(s, low, float(plants.frequency[-1]), _POINTS)
 
 
 def _unstable(A: FloatArray) -> int:

@@ -79,16 +79,11 @@ def fastest_pole_line(axes: Axes, spec: LoopSpec, period: float) -> None:
     """Draw the circle of the w-plane that closed-loop poles have to stay within, carried to s = ln(z)/T."""
     for limits, colour, dashes in ((spec.limits, LIMIT, DASHED), (spec.soft, MUTED, DASH_DOTTED)):
         if "fastest_pole" in limits:
-            real, imag = pole_circle(limits["fastest_pole"], period)
-            axes.plot(real, imag, color=colour, linestyle=dashes, linewidth=0.9)
-
-
-def pole_circle(radius: float, period: float) -> tuple[FloatArray, FloatArray]:
-    """Return real and imaginary parts, 1/s and rad/s, of the left upper quarter of |w| = `radius` in the s-plane."""
-    angle = np.linspace(0.5 * np.pi, np.pi, 400)[:-1]
-    w = 0.5 * period * radius * np.exp(1j * angle)
-    s = np.log((1.0 + w) / (1.0 - w)) / period
-    return np.asarray(s.real), np.asarray(s.imag)
+            # The left upper quarter of a circle about w = 0.
+            angle = np.linspace(0.5 * np.pi, np.pi, 400)[:-1]
+            w = 0.5 * period * limits["fastest_pole"] * np.exp(1j * angle)
+            s = np.log((1.0 + w) / (1.0 - w)) / period
+            axes.plot(s.real, s.imag, color=colour, linestyle=dashes, linewidth=0.9)
 
 
 def pole_figure(loop: ShownLoop) -> Figure:

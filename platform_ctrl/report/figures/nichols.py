@@ -226,15 +226,11 @@ def _centres(panel: Axes) -> list[float]:
     return [360.0 * k - 180.0 for k in range(first, last + 1)]
 
 
-def exclusion(alpha: float) -> ComplexArray:
-    """Return the rim of the values of L that a disk margin below 2 keeps free: there |S − 1/2| is 1/alpha."""
-    delta = 0.5 * alpha * np.exp(2j * np.pi * np.linspace(0.0, 1.0, 721))
-    return np.asarray(-(1.0 - delta) / (1.0 + delta), dtype=np.complex128)
-
-
 def draw_region(panel: Axes, alpha: float, centres: Sequence[float], dashes: Any) -> Any:
     """Shade what a disk margin keeps free around critical points, degrees; return one of the patches."""
-    L = exclusion(alpha)
+    # At the rim |S − 1/2| is 1/alpha.
+    delta = 0.5 * alpha * np.exp(2j * np.pi * np.linspace(0.0, 1.0, 721))
+    L = np.asarray(-(1.0 - delta) / (1.0 + delta), dtype=np.complex128)
     # Around -180 degrees the angle of -L has no jump.
     phase, level = np.degrees(np.angle(-L)), decibels(L)
     look: dict[str, Any] = {"facecolor": BAND, "edgecolor": MUTED, "linewidth": 0.9, "linestyle": dashes}
