@@ -10,7 +10,6 @@ import errno
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any
 
 from platform_ctrl.cli.exits import (
     INTERRUPTED,
