@@ -13,10 +13,10 @@ import numpy as np
 
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.app.background import IsCancelled, Simulating, Tuning
-from platform_ctrl.app.caged import caged_parts
+from platform_ctrl.app.caged import CagedCurves
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
-from platform_ctrl.app.curves import Parts
+from platform_ctrl.app.curves import LoopCurves
 from platform_ctrl.app.job_parts import BudgetState, JobParts, SightBudgets, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Measured, Picture
 from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, is_unchanged, write_job
@@ -31,7 +31,6 @@ from platform_ctrl.app.settings import (
     option_sliders,
     with_options,
 )
-from platform_ctrl.app.stabilised import stabilised_parts
 from platform_ctrl.common.arguments import known_name, short, whole
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray
@@ -248,18 +247,22 @@ class Backend:
         """
         begun = time.perf_counter()
         whole("axis", settings.axis, 1, 3)
+        spec, _ = self._loops.design(settings)
         try:
             with np.errstate(all="ignore"):
-                (drawing, measure), notes = self._parts(settings)
+                curves, notes = self._curves(settings)
+                drawing = curves.drawing(self.plants(settings))
+                if settings.overlays:
+                    overlays, more = self._loops.overlays(settings, spec)
+                    drawing, notes = dataclasses.replace(drawing, overlays=overlays), (*notes, *more)
                 if on_drawn is not None:
                     on_drawn(drawing)
-                measured = measure()
+                measured = curves.measured(drawing.bode)
         except (np.linalg.LinAlgError, FloatingPointError, OverflowError):
             raise DesignError(
                 f"{settings.loop}, {settings.design}: the loop cannot be computed in floating point; choose less "
                 "extreme values"
             ) from None
-        spec, _ = self._loops.design(settings)
         if spec.has_plants:
             self.job_parts.keep(loop_stamp(self._loops, settings, spec), measured.requirements)
         values = _fields(drawing) | _fields(measured) | {"notes": (*notes, *measured.notes)}
@@ -272,20 +275,12 @@ class Backend:
         """
         return None if self.read.budget is None else self.sight.now(settings)
 
-    def _parts(self, settings: Settings) -> tuple[Parts, tuple[str, ...]]:
-        """Return the parts of a picture, and lines about its controllers."""
-        spec, _ = self._loops.design(settings)
-        labels = self.plants(settings)
-        if spec.has_plants:
-            loop, notes = self._loops.requested(settings)
-            drawing, measure = caged_parts(loop, settings, labels, self._loops.cached_metrics(settings, loop))
-        else:
-            free, notes = self._loops.stabilised(settings)
-            drawing, measure = stabilised_parts(free, settings, labels, lambda: self._loops.coupled(settings))
-        if not settings.overlays:
-            return (drawing, measure), notes
-        overlays, more = self._loops.overlays(settings, spec)
-        return (dataclasses.replace(drawing, overlays=overlays), measure), (*notes, *more)
+    def _curves(self, settings: Settings) -> tuple[LoopCurves, tuple[str, ...]]:
+        """Return the curves of the loop that is shown, and lines about its controllers."""
+        if not self._loops.spec(settings.loop).has_plants:
+            return self._loops.stabilised(settings)
+        loop, notes = self._loops.requested(settings)
+        return CagedCurves(loop, settings, self._loops.cached_metrics(settings, loop)), notes
 
     def budget_results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the limits of the budget within some milliseconds; none before it was computed once."""

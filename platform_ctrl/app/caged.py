@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import get_args
 
@@ -23,7 +23,6 @@ from platform_ctrl.app.curves import (
     GRID_POINTS,
     Band,
     LoopCurves,
-    Parts,
     channel_margins,
     channel_response,
     frequency_gain,
@@ -87,48 +86,41 @@ def loop_metrics(loop: CagedLoop, whole: Loop | None = None) -> LoopMetrics:
 
 
 class CagedCurves(LoopCurves):
-    """The curves of a caging loop; with `whole` those of the whole set too, failed parts left out."""
+    """The curves of a caging loop; with a cache of metrics those of the whole set too, failed parts left out."""
 
-    def __init__(self, loop: CagedLoop, settings: Settings, whole: Loop | None = None) -> None:
+    def __init__(self, loop: CagedLoop, settings: Settings, cached: CachedMetrics | None = None) -> None:
         names = loop.plants
         channel = settings.channel if settings.channel in names.torques else names.torques[0]
         super().__init__(job=loop.job, settings=settings, plant=loop.plant, controller=loop.controller,
                          readings=names.angles, torquers=names.torques, channel=channel)  # fmt: skip
-        self.loop, self.whole = loop, whole
+        self.loop, self._cached = loop, cached
         self.shown = Loop(loop.shown, loop.controller)
+        sensors = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
+        sets = sensors | {torquer.name: torquer.unit for torquer in self.job.platform.torquers}
+        torques = {name: sets[name.removesuffix(COMMAND)] for name in self.torquers}
+        self.units = sensors | dict.fromkeys(names.sight, "rad/s") | torques
+        self.limits = {kind: loop.spec.limits.get(metric.key) for kind, metric in METRICS.items()}
+        self.frequency = self._frequencies()
         self.set: Loop | None = None
-        if whole is not None and settings.band and len(names.labels) > 1:
-            inside = np.flatnonzero(names.of(_BAND))
-            every = len(inside) == len(names.labels)
-            self.set = whole if every else Loop(whole.plants.only(inside.tolist()), loop.delivered)
+        self.all_stable, self.other_poles = True, np.zeros(0, dtype=np.complex128)
+        if cached is None:
+            return
+        self.whole = Loop(names, loop.delivered)
+        within = names.of(_BAND)
+        self.all_stable = bool(np.all(self.whole.decay[within] > 0.0))
+        if settings.band and len(names.labels) > 1:
+            inside = np.flatnonzero(within)
+            self.set = self.whole if within.all() else Loop(names.only(inside.tolist()), loop.delivered)
             own = self.set.plants
             self.band = Band(own.labels, own.frequency, channel_response(self.set.S_input, self.index))
+            self.other_poles = continuous_poles(self.set.poles, self.plant.dt)
 
     @cached_property
     def z_poles(self) -> ComplexArray:
         """Closed-loop poles of the plant shown, in z, without those of equilibria that nothing sees."""
         return np.asarray(self.shown.poles[0])
 
-    @property
-    def all_stable(self) -> bool:
-        """Whether the loops of all plants without a fault are stable."""
-        return self.whole is None or bool(np.all(self.whole.decay[self.loop.plants.of(_BAND)] > 0.0))
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of what is read, seen and set."""
-        sensors = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
-        sets = sensors | {torquer.name: torquer.unit for torquer in self.job.platform.torquers}
-        torques = {name: sets[name.removesuffix(COMMAND)] for name in self.torquers}
-        return sensors | dict.fromkeys(self.loop.plants.sight, "rad/s") | torques
-
-    def limit(self, metric: str) -> float | None:
-        """Return the job's limit of a metric for the nominal plant, or None."""
-        return self.loop.spec.limits.get(METRICS[metric].key)
-
-    @cached_property
-    def frequency(self) -> FloatArray:
-        """Frequencies of the Bode diagram, rad/s."""
+    def _frequencies(self) -> FloatArray:
         plant, s = self.loop.shown, self.poles
         nyquist = math.pi / plant.period
         own = continuous_poles(np.linalg.eigvals(plant.A[0]), plant.period)
@@ -169,7 +161,7 @@ class CagedCurves(LoopCurves):
 
         Designs that read other sensors are compared by them. A limit on the readings is shown with the readings.
         """
-        read = self.loop.spec.kind != "rate" or self.limit("Omega rejection") is not None
+        read = self.loop.spec.kind != "rate" or self.limits["Omega rejection"] is not None
         return () if read else self.loop.plants.sight
 
     def _over_time(
@@ -192,32 +184,22 @@ class CagedCurves(LoopCurves):
         words = "line of sight" if self._sight else "rates" if kind == "rate" else "angles"
         shown = Loop(self.loop.shown.on(self.frequency), self.controller)
         own = shown.responses(part, np.zeros(1, dtype=np.intp))[0][0, ..., axis]
-        unit, limit = of_readings(METRICS["Omega rejection"].unit, kind), self.limit("Omega rejection")
+        unit, limit = of_readings(METRICS["Omega rejection"].unit, kind), self.limits["Omega rejection"]
         return frequency_gain(f"rate Omega{self.axis} → {words}", unit, self.frequency, own, band, limit)
 
-    @property
-    def other_poles(self) -> ComplexArray:
-        """Closed-loop poles of the plants of the set, in s."""
-        return np.zeros(0, dtype=np.complex128) if self.set is None else continuous_poles(self.set.poles, self.plant.dt)
-
-
-def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMetrics) -> Parts:
-    """Return the curves of a caging loop, and the function that measures it; `labels` are those of all plants."""
-    curves = CagedCurves(loop, settings, Loop(loop.plants, loop.delivered))
-    drawing = curves.drawing(labels)
-
-    def measured_parts() -> Measured:
-        metrics = cached(lambda: loop_metrics(loop, curves.whole))
+    def measured(self, bode: Bode) -> Measured:
+        """Return margins, limits and goals, by the metrics of the whole set."""
+        loop = self.loop
+        assert self._cached is not None, "of a loop that is drawn over another one nothing is measured"
+        metrics = self._cached(lambda: loop_metrics(loop, self.whole))
         requirements, goals = limits_and_goals(loop.spec, loop.design, loop.plants, metrics)
         sampled = "peaks are the highest on a frequency grid: the loop is too large for exact ones while a slider moves"
         return Measured(
-            margins=_margins(loop, metrics, curves, drawing.bode),
+            margins=_margins(loop, metrics, self, bode),
             requirements=requirements,
             goals=goals,
             notes=() if loop.exact else (sampled,),
         )
-
-    return drawing, measured_parts
 
 
 def commanded_arrays(loops: Loop) -> System:

@@ -20,7 +20,7 @@ from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.settings import Settings, of_loop, with_limits
-from platform_ctrl.app.stabilised import StabilisedCurves, StabilisedLoop
+from platform_ctrl.app.stabilised import StabilisedCurves
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels
@@ -167,7 +167,7 @@ class ClosedLoops:
                         loop, lines = self.requested(own)
                         return CagedCurves(loop, own).drawing(()), lines
                     # The picture below it has the lines about the other loops.
-                    return StabilisedCurves(self.stabilised(own)[0], own).drawing(()), ()
+                    return self.stabilised(own)[0].drawing(()), ()
 
             depends = (
                 (self.plants_key(own, spec), self.closed_key(own, spec)) if spec.has_plants else self.whole_key(own)
@@ -217,17 +217,15 @@ class ClosedLoops:
         """Return a key of everything that the plants of a loop depend on: of a tracking loop the inner loop."""
         return None if spec.around is None else self.closed_key(settings, self.plants.inside(spec))
 
-    def stabilised(self, settings: Settings) -> tuple[StabilisedLoop, tuple[str, ...]]:
-        """Return all loops closed around the free platform, and lines about their controllers."""
-        spec, _ = self.design(settings)
-        job = self.job(settings)
+    def stabilised(self, settings: Settings) -> tuple[StabilisedCurves, tuple[str, ...]]:
+        """Return the curves of all loops closed around the free platform, and lines about their controllers."""
+        job, model = self.job(settings), self.plants.model
         closed = self.closed_designs(settings)
         controllers = tuple(made.controller for made, _ in closed)
         plants, shown = self.plants.free(settings.plant, sensed_rates(job, controllers), settings.band)
-        loop = StabilisedLoop(
-            job=job, model=self.plants.model, spec=spec, controllers=controllers, plants=plants, shown=shown
-        )
-        return loop, tuple(note for _, note in closed if note)
+        check = partial(self.coupled, settings)
+        curves = StabilisedCurves(job, settings, model, controllers, plants, shown, check)
+        return curves, tuple(note for _, note in closed if note)
 
     def closed(self, settings: Settings) -> dict[str, str]:
         """Return the name of the design that is closed in each loop, the shown one in its own."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -65,9 +65,6 @@ EDGE = 0.999
 # Points of a frequency grid besides those at resonances.
 GRID_POINTS = 160
 
-# Curves to draw, and the function that measures the same loop.
-Parts = tuple[Drawing, Callable[[], Measured]]
-
 
 class Band(NamedTuple):
     """The loop transfers of a set: labels of the N plants, frequencies (B,), rad/s, and responses, complex (N, B)."""
@@ -98,7 +95,32 @@ class LoopCurves(ABC):
         Of the plant shown, u = K y.
     readings, torquers
         Their signals, one of which is the `channel` that is broken.
+
+    Attributes
+    ----------
+    units
+        Units of readings and torques, and of what else is shown.
+    limits
+        The job's limits, by the metrics that curves are drawn with, or None.
+    frequency
+        Frequencies of the Bode diagram (F,), rad/s, those of the band among them.
+    all_stable
+        Whether the loops of all plants of the set are stable.
+    other_poles
+        Closed-loop poles of the plants of the set, in s, of any shape; none without a band.
+    moving
+        Which torques have the factor of the root locus.
+    reach
+        How much of the s-plane the root locus shows, rad/s; None: as its poles ask for it.
     """
+
+    units: Mapping[str, str]
+    limits: Mapping[str, float | None]
+    frequency: FloatArray
+    all_stable: bool
+    other_poles: ComplexArray
+    reach: float | None = None
+    band: Band | None = None
 
     def __init__(
         self,
@@ -114,7 +136,7 @@ class LoopCurves(ABC):
         self.plant, self.controller = plant, controller
         self.readings, self.torquers, self.channel = list(readings), list(torquers), channel
         self.index = self.torquers.index(channel)
-        self.band: Band | None = None
+        self.moving = [True] * len(self.torquers)
 
     @cached_property
     def z_poles(self) -> ComplexArray:
@@ -131,25 +153,6 @@ class LoopCurves(ABC):
         """Whether the loop of the plant shown is."""
         return bool(spectral_abscissa(self.poles) < 0.0)
 
-    @property
-    @abstractmethod
-    def all_stable(self) -> bool:
-        """Whether the loops of all plants of the set are."""
-
-    @property
-    @abstractmethod
-    def units(self) -> Mapping[str, str]:
-        """Units of readings and torques, and of what else is shown."""
-
-    @abstractmethod
-    def limit(self, metric: str) -> float | None:
-        """Return the job's limit of a metric that a curve is drawn with, or None."""
-
-    @cached_property
-    @abstractmethod
-    def frequency(self) -> FloatArray:
-        """Frequencies of the Bode diagram (F,), rad/s, those of the band among them."""
-
     @abstractmethod
     def step(self) -> TimeResponse:
         """Return the response to a torque step."""
@@ -162,20 +165,9 @@ class LoopCurves(ABC):
     def disturbance_gain(self) -> FrequencyGain:
         """Return the gain from what disturbs the loop at the frequencies of the Bode diagram."""
 
-    @property
     @abstractmethod
-    def other_poles(self) -> ComplexArray:
-        """Closed-loop poles of the plants of the set, in s, of any shape; none without a band."""
-
-    @property
-    def moving(self) -> Sequence[bool]:
-        """Which torques have the factor of the root locus."""
-        return [True] * len(self.torquers)
-
-    @property
-    def reach(self) -> float | None:
-        """How much of the s-plane the root locus shows, rad/s; None: as its poles ask for it."""
-        return None
+    def measured(self, bode: Bode) -> Measured:
+        """Return margins, and the job's limits compared with what is measured."""
 
     def locus(self) -> RootLocus:
         """Return the root locus over a factor on the `moving` torques."""
@@ -206,12 +198,12 @@ class LoopCurves(ABC):
             locus=locus,
             poles=self.poles,
             other_poles=others[np.abs(others) < 4.0 * locus.view.reach],
-            damping=self.limit("damping"),
+            damping=self.limits.get("damping"),
             step=self.step(),
             Omega_time=self.disturbance(),
             Omega_frequency=self.disturbance_gain(),
-            bandwidth=self.limit("bandwidth"),
-            disk_margin=self.limit("disk margin"),
+            bandwidth=self.limits.get("bandwidth"),
+            disk_margin=self.limits.get("disk margin"),
             stable=self.stable,
             all_stable=self.all_stable,
         )
