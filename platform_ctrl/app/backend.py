@@ -32,8 +32,9 @@ from platform_ctrl.app.settings import (
     with_options,
 )
 from platform_ctrl.common.arguments import known_name, short, whole
-from platform_ctrl.common.progress import Progress
+from platform_ctrl.common.progress import Local, Progress
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS, read_job
 from platform_ctrl.design.tuning import SHARE, OptionEffects, deciding, largest_ratios, option_effects
 from platform_ctrl.errors import ArgumentError, DesignError
@@ -294,7 +295,10 @@ class Backend:
         sliders = [slider for slider in self.sliders(settings) if not slider.background]
         names = [slider.name for slider in sliders]
         loops = self._loops
-        of_loop = _of_caging_loop if loops.design(settings)[0].has_plants else _of_all_loops
+        caged = loops.spec(settings.loop).has_plants
+        own = (
+            _of_caging_loop(loops, settings) if caged else _of_results(lambda now: loops.coupled(now).results, settings)
+        )
 
         def with_slider(slider: Slider, ratios: Ratios) -> FloatArray:
             before_each()
@@ -311,7 +315,7 @@ class Backend:
         with np.errstate(all="ignore"):
             parts = [
                 option_effects(names, limits, ratios(settings), [partial(with_slider, one, ratios) for one in sliders])
-                for limits, ratios in (of_loop(loops, settings), _of_results(of_sight, settings))
+                for limits, ratios in (own, _of_results(of_sight, settings))
                 if limits
             ]
         return OptionEffects(
@@ -333,16 +337,16 @@ class Backend:
             raise DesignError(f"{spec.name}, {design.name}: a servo on the platform is not tuned; move its sliders")
         if not free:
             raise DesignError(f"{spec.name}, {design.name}: no slider is free to be tuned; free at least one")
-        task = Tuning(
+        problem = LoopProblem(
             job=self.job(settings),
             spec=spec,
             design=design,
             model=self._loops.plants.model,
-            plants=self._loops.plants_of(settings, spec, design),
+            plant_set=self._loops.plants_of(settings, spec, design),
             directions=self._loops.directions(settings, spec, design),
-            options=self._loops.options.used(settings, spec, design),
-            movable=free,
+            progress=Local(progress),
         )
+        task = Tuning(problem=problem, options=self._loops.options.used(settings, spec, design), movable=free)
         found: dict[str, float] = self._loops.background.run(task, progress, cancelled)
         # Six digits: more change no requirement.
         return with_options(settings, {name: float(f"{found[name]:.6g}") for name in free})
@@ -422,10 +426,6 @@ def _of_caging_loop(loops: ClosedLoops, settings: Settings) -> tuple[list[str], 
         return largest_ratios(measure(plants, moved.delivered, requests, exact=False), requests)
 
     return [one.name for one in requests], ratios
-
-
-def _of_all_loops(loops: ClosedLoops, settings: Settings) -> tuple[list[str], Ratios]:
-    return _of_results(lambda now: loops.coupled(now).results, settings)
 
 
 def _of_results(results: Callable[[Settings], Sequence[CheckResult]], settings: Settings) -> tuple[list[str], Ratios]:

@@ -15,18 +15,15 @@ from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from platform_ctrl.common.progress import Progress
-from platform_ctrl.common.values import value
+from platform_ctrl.common.values import replaced, value
 from platform_ctrl.errors import DesignError, PlatformCtrlError
-from platform_ctrl.job.job import Job, LoopSpec
-from platform_ctrl.job.methods import DesignSpec
+from platform_ctrl.job.job import Job
 
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.analysis.plant_set import PlantSet
     from platform_ctrl.design.loop import Design
-    from platform_ctrl.design.loop_signals import Channels
-    from platform_ctrl.mechanics.linearisation import LinearModel
+    from platform_ctrl.design.method import LoopProblem
     from platform_ctrl.simulation.closed_loop import Trajectory
 
 IsCancelled = Callable[[], bool]
@@ -199,7 +196,7 @@ class DesignQueue:
         self._lock = threading.Lock()
         self._requested: dict[Name, Hashable] = {}
         self._failed: dict[Hashable, str] = {}
-        self._listeners: list[Callable[[], None]] = []
+        self._listeners: dict[Callable[[], None], None] = {}
         self._tasks: LatestTasks[tuple[Name, Hashable, Make]] = LatestTasks(self._work)
 
     def request(self, loop: str, design: str, key: Hashable, make: Make) -> str:
@@ -220,13 +217,8 @@ class DesignQueue:
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` in a thread after each design; return the function that stops it."""
-        self._listeners.append(listener)
-
-        def end() -> None:
-            with contextlib.suppress(ValueError):
-                self._listeners.remove(listener)
-
-        return end
+        self._listeners[listener] = None
+        return lambda: self._listeners.pop(listener, None)
 
     def end(self) -> None:
         """Cancel all requests."""
@@ -277,42 +269,28 @@ class DesignPending(DesignError):
 class Tuning:
     """Tunes the `movable` options of a classical, PI or LQG design until the limits of its loop are met.
 
-    `plants` and `directions` are those of the settings, `options` all that the design uses.
+    `options` are all that the design uses.
     """
 
-    job: Job
-    spec: LoopSpec
-    design: DesignSpec
-    model: LinearModel
-    plants: PlantSet
-    directions: Channels
+    problem: LoopProblem
     options: dict[str, float]
     movable: tuple[str, ...]
 
     def run(self, progress: Progress) -> dict[str, float]:
         """Return the tuned options."""
-        from platform_ctrl.design.method import LoopProblem, TunedMethod, tuned
-        from platform_ctrl.design.methods import METHODS
+        from platform_ctrl.design.method import METHODS, TunedMethod, tuned
         from platform_ctrl.design.tuning import over_decades
 
-        method = METHODS[self.design.method]
+        problem = dataclasses.replace(self.problem, progress=progress)
+        method = METHODS[problem.design.method]
         assert isinstance(method, TunedMethod), "the app tunes what is built from its options"
-        problem = LoopProblem(
-            job=self.job,
-            spec=self.spec,
-            design=self.design,
-            model=self.model,
-            plant_set=self.plants,
-            directions=self.directions,
-            progress=progress,
-        )
-        seen, period = method.seen(problem.plants), self.plants.period
+        channel, seen, period = problem.channel, method.seen(problem.plants), problem.plants.period
         together = [name for name in method.rates if name in self.movable]
         return tuned(
             problem,
             self.options,
             self.movable,
-            lambda trial: method.controller(trial, self.directions, seen),
+            lambda trial: method.controller(trial, channel, seen),
             upper=method.upper_bounds(period),
             starts=over_decades(self.options, together, period),
         )
@@ -329,7 +307,6 @@ class Designing:
     def run(self, progress: Progress) -> Design:
         """Return the controller u = K y, with its completed options and what the method claims."""
         from platform_ctrl.design.jobs import loops
-        from platform_ctrl.design.loop import Design
 
         spec = self.job.loop(self.loop)
         design = next(one for one in spec.designs if one.name == self.design)
@@ -339,14 +316,8 @@ class Designing:
             alone.insert(0, dataclasses.replace(inner, designs=(inner.closed,)))
         outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress)
         closed = next(one.closed for one in outcomes if one.spec.name == spec.name)
-        return Design(
-            loop=closed.loop,
-            name=closed.name,
-            method=closed.method,
-            controller=closed.own_controller,
-            options=closed.options,
-            claims=closed.claims,
-        )
+        bare = {"plants": None, "measures": None, "results": (), "goals": (), "sections": (), "directions": None}
+        return replaced(closed, {"controller": closed.own_controller, **bare})
 
 
 @value

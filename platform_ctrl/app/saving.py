@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from platform_ctrl.app.controllers import ALWAYS, DesignOptions
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import LARGEST, Limits, Settings, number, put_into
@@ -24,7 +22,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import job_hashes
 from platform_ctrl.plant.source import is_shipped_name, read_text
-from platform_ctrl.verification.result_file import SCHEMA, write_record
+from platform_ctrl.verification.result_file import SCHEMA, controller_record, write_record
 
 if TYPE_CHECKING:
     pass
@@ -138,7 +136,12 @@ def write_job(
     record = {
         "schema": SCHEMA,
         "sha256": job_hashes(job),
-        "controllers": [_entry(one, job.sampling.delay) for one in controllers or ()],
+        "controllers": [
+            {"name": one.loop, "design": one.name, "method": one.method}
+            | controller_record(one.controller, job.sampling.delay)
+            | {"options": one.options}
+            for one in controllers or ()
+        ],
     }
     there = beside.read_bytes() if beside.exists() else None
     write_record(record, beside)
@@ -269,21 +272,6 @@ def _unasked(before: str, after: str, settings: Settings, start: Settings) -> tu
     if old["plant"] != new["plant"]:
         lines.append(f"plant = {json.dumps(new['plant'])}, seen from the new folder")
     return tuple(lines)
-
-
-def _entry(one: Design, delay: float) -> dict[str, Any]:
-    K = one.controller
-    return {
-        "name": one.loop,
-        "design": one.name,
-        "method": one.method,
-        "dt": K.dt,
-        **{name: np.asarray(getattr(K, name), dtype=np.float64) for name in "ABCD"},
-        "inputs": list(K.input_labels),
-        "outputs": list(K.output_labels),
-        "delay": delay,
-        "options": one.options,
-    }
 
 
 _KINDS: dict[type, str] = {list: "a list of names", bool: "true or false", str: "a name"}

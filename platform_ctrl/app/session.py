@@ -61,11 +61,12 @@ class Task:
     gesture: object
 
 
-class Session(LongTasks):
+class Session:
     """One page. Its methods run on the server's loop while the document is locked; `_work` runs in a thread."""
 
     def __init__(self, backend: Backend, document: Document, state: str) -> None:
-        super().__init__(backend, Connection(document))
+        self.backend, self.connection = backend, Connection(document)
+        self._tasks = LongTasks(self)
         self.settings = backend.start()
         self._line: str | None = None
         if state:
@@ -102,13 +103,13 @@ class Session(LongTasks):
         """Cancel all tasks and release everything; the page is closed."""
         self._stop_listening()
         self._changes.close()
-        self.cancel_task()
+        self._tasks.cancel()
         self.connection.close()
         self._idle = self.picture = self._drawing = self._awaited = None
 
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Change the settings and show them; it replaces a waiting change of the same key."""
-        self.cancel_tuning()
+        self._tasks.cancel("tune")
         self._no_rest()
         if gesture is None:
             gesture = object()
@@ -135,7 +136,8 @@ class Session(LongTasks):
                 key = f"{request.what} {next(iter(more.values()))}"
                 self.change(key, lambda settings: change(settings, **more), count=request.count)
             else:
-                getattr(self, f"_on_{request.what}")(request)
+                name = f"_on_{request.what}"
+                getattr(self if hasattr(self, name) else self._tasks, name)(request)
         except Exception as error:
             # The sliders show their values again, not what was typed.
             html = {} if self.picture is None else self._chosen(self.picture.settings)
@@ -357,7 +359,7 @@ class Session(LongTasks):
                 # The address, and what a screen reader says, not of every step of a move.
                 link = encode_state(self.backend, settings)
                 self.connection.answer(link=link, spoken=f"{words}. {more}")
-                self.measure(settings)
+                self._tasks.measure(settings)
 
         self._idle = document.add_timeout_callback(rested, IDLE)
 

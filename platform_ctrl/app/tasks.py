@@ -11,7 +11,6 @@ import shlex
 import threading
 import time
 import zlib
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
@@ -30,12 +29,12 @@ from platform_ctrl.common.arguments import known_name, known_names, short
 from platform_ctrl.common.values import value
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.errors import ArgumentError, InputError, PlatformCtrlError
-from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
     from bokeh.document import Document
 
     from platform_ctrl.app.backend import Backend
+    from platform_ctrl.app.session import Session
     from platform_ctrl.design.tuning import OptionEffects
 
 
@@ -170,40 +169,13 @@ class _Running:
     cancelled: threading.Event
 
 
-class LongTasks(ABC):
-    """Tasks of a page that take longer than a picture, each in its own thread; `settings` are those that it shows."""
+class LongTasks:
+    """Tasks of a `page` that take longer than a picture, each in its own thread."""
 
-    settings: Settings
-
-    def __init__(self, backend: Backend, connection: Connection) -> None:
-        self.backend, self.connection = backend, connection
+    def __init__(self, page: Session) -> None:
+        self.page, self.backend, self.connection = page, page.backend, page.connection
         self._running: _Running | None = None
         self._measuring = False
-
-    @abstractmethod
-    def shows(self, settings: Settings) -> bool:
-        """Return whether the page shows these settings, and no change of them is being computed."""
-
-    @abstractmethod
-    def change(self, key: str, change: Callable[[Settings], Settings]) -> None:
-        """Change the settings and show them."""
-
-    @abstractmethod
-    def rest(self) -> None:
-        """Measure what is not known once nothing has changed for a while."""
-
-    @abstractmethod
-    def show_effects(self, settings: Settings, effects: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
-        """Show what each slider does to each requirement of these settings, and the limits of the budget."""
-
-    @abstractmethod
-    def parts_measured(self) -> None:
-        """Show what has become known of the parts of the job."""
-
-    def cancel_tuning(self) -> None:
-        """Cancel tuning, if it is running."""
-        if self._running is not None and self._running.name == "tune":
-            self.cancel_task()
 
     def measure(self, settings: Settings) -> None:
         """Compute what each slider does to each requirement of these settings, then the other parts of the job."""
@@ -212,13 +184,13 @@ class LongTasks(ABC):
         self._measuring = True
 
         def expect_shown() -> None:
-            if not self.shows(settings):
+            if not self.page.shows(settings):
                 raise _Superseded
 
         def effects() -> OptionEffects:
             influence = self.backend.influence(settings, expect_shown)
             budget = self.backend.budget_results(settings)
-            self.connection.later(lambda: self.show_effects(settings, influence, budget))
+            self.connection.later(lambda: self.page.show_effects(settings, influence, budget))
             return influence
 
         def measured() -> Callable[[], None]:
@@ -233,7 +205,7 @@ class LongTasks(ABC):
                 pass
             finally:
                 self._measuring = False
-            return lambda: None if self.shows(settings) else self.rest()
+            return lambda: None if self.page.shows(settings) else self.page.rest()
 
         self._do(measured, lambda line: None)
 
@@ -243,14 +215,14 @@ class LongTasks(ABC):
         for one in parts.open(parts.parts(settings)):
             before_each()
             parts.measure(one)
-            self.connection.later(self.parts_measured)
+            self.connection.later(self.page.parts_measured)
 
     def _on_cancel(self, request: Request) -> None:
-        self.cancel_task()
+        self.cancel()
         self.connection.answer(request.count)
 
     def _on_tune(self, request: Request) -> None:
-        settings, last = self.settings, 0.0
+        settings, last = self.page.settings, 0.0
         running = self._begin("tune", "Tuning the rest", request)
         if running is None:
             return
@@ -269,7 +241,7 @@ class LongTasks(ABC):
                 if new.options == settings.options:
                     self.connection.say("Tuning found no better values; nothing was changed.")
                 else:
-                    self.change("tune", lambda _: new)
+                    self.page.change("tune", lambda _: new)
 
             return show
 
@@ -281,7 +253,7 @@ class LongTasks(ABC):
         except PlatformCtrlError as error:
             self._saved(str(error), request.count)
             return
-        settings, overwrite = self.settings, request.more["overwrite"]
+        settings, overwrite = self.page.settings, request.more["overwrite"]
         existing = [one.name for one in (path, controllers_beside(path)) if os.path.lexists(one)]
         if existing and not overwrite:
             self._saved(f"{existing[0]} exists already: overwrite it?", request.count, exists=True)
@@ -307,7 +279,7 @@ class LongTasks(ABC):
         self.connection.answer(count, html={"save-result": html})
 
     def _on_simulate(self, request: Request) -> None:
-        settings, manoeuvre = self.settings, request.more["manoeuvre"]
+        settings, manoeuvre = self.page.settings, request.more["manoeuvre"]
         every = tuple(one.name for one in self.backend.read.manoeuvres)
         if manoeuvre:
             known_name("manoeuvre", manoeuvre, every)
@@ -327,7 +299,7 @@ class LongTasks(ABC):
                     line = f"Simulating {k + 1} of {len(names)}: {name}"
                     self.connection.later(partial(self._show_busy, running, line))
                 trajectory = self.backend.simulate(settings, name, running.cancelled.is_set)
-                self.connection.later(self.parts_measured)
+                self.connection.later(self.page.parts_measured)
 
             def show() -> None:
                 self.connection.answer(run=run_data(trajectory))
@@ -367,9 +339,9 @@ class LongTasks(ABC):
 
         self._do(done, lambda line: ended(lambda: self.connection.say(line, "error")))
 
-    def cancel_task(self) -> None:
-        """Cancel the task that is running."""
-        if self._running is not None:
+    def cancel(self, name: str = "") -> None:
+        """Cancel the task that is running, if it has this name or none is given."""
+        if self._running is not None and name in ("", self._running.name):
             self._running.cancelled.set()
 
     def _do(self, work: Callable[[], Callable[[], None]], failed: Callable[[str], None]) -> None:

@@ -10,7 +10,7 @@ import os
 import platform as interpreter
 from collections.abc import Iterator, Mapping
 from importlib import metadata
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import Proofs
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
+
+if TYPE_CHECKING:
+    import control
 
 Record = dict[str, Any]
 SCHEMA = 1
@@ -202,6 +205,13 @@ def _content_hash(record: Mapping[str, Any]) -> str:
     return data_hash({**record, "sha256": hashes})
 
 
+def controller_record(K: control.StateSpace, delay: float) -> Record:
+    """Return matrices, signals and times of a controller."""
+    matrices = {name: np.asarray(getattr(K, name), dtype=np.float64) for name in "ABCD"}
+    signals = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
+    return {"dt": float(K.dt), **matrices, **signals, "delay": delay}
+
+
 def _controller(result: JobResult, design: Design) -> Record:
     K, claims = design.controller, dict(design.claims)
     if design.measures is not None:
@@ -210,11 +220,7 @@ def _controller(result: JobResult, design: Design) -> Record:
         "name": design.loop,
         "design": design.name,
         "method": design.method,
-        "dt": float(K.dt),
-        **{name: np.asarray(getattr(K, name), dtype=np.float64) for name in "ABCD"},
-        "inputs": list(K.input_labels),
-        "outputs": list(K.output_labels),
-        "delay": result.job.sampling.delay,
+        **controller_record(K, result.job.sampling.delay),
         "claims": claims,
         **_proofs(result.proofs.get((design.loop, design.name))),
         "options": design.options,
