@@ -24,10 +24,9 @@ from platform_ctrl.cli.commands import app
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.job.budget import Source
 from platform_ctrl.job.faults import FAULT_KINDS
-from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.quantities import axis_text
 from platform_ctrl.job.reading import JOB_FILE
-from platform_ctrl.job.spectra import SPECTRA, ProfileSpectrum
+from platform_ctrl.job.spectra import PROFILES, SPECTRA, ProfileSpectrum
 from platform_ctrl.plant.reading import PLANT_FILE, read_platform
 from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.plant.tables import Key, Shape, shape

@@ -19,8 +19,7 @@ from platform_ctrl.cli.budget_command import budget
 from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.design_commands import check, design
 from platform_ctrl.cli.exits import print_json
-from platform_ctrl.cli.export_command import export
-from platform_ctrl.cli.import_command import import_description
+from platform_ctrl.cli.export_command import export, import_description
 from platform_ctrl.cli.job_arguments import Json, Quiet, folder_option, one_of, prepare_folder
 from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate

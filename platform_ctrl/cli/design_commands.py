@@ -264,8 +264,7 @@ def check(
 
 def _show_changes(compared: Comparison, name: str, as_json: bool) -> int:
     """Print what has changed since an accepted result; return the exit code."""
-    from platform_ctrl.cli.failures import changed, changes_text
-    from platform_ctrl.cli.terminal import screen, show_table, show_words
+    from platform_ctrl.cli.terminal import changed, changes_text, screen, show_table, show_words
 
     if as_json:
         for line in changes_text(compared, name).splitlines():

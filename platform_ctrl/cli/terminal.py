@@ -1,7 +1,11 @@
-"""Output of commands: progress while they work, and results. Colours and a spinner on a terminal alone."""
+"""Output of commands: progress while they work, and results. Colours and a spinner on a terminal alone.
+
+Tables of what is missed, and of what has become worse than in an accepted result, are plain text for tests too.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
@@ -15,6 +19,16 @@ from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
 from platform_ctrl.cli.exits import interruptible, noted
 from platform_ctrl.common.progress import run_words, shown_runs, spinner
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.quantities import (
+    added_words,
+    compared,
+    count,
+    listed,
+    met_words,
+    percent,
+    pessimistic_rounding,
+    quantity,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,6 +36,7 @@ if TYPE_CHECKING:
 
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.report.blocks import Table
+    from platform_ctrl.verification.comparison import Compared, Comparison
     from platform_ctrl.verification.simulated import Run
     from platform_ctrl.verification.verdict import JobResult
 
@@ -69,8 +84,6 @@ def screen() -> Console:
 
 def show_result(result: JobResult, campaign: Summary | None = None) -> None:
     """Print all requirements, the worst first, and the verdict, with that on a campaign."""
-    from platform_ctrl.job.quantities import added_words
-
     console = screen()
     console.print(result.job.name, style="bold", markup=False)
     goals = [goal for outcome in result.loops for goal in outcome.closed.goals]
@@ -101,8 +114,6 @@ def show_run(run: Run) -> None:
 
 
 def _measured(key: str, number: float, signal: str) -> str:
-    from platform_ctrl.job.quantities import quantity
-
     return f"{quantity(number, RUN_METRICS[key].unit)} ({signal})"
 
 
@@ -254,8 +265,6 @@ def tells_nothing(one: CheckResult) -> bool:
 
 def summary_words(results: Sequence[CheckResult], more: str = "") -> str:
     """Return how many requirements are met, `more`, and which one is the worst or the tightest."""
-    from platform_ctrl.job.quantities import met_words, percent
-
     words = met_words(results) + more
     telling = [one for one in results if not tells_nothing(one)]
     if telling:
@@ -267,3 +276,89 @@ def summary_words(results: Sequence[CheckResult], more: str = "") -> str:
 
 def _as_good_as_can_be(one: CheckResult) -> bool:
     return one.hard and (tells_nothing(one) or (one.passed and one.sense == "at most" and one.margin >= _NOTHING))
+
+
+# Most lines for better, new or missing values: a result of another job has nothing else.
+_LINES = 8
+
+
+def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requirement") -> str:
+    """Return a table of those `requirements` that are not met, the worst first; empty where all are."""
+    missed = sorted((one for one in requirements if not one.passed), key=lambda one: one.margin)
+    if not missed:
+        return ""
+    rows = [("", "value", "limit", "margin", "")]
+    for one in missed:
+        shown = compared(one)
+        where = f"{one.subject}, {one.design}" if one.design else one.subject
+        rows.append((f"{where}: {one.name}", shown[0], f"{one.sense} {shown[1]}", percent(one.margin), one.evidence))
+    head = f"{title}: {len(missed)} of {count(len(requirements), of)} not met"
+    return "\n".join([head, *_table(rows)])
+
+
+def changes_text(comparison: Comparison, name: str) -> str:
+    """Return the values that are worse than in the accepted result `name` as text: `changed` with a table."""
+    head, rows, notes = changed(comparison, name)
+    return "\n".join([head, *(_table(rows) if len(rows) > 1 else ()), *notes])
+
+
+def changed(comparison: Comparison, name: str) -> tuple[str, list[tuple[str, ...]], list[str]]:
+    """Return a line, the rows of a table of the values that are worse than in the accepted result `name`, and notes.
+
+    The first row has the heads; then the worst first. The notes are causes, and what is better or new, in a few lines.
+    """
+    worse = sorted(comparison.of("worse"), key=lambda change: -abs(change.share))
+    notes = _others("not measured any more", comparison.of("missing"))
+    notes += [f"  made with {listed(comparison.differing)}"] if comparison.differing else []
+    notes += _others("better by more than its tolerance", comparison.of("better"))
+    notes += _others("not in the accepted result", comparison.of("new"))
+    heads = ("", "before", "now", "change", "tolerance", "limit")
+    return _head(comparison, name), [heads, *map(_row, worse)], notes
+
+
+def _head(comparison: Comparison, name: str) -> str:
+    worse, missing = len(comparison.of("worse")), len(comparison.of("missing"))
+    compared = len(comparison.changes) - len(comparison.of("new"))
+    if not worse and not missing:
+        return f"{name}: none of {count(compared, 'value')} is worse by more than its tolerance"
+    parts = [f"{worse} worse by more than {'its' if worse == 1 else 'their'} tolerance"] if worse else []
+    parts += [f"{missing} not measured any more"] if missing else []
+    return f"{name}: of {count(compared, 'value')} {listed(parts)}"
+
+
+def _row(change: Compared) -> tuple[str, ...]:
+    before, now, allowed, limit = _numbers(change, change.before, change.now, change.allowed, change.limit)
+    limit = f"{change.sense} {limit}" if change.limit is not None else ""
+    return _named(change), before, now, percent(change.share), allowed, limit
+
+
+def _numbers(change: Compared, *numbers: float | None) -> list[str]:
+    """Return numbers in one unit, rounded to the worse side, with digits enough to tell the first two apart."""
+    size = max((abs(x) for x in numbers if x is not None and math.isfinite(x)), default=1.0)
+    rounding, texts = pessimistic_rounding(change.sense), [""]
+    for digits in (4, 6, 9):
+        texts = ["" if x is None else quantity(x, change.unit, digits, size, rounding) for x in numbers]
+        if numbers[0] == numbers[1] or texts[0] != texts[1]:
+            break
+    return texts
+
+
+def _named(change: Compared) -> str:
+    return f"{change.subject}: {change.name}"
+
+
+def _others(words: str, changes: Sequence[Compared]) -> list[str]:
+    """Return a few lines for changes that are no failures."""
+    shown = []
+    for change in changes[:_LINES]:
+        numbers = " -> ".join(filter(None, _numbers(change, change.before, change.now)))
+        shown.append(f"{_named(change)}, {numbers}")
+    more = len(changes) - len(shown)
+    return [f"  {words}: {line}" for line in shown] + ([f"  {words}: and {more} more"] if more > 0 else [])
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from platform_ctrl.analysis.logs import ColumnUnit, G, Log, Quantity, column_unit, read_log
 from platform_ctrl.common.values import FloatArray, input_value, replaced, value
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.profiles import PROFILES
-from platform_ctrl.job.spectra import SPECTRA, Lines, LogSpectrum, SourceSpectrum
+from platform_ctrl.job.spectra import PROFILES, SPECTRA, Lines, LogSpectrum, SourceSpectrum
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import (
     Misfit,

@@ -11,8 +11,9 @@ which no loop is closed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import cached_property
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,7 @@ from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.design.cases import at_angles, swung
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
+from platform_ctrl.mechanics.forces import resting_forces, specific_force_at, twisted
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.verification.backlash import limit_cycle_results
@@ -42,7 +44,6 @@ from platform_ctrl.verification.coupled_plant import (
     sensed_rates,
     used_signals,
 )
-from platform_ctrl.verification.holding import holding_results
 
 if TYPE_CHECKING:
     import control
@@ -368,3 +369,37 @@ def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:
         if spec.kind == "stabilisation":
             out += [(spec.name, one) for one in spec.requirements if one.metric.of_torquers]
     return tuple(out)
+
+
+HOLDS = Requirement(name="torque at rest over its limit", limit=1.0, unit="", sense="at most")
+
+
+def holding_results(job: Job, torquers: Collection[str], subject: str) -> Iterator[CheckResult]:
+    """Yield a result that is missed for each gimbal that its torquers, of those that loops use, cannot hold or turn.
+
+    At zero angles and at every combination of the job's angles, under springs, unbalance and weight, root at rest;
+    breakaway of dry friction adds to them.
+    """
+    platform = job.platform
+    f = specific_force_at(platform)
+    limits: dict[str, float] = {}
+    for one in platform.torquers:
+        if one.gimbal is not None and one.name in torquers:
+            limits[one.gimbal] = limits.get(one.gimbal, 0.0) + (inf if one.limit is None else one.gain * one.limit)
+    trims = [twisted(platform, q, f) for q in job.trims]
+    forces = np.abs([resting_forces(platform, q, f) for q in trims])[:, 3:]
+    for gimbal, limit in limits.items():
+        own = forces[:, platform.gimbal(gimbal)]
+        worst = int(np.argmax(own))
+        stuck = platform.breakaway(gimbal)
+        if own[worst] + stuck > limit:
+            where = f", {at_angles(platform, job.trims[worst])}" if worst else ""
+            parts = [f"{own[worst]:.3g} N m hold it"] if own[worst] > 0.0 else []
+            parts += [f"{stuck:.3g} N m of dry friction have to be overcome"] if stuck > 0.0 else []
+            yield HOLDS.judge(
+                (own[worst] + stuck) / limit,
+                subject=subject,
+                stage="coupled",
+                evidence=f"gimbal {gimbal}: {' and '.join(parts)}, its torquers have {limit:.3g} N m{where}",
+                method="exact",
+            )

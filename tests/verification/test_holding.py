@@ -6,7 +6,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import design
 from platform_ctrl.verification import check_job
-from platform_ctrl.verification.holding import holding_results
+from platform_ctrl.verification.coupled import holding_results
 
 MASS, ARM, G = 2.0, 0.1, 9.81
 

@@ -29,7 +29,7 @@ def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
         With a table of what is missed: value, limit, margin, and where the worst value was found.
     """
     __tracebackhide__ = True
-    from platform_ctrl.cli.failures import missed_text
+    from platform_ctrl.cli.terminal import missed_text
 
     texts = [missed_text([one for one in result.requirements if one.hard], result.job.name)]
     if goals:

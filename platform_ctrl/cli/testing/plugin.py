@@ -53,7 +53,7 @@ def closed_loop() -> Callable[..., JobResult]:
 
 def _assert_no_worse(result: JobResult, file: Path) -> None:
     __tracebackhide__ = True
-    from platform_ctrl.cli.failures import changes_text
+    from platform_ctrl.cli.terminal import changes_text
     from platform_ctrl.verification.comparison import compare
     from platform_ctrl.verification.result_file import read_record, result_record
 
