@@ -13,11 +13,11 @@ import numpy as np
 
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.app.background import IsCancelled, Simulating, Tuning
-from platform_ctrl.app.caged import CagedCurves
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import LoopCurves
 from platform_ctrl.app.job_parts import BudgetState, JobParts, SightBudgets, loop_stamp, run_stamp
+from platform_ctrl.app.loops import CagedCurves
 from platform_ctrl.app.pictures import Drawing, Measured, Picture
 from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, is_unchanged, write_job
 from platform_ctrl.app.settings import (

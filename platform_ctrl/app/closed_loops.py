@@ -15,12 +15,11 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.background import Background, Designing, DesignPending, DesignQueue, IsCancelled
-from platform_ctrl.app.caged import CachedMetrics, CagedCurves, CagedLoop
 from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays, existing_designs, loop_names
+from platform_ctrl.app.loops import CachedMetrics, CagedCurves, CagedLoop, StabilisedCurves
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.settings import Settings, of_loop, with_limits
-from platform_ctrl.app.stabilised import StabilisedCurves
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels

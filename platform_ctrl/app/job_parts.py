@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.app.caged import loop_metrics
 from platform_ctrl.app.closed_loops import ClosedLoops
+from platform_ctrl.app.loops import loop_metrics
 from platform_ctrl.app.plants import Bounded
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import value

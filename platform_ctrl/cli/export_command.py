@@ -1,4 +1,4 @@
-"""``platform-ctrl export`` and ``import``: a job in the forms that other tools take, a robot description as a plant file."""
+"""``platform-ctrl export`` and ``import``: a job in the forms that other tools take, a robot description as a plant."""
 
 from __future__ import annotations
 
