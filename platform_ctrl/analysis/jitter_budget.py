@@ -21,6 +21,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis import hybrid_plant as hybrid
 from platform_ctrl.analysis.budget_integrals import (
     GAUSS,
     KRONROD,
@@ -45,15 +46,6 @@ from platform_ctrl.analysis.budget_integrals import (
     thinned,
     through,
     window_shares,
-)
-from platform_ctrl.analysis.hybrid_plant import (
-    MOST_OF_SOURCES,
-    Disturbance,
-    HybridPlant,
-    OpenLoop,
-    RandomDisturbance,
-    SampleNoise,
-    SineDisturbance,
 )
 from platform_ctrl.analysis.interconnection import Modulator, MultiRate
 from platform_ctrl.analysis.poles import continuous_poles, poles
@@ -89,18 +81,22 @@ class JitterBudget:
     """
 
     def __init__(
-        self, plant: HybridPlant, sources: Sequence[Disturbance], exposures: Sequence[float] = (), lowest: float = 0.0
+        self,
+        plant: hybrid.HybridPlant,
+        sources: Sequence[hybrid.Disturbance],
+        exposures: Sequence[float] = (),
+        lowest: float = 0.0,
     ) -> None:
-        self.plant, self.open_loop, self.sources = plant, OpenLoop(plant), tuple(sources)
+        self.plant, self.open_loop, self.sources = plant, hybrid.OpenLoop(plant), tuple(sources)
         self.lowest = positive("jitter budget: lowest", lowest, zero=True)
         if not self.lowest < 0.5 * plant.sample_frequency:
             raise ArgumentError("jitter budget: lowest must be below half the sample frequency")
         self.exposures = tuple(exposures)
         if len({one.name for one in self.sources}) < len(self.sources):
             raise ArgumentError("jitter budget: sources must have names that differ")
-        self._random = [one for one in self.sources if isinstance(one, RandomDisturbance)]
-        self._noise = [one for one in self.sources if isinstance(one, SampleNoise)]
-        self._sines = [one for one in self.sources if isinstance(one, SineDisturbance)]
+        self._random = [one for one in self.sources if isinstance(one, hybrid.RandomDisturbance)]
+        self._noise = [one for one in self.sources if isinstance(one, hybrid.SampleNoise)]
+        self._sines = [one for one in self.sources if isinstance(one, hybrid.SineDisturbance)]
         starts = np.cumsum([0, *(len(one.inputs) for one in self._random)])[:-1]
         # Sums over the last axis, the columns of all random sources, for each source.
         self._of_sources = partial(np.add.reduceat, indices=starts, axis=-1)
@@ -109,10 +105,10 @@ class JitterBudget:
         # Every frequency of a source is the image of one below half of what the controller takes for one, and every
         # component has an image.
         self._images = max(_IMAGES, math.ceil(0.5 * plant.cycle), math.ceil(highest / plant.turn))
-        if self._images > MOST_OF_SOURCES:
+        if self._images > hybrid.MOST_OF_SOURCES:
             raise ArgumentError(
                 f"jitter budget: a source reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
-                f"at most {MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
+                f"at most {hybrid.MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
             )
         self._known: dict[Panel, NodeResponses] = {}
         self._kept = 0
@@ -346,7 +342,7 @@ class JitterBudget:
 
     def _lines(self, controller: MultiRate, over_frequency: bool) -> list[Contribution]:
         """Return the lines of sines, those that add as they come together: of each alone, and last of all of them."""
-        by_frequency: dict[object, list[SineDisturbance]] = {}
+        by_frequency: dict[object, list[hybrid.SineDisturbance]] = {}
         for one in self._sines:
             by_frequency.setdefault(one.frequency if one.phase is not None else id(one), []).append(one)
         groups = list(by_frequency.values())
@@ -358,7 +354,7 @@ class JitterBudget:
         ]
 
     def _lines_of(
-        self, groups: list[list[SineDisturbance]], controller: MultiRate, over_frequency: bool
+        self, groups: list[list[hybrid.SineDisturbance]], controller: MultiRate, over_frequency: bool
     ) -> list[Contribution]:
         plant, omega = self.plant, np.array([group[0].frequency for group in groups])
         # A line at a multiple of the controller's rate has an image at zero, to the last bit.

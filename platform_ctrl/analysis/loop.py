@@ -21,17 +21,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis import norms
 from platform_ctrl.analysis.between_samples import Disturbed
 from platform_ctrl.analysis.feedback import commanded_loop, sensitivities_of_plants, with_error_alone
-from platform_ctrl.analysis.norms import (
-    PEAK_TOLERANCE,
-    Band,
-    bandwidth_of_sensitivity,
-    exceeds,
-    gains,
-    peak,
-    refined_peak,
-)
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import (
     Drift,
@@ -192,7 +184,7 @@ class Loop:
     def _sensitivities(self) -> tuple[ComplexArray, ComplexArray]:
         return sensitivities_of_plants(self.plants.response, self.K)
 
-    def peak(self, parts: Parts, band: Band, k: int) -> tuple[float, float]:
+    def peak(self, parts: Parts, band: norms.Band, k: int) -> tuple[float, float]:
         """Return the largest gain of parts of plant `k`'s loop in a band, to 1e-9 from above, and its frequency, rad/s.
 
         Infinite of an unstable loop. Of continuous disturbances it is that of a grid, refined around its tops.
@@ -203,7 +195,7 @@ class Loop:
                 return np.inf, 0.0
             if self._of_continuous(parts):
                 return self._refined(parts, band, k)
-            return max(peak(part, band, self.poles[k]) for part in self.parts(parts, k))
+            return max(norms.peak(part, band, self.poles[k]) for part in self.parts(parts, k))
 
         return self._once(("peak", parts, band, k), found)
 
@@ -213,21 +205,21 @@ class Loop:
         def found() -> tuple[float, float]:
             if not self.decay[k] > 0.0:
                 return 0.0, 0.0
-            at = min(bandwidth_of_sensitivity(part, self.poles[k]) for part in self.parts(SENSITIVITIES, k))
-            return (1.0 - PEAK_TOLERANCE) * at, (1.0 + _ABOVE) * at
+            at = min(norms.bandwidth_of_sensitivity(part, self.poles[k]) for part in self.parts(SENSITIVITIES, k))
+            return (1.0 - norms.PEAK_TOLERANCE) * at, (1.0 + _ABOVE) * at
 
         return self._once(("bandwidth", k), found)[0]
 
     def controller_peak(self, lowest: float) -> float:
         """Return the largest gain of the controller from a frequency, rad/s, on, to 1e-9 from above."""
-        return self._once(("controller", lowest), lambda: peak(self.controller, (lowest, np.inf)))[0]
+        return self._once(("controller", lowest), lambda: norms.peak(self.controller, (lowest, np.inf)))[0]
 
     def _once(self, of: Hashable, found: Callable[[], tuple[float, float]]) -> tuple[float, float]:
         if of not in self._exact:
             self._exact[of] = found()
         return self._exact[of]
 
-    def below(self, parts: Parts, band: Band, k: int, level: float) -> bool:
+    def below(self, parts: Parts, band: norms.Band, k: int, level: float) -> bool:
         """Return whether the gains of parts of plant `k`'s stable loop are shown not to exceed a level in a band."""
         of = (parts, band, k)
         if self._below.get(of, np.inf) <= level:
@@ -235,7 +227,7 @@ class Loop:
         if self._of_continuous(parts):
             exceeded = self._refined(parts, band, k)[0] > level
         else:
-            exceeded = any(exceeds(part, level, self.poles[k], band) for part in self.parts(parts, k))
+            exceeded = any(norms.exceeds(part, level, self.poles[k], band) for part in self.parts(parts, k))
         if not exceeded:
             self._below[of] = level
         return not exceeded
@@ -283,7 +275,7 @@ class Loop:
     def _of_continuous(self, parts: Parts) -> bool:
         return any(self.between(one) for one in parts)
 
-    def _refined(self, parts: Parts, band: Band, k: int) -> tuple[float, float]:
+    def _refined(self, parts: Parts, band: norms.Band, k: int) -> tuple[float, float]:
         """Return the largest gain of parts from continuous disturbances, and its frequency, rad/s.
 
         Infinite where it grows without bound towards zero frequency.
@@ -303,13 +295,13 @@ class Loop:
             slow, slower = self.gain_at(parts, w[0] * np.array([1.0, 0.1]), k)
             if slower > _GROWING * slow:
                 return np.inf, 0.0
-        return refined_peak(lambda at: self.gain_at(parts, at, k), w)
+        return norms.refined_peak(lambda at: self.gain_at(parts, at, k), w)
 
     def gain_at(self, parts: Parts, frequency: FloatArray, k: int) -> FloatArray:
         """Return the largest gain (F,) of parts of the closed loop with plant `k` at any frequencies (F,), rad/s."""
         continuous = [one for one in parts if self.between(one)]
         sampled = tuple(one for one in parts if not self.between(one))
-        found = [gains(one, frequency) for one in self.parts(sampled, k)]
+        found = [norms.gains(one, frequency) for one in self.parts(sampled, k)]
         if continuous:
             controller = self.controller if self.two_degrees is None else self.two_degrees
             alone = Loop(replaced(self.plants.only([k]), {"disturbed": None}).on(frequency), controller)
@@ -351,7 +343,7 @@ class Loop:
         share = torque * (plants.Omega / plants.torque_limit[:, None])
         return [share[..., j : j + 1, :] for j in range(m)]
 
-    def grid_peaks(self, parts: Parts, band: Band, members: Indices) -> FloatArray:
+    def grid_peaks(self, parts: Parts, band: norms.Band, members: Indices) -> FloatArray:
         """Return the largest gain of the parts of some plants within `band`, (k,); infinite of an unstable loop."""
         grid = self.plants.frequency
         responses = [response for transfer in parts for response in self.responses(transfer, members)]

@@ -11,29 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.loop import (
-    ANGLE_PER_OMEGA,
-    ANGLE_PER_TORQUE,
-    FOLLOWING,
-    HALF_INPUT,
-    HALF_OUTPUT,
-    S_INPUT,
-    S_OUTPUT,
-    SIGHT_PER_OMEGA,
-    T_INPUT,
-    T_OUTPUT,
-    TORQUE_SHARE,
-)
-from platform_ctrl.analysis.measuring import (
-    Bandwidth,
-    ControllerGain,
-    Direct,
-    Peak,
-    of_following,
-    of_margins,
-    of_steps,
-    torque_noise,
-)
+from platform_ctrl.analysis import loop, measuring
 from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
 from platform_ctrl.analysis.time_responses import overshoot, ramp_error, settling_time, steady_error
 from platform_ctrl.common.values import FloatArray, value
@@ -60,7 +38,7 @@ class Metric(Quantity):
 
     scale: float = 1.0  # the unit in SI units
     decibels: bool = False  # whether the unit is dB: of a ratio of amplitudes
-    measure: Direct | Peak | Bandwidth | ControllerGain  # how it is measured
+    measure: measuring.Direct | measuring.Peak | measuring.Bandwidth | measuring.ControllerGain  # how it is measured
     # which limits a job file may set: ``""``: of the nominal plant; ``"worst_case"`` and ``"faults"``: with the key's
     # ending ``_worst_case`` or ``_faults``
     scopes: tuple[str, ...] = ("",)
@@ -85,20 +63,20 @@ class Metric(Quantity):
     @property
     def band(self) -> str:
         """Whether it is taken ``"up to"`` or ``"from"`` a frequency; empty: it has none."""
-        if isinstance(self.measure, ControllerGain):
+        if isinstance(self.measure, measuring.ControllerGain):
             return "from"
-        return "up to" if isinstance(self.measure, Peak) and self.measure.banded else ""
+        return "up to" if isinstance(self.measure, measuring.Peak) and self.measure.banded else ""
 
     @property
     def of_disturbances(self) -> bool:
         """Whether it is about what continuous disturbances do, between samples too."""
-        parts = self.measure.transfers if isinstance(self.measure, Peak) else ()
+        parts = self.measure.transfers if isinstance(self.measure, measuring.Peak) else ()
         return any(one.source == "Omega" or (one.source, one.target) == ("torque", "angle") for one in parts)
 
     @property
     def searched(self) -> bool:
         """Whether a grid of frequencies may miss the worst: a verdict then takes exact values."""
-        return not isinstance(self.measure, Direct)
+        return not isinstance(self.measure, measuring.Direct)
 
     @property
     def frequency_key(self) -> str:
@@ -117,7 +95,7 @@ METRICS: dict[str, Metric] = {
         unit="1/s",
         sense="at least",
         meaning="decay rate of the slowest pole",
-        measure=Direct(function=lambda loops: loops.decay),
+        measure=measuring.Direct(function=lambda loops: loops.decay),
     ),
     "bandwidth": Metric(
         name="bandwidth",
@@ -126,7 +104,7 @@ METRICS: dict[str, Metric] = {
         scale=2.0 * np.pi,
         sense="at least",
         meaning="lowest frequency at which the largest singular value of S, at plant input or output, reaches 1/√2",
-        measure=Bandwidth(),
+        measure=measuring.Bandwidth(),
     ),
     "disk margin": Metric(
         name="disk margin",
@@ -134,7 +112,7 @@ METRICS: dict[str, Metric] = {
         sense="at least",
         meaning="1/‖(S − T)/2‖∞, the smaller of input and output. Unstructured: all channels at once, "
         "cross-talk included",
-        measure=Peak(transfers=(HALF_OUTPUT, HALF_INPUT), reciprocal=True),
+        measure=measuring.Peak(transfers=(loop.HALF_OUTPUT, loop.HALF_INPUT), reciprocal=True),
         scopes=("", "worst_case", "faults"),
         best=2.0,
     ),
@@ -145,7 +123,7 @@ METRICS: dict[str, Metric] = {
         decibels=True,
         sense="at least",
         meaning="least change of the gain of one torquer, up or down, that ends stability, all others closed",
-        measure=Direct(function=of_margins(0)),
+        measure=measuring.Direct(function=measuring.of_margins(0)),
         scopes=("", "worst_case"),
     ),
     "phase margin": Metric(
@@ -155,7 +133,7 @@ METRICS: dict[str, Metric] = {
         scale=np.pi / 180.0,
         sense="at least",
         meaning="least lag of one torquer that ends stability where its loop's gain is 1, all others closed",
-        measure=Direct(function=of_margins(1)),
+        measure=measuring.Direct(function=measuring.of_margins(1)),
         scopes=("", "worst_case"),
         best=180.0,
     ),
@@ -163,14 +141,14 @@ METRICS: dict[str, Metric] = {
         name="sensitivity peak",
         key="sensitivity_peak",
         meaning="‖S‖∞, the larger of input and output",
-        measure=Peak(transfers=(S_OUTPUT, S_INPUT)),
+        measure=measuring.Peak(transfers=(loop.S_OUTPUT, loop.S_INPUT)),
         scopes=("", "worst_case"),
     ),
     "complementary sensitivity peak": Metric(
         name="complementary sensitivity peak",
         key="complementary_sensitivity_peak",
         meaning="‖T‖∞, the larger of input and output",
-        measure=Peak(transfers=(T_OUTPUT, T_INPUT)),
+        measure=measuring.Peak(transfers=(loop.T_OUTPUT, loop.T_INPUT)),
         scopes=("", "worst_case"),
     ),
     "damping": Metric(
@@ -178,7 +156,7 @@ METRICS: dict[str, Metric] = {
         key="damping",
         sense="at least",
         meaning="smallest damping ratio of the closed-loop poles (poles in z taken to s by ln z / T)",
-        measure=Direct(function=lambda loops: minimum_damping(loops.poles, loops.period)),
+        measure=measuring.Direct(function=lambda loops: minimum_damping(loops.poles, loops.period)),
         scopes=("", "worst_case", "faults"),
         best=1.0,
     ),
@@ -189,21 +167,21 @@ METRICS: dict[str, Metric] = {
         meaning="magnitude of the closed-loop poles in the w-plane, (2/T) (z − 1)/(z + 1). A delay counts as 2/T; a "
         "pole that rings at the Nyquist frequency counts as infinitely fast. With stability and damping this is a pole "
         "region",
-        measure=Direct(function=lambda loops: fastest_pole(loops.poles, loops.period)),
+        measure=measuring.Direct(function=lambda loops: fastest_pole(loops.poles, loops.period)),
     ),
     "tracking": Metric(
         name="tracking error",
         key="tracking",
         meaning="the largest singular value of S at the plant's output up to this frequency; of a design with "
         "`command` of the transfer from commands to their errors",
-        measure=Peak(transfers=(FOLLOWING,), banded=True),
+        measure=measuring.Peak(transfers=(loop.FOLLOWING,), banded=True),
         needs_frequency=True,
     ),
     "overshoot": Metric(
         name="overshoot",
         key="overshoot",
         meaning="of what is measured, over a step of its reference, u = K (y − reference), relative; worst channel",
-        measure=Direct(function=of_steps(overshoot)),
+        measure=measuring.Direct(function=measuring.of_steps(overshoot)),
         scopes=("", "worst_case"),
     ),
     "settling time": Metric(
@@ -211,14 +189,14 @@ METRICS: dict[str, Metric] = {
         key="settling_time",
         unit="s",
         meaning="until what is measured stays within 2 % of a step of its reference; worst channel",
-        measure=Direct(function=of_steps(settling_time)),
+        measure=measuring.Direct(function=measuring.of_steps(settling_time)),
         scopes=("", "worst_case"),
     ),
     "steady-state error": Metric(
         name="steady-state error",
         key="steady_error",
         meaning="share of a step of the reference that remains as error; worst channel",
-        measure=Direct(function=of_following(steady_error)),
+        measure=measuring.Direct(function=measuring.of_following(steady_error)),
         scopes=("", "worst_case"),
     ),
     "ramp error": Metric(
@@ -226,7 +204,7 @@ METRICS: dict[str, Metric] = {
         key="ramp_error",
         unit="s",
         meaning="error behind a ramp of the reference over the slope of the ramp; worst channel",
-        measure=Direct(function=of_following(ramp_error)),
+        measure=measuring.Direct(function=measuring.of_following(ramp_error)),
         scopes=("", "worst_case"),
     ),
     "Omega rejection": Metric(
@@ -234,7 +212,7 @@ METRICS: dict[str, Metric] = {
         key="Omega_rejection",
         unit="rad/(rad/s)",
         meaning="peak gain from the platform's rate to the angles",
-        measure=Peak(transfers=(ANGLE_PER_OMEGA,)),
+        measure=measuring.Peak(transfers=(loop.ANGLE_PER_OMEGA,)),
     ),
     "attenuation": Metric(
         name="attenuation of base motion",
@@ -244,7 +222,7 @@ METRICS: dict[str, Metric] = {
         sense="at least",
         meaning="the platform's rate over the rate of the line of sight that it causes, in the worst direction, up to "
         "this frequency; of the axes across the line of sight that the loop's torquers move",
-        measure=Peak(transfers=(SIGHT_PER_OMEGA,), banded=True, reciprocal=True),
+        measure=measuring.Peak(transfers=(loop.SIGHT_PER_OMEGA,), banded=True, reciprocal=True),
         scopes=("", "worst_case"),
         needs_frequency=True,
     ),
@@ -253,14 +231,14 @@ METRICS: dict[str, Metric] = {
         key="torque_rejection",
         unit="rad/(N m)",
         meaning="peak gain from torques that add to the torquers' to the angles",
-        measure=Peak(transfers=(ANGLE_PER_TORQUE,)),
+        measure=measuring.Peak(transfers=(loop.ANGLE_PER_TORQUE,)),
     ),
     "torque noise": Metric(
         name="torque noise, rms",
         key="torque_noise",
         unit="N m",
         meaning="rms of the torque command from the noise of all pick-offs, in the worst torquer",
-        measure=Direct(function=lambda loops: torque_noise(loops).max(axis=-1, initial=0.0)),
+        measure=measuring.Direct(function=lambda loops: measuring.torque_noise(loops).max(axis=-1, initial=0.0)),
         of_torquers=True,
     ),
     "torque limit": Metric(
@@ -269,14 +247,14 @@ METRICS: dict[str, Metric] = {
         meaning="commanded torque over the torquer's limit (1: just at it), worst torquer, for sinusoidal platform "
         "rates in the ellipsoid with half-axes `Omega`, up to this frequency or of any frequency. Torquers without "
         "a limit do not count",
-        measure=Peak(transfers=(TORQUE_SHARE,), banded=True),
+        measure=measuring.Peak(transfers=(loop.TORQUE_SHARE,), banded=True),
     ),
     "fastest controller pole": Metric(
         name="fastest pole of the controller",
         key="fastest_controller_pole",
         unit="rad/s",
         meaning="magnitude of the controller's poles in the w-plane",
-        measure=Direct(function=lambda loops: fastest_pole(poles(loops.controller.A), loops.period)[None]),
+        measure=measuring.Direct(function=lambda loops: fastest_pole(poles(loops.controller.A), loops.period)[None]),
         of="controller",
     ),
     "controller gain": Metric(
@@ -284,7 +262,7 @@ METRICS: dict[str, Metric] = {
         key="controller_gain",
         unit="N m/rad",
         meaning="largest singular value of the controller from a tenth of nutation on",
-        measure=ControllerGain(),
+        measure=measuring.ControllerGain(),
         of="controller",
     ),
 }

@@ -12,21 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.metrics import attenuation_db, over_limit, run_metrics, worst_value
-from platform_ctrl.campaign.store import (
-    ENDED,
-    MANOEUVRE,
-    NOT_SIMULATED,
-    PASSED,
-    RUN,
-    TABLE,
-    Array,
-    Columns,
-    Kind,
-    Record,
-    arrow,
-    differences,
-    identity,
-)
+from platform_ctrl.campaign import store
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job
@@ -41,7 +27,7 @@ if TYPE_CHECKING:
     from platform_ctrl.verification.simulated import Run
 
 
-def simulate_runs(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
+def simulate_runs(plan: Plan, runs: Sequence[int]) -> dict[str, store.Array]:
     """Simulate runs of a plan and return their columns, each with one entry a run."""
     from platform_ctrl import simulation
 
@@ -53,12 +39,12 @@ def simulate_runs(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
     return {**columns, **_outcomes(scenarios, result, metrics_of(plan))}
 
 
-def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
+def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, store.Array]:
     """Return the columns ``run`` and inputs of some runs."""
     numbers = np.asarray(runs, dtype=np.int64)
     first, last = (int(numbers.min()), int(numbers.max()) + 1) if len(numbers) else (0, 0)
     inputs = plan.inputs(first, last)
-    return {RUN: numbers, **{name: np.asarray(column)[numbers - first] for name, column in inputs.items()}}
+    return {store.RUN: numbers, **{name: np.asarray(column)[numbers - first] for name, column in inputs.items()}}
 
 
 def metrics_of(plan: Plan) -> tuple[str, ...]:
@@ -66,7 +52,7 @@ def metrics_of(plan: Plan) -> tuple[str, ...]:
     return run_metrics(manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres)
 
 
-def metric_of(result: BatchResult, name: str, scenarios: Sequence[Scenario]) -> Array:
+def metric_of(result: BatchResult, name: str, scenarios: Sequence[Scenario]) -> store.Array:
     """Return a metric of the runs of `scenarios` by its key, the worst of all axes, (N,)."""
     jitter = result.line_of_sight_rms
     if name in ("los_rate_rms", "los_angle_rms"):
@@ -81,12 +67,12 @@ def metric_of(result: BatchResult, name: str, scenarios: Sequence[Scenario]) -> 
     return np.asarray(getattr(result, name).max(axis=1, initial=0.0))
 
 
-def _outcomes(scenarios: Sequence[Scenario], result: BatchResult, names: Sequence[str]) -> dict[str, Array]:
+def _outcomes(scenarios: Sequence[Scenario], result: BatchResult, names: Sequence[str]) -> dict[str, store.Array]:
     """Return the outcomes of runs, by the names of the columns."""
     done = result.completed
     metrics = {name: np.where(done, metric_of(result, name, scenarios), worst_value(name)) for name in names}
     passed = done.copy()
-    answers: dict[str, Array] = {}
+    answers: dict[str, store.Array] = {}
     for name in names:
         limits = np.array([one.limits.get(name, np.nan) for one in scenarios])
         limited = ~np.isnan(limits)
@@ -98,28 +84,28 @@ def _outcomes(scenarios: Sequence[Scenario], result: BatchResult, names: Sequenc
         "stop_contacts": result.stop_contacts.sum(axis=1),
         "saturated": result.saturated.max(axis=1, initial=0) / np.maximum(result.samples, 1),
         **answers,
-        PASSED: passed,
-        ENDED: np.array(result.ended, dtype=object),
+        store.PASSED: passed,
+        store.ENDED: np.array(result.ended, dtype=object),
     }
 
 
 # Simulates runs of a plan as `simulate_runs` does.
-SimulateRuns = Callable[..., Columns]
+SimulateRuns = Callable[..., store.Columns]
 
 _LONGEST = 200
-_KINDS: dict[str, Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answer", "U": "word", "O": "word"}
+_KINDS: dict[str, store.Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answer", "U": "word", "O": "word"}
 
 
-def kinds_of(plan: Plan) -> dict[str, Kind]:
+def kinds_of(plan: Plan) -> dict[str, store.Kind]:
     """Return the kinds of all columns by their names, in the table's order."""
     inputs = {name: _KINDS[np.asarray(column).dtype.kind] for name, column in plan.inputs(0, 1).items()}
-    metrics: dict[str, Kind] = dict.fromkeys(metrics_of(plan), "number")
-    answers: dict[str, Kind] = {f"{name}_passed": "answer" for name in metrics}
-    rest: dict[str, Kind] = {"stop_contacts": "whole", "saturated": "number", **answers, PASSED: "answer"}
-    return {RUN: "whole", **inputs, **metrics, **rest, ENDED: "word"}
+    metrics: dict[str, store.Kind] = dict.fromkeys(metrics_of(plan), "number")
+    answers: dict[str, store.Kind] = {f"{name}_passed": "answer" for name in metrics}
+    rest: dict[str, store.Kind] = {"stop_contacts": "whole", "saturated": "number", **answers, store.PASSED: "answer"}
+    return {store.RUN: "whole", **inputs, **metrics, **rest, store.ENDED: "word"}
 
 
-def columns_of(plan: Plan, runs: Sequence[int], simulate: SimulateRuns) -> Columns:
+def columns_of(plan: Plan, runs: Sequence[int], simulate: SimulateRuns) -> store.Columns:
     """Return the columns of runs; a run that cannot be simulated has a row that says why."""
     try:
         return simulate(plan, runs)
@@ -133,13 +119,13 @@ def columns_of(plan: Plan, runs: Sequence[int], simulate: SimulateRuns) -> Colum
         return row_not_simulated(plan, runs[0], (title + text)[:_LONGEST])
 
 
-def row_not_simulated(plan: Plan, run: int, why: str) -> Columns:
+def row_not_simulated(plan: Plan, run: int, why: str) -> store.Columns:
     """Return the row of a run that has its inputs, as far as they are known, and no outcome."""
     nothing = np.array([None], dtype=object)
-    columns = dict.fromkeys(kinds_of(plan), nothing) | {RUN: np.array([run], dtype=np.int64)}
+    columns = dict.fromkeys(kinds_of(plan), nothing) | {store.RUN: np.array([run], dtype=np.int64)}
     with suppress(PlatformCtrlError):  # where the draws themselves are what cannot be made
         columns |= inputs_of(plan, [run])
-    return columns | {ENDED: np.array([f"{NOT_SIMULATED}: {why}"], dtype=object)}
+    return columns | {store.ENDED: np.array([f"{store.NOT_SIMULATED}: {why}"], dtype=object)}
 
 
 # Metrics of another machine's processor agree to rounding.
@@ -186,26 +172,26 @@ def rerun(plan: Plan, number: int) -> Rerun:
     scenario = plan.scenario(number)
     row = {name: _plain(column[0]) for name, column in simulate_runs(plan, [number]).items()}
     trajectory = simulate(scenario, plan.controllers, period=plan.job.sampling.period, step=plan.step)
-    base = next(one for one in plan.job.manoeuvres if one.name == inputs[MANOEUVRE][0])
+    base = next(one for one in plan.job.manoeuvres if one.name == inputs[store.MANOEUVRE][0])
     manoeuvre = dataclasses.replace(base, duration=scenario.duration, limits=dict(scenario.limits))
     job = dataclasses.replace(plan.job, platform=scenario.platform)
     return Rerun(
         number=number,
         job=job,
         inputs={name: row[name] for name in inputs},
-        metrics={name: item for name, item in row.items() if name not in inputs and name != RUN},
+        metrics={name: item for name, item in row.items() if name not in inputs and name != store.RUN},
         run=run_of(job, manoeuvre, trajectory),
     )
 
 
 def recorded_row(folder: Path, number: int) -> Row | None:
     """Return a run's row in the table of a campaign's folder; None where there is no table, or none such in it."""
-    path = folder / TABLE
+    path = folder / store.TABLE
     if not path.exists():
         return None
-    pa = arrow()
+    pa = store.arrow()
     try:
-        rows = pa.parquet.read_table(path, filters=[(RUN, "==", number)]).to_pylist()
+        rows = pa.parquet.read_table(path, filters=[(store.RUN, "==", number)]).to_pylist()
     except (OSError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
     return rows[0] if rows else None
@@ -225,7 +211,9 @@ def unlike(found: Rerun, row: Row) -> list[str]:
     return out
 
 
-def recorded_plan(job: Job, controllers: Sequence[control.StateSpace], record: Record | None) -> tuple[Plan, list[str]]:
+def recorded_plan(
+    job: Job, controllers: Sequence[control.StateSpace], record: store.Record | None
+) -> tuple[Plan, list[str]]:
     """Return the plan of a recorded campaign for the present job, and in words what has changed since."""
     from platform_ctrl.campaign.planning import plan
 
@@ -233,7 +221,7 @@ def recorded_plan(job: Job, controllers: Sequence[control.StateSpace], record: R
         return plan(job, controllers), []
     before = record["identity"]
     made = plan(job, controllers, runs=record["runs"], seed=before["seed"], sampling=before["sampling"])
-    return made, differences(before, identity(made))
+    return made, store.differences(before, store.identity(made))
 
 
 def _plain(item: Any) -> Any:

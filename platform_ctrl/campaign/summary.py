@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.campaign import store
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.statistics import (
     SIGNIFICANCE,
@@ -25,16 +26,6 @@ from platform_ctrl.campaign.statistics import (
     in_order,
     over_limits,
     statistics,
-)
-from platform_ctrl.campaign.store import (
-    ENDED,
-    MANOEUVRE,
-    PASSED,
-    Array,
-    Table,
-    input_names,
-    read_columns,
-    was_simulated,
 )
 from platform_ctrl.common.files import plain_types
 from platform_ctrl.common.values import FloatArray, value
@@ -99,25 +90,27 @@ class Influence:
         return self.present.events > 0 and self.absent.events == 0
 
 
-def influences(table: Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Influence, ...]:
+def influences(table: store.Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Influence, ...]:
     """Return the influence of every input on every requirement, the largest first.
 
     Every requirement over all manoeuvres comes first, then within each manoeuvre. An input that is the same in all runs
     is left out. Arguments and errors are those of `statistics`; `inputs` are the columns of inputs, by default all that
     are no outcome.
     """
-    names = tuple(input_names(table) if inputs is None else inputs)
+    names = tuple(store.input_names(table) if inputs is None else inputs)
     answers = answer_columns(table)
-    metrics = [name for name in answers if name != PASSED]
-    wanted = tuple(dict.fromkeys((MANOEUVRE, *names, *metrics, *answers.values(), ENDED)))
-    data = read_columns(table, wanted)
-    data = {name: column[was_simulated(data)] for name, column in data.items()}
-    manoeuvres = np.unique(data[MANOEUVRE].astype(str)).tolist()
+    metrics = [name for name in answers if name != store.PASSED]
+    wanted = tuple(dict.fromkeys((store.MANOEUVRE, *names, *metrics, *answers.values(), store.ENDED)))
+    data = store.read_columns(table, wanted)
+    data = {name: column[store.was_simulated(data)] for name, column in data.items()}
+    manoeuvres = np.unique(data[store.MANOEUVRE].astype(str)).tolist()
     ratios = dict(zip(metrics, over_limits(data, metrics, limits)[:, 2], strict=True))
-    ratios[PASSED] = np.max([*ratios.values()], axis=0) if ratios else np.zeros(len(data[MANOEUVRE]))
+    ratios[store.PASSED] = np.max([*ratios.values()], axis=0) if ratios else np.zeros(len(data[store.MANOEUVRE]))
     out: list[Influence] = []
     for manoeuvre in (None, *(in_order(manoeuvres, limits) if len(manoeuvres) > 1 else ())):
-        here = np.ones(len(data[MANOEUVRE]), dtype=bool) if manoeuvre is None else data[MANOEUVRE] == manoeuvre
+        here = (
+            np.ones(len(data[store.MANOEUVRE]), dtype=bool) if manoeuvre is None else data[store.MANOEUVRE] == manoeuvre
+        )
         for requirement, column in answers.items():
             rows = here & (data[column] >= 0)
             given = {name: data[name][rows] for name in names if _varies(data[name][rows])}
@@ -126,12 +119,12 @@ def influences(table: Table, limits: Limits, *, inputs: Sequence[str] | None = N
     return tuple(out)
 
 
-def _varies(column: Array) -> bool:
+def _varies(column: store.Array) -> bool:
     return bool((column != column[:1]).any())
 
 
 def _of_one(
-    of: tuple[str, str | None], inputs: Mapping[str, Array], violated: NDArray[np.bool_], ratio: FloatArray
+    of: tuple[str, str | None], inputs: Mapping[str, store.Array], violated: NDArray[np.bool_], ratio: FloatArray
 ) -> list[Influence]:
     """Return the influences on one requirement, within one manoeuvre or over all."""
     from scipy import stats
@@ -176,7 +169,7 @@ def _telling(one: Influence) -> tuple[bool, float]:
     return one.present.estimate < one.absent.estimate, one.p_value
 
 
-def _levels(column: Array) -> Iterator[tuple[Level, NDArray[np.bool_]]]:
+def _levels(column: store.Array) -> Iterator[tuple[Level, NDArray[np.bool_]]]:
     """Yield the values of an input with the runs that have them; thirds of the runs where there are many values."""
     if column.dtype == np.int8:  # that a fault does not happen is the other side of that it does
         yield True, column == 1
@@ -223,7 +216,7 @@ class Summary:
         return {name: column[0].item() for name, column in self.plan.inputs(run, run + 1).items()}
 
 
-def summarise(plan: Plan, table: Table) -> Summary:
+def summarise(plan: Plan, table: store.Table) -> Summary:
     """Return the statistics and influences of a campaign's table.
 
     Parameters

@@ -7,16 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import noted, print_json
-from platform_ctrl.cli.job_arguments import (
-    Controllers,
-    JobFile,
-    Json,
-    Quiet,
-    controller_file,
-    existing_controllers,
-    job_of,
-)
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,12 +29,12 @@ SEED = typer.Option("--seed", metavar="N", help="Random seed of these runs. Defa
 
 
 def budget(
-    job: JobFile,
-    controllers: Controllers = None,
+    job: arguments.JobFile,
+    controllers: arguments.Controllers = None,
     simulate: Annotated[int | None, SIMULATE] = None,
     seed: Annotated[int | None, SEED] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: arguments.Json = False,
+    quiet: arguments.Quiet = False,
 ) -> int:
     """Print how much the line of sight shakes, and from what.
 
@@ -64,7 +56,7 @@ def budget(
     from platform_ctrl.cli.terminal import progress, screen, show_requirements
 
     with progress(quiet or as_json, f"reading {job}") as say:
-        read = job_of(job)
+        read = arguments.job_of(job)
         from platform_ctrl.common.values import replaced
         from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
         from platform_ctrl.verification.budget_result import by_simulation
@@ -137,14 +129,14 @@ def _controllers(
     """Return the controllers of a file as check finds it, or new ones, their alternatives, and a line about them."""
     from platform_ctrl.verification.controllers import read_controllers
 
-    if given is None and existing_controllers(None, path) is None:
+    if given is None and arguments.existing_controllers(None, path) is None:
         from platform_ctrl.design import loops
 
         made = loops(job, say)
         others = [design.controller for outcome in made for design in outcome.alternatives]
         words = f"controllers: designed for this budget and not kept; platform-ctrl design {path} keeps them"
         return [outcome.closed.controller for outcome in made], others, words
-    file, used = controller_file(given, None, path, job, quiet)
+    file, used = arguments.controller_file(given, None, path, job, quiet)
     return read_controllers(file, job), read_controllers(file, job, "alternatives"), used
 
 

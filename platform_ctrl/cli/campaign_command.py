@@ -8,18 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import not_drawn, noted, print_json
-from platform_ctrl.cli.job_arguments import (
-    CAMPAIGN,
-    Controllers,
-    JobFile,
-    Json,
-    Quiet,
-    controller_file,
-    folder_option,
-    job_of,
-    prepare_folder,
-)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -33,7 +23,9 @@ if TYPE_CHECKING:
 
 PAGE = "campaign.html"
 Runs = Annotated[int | None, typer.Option("--runs", metavar="N", help="Number of runs. Default: as in the job.")]
-Out = Annotated[Path, folder_option("Folder for campaign.html, campaign.parquet and campaign.json; made if needed.")]
+Out = Annotated[
+    Path, arguments.folder_option("Folder for campaign.html, campaign.parquet and campaign.json; made if needed.")
+]
 Workers = Annotated[
     int | None,
     typer.Option(
@@ -61,17 +53,17 @@ Restart = Annotated[bool, typer.Option("--restart", help="Discard the campaign i
 
 
 def campaign(
-    job: JobFile,
+    job: arguments.JobFile,
     runs: Runs = None,
-    out: Out = CAMPAIGN,
-    controllers: Controllers = None,
+    out: Out = arguments.CAMPAIGN,
+    controllers: arguments.Controllers = None,
     workers: Workers = None,
     seed: Seed = None,
     sampling: Sampling = None,
     scheduler: Scheduler = None,
     restart: Restart = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: arguments.Json = False,
+    quiet: arguments.Quiet = False,
 ) -> int:
     """Simulate many runs of a job, with the variations in its [campaign].
 
@@ -95,8 +87,8 @@ def campaign(
     from platform_ctrl.cli.terminal import campaign_progress, progress
 
     with progress(quiet or as_json, f"reading {job}"):
-        read = job_of(job)
-        file, used = controller_file(controllers, None, job, read, quiet or as_json)
+        read = arguments.job_of(job)
+        file, used = arguments.controller_file(controllers, None, job, read, quiet or as_json)
         from platform_ctrl.campaign.engine import run_campaign
         from platform_ctrl.campaign.planning import plan
         from platform_ctrl.verification.controllers import read_controllers
@@ -106,14 +98,14 @@ def campaign(
             from platform_ctrl.campaign.engine import client_of
 
             client_of(scheduler).close()  # a wrong address leaves no folder behind
-        prepare_folder(out, ("campaign.json", PAGE))
+        arguments.prepare_folder(out, ("campaign.json", PAGE))
     try:
         with campaign_progress(quiet or as_json, made.runs) as tick:
             result = run_campaign(made, out, workers=workers, scheduler=scheduler, restart=restart, progress=tick)
     except KeyboardInterrupt:
         noted(f"stopped: what was simulated is kept in {out}; the same command continues")
         raise
-    given = {"--controllers": controllers, "-o": None if out == CAMPAIGN else out}
+    given = {"--controllers": controllers, "-o": None if out == arguments.CAMPAIGN else out}
     files = [str(word) for option, path in given.items() if path is not None for word in (option, path)]
     numbers = {"--runs": runs, "--seed": seed, "--sampling": sampling}
     words = [str(word) for option, one in numbers.items() if one is not None for word in (option, one)]

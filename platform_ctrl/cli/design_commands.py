@@ -13,23 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import failed, not_drawn, noted, print_json, reported
-from platform_ctrl.cli.job_arguments import (
-    DESIGNED,
-    REPORT,
-    RESULT,
-    CampaignFolder,
-    Controllers,
-    JobFile,
-    Json,
-    Prove,
-    Quiet,
-    controller_file,
-    files_read,
-    folder_option,
-    job_of,
-    prepare_folder,
-)
 from platform_ctrl.errors import InputError, PlatformCtrlError, began_with_interrupt
 
 if TYPE_CHECKING:
@@ -44,19 +29,19 @@ if TYPE_CHECKING:
 CHECKED = Path("check")
 
 
-Out = Annotated[Path, folder_option(f"Folder for {RESULT} and {REPORT}; made if needed.")]
+Out = Annotated[Path, arguments.folder_option(f"Folder for {arguments.RESULT} and {arguments.REPORT}; made if needed.")]
 Watch = Annotated[
     bool, typer.Option("--watch", help="Go on: design again whenever JOB or a file that it names is saved.")
 ]
 
 
 def design(
-    job: JobFile,
-    out: Out = DESIGNED,
+    job: arguments.JobFile,
+    out: Out = arguments.DESIGNED,
     watch: Watch = False,
-    prove: Prove = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    prove: arguments.Prove = False,
+    as_json: arguments.Json = False,
+    quiet: arguments.Quiet = False,
 ) -> int:
     """Design every loop of a job and check the whole.
 
@@ -89,8 +74,8 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
     from platform_ctrl.cli.terminal import progress
 
     with progress(quiet or as_json, f"reading {job}") as say:
-        read = job_of(job)
-        prepare_folder(folder, (RESULT, REPORT))
+        read = arguments.job_of(job)
+        arguments.prepare_folder(folder, (arguments.RESULT, arguments.REPORT))
         _expect_proofs_possible(prove)
         from platform_ctrl.common.processes import processors
         from platform_ctrl.design.jobs import attempted_loops
@@ -107,7 +92,7 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
                 noted(f"failed: {one.loop}, {one.name}: {one.sentence}")
             raise failures[0].error
         result = check_job(read, outcomes, say, prove=prove)
-        record = write_record(result_record(result), folder / RESULT)  # before anything is drawn
+        record = write_record(result_record(result), folder / arguments.RESULT)  # before anything is drawn
         drawn = _drawn(result, folder, ["design", str(job), "-o", str(folder)], say)
     code = _show(result, record, folder, drawn, as_json, job)
     for one in failures:
@@ -125,7 +110,7 @@ def whenever_saved(job: Path, run: Callable[[], int], *, quiet: bool) -> NoRetur
     A message about wrong input does not end it.
     """
     while True:
-        files = files_read(job)
+        files = arguments.files_read(job)
         seen = _state(files)
         try:
             run()
@@ -170,9 +155,9 @@ def _expect_proofs_possible(prove: bool) -> None:
 
 CheckOut = Annotated[
     Path | None,
-    folder_option(
-        f"Folder for {RESULT} and {REPORT}, default: {CHECKED}. If it is named here and holds a {RESULT}, the "
-        "controllers come from there by default."
+    arguments.folder_option(
+        f"Folder for {arguments.RESULT} and {arguments.REPORT}, default: {CHECKED}. If it is named here and holds a "
+        f"{arguments.RESULT}, the controllers come from there by default."
     ),
 ]
 Baseline = Annotated[
@@ -180,21 +165,21 @@ Baseline = Annotated[
     typer.Option(
         "--baseline",
         metavar="FILE",
-        help=f"An accepted {RESULT}: the exit code is also 1 if a value is worse by more than 1 %, or than the "
-        "tolerance of the job. What became worse is printed.",
+        help=f"An accepted {arguments.RESULT}: the exit code is also 1 if a value is worse by more than 1 %, or than "
+        "the tolerance of the job. What became worse is printed.",
     ),
 ]
 
 
 def check(
-    job: JobFile,
-    controllers: Controllers = None,
+    job: arguments.JobFile,
+    controllers: arguments.Controllers = None,
     out: CheckOut = None,
     baseline: Baseline = None,
-    campaign: CampaignFolder = None,
-    prove: Prove = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    campaign: arguments.CampaignFolder = None,
+    prove: arguments.Prove = False,
+    as_json: arguments.Json = False,
+    quiet: arguments.Quiet = False,
 ) -> int:
     """Check existing controllers.
 
@@ -218,8 +203,8 @@ def check(
 
     folder = out or CHECKED
     with progress(quiet or as_json, f"reading {job}") as say:
-        read = job_of(job)
-        file, used = controller_file(controllers, out, job, read, quiet or as_json)
+        read = arguments.job_of(job)
+        file, used = arguments.controller_file(controllers, out, job, read, quiet or as_json)
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.comparison import compare
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
@@ -236,20 +221,20 @@ def check(
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
         summary = None if campaign is None else campaign_summary(read, closed, campaign)
-        prepare_folder(folder, (RESULT, REPORT))
+        arguments.prepare_folder(folder, (arguments.RESULT, arguments.REPORT))
         _expect_proofs_possible(prove)
         result = check_job(read, outcomes_from(read, closed, others), say, prove=prove)
         notes = unconfirmed(file, result)
         record = with_sections(result_record(result), file)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-        again = ["platform-ctrl", "simulate", str(job), "--controllers", str(folder / RESULT)]
+        again = ["platform-ctrl", "simulate", str(job), "--controllers", str(folder / arguments.RESULT)]
         if summary is not None:
             command += ["--campaign", str(campaign)]
             again += ["-o", str(campaign), "--run"]
             counted = summary.statistics.violation
             passed = {"passed": summary.passed, "runs": counted.runs, "violating": counted.events}
             record |= {"passed": record["passed"] and summary.passed, "campaign": passed}
-        record = write_record(record, folder / RESULT)
+        record = write_record(record, folder / arguments.RESULT)
         compared = None if accepted is None else compare(record, accepted, read.tolerance)
         drawn = _drawn(result, folder, command, say, campaign=summary, again=shlex.join(again))
     noted(used)
@@ -308,7 +293,7 @@ def _drawn(
 
     `command` are the words of the command line without the program's name.
     """
-    path = folder / REPORT
+    path = folder / arguments.REPORT
     lines: list[str] = []
 
     def page(path: Path) -> None:
@@ -343,8 +328,8 @@ def _show(
     else:
         show_result(result, campaign)
         if there:
-            typer.echo(f"report: {folder / REPORT}")
-        typer.echo(f"values: {folder / RESULT}")
+            typer.echo(f"report: {folder / arguments.REPORT}")
+        typer.echo(f"values: {folder / arguments.RESULT}")
     for line in missing:
         noted(line)
     if not (as_json or result.passed):

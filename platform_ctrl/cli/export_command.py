@@ -12,19 +12,8 @@ from typing import Annotated
 
 import typer
 
+from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import noted, print_json
-from platform_ctrl.cli.job_arguments import (
-    Controllers,
-    JobFile,
-    Json,
-    Quiet,
-    Word,
-    controller_file,
-    existing_controllers,
-    expect_target,
-    job_of,
-    one_of,
-)
 from platform_ctrl.common.files import UNFINISHED, write_json, write_whole
 from platform_ctrl.common.processes import interrupts_deferred
 from platform_ctrl.errors import InputError
@@ -70,8 +59,8 @@ Root = Annotated[
 
 
 def export(
-    job: JobFile,
-    controllers: Controllers = None,
+    job: arguments.JobFile,
+    controllers: arguments.Controllers = None,
     c: C = None,
     mat: Mat = None,
     models: Models = None,
@@ -82,8 +71,8 @@ def export(
     ] = NUMBERS[0],
     form: Responses = RESPONSES[0],
     root: Root = ROOTS[0],
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: arguments.Json = False,
+    quiet: arguments.Quiet = False,
 ) -> int:
     """Export controllers and plant for compilers and other tools.
 
@@ -113,17 +102,17 @@ def export(
     responses = _how_of("--form", form, RESPONSES, "csv", chosen)
     kind = _how_of("--root", root, ROOTS, "mjcf", chosen)
     with progress(quiet or as_json, f"reading {job}") as say:
-        work = Export(job_of(job), job, number=numbers, responses=responses, root=kind)
+        work = Export(arguments.job_of(job), job, number=numbers, responses=responses, root=kind)
         uses = {one.controllers for one in chosen}
         used = "" if uses == {"unused"} else "controllers: none"
-        there = existing_controllers(None, job) is not None
+        there = arguments.existing_controllers(None, job) is not None
         if controllers is not None or "needed" in uses or (there and "optional" in uses):
-            work.controller_file, used = controller_file(controllers, None, job, work.job, quiet or as_json)
+            work.controller_file, used = arguments.controller_file(controllers, None, job, work.job, quiet or as_json)
         file = work.controller_file
         inputs = [job, job.parent / work.job.plant, *([file] if file else [])]
         for one, target in chosen.items():
             others = [*inputs, *(at for other, at in chosen.items() if other is not one)]
-            expect_target(one.flag, target, others, folder=one.folder)
+            arguments.expect_target(one.flag, target, others, folder=one.folder)
         work.controller_sha256 = None if file is None else sha256(file)
         owned = {one: own_files(one.flag, target) for one, target in chosen.items() if one.folder}
         about = {
@@ -149,11 +138,13 @@ def export(
     return 0
 
 
-def _how_of(flag: str, given: str, known: tuple[Word, ...], of: str, chosen: Mapping[Form, Path]) -> Word:
+def _how_of(
+    flag: str, given: str, known: tuple[arguments.Word, ...], of: str, chosen: Mapping[Form, Path]
+) -> arguments.Word:
     """Return the word among `known` that an option has, which is one of a form that must be chosen for that."""
     if given != known[0] and of not in [one.name for one in chosen]:
         raise InputError(f"{flag}: is an option of --{of}, which must be given too")
-    return one_of(flag, given, known)
+    return arguments.one_of(flag, given, known)
 
 
 def _write(
@@ -259,7 +250,7 @@ def import_description(
         str | None,
         typer.Option("--tip", metavar="BODY", help="Last body: joints that are not on the way to it are held at zero."),
     ] = None,
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Make a plant file of a robot description in URDF, MJCF or SDF.
 
@@ -279,7 +270,7 @@ def import_description(
     from platform_ctrl.export.robots.plant_file import import_robot
 
     if out is not None:
-        expect_target("--out", out, [file])
+        arguments.expect_target("--out", out, [file])
     made = import_robot(file, root, tip)
     gimbals = made.platform.gimbal_names
     if out is not None:

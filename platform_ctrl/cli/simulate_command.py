@@ -9,18 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import not_drawn, noted, print_json
-from platform_ctrl.cli.job_arguments import (
-    CAMPAIGN,
-    Controllers,
-    JobFile,
-    Json,
-    Quiet,
-    controller_file,
-    folder_option,
-    job_of,
-    prepare_folder,
-)
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,21 +45,21 @@ ManoeuvreName = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    folder_option(
-        f"Of a run of the campaign: the campaign's folder, default: {CAMPAIGN}; seed and sampling are those "
+    arguments.folder_option(
+        f"Of a run of the campaign: the campaign's folder, default: {arguments.CAMPAIGN}; seed and sampling are those "
         "of the campaign there. A figure of the run goes there; of a manoeuvre only if a folder is named."
     ),
 ]
 
 
 def simulate(
-    job: JobFile,
+    job: arguments.JobFile,
     run: RunNumber = None,
     manoeuvre: ManoeuvreName = None,
-    controllers: Controllers = None,
+    controllers: arguments.Controllers = None,
     out: Out = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: arguments.Json = False,
+    quiet: arguments.Quiet = False,
 ) -> int:
     """Simulate one manoeuvre on the non-linear plant, or one run of a campaign again.
 
@@ -99,9 +89,9 @@ def simulate(
     if run is None and manoeuvre is None:
         return _list(job, as_json)
     with progress(quiet or as_json, f"reading {job}") as say:
-        read = job_of(job)
+        read = arguments.job_of(job)
         chosen = None if manoeuvre is None else _manoeuvre(read, manoeuvre, job)
-        file, used = controller_file(controllers, None, job, read, quiet or as_json)
+        file, used = arguments.controller_file(controllers, None, job, read, quiet or as_json)
         from platform_ctrl.verification.controllers import read_controllers
 
         closed = read_controllers(file, read)
@@ -109,7 +99,7 @@ def simulate(
             found = _manoeuvre_run(read, chosen, closed, out, say)
         else:
             assert run is not None
-            found = _campaign_run(read, run, closed, out or CAMPAIGN, say)
+            found = _campaign_run(read, run, closed, out or arguments.CAMPAIGN, say)
         line = "" if found.figure is None else _drawn(found, found.figure)
     noted(used)
     _show(found, line, as_json)
@@ -118,7 +108,7 @@ def simulate(
 
 def _list(path: Path, as_json: bool) -> int:
     """Print the manoeuvres of a job, and how to choose one."""
-    job = job_of(path)
+    job = arguments.job_of(path)
     if as_json:
         listed = [{"number": k, "name": one.name, "mode": one.mode} for k, one in enumerate(job.manoeuvres, 1)]
         print_json({"schema": 1, "job": job.name, "manoeuvres": listed})
@@ -145,7 +135,7 @@ def _manoeuvre_run(
     from platform_ctrl.verification.simulated import simulate_manoeuvre
 
     if out is not None:
-        prepare_folder(out)
+        arguments.prepare_folder(out)
     say(f"simulated run: {manoeuvre.name}")
     result = simulate_manoeuvre(job, manoeuvre, controllers)
     number = 1 + [one.name for one in job.manoeuvres].index(manoeuvre.name)
@@ -169,7 +159,7 @@ def _campaign_run(
         )
     if not 0 <= number < plan.runs:
         raise InputError(f"--run {number}: the campaign has the runs 0 to {plan.runs - 1}")
-    prepare_folder(folder)
+    arguments.prepare_folder(folder)
     say(f"run {number} of the campaign")
     found = rerun(plan, number)
     row = None if record is None else recorded_row(folder, number)

@@ -13,19 +13,9 @@ from matplotlib.lines import Line2D
 from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.quantities import plain
 from platform_ctrl.plant.sensors import LOS_ANGLES
+from platform_ctrl.report import style
 from platform_ctrl.report.blocks import Block, Paragraph, Subsection, Table, drawn, sentence, table
 from platform_ctrl.report.captions import sentences
-from platform_ctrl.report.style import (
-    DASHED,
-    INK,
-    LIMIT,
-    REFERENCE,
-    frequency_axes,
-    legend,
-    line_style,
-    linear_axis,
-    panels,
-)
 from platform_ctrl.verification.budget_result import (
     TOGETHER,
     LineOfSightBudget,
@@ -142,7 +132,7 @@ def budget_figure(budget: BudgetSpec, found: LineOfSightBudget) -> Figure:
     """Draw the rms of both axes across the line of sight up to a frequency: all sources, and the largest ones."""
     largest = found.ranking[:_CURVES]
     names = ["all sources", *(found.names[k] for k in largest)]
-    figure, [[first, second]] = panels(1, 2, 2.0, names)
+    figure, [[first, second]] = style.panels(1, 2, 2.0, names)
     handles: list[Line2D] = []
     inside = (found.frequencies_hz >= budget.from_hz) & (found.frequencies_hz <= budget.to_hz)
     f = found.frequencies_hz[inside]
@@ -151,14 +141,14 @@ def budget_figure(budget: BudgetSpec, found: LineOfSightBudget) -> Figure:
         drawn = []
         for k, curve in enumerate(curves):
             rms = _MICRO * np.sqrt(curve[inside])
-            drawn += axes.plot(f, rms, **line_style(k))
+            drawn += axes.plot(f, rms, **style.line_style(k))
         handles = handles or drawn
-        frequency_axes(axes, budget.from_hz, budget.to_hz, log_gain=False)
+        style.frequency_axes(axes, budget.from_hz, budget.to_hz, log_gain=False)
         axes.set_ylim(0.0, 1.08 * _MICRO * max(float(found.total[axis]), 1e-12))
-        linear_axis(axes.yaxis)
+        style.linear_axis(axes.yaxis)
         axes.set_title(found.axes[axis])
     first.set_ylabel("rms up to this frequency, µrad")
-    legend(figure, handles, names)
+    style.legend(figure, handles, names)
     return figure
 
 
@@ -166,7 +156,7 @@ def waterfall_figure(budget: BudgetSpec, found: LineOfSightBudget) -> Figure:
     """Draw how the mean squares of the sources add up to the total, the largest first: by axis, and both together."""
     falls = waterfalls(budget, found)
     rows = 1 + max(len(fall.names) for fall in falls)
-    figure, [every] = panels(1, len(falls), _ROW * rows)
+    figure, [every] = style.panels(1, len(falls), _ROW * rows)
     for axes, fall in zip(every, falls, strict=True):
         axes.set_title(fall.axis)
         axes.set_xlim(0.0, fall.end)
@@ -180,9 +170,9 @@ def waterfall_figure(budget: BudgetSpec, found: LineOfSightBudget) -> Figure:
         if fall.limit is not None:
             where = "" if fall.limit_inside else " →"
             words = f"limit {plain(_MICRO * fall.limit, 3)} µrad{where}"
-            axes.set_title(words, loc="right", color=LIMIT, fontweight="normal", fontsize=7.5)
+            axes.set_title(words, loc="right", color=style.LIMIT, fontweight="normal", fontsize=7.5)
             if fall.limit_inside:
-                axes.axvline(fall.limit**2, color=LIMIT, linestyle=DASHED, linewidth=1.2)
+                axes.axvline(fall.limit**2, color=style.LIMIT, linestyle=style.DASHED, linewidth=1.2)
     return figure
 
 
@@ -195,11 +185,11 @@ def _steps(axes: Axes, fall: Waterfall, ranking: Sequence[int]) -> None:
     ]
     words = [*zip(fall.names, fall.rms, fall.shares, strict=True), (TOGETHER, fall.total, 1.0)]
     for k, ((low, high, curve), (name, rms, share)) in enumerate(zip(bars, words, strict=True)):
-        colour = REFERENCE if curve is None else line_style(curve)["color"]
+        colour = style.REFERENCE if curve is None else style.line_style(curve)["color"]
         left = min(low, high)
         axes.barh(k + _BAR, max(abs(high - low), _THIN * fall.end), _TALL, left, color=colour, linewidth=0.0)
         value = f"{plain(_MICRO * rms, 3)} µrad" + ("" if k == last else f", {plain(100.0 * share, 2)} %")
-        axes.text(0.0, k + _WORDS, f"{name}: {value}", fontsize=7.5, va="center", color=INK)
+        axes.text(0.0, k + _WORDS, f"{name}: {value}", fontsize=7.5, va="center", color=style.INK)
 
 
 def _curve_of(ranking: Sequence[int], place: int | None) -> int | None:

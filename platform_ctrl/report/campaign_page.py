@@ -14,27 +14,9 @@ from platform_ctrl.campaign.summary import Influence, Summary
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.quantities import listed, plain
+from platform_ctrl.report import blocks as page
 from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report import style
-from platform_ctrl.report.blocks import (
-    Block,
-    Cell,
-    Group,
-    Listing,
-    PageContent,
-    PageSection,
-    Paragraph,
-    Row,
-    Subsection,
-    Table,
-    Verdict,
-    cells,
-    columns,
-    drawn,
-    html,
-    sentence,
-    table,
-)
 from platform_ctrl.report.captions import sentences
 from platform_ctrl.report.figures.runs import histogram_figure, time_run, with_limit
 from platform_ctrl.report.tables import folded_facts, record_part, report_versions
@@ -47,127 +29,129 @@ def write_campaign_page(
     summary: Summary, path: str | os.PathLike[str], *, command: str | None, again: str | None
 ) -> Path:
     """Write the page to `path`, the whole file or nothing: arguments as of `campaign_document`."""
-    return write_whole(path, html(campaign_document(summary, command=command, again=again)))
+    return write_whole(path, page.html(campaign_document(summary, command=command, again=again)))
 
 
-def campaign_document(summary: Summary, *, command: str | None = None, again: str | None = None) -> PageContent:
+def campaign_document(summary: Summary, *, command: str | None = None, again: str | None = None) -> page.PageContent:
     """Return the content of the page; `command` made the campaign, `again` and a run's number repeat that run."""
     job = summary.plan.job
     with style.settings():
         sections = campaign_sections(summary, again or RERUN_COMMAND)
     last = (
-        Paragraph(text="This page was made by"),
-        Listing(text=command or "platform-ctrl campaign job.toml"),
+        page.Paragraph(text="This page was made by"),
+        page.Listing(text=command or "platform-ctrl campaign job.toml"),
         drawn_part(summary),
         folded_facts("Versions and digests", {**report_versions(), **identity(summary.plan)}),
         record_part(job),
     )
-    return PageContent(
+    return page.PageContent(
         kicker=f"platform_ctrl: campaign of {tables.count_words(summary.plan.runs).replace(' ', ' simulated ')}",
         title=job.name,
         source=". ".join(filter(None, [job.platform.name, job.platform.source])),
         passed=summary.statistics.passed,
         verdict=tables.verdict(summary),
-        sections=(*sections, PageSection(name="again", title="Inputs and versions", blocks=last)),
+        sections=(*sections, page.PageSection(name="again", title="Inputs and versions", blocks=last)),
     )
 
 
-def campaign_sections(summary: Summary, again: str) -> list[PageSection]:
+def campaign_sections(summary: Summary, again: str) -> list[page.PageSection]:
     """Return the results of a campaign, its inputs apart; the first section has no title."""
-    banner = Verdict(
+    banner = page.Verdict(
         passed=summary.statistics.passed,
-        words=sentence(tables.verdict(summary)),
-        lines=tuple(sentence(line) for line in tables.verdict_lines(summary)),
+        words=page.sentence(tables.verdict(summary)),
+        lines=tuple(page.sentence(line) for line in tables.verdict_lines(summary)),
     )
-    bounds = Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet")
-    sections = [PageSection(name="summary", title="", blocks=(banner,))]
+    bounds = page.Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet")
+    sections = [page.PageSection(name="summary", title="", blocks=(banner,))]
     common = _influences(summary)
     if common:
         title = (
             "What violating runs have in common" if summary.statistics.violation.events > 1 else "What drives the runs"
         )
-        sections.append(PageSection(name="common", title=title, blocks=common))
+        sections.append(page.PageSection(name="common", title=title, blocks=common))
     sections += _worst_trace(summary)
     shown = (probability_table(summary), bounds)
-    sections.append(PageSection(name="probabilities", title="Probability of a violation", blocks=shown))
+    sections.append(page.PageSection(name="probabilities", title="Probability of a violation", blocks=shown))
     found, caption = summary.statistics, sentences("campaign_histogram")
     each = [
-        drawn(metric.name.capitalize(), partial(histogram_figure, found, name), caption)
+        page.drawn(metric.name.capitalize(), partial(histogram_figure, found, name), caption)
         for name, metric in RUN_METRICS.items()
         if with_limit(found, name)
     ]
     plates = tuple(block for blocks in each for block in blocks)
     if plates:
-        sections.append(PageSection(name="figures", title="Figures", blocks=plates))
-    endings = table("ended|runs|share", tables.ending_rows(summary), numbers="runs|share", form="narrow")
+        sections.append(page.PageSection(name="figures", title="Figures", blocks=plates))
+    endings = page.table("ended|runs|share", tables.ending_rows(summary), numbers="runs|share", form="narrow")
     return [
         *sections,
-        PageSection(name="worst", title="Worst runs", blocks=_worst(summary, again)),
-        PageSection(name="ended", title="How runs ended", blocks=(endings,)),
+        page.PageSection(name="worst", title="Worst runs", blocks=_worst(summary, again)),
+        page.PageSection(name="ended", title="How runs ended", blocks=(endings,)),
     ]
 
 
-def drawn_part(summary: Summary) -> Subsection:
+def drawn_part(summary: Summary) -> page.Subsection:
     """Return the inputs that vary from run to run."""
     plan = summary.plan
     words = sentences("campaign_drawn", plan=plan)
-    inputs = table("input|drawn from", tables.input_rows(summary), form="narrow")
-    return Subsection(title="What varies from run to run", blocks=(Paragraph(text=words), inputs))
+    inputs = page.table("input|drawn from", tables.input_rows(summary), form="narrow")
+    return page.Subsection(title="What varies from run to run", blocks=(page.Paragraph(text=words), inputs))
 
 
-def probability_table(summary: Summary) -> Table:
+def probability_table(summary: Summary) -> page.Table:
     """Return how probable it is that each requirement is violated."""
     rows = tables.probability_rows(summary)
-    groups: dict[str, list[Row]] = {}
+    groups: dict[str, list[page.Row]] = {}
     for row in rows:
         # A manoeuvre's name stays as people have to type it.
-        heading = sentence(row.group) if row.group == tables.ALL_MANOEUVRES else row.group
+        heading = page.sentence(row.group) if row.group == tables.ALL_MANOEUVRES else row.group
         tone = "bad" if row.numbers.events else ""
         # How often it is violated stands in the third and the fourth column.
-        shown = tuple(Cell(text=text, tone=tone if k in (2, 3) else "") for k, text in enumerate(row.words))
-        groups.setdefault(heading, []).append(Row(cells=shown))
+        shown = tuple(page.Cell(text=text, tone=tone if k in (2, 3) else "") for k, text in enumerate(row.words))
+        groups.setdefault(heading, []).append(page.Row(cells=shown))
     numbers = f"limit|violations|probability|{_bounds(summary)}|median|99 %|largest|worst run"
-    found = tuple(Group(title=title, rows=tuple(rows)) for title, rows in groups.items())
-    return Table(columns=columns(f"requirement|{numbers}", numbers), groups=found, form="probabilities")
+    found = tuple(page.Group(title=title, rows=tuple(rows)) for title, rows in groups.items())
+    return page.Table(columns=page.columns(f"requirement|{numbers}", numbers), groups=found, form="probabilities")
 
 
 def _bounds(summary: Summary) -> str:
     return f"{plain(100.0 * summary.statistics.confidence, 3)} % bounds"
 
 
-def _influences(summary: Summary) -> tuple[Block, ...]:
+def _influences(summary: Summary) -> tuple[page.Block, ...]:
     """Return what violating runs have in common, and what drives each requirement."""
     groups = tables.influence_groups(summary)
     if not any(groups.values()):
-        return (Paragraph(text="Neither ranks nor counts show an influence of an input."),) if groups else ()
+        return (page.Paragraph(text="Neither ranks nor counts show an influence of an input."),) if groups else ()
     numbers = f"rank corr.|violations|probability|{_bounds(summary)}|p-value"
     # Names of manoeuvres, at the end of a title, stay as people have to type them.
-    rows = [Group(title=sentence(title), rows=_influence_rows(found)) for title, found in groups.items() if found]
+    rows = [
+        page.Group(title=page.sentence(title), rows=_influence_rows(found)) for title, found in groups.items() if found
+    ]
     shared = [tables.cause_words(one) for one in tables.causes(summary) if one.in_every_violation]
-    lines = [Paragraph(text=f"{sentence(_tied(line))}.") for line in shared]
-    words = Paragraph(text=sentences("campaign_influences"), tone="quiet")
-    titles = columns(f"with, and without|{numbers}", numbers)
-    contrasts = Table(columns=titles, groups=tuple(rows), form="contrasts")
+    lines = [page.Paragraph(text=f"{page.sentence(_tied(line))}.") for line in shared]
+    words = page.Paragraph(text=sentences("campaign_influences"), tone="quiet")
+    titles = page.columns(f"with, and without|{numbers}", numbers)
+    contrasts = page.Table(columns=titles, groups=tuple(rows), form="contrasts")
     return (*lines, contrasts, words)
 
 
-def _influence_rows(found: list[Influence]) -> tuple[Row, ...]:
+def _influence_rows(found: list[Influence]) -> tuple[page.Row, ...]:
     rows = []
     for one in found:
         every = "in every violating run" if one.cause and one.in_every_violation else ""
-        p_value = Cell(text=plain(one.p_value, 2), tone="bad" if one.cause else "")
-        correlation = Cell(text=tables.signed(one.correlation), tone="" if one.driver else "quiet")
-        named = Cell(text=tables.value_name(one), note=every)
+        p_value = page.Cell(text=plain(one.p_value, 2), tone="bad" if one.cause else "")
+        correlation = page.Cell(text=tables.signed(one.correlation), tone="" if one.driver else "quiet")
+        named = page.Cell(text=tables.value_name(one), note=every)
         sides = (
             (named, correlation, one.present, p_value),
-            (Cell(text="without", tone="quiet"), Cell(text=""), one.absent, Cell(text="")),
+            (page.Cell(text="without", tone="quiet"), page.Cell(text=""), one.absent, page.Cell(text="")),
         )
         for name, second, side, last in sides:
             tone = "bad" if side.events else ""
             texts = f"{side.events:,} of {side.runs:,}", tables.chance(side.estimate)
-            numbers = (Cell(text=text, tone=tone) for text in texts)
-            bounds = Cell(text=tables.chances(side.low, side.high))
-            rows.append(Row(cells=(name, second, *numbers, bounds, last)))
+            numbers = (page.Cell(text=text, tone=tone) for text in texts)
+            bounds = page.Cell(text=tables.chances(side.low, side.high))
+            rows.append(page.Row(cells=(name, second, *numbers, bounds, last)))
     return tuple(rows)
 
 
@@ -176,27 +160,27 @@ def _tied(words: str) -> str:
     return words.replace(" %", "\u00a0%")
 
 
-def _worst(summary: Summary, again: str) -> tuple[Block, ...]:
+def _worst(summary: Summary, again: str) -> tuple[page.Block, ...]:
     found = tables.worst_rows(summary, summary.statistics.worst, tables.all_drivers(summary))
     if not found:
-        return (Paragraph(text="No manoeuvre has a limit."),)
+        return (page.Paragraph(text="No manoeuvre has a limit."),)
     rows = []
     for one, (requirement, number, limit, ratio, inputs) in found:
         shown = (
-            *cells(str(one.run), one.manoeuvre, requirement, number, limit),
-            Cell(text=ratio, tone="bad" if one.ratio > 1.0 else ""),
-            Cell(text=inputs, tone="quiet"),
-            Cell(text=one.ended),
+            *page.cells(str(one.run), one.manoeuvre, requirement, number, limit),
+            page.Cell(text=ratio, tone="bad" if one.ratio > 1.0 else ""),
+            page.Cell(text=inputs, tone="quiet"),
+            page.Cell(text=one.ended),
         )
-        rows.append(Row(cells=shown))
+        rows.append(page.Row(cells=shown))
     words = "The values that are largest relative to their limits. Any of these runs can be repeated, with plots:"
     numbers = "run|value|limit|over limit"
-    titles = columns("run|manoeuvre|requirement|value|limit|over limit|inputs that matter|ended", numbers)
-    worst = Table(columns=titles, groups=(Group(rows=tuple(rows)),), form="worst")
-    return (Paragraph(text=words), Listing(text=f"{again} {found[0][0].run}"), worst)
+    titles = page.columns("run|manoeuvre|requirement|value|limit|over limit|inputs that matter|ended", numbers)
+    worst = page.Table(columns=titles, groups=(page.Group(rows=tuple(rows)),), form="worst")
+    return (page.Paragraph(text=words), page.Listing(text=f"{again} {found[0][0].run}"), worst)
 
 
-def _worst_trace(summary: Summary) -> list[PageSection]:
+def _worst_trace(summary: Summary) -> list[page.PageSection]:
     """Return the run that comes nearest to its limits or furthest beyond them, simulated again and drawn over time."""
     if not summary.statistics.worst:
         return []
@@ -209,25 +193,25 @@ def _worst_trace(summary: Summary) -> list[PageSection]:
         return []
     name = f"run {worst.run}, {worst.manoeuvre}"
     if not math.isclose(found.metrics[worst.requirement], worst.value, rel_tol=ROUNDING):
-        words = f"{sentence(name)} is not drawn: simulated again, it gives another value than the table holds."
-        return [PageSection(name="trace", title="The worst run", blocks=(Paragraph(text=words, tone="bad"),))]
+        words = f"{page.sentence(name)} is not drawn: simulated again, it gives another value than the table holds."
+        return [page.PageSection(name="trace", title="The worst run", blocks=(page.Paragraph(text=words, tone="bad"),))]
     [(_, (requirement, number, limit, _, inputs))] = tables.worst_rows(summary, [worst], tables.all_drivers(summary))
     shown = {"requirement": requirement, "number": number, "limit": limit, "inputs": inputs}
     caption = sentences("campaign_trace", worst=worst, runs=summary.statistics.simulated, **shown)
-    blocks = drawn(name, lambda: time_run(found.run, found.job.platform), caption)
-    return [PageSection(name="trace", title="The worst run", blocks=blocks)]
+    blocks = page.drawn(name, lambda: time_run(found.run, found.job.platform), caption)
+    return [page.PageSection(name="trace", title="The worst run", blocks=blocks)]
 
 
-def campaign_blocks(summary: Summary, result: JobResult, again: str | None) -> tuple[Block, ...]:
+def campaign_blocks(summary: Summary, result: JobResult, again: str | None) -> tuple[page.Block, ...]:
     """Return a campaign as part of a job's report, with a warning if its plant, sampling or controllers differ."""
     first, *others = campaign_sections(summary, again or RERUN_COMMAND)
-    parts = (Subsection(title=section.title, blocks=section.blocks) for section in others)
+    parts = (page.Subsection(title=section.title, blocks=section.blocks) for section in others)
     runs = f"{tables.count_words(summary.plan.runs)} of the job with everything that may vary."
     different = differences(summary, result)
-    blocks: list[Block] = [Paragraph(text=sentence(runs))]
+    blocks: list[page.Block] = [page.Paragraph(text=page.sentence(runs))]
     if different:
         words = f"It was simulated with other {listed(different)}: its values are not those of the design above."
-        blocks.append(Paragraph(text=words, tone="bad"))
+        blocks.append(page.Paragraph(text=words, tone="bad"))
     return (*blocks, *first.blocks, *parts, drawn_part(summary))
 
 

@@ -11,21 +11,9 @@ import numpy as np
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.job import quantities
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.quantities import (
-    BOUND,
-    DASH,
-    MET,
-    NOT_MET,
-    added_words,
-    axis_text,
-    compared,
-    met_words,
-    percent,
-    plain,
-    quantity,
-)
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.modes import Mode, modes
@@ -84,8 +72,8 @@ def _ordered(result: JobResult, results: Sequence[CheckResult]) -> tuple[Require
 
 def requirement_row(one: CheckResult, result: JobResult | None) -> RequirementRow:
     """Return a requirement as the tables show it; `result` has the proofs of "certified properties"."""
-    number, limit = compared(one)
-    limit, margin = f"{BOUND[one.sense]} {limit}", percent(one.margin)
+    number, limit = quantities.compared(one)
+    limit, margin = f"{quantities.BOUND[one.sense]} {limit}", quantities.percent(one.margin)
     if one.name == PROVED.name and result is not None:
         # All claims have to be proved: there is no margin.
         proofs = result.proofs[one.subject if one.design else "", one.design]
@@ -97,7 +85,7 @@ def requirement_row(one: CheckResult, result: JobResult | None) -> RequirementRo
 
 def verdict(result: JobResult) -> str:
     """Return the verdict in a few words; a torquer that a template added belongs beside "met"."""
-    return f"{met_words(result.requirements)}{added_words(result.job.platform)}"
+    return f"{quantities.met_words(result.requirements)}{quantities.added_words(result.job.platform)}"
 
 
 def _mark(part: Torquer | PickOff) -> str:
@@ -132,7 +120,7 @@ def _value(one: object) -> str:
         return f"({', '.join(map(_value, one))})"
     if isinstance(one, dict):
         return f"({', '.join(f'{key} {_value(number)}' for key, number in one.items())})"
-    return plain(float(one)) if isinstance(one, float) else str(one)
+    return quantities.plain(float(one)) if isinstance(one, float) else str(one)
 
 
 _KIND = {
@@ -146,10 +134,10 @@ def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
     if mode.frequency == 0.0:
         frequency = "no oscillation" if mode.kind in ("decay", "divergence") else "at the origin"
     else:
-        frequency = f"{plain(mode.frequency)} rad/s = {plain(mode.frequency / (2.0 * np.pi))} Hz"
+        frequency = f"{quantities.plain(mode.frequency)} rad/s = {quantities.plain(mode.frequency / (2.0 * np.pi))} Hz"
     kind = _KIND.get(mode.kind, mode.kind)
     if mode.growth > 0.0:
-        kind += f", unstable, grows at {plain(mode.growth, 3)} 1/s"
+        kind += f", unstable, grows at {quantities.plain(mode.growth, 3)} 1/s"
     return "-".join(mode.gimbals), kind, str(mode.poles), frequency
 
 
@@ -175,9 +163,9 @@ def row_name(k: int) -> str:
 def _requirement(row: RequirementRow, place: str = "") -> Row:
     one = row.checked
     if one.hard:
-        mark, tone = (f"{MET} met", "good") if one.passed else (f"{NOT_MET} not met", "bad")
+        mark, tone = (f"{quantities.MET} met", "good") if one.passed else (f"{quantities.NOT_MET} not met", "bad")
     else:
-        mark, tone = f"{MET} reached" if one.passed else f"{DASH} not reached", "quiet"
+        mark, tone = f"{quantities.MET} reached" if one.passed else f"{quantities.DASH} not reached", "quiet"
     bad = "bad" if tone == "bad" else ""
     return Row(
         cells=(
@@ -204,8 +192,8 @@ def margin_table(check: CoupledCheck) -> Table:
     """Return the disk margin of each loop; of a free platform beside that in its design model."""
     rows = []
     for name, before, after, cost in zip(check.channels, check.decoupled, check.coupled, check.cost, strict=True):
-        alone, margin = plain(float(before), 3, "down"), plain(float(after), 3, "down")
-        change = percent(round(-float(cost), 3) + 0.0)
+        alone, margin = quantities.plain(float(before), 3, "down"), quantities.plain(float(after), 3, "down")
+        change = quantities.percent(round(-float(cost), 3) + 0.0)
         if not math.isfinite(cost):
             margin = "unstable"
         # A carried platform is what the design models assume: there is nothing to compare.
@@ -223,19 +211,23 @@ def gimbal_table(result: JobResult) -> Table:
     rows: list[tuple[str, ...]] = []
     for k, gimbal in enumerate(platform.gimbals):
         depth[gimbal.name] = depth.get(gimbal.parent, -1) + 1
-        stops = "none" if gimbal.stops is None else " to ".join(plain(1e3 * x, 3) for x in gimbal.stops) + " mrad"
+        stops = (
+            "none"
+            if gimbal.stops is None
+            else " to ".join(quantities.plain(1e3 * x, 3) for x in gimbal.stops) + " mrad"
+        )
         torquer, pickoff = torquers.get(gimbal.name), pickoffs.get(gimbal.name)
         limit = "" if torquer is None else _limit(torquer.limit)
         rows.append(
             (
                 "\u2003" * depth[gimbal.name] + gimbal.name,
                 gimbal.parent,
-                axis_text(gimbal.axis),
+                quantities.axis_text(gimbal.axis),
                 gimbal.angle,
-                f"{plain(float(result.model.M[k, k]))} kg m²",
+                f"{quantities.plain(float(result.model.M[k, k]))} kg m²",
                 stops,
                 "none" if torquer is None else f"{torquer.name}, {limit}{_mark(torquer)}",
-                "none" if pickoff is None else f"{plain(1e6 * pickoff.noise_rms)} µrad rms{_mark(pickoff)}",
+                "none" if pickoff is None else f"{quantities.plain(1e6 * pickoff.noise_rms)} µrad rms{_mark(pickoff)}",
             )
         )
     titles = "gimbal|carried by|axis|angle|J about the axis|stops|torquer|pick-off noise"
@@ -243,7 +235,7 @@ def gimbal_table(result: JobResult) -> Table:
 
 
 def _limit(limit: float | None) -> str:
-    return "no limit" if limit is None else f"\u00b1{quantity(limit, 'N m')}"
+    return "no limit" if limit is None else f"\u00b1{quantities.quantity(limit, 'N m')}"
 
 
 def rotor_table(result: JobResult) -> Table:
@@ -252,10 +244,10 @@ def rotor_table(result: JobResult) -> Table:
         (
             rotor.name,
             rotor.carrier,
-            axis_text(rotor.axis),
-            f"{plain(rotor.angular_momentum)} N m s",
-            f"{plain(rotor.axial_inertia)} kg m²",
-            f"{plain(rotor.spin)} rad/s",
+            quantities.axis_text(rotor.axis),
+            f"{quantities.plain(rotor.angular_momentum)} N m s",
+            f"{quantities.plain(rotor.axial_inertia)} kg m²",
+            f"{quantities.plain(rotor.spin)} rad/s",
             rotor.control,
         )
         for rotor in result.job.platform.rotors
@@ -273,7 +265,7 @@ def mode_table(result: JobResult) -> Table:
     """Return the modes of the uncontrolled gimbals at rest and at the job's largest rate; a group is named once."""
     found = [("at rest", *_mode_cells(mode)) for mode in modes_at(result, np.zeros(3))]
     if np.any(result.job.Omega > 0.0):
-        rate = f"Ω = ({', '.join(plain(float(x), 3) for x in result.job.Omega)}) rad/s"
+        rate = f"Ω = ({', '.join(quantities.plain(float(x), 3) for x in result.job.Omega)}) rad/s"
         found += [(rate, *_mode_cells(mode)) for mode in modes_at(result, result.job.Omega)]
     groups: dict[str, list[tuple[str, ...]]] = {}
     for rate, group, *mode in found:

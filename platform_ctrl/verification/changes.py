@@ -17,20 +17,11 @@ import numpy as np
 
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design import tuning
 from platform_ctrl.design.loop import Design, LoopOutcome, commanded, limits_and_goals, takes_commands, with_commands
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.plants import tracking_plants
-from platform_ctrl.design.tuning import (
-    SHARE,
-    OptionEffects,
-    OptionValue,
-    ResultChange,
-    Score,
-    candidates,
-    largest_loss,
-    option_effects,
-)
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.verification.budget import PreparedBudget
@@ -96,9 +87,9 @@ class Change:
     name: str
     before: float
     after: float
-    target: ResultChange
-    violated: tuple[ResultChange, ...] = ()
-    loss: ResultChange | None = None
+    target: tuning.ResultChange
+    violated: tuple[tuning.ResultChange, ...] = ()
+    loss: tuning.ResultChange | None = None
 
 
 class _Trial(NamedTuple):
@@ -140,7 +131,7 @@ def changes(result: JobResult) -> tuple[Change, ...]:
     return tuple(out.values())
 
 
-def _score(at: int, before: FloatArray) -> Score:
+def _score(at: int, before: FloatArray) -> tuning.Score:
     """Return how far from its limit ratio `at` is left, and what is violated for that; inf without a gain."""
     size = before[at] - _MET
     least = min(_LEAST * size, _GAIN * before[at])
@@ -167,7 +158,7 @@ def _change(trials: _Trials, trial: _Trial, target: Key) -> Change | None:
     before, after = trials.before, trials.results(trial, exact=True, scope="all")
     if after is None or not after[target].ratio < before[target].ratio:
         return None
-    pairs = [ResultChange(before=before[key], after=after[key]) for key in before if key != target]
+    pairs = [tuning.ResultChange(before=before[key], after=after[key]) for key in before if key != target]
     violated = [
         one
         for one in pairs
@@ -175,9 +166,9 @@ def _change(trials: _Trials, trial: _Trial, target: Key) -> Change | None:
     ]
     return Change(
         **trial._asdict(),
-        target=ResultChange(before=before[target], after=after[target]),
+        target=tuning.ResultChange(before=before[target], after=after[target]),
         violated=tuple(sorted(violated, key=lambda one: -one.after.ratio)),
-        loss=largest_loss([one.before for one in pairs], [one.after for one in pairs]) if pairs else None,
+        loss=tuning.largest_loss([one.before for one in pairs], [one.after for one in pairs]) if pairs else None,
     )
 
 
@@ -192,7 +183,7 @@ class _Trials:
         self._coupled = keyed(() if result.coupled is None else result.coupled.results)
         own = keyed([one for outcome in result.loops for one in outcome.closed.results])
         self.before = own | self._coupled | self._budgeted
-        self._effects: dict[tuple[str, Scope], OptionEffects] = {}
+        self._effects: dict[tuple[str, Scope], tuning.OptionEffects] = {}
         self._results: dict[tuple[_Trial, bool, Scope], Results | None] = {}
 
     def margin(self, key: Key) -> float:
@@ -216,7 +207,7 @@ class _Trials:
         best = {(one.kind, one.loop, one.name): one for _, one in reversed(scored)}
         return [one for _, one in scored if one in best.values()]
 
-    def _proposed(self, loop: str, score: Score, scope: Scope) -> list[_Trial]:
+    def _proposed(self, loop: str, score: tuning.Score, scope: Scope) -> list[_Trial]:
         """Return the other designs of a loop, and the moves of its closed one that are expected to help most.
 
         For the coupled system the best move of a gain alone, as expected: each costs a coupled check.
@@ -226,7 +217,7 @@ class _Trials:
         options = {one.name: one for one in self._options(outcome, gains=scope == "coupled")}
         if not options:
             return out
-        found = candidates(self._effects_of(outcome, options, scope), list(options.values()), score, _MOVES)
+        found = tuning.candidates(self._effects_of(outcome, options, scope), list(options.values()), score, _MOVES)
         if scope == "coupled":
             found = found[:1]
         else:
@@ -287,33 +278,35 @@ class _Trials:
     def _budget(self) -> PreparedBudget:
         return PreparedBudget(self._job, [one.closed.controller for one in self._outcomes.values()])
 
-    def _effects_of(self, outcome: LoopOutcome, options: dict[str, OptionValue], scope: Scope) -> OptionEffects:
+    def _effects_of(
+        self, outcome: LoopOutcome, options: dict[str, tuning.OptionValue], scope: Scope
+    ) -> tuning.OptionEffects:
         loop, closed = outcome.spec.name, outcome.closed.name
         if (loop, scope) not in self._effects:
 
-            def ratios(option: OptionValue, factor: float) -> FloatArray:
+            def ratios(option: tuning.OptionValue, factor: float) -> FloatArray:
                 trial = _Trial("option", loop, closed, option.name, option.value, factor * option.value)
                 # As it is, all beside the loop is known.
                 found = self._measured(trial, exact=False, scope=scope if factor != 1.0 else "loop")
                 return np.array([found[key].ratio for key in self.before])
 
-            found = option_effects(
+            found = tuning.option_effects(
                 list(options),
                 [name for _, _, name in self.before],
                 ratios(next(iter(options.values())), 1.0),
-                [lambda option=option: ratios(option, 1.0 + SHARE) for option in options.values()],  # type: ignore[misc]
+                [lambda option=option: ratios(option, 1.0 + tuning.SHARE) for option in options.values()],  # type: ignore[misc]
             )
             exact = np.array([one.ratio for one in self.before.values()])
             self._effects[loop, scope] = dataclasses.replace(found, ratios=exact)
         return self._effects[loop, scope]
 
-    def _options(self, outcome: LoopOutcome, gains: bool) -> list[OptionValue]:
+    def _options(self, outcome: LoopOutcome, gains: bool) -> list[tuning.OptionValue]:
         """Return the options of a closed design that may be moved; `gains`: no others."""
         if self._problem(outcome) is None:
             return []
         known, rate_hz = METHODS[outcome.closed.method].options, 1.0 / self._job.period_of(outcome.spec)
         return [
-            OptionValue(
+            tuning.OptionValue(
                 name=name,
                 value=x,
                 low=0.0 if known[name].unit == "Hz" else known[name].low,

@@ -15,14 +15,8 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.verification import budget_result as budgets
 from platform_ctrl.verification.budget import line_of_sight_budget
-from platform_ctrl.verification.budget_result import (
-    LineOfSightBudget,
-    SimulatedBudget,
-    budget_requirements,
-    by_simulation,
-    unstable_results,
-)
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
 from platform_ctrl.verification.proofs import Proofs, coupled_proofs, flint, proofs_of, with_proofs
 from platform_ctrl.verification.simulated import Run, simulate_manoeuvre, simulated_budget
@@ -66,8 +60,8 @@ class JobResult:
     runs: tuple[Run, ...]
     proofs: dict[tuple[str, str], Proofs]
     requirements: tuple[CheckResult, ...]
-    budget: LineOfSightBudget | None = None
-    simulated_budget: SimulatedBudget | None = None
+    budget: budgets.LineOfSightBudget | None = None
+    simulated_budget: budgets.SimulatedBudget | None = None
     failed: tuple[FailedDesign, ...] = ()
 
     @property
@@ -136,7 +130,7 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
         if coupled is not None:
             proofs["", ""] = coupled_proofs(coupled, controllers)
     shaken = job.budget.runs if job.budget is not None else None
-    if coupled is not None and coupled.stable_at_all_angles and (budget_requirements(job.budget) or shaken):
+    if coupled is not None and coupled.stable_at_all_angles and (budgets.budget_requirements(job.budget) or shaken):
         say("budget: every source through the coupled sampled model")
         try:
             budget = line_of_sight_budget(job, controllers)
@@ -145,7 +139,7 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
         if shaken and budget is not None:
             say(f"budget: {shaken} runs of the non-linear plant")
             simulated = simulated_budget(job, controllers, shaken, seed=job.seed, threads=os.cpu_count() or 1)
-            budget = replaced(budget, {"results": by_simulation(budget.results, simulated)})
+            budget = replaced(budget, {"results": budgets.by_simulation(budget.results, simulated)})
     for manoeuvre in job.manoeuvres if complete else ():
         say(f"simulated run: {manoeuvre.name}")
         runs.append(simulate_manoeuvre(job, manoeuvre, controllers))
@@ -155,7 +149,7 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
         requirements += with_proofs(design.results, proofs.get((design.loop, design.name)), design.loop, design.name)
     if coupled is not None:
         requirements += with_proofs(coupled.results, proofs.get(("", "")), ALL_LOOPS)
-        requirements += unstable_results(job, unjudged) if budget is None else budget.results
+        requirements += budgets.unstable_results(job, unjudged) if budget is None else budget.results
     requirements += [result for run in runs for result in run.results]
     return JobResult(
         job=job,

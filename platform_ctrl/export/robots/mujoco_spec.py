@@ -14,17 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.robots.robot import (
-    NO_BODY,
-    ROTOR,
-    WORLD,
-    Link,
-    Pose,
-    RobotPart,
-    no_counterpart,
-    plain,
-    unread,
-)
+from platform_ctrl.export.robots import robot as robots
 from platform_ctrl.export.robots.sdf import SHOWN, SensorReader
 from platform_ctrl.plant.fields import SMALLEST
 from platform_ctrl.plant.gimbals import Body
@@ -77,14 +67,14 @@ class _Spec(SensorReader):
         except Exception as error:  # MuJoCo has no class of its own
             raise self.refused("is refused by MuJoCo", error) from None
         self.name = self.spec.modelname
-        self.poses: dict[str, Pose] = {}
+        self.poses: dict[str, robots.Pose] = {}
         for kind in ("body", "joint"):
             for k, one in enumerate(self.spec.bodies if kind == "body" else self.spec.joints):
                 one.name = one.name or f"{kind}{k}"
         self.joints = {one.name: one for one in self.spec.joints}
         self.start()
         for body in self.spec.bodies:
-            above = Pose() if body.parent is None else self.poses[body.parent.name]
+            above = robots.Pose() if body.parent is None else self.poses[body.parent.name]
             self.poses[body.name] = above @ self.placed(body)
             self._add(body)
         self.finish()
@@ -110,23 +100,23 @@ class _Spec(SensorReader):
             quat = self.spec.resolve_orientation(own.degree, own.eulerseq, other)
         return axes(quat)
 
-    def placed(self, one: Any) -> Pose:
+    def placed(self, one: Any) -> robots.Pose:
         """Return the pose of a body, site, camera or frame in its body, through the frames around it."""
-        out = Pose(self._turn(one, one.quat, one.alt), np.array(one.pos))
+        out = robots.Pose(self._turn(one, one.quat, one.alt), np.array(one.pos))
         return out if one.frame is None else self.placed(one.frame) @ out
 
     def body(self, body: Any) -> Body:
         """Return mass, centre and inertia of a body, in its own axes."""
         if not body.explicitinertial:
-            return NO_BODY
+            return robots.NO_BODY
         xx, yy, zz, xy, xz, yz = body.fullinertia
         full = np.diag(body.inertia) if np.isnan(xx) else np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return Pose(self._turn(body, body.iquat, body.ialt), np.array(body.ipos)).body(float(body.mass), full)
+        return robots.Pose(self._turn(body, body.iquat, body.ialt), np.array(body.ipos)).body(float(body.mass), full)
 
     def _add(self, body: Any) -> None:
         """Add a body with its joint."""
         pose, own = self.poses[body.name], self.body(body)
-        moved = (pose @ Pose(np.eye(3), own.centre)).body(own.mass, own.inertia)
+        moved = (pose @ robots.Pose(np.eye(3), own.centre)).body(own.mass, own.inertia)
         carrier = "" if body.parent is None else body.parent.name
         about: dict[str, Any] = {"pivot": pose.at, "axis": np.zeros(3), "keys": {}}
         if joints := list(body.joints):
@@ -141,7 +131,7 @@ class _Spec(SensorReader):
             elif about["kind"] == "hinge":
                 length = float(np.linalg.norm(joints[0].axis))
                 about |= {"axis": around.turn @ joints[0].axis / (length or 1.0)} | self.hinge(joints[0])
-        self.add(Link(name=body.name, carrier=carrier, pose=pose, body=moved, **about))
+        self.add(robots.Link(name=body.name, carrier=carrier, pose=pose, body=moved, **about))
 
     def hinge(self, joint: Any) -> dict[str, Any]:
         """Return what a link on a hinge has besides; add what acts in it."""
@@ -165,7 +155,7 @@ class _Spec(SensorReader):
         return bool(ends[0] < ends[1] if flag == choice.mjLIMITED_AUTO else flag == choice.mjLIMITED_TRUE)
 
     def _unread(self, top: Element) -> Iterator[str]:
-        yield from unread(top, self.read, _SHOWN)
+        yield from robots.unread(top, self.read, _SHOWN)
         for one in top.iter("include"):
             yield from self._unread(fromstring(read_text(self.file.parent / one.get("file", ""), "an MJCF file")))
 
@@ -189,10 +179,10 @@ class _Urdf(_Spec):
             ends[one.get("name", "")] = (found[0], found[1])
         self.ordered(ends, [one.get("name", "") for one in self.top.findall("link")])
 
-    def add(self, link: Link) -> None:
+    def add(self, link: robots.Link) -> None:
         """Add a link; the world is MuJoCo's, unless the file has it."""
         own = {one.get("name") for one in self.top.findall("link")}
-        if WORLD in own or link.name != WORLD:
+        if robots.WORLD in own or link.name != robots.WORLD:
             carrier = link.carrier if link.carrier in own else ""
             super().add(replaced(link, {"carrier": carrier}))
 
@@ -222,7 +212,7 @@ class _Urdf(_Spec):
                     self.sensor(link, sensor, (self.poses[link] @ own).turn)
                 else:
                     words = f"gazebo {given(link)}, which is no link: sensor {given(sensor.get('name'))}"
-                    self.notes.append(no_counterpart(words, "sensor"))
+                    self.notes.append(robots.no_counterpart(words, "sensor"))
         self.assume_gravity()
 
 
@@ -260,7 +250,7 @@ class _Mjcf(_Spec):
             words = "have no inertial, and MuJoCo cannot compute it of their shapes; give them mass and inertia"
             raise self.refused(f"bodies {', '.join(map(given, names))} {words}", error) from None
         return {
-            name: Pose(axes(one.iquat), np.array(one.ipos)).body(float(one.mass[0]), np.diag(one.inertia))
+            name: robots.Pose(axes(one.iquat), np.array(one.ipos)).body(float(one.mass[0]), np.diag(one.inertia))
             for name, one in ((name, model.body(name)) for name in names)
         }
 
@@ -271,7 +261,7 @@ class _Mjcf(_Spec):
     def hinge(self, joint: Any) -> dict[str, Any]:
         """Return what a link on a hinge has besides; add what acts in it."""
         rate = self.rates[joint.name]
-        if not rate and not joint.parent.name.startswith(ROTOR):
+        if not rate and not joint.parent.name.startswith(robots.ROTOR):
             return super().hinge(joint)
         loop: dict[str, float] = {}
         for k, one in enumerate(self.spec.actuators):
@@ -299,11 +289,13 @@ class _Mjcf(_Spec):
                 turn = (self.poses[body] @ self.placed(site)).turn
                 self.gyro(sensor.name or f"{body}_Omega", body, turn, [noise] * 3)
             elif sensor.type in kinds:
-                name = {"name": plain(sensor.name)} if sensor.name else {}
-                self.parts.append(RobotPart(kind=kinds[sensor.type], on=sensor.objname, keys=name | noise))
+                name = {"name": robots.plain(sensor.name)} if sensor.name else {}
+                self.parts.append(robots.RobotPart(kind=kinds[sensor.type], on=sensor.objname, keys=name | noise))
         for camera in spec.cameras:
             along = -(self.poses[camera.parent.name] @ self.placed(camera)).turn[:, 2]
-            self.parts.append(RobotPart(kind="camera", on=camera.parent.name, keys={"name": camera.name}, axis=along))
+            self.parts.append(
+                robots.RobotPart(kind="camera", on=camera.parent.name, keys={"name": camera.name}, axis=along)
+            )
         for one in spec.equalities:
             # The first of two joints follows the other.
             names = (one.name1,) if one.type == enums.mjtEq.mjEQ_JOINT else (one.name1, one.name2)
@@ -317,7 +309,7 @@ class _Mjcf(_Spec):
         enums, where, joint = self.mujoco, f"actuator {given(one.name or one.target)}", self.joints.get(one.target)
         joints = (enums.mjtTrn.mjTRN_JOINT, enums.mjtTrn.mjTRN_JOINTINPARENT)
         if one.trntype not in joints or joint is None or joint.type != enums.mjtJoint.mjJNT_HINGE:
-            self.notes.append(no_counterpart(f"{where} acts on no hinge", "actuator"))
+            self.notes.append(robots.no_counterpart(f"{where} acts on no hinge", "actuator"))
             return
         gear, gain = float(one.gear[0]), float(one.gainprm[0])
         bias = one.biasprm[:3] * (one.biastype != enums.mjtBias.mjBIAS_NONE)
@@ -331,11 +323,11 @@ class _Mjcf(_Spec):
         elif gear * gain != 1.0:
             words = f"gear {gear:g}: its torquer acts at the joint, with {gear * gain:g} times the control"
             self.notes.append(f"{where}: {words}")
-        keys: dict[str, Any] = {"name": plain(one.name)} if one.name else {}
+        keys: dict[str, Any] = {"name": robots.plain(one.name)} if one.name else {}
         if one.dyntype in (enums.mjtDyn.mjDYN_FILTER, enums.mjtDyn.mjDYN_FILTEREXACT):
             keys["lag"] = float(one.dynprm[0])
         elif one.dyntype != enums.mjtDyn.mjDYN_NONE:
-            self.notes.append(no_counterpart(f"{where}: its dynamics {one.dyntype.name}", "actuator"))
+            self.notes.append(robots.no_counterpart(f"{where}: its dynamics {one.dyntype.name}", "actuator"))
         ranges = [(one.ctrllimited, one.ctrlrange, abs(gear * gain))] if motor else []
         ranges += [(one.forcelimited, one.forcerange, abs(gear)), (joint.actfrclimited, joint.actfrcrange, 1.0)]
         limits = [scale * ends * (-1, 1) for flag, ends, scale in ranges if self.limited(flag, ends)]
@@ -343,5 +335,5 @@ class _Mjcf(_Spec):
             self.notes.append(f"{where}: its limits differ to both sides: the smaller ones are taken")
         if limits:
             keys["limit"] = float(f"{np.min(limits):.15g}")
-        self.parts.append(RobotPart(kind="torquer", on=joint.name, keys=keys))
+        self.parts.append(robots.RobotPart(kind="torquer", on=joint.name, keys=keys))
         self.gears[joint.name] = gear if abs(gear) > SMALLEST else 1.0

@@ -26,25 +26,11 @@ from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.drawing import root_series, signal_series
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.platform import OMEGA_NAMES
+from platform_ctrl.report import style as styles
 from platform_ctrl.report.captions import bandwidth_hz
 from platform_ctrl.report.curves import ShownLoop, damping_rays
 from platform_ctrl.report.figures.plant import campbell
 from platform_ctrl.report.figures.root_locus import draw_locus, gain_locus
-from platform_ctrl.report.style import (
-    BAND,
-    DASH_DOTTED,
-    DASHED,
-    DASHES,
-    DOTTED,
-    LIMIT,
-    MARKERS,
-    MUTED,
-    REFERENCE,
-    SERIES,
-    legend,
-    linear_axis,
-    panels,
-)
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.verdict import JobResult
 
@@ -60,15 +46,15 @@ _APART = 0.05
 
 def damping_lines(axes: Axes, spec: LoopSpec, top: float, named: bool) -> None:
     """Draw the required damping of fast poles as rays of the s-plane, up to the imaginary part `top`."""
-    rays = [(ratio, DASHES[dashes], LIMIT) for ratio, dashes, _ in damping_rays(spec.limits)]
-    rays += [(ratio, DASH_DOTTED, MUTED) for ratio, _, _ in damping_rays(spec.soft)]
+    rays = [(ratio, styles.DASHES[dashes], styles.LIMIT) for ratio, dashes, _ in damping_rays(spec.limits)]
+    rays += [(ratio, styles.DASH_DOTTED, styles.MUTED) for ratio, _, _ in damping_rays(spec.soft)]
     for k, (ratio, dashes, colour) in enumerate(rays):
         if not 0.0 < ratio < 1.0:
             continue
         slope, height = ratio / np.sqrt(1.0 - ratio**2), 0.96 - 0.08 * k
         axes.plot([0.0, -slope * top], [0.0, top], color=colour, linestyle=dashes, linewidth=0.9)
         if named:
-            text = f"{ratio:g}" if colour == LIMIT else f"goal {ratio:g}"
+            text = f"{ratio:g}" if colour == styles.LIMIT else f"goal {ratio:g}"
             at = (-slope * height * top, height * top)
             axes.annotate(
                 text, at, (-3, 0), color=colour, ha="right", va="center", textcoords="offset points", fontsize=7
@@ -77,7 +63,10 @@ def damping_lines(axes: Axes, spec: LoopSpec, top: float, named: bool) -> None:
 
 def fastest_pole_line(axes: Axes, spec: LoopSpec, period: float) -> None:
     """Draw the circle of the w-plane that closed-loop poles have to stay within, carried to s = ln(z)/T."""
-    for limits, colour, dashes in ((spec.limits, LIMIT, DASHED), (spec.soft, MUTED, DASH_DOTTED)):
+    for limits, colour, dashes in (
+        (spec.limits, styles.LIMIT, styles.DASHED),
+        (spec.soft, styles.MUTED, styles.DASH_DOTTED),
+    ):
         if "fastest_pole" in limits:
             # The left upper quarter of a circle about w = 0.
             angle = np.linspace(0.5 * np.pi, np.pi, 400)[:-1]
@@ -95,8 +84,12 @@ def pole_figure(loop: ShownLoop) -> Figure:
         (left, right), top = axes.get_xlim(), axes.get_ylim()[1]
         drawn: list[Any] = []
         for one in loop.designs:
-            place = one.series % len(SERIES)
-            style: dict[str, Any] = {"color": SERIES[place], "linestyle": "none", "marker": MARKERS[place]}
+            place = one.series % len(styles.SERIES)
+            style: dict[str, Any] = {
+                "color": styles.SERIES[place],
+                "linestyle": "none",
+                "marker": styles.MARKERS[place],
+            }
             faint = {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0}
             crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
             strong = {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3}
@@ -106,7 +99,7 @@ def pole_figure(loop: ShownLoop) -> Figure:
         handles = handles or drawn
         damping_lines(axes, loop.spec, top, named=axes is views[1])
         fastest_pole_line(axes, loop.spec, loop.plants.period)
-    legend(figure, handles, names)
+    styles.legend(figure, handles, names)
     return figure
 
 
@@ -121,22 +114,22 @@ def coupled_pole_figure(result: JobResult) -> Figure:
     for axes in views:
         axes.set_ylim(-0.02 * axes.get_ylim()[1])
         good, bad = s[s.real < 0.0], s[s.real >= 0.0]
-        axes.plot(good.real, good.imag, "x", color=SERIES[0], markersize=5)
-        axes.plot(bad.real, bad.imag, "x", color=LIMIT, markersize=7, markeredgewidth=2)
+        axes.plot(good.real, good.imag, "x", color=styles.SERIES[0], markersize=5)
+        axes.plot(bad.real, bad.imag, "x", color=styles.LIMIT, markersize=7, markeredgewidth=2)
     return figure
 
 
 def pole_views(names: Sequence[str], nyquist: float, slow: float) -> tuple[Figure, list[Axes]]:
     """Return a figure with the upper half plane up to the Nyquist frequency, and closer to the origin, rad/s."""
-    figure, [row] = panels(1, 2, 2.7, names)
+    figure, [row] = styles.panels(1, 2, 2.7, names)
     views = ((-1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist), (-1.2 * slow, 0.18 * slow, slow))
     for axes, (left, right, top) in zip(row, views, strict=True):
-        axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
-        axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
+        axes.axvline(0.0, color=styles.REFERENCE, linewidth=0.8)
+        axes.axvspan(0.0, right, color=styles.BAND, linewidth=0, zorder=0)
         axes.set_xlim(left, right)
         axes.set_ylim(0.0, top)
-        linear_axis(axes.xaxis, 6)
-        linear_axis(axes.yaxis, 6)
+        styles.linear_axis(axes.xaxis, 6)
+        styles.linear_axis(axes.yaxis, 6)
         axes.set_xlabel("real part, 1/s")
     row[0].set_ylabel("imaginary part, rad/s")
     row[0].set_title("all poles up to the Nyquist frequency")
@@ -178,18 +171,20 @@ def nutation_figure(result: JobResult) -> Figure | None:
     nominal = axes.get_xlim()[1] / _SPINS[1]
     uncertainty, (low, high) = result.job.uncertainty.spin, axes.get_ylim()
     if uncertainty > 0.0:
-        axes.axvspan((1.0 - uncertainty) * nominal, (1.0 + uncertainty) * nominal, color=BAND, linewidth=0, zorder=0)
+        axes.axvspan(
+            (1.0 - uncertainty) * nominal, (1.0 + uncertainty) * nominal, color=styles.BAND, linewidth=0, zorder=0
+        )
     loops = sorted(((bandwidth_hz(one.closed), one.spec.name) for one in result.loops), reverse=True)
     last = 2.0 * high
     for bandwidth, name in loops:
         if not low < bandwidth < high:
             continue
-        axes.axhline(bandwidth, color=REFERENCE, linewidth=0.8, linestyle=DOTTED)
+        axes.axhline(bandwidth, color=styles.REFERENCE, linewidth=0.8, linestyle=styles.DOTTED)
         if last - bandwidth > _APART * high:
             words = f"bandwidth of {name}, {quantity(bandwidth, 'Hz', 3)}"
             at = (axes.get_xlim()[1], bandwidth)
             axes.annotate(
-                words, at, (-3, 2), textcoords="offset points", ha="right", va="bottom", fontsize=7, color=MUTED
+                words, at, (-3, 2), textcoords="offset points", ha="right", va="bottom", fontsize=7, color=styles.MUTED
             )
             last = bandwidth
     return figure

@@ -17,23 +17,7 @@ from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import plain
-from platform_ctrl.report.style import (
-    BAND,
-    BEYOND,
-    DASH_DOTTED,
-    DASHED,
-    DASHES,
-    INK,
-    LIMIT,
-    MARKERS,
-    MUTED,
-    REFERENCE,
-    SERIES,
-    frequency_axes,
-    gain_limits,
-    legend,
-    panels,
-)
+from platform_ctrl.report import style as styles
 
 if TYPE_CHECKING:
     import control
@@ -53,9 +37,9 @@ _LABEL: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7}
 
 def curve_style(k: int) -> dict[str, Any]:
     """Return the look of the k-th curve: no two of the first 24 alike, also in grey."""
-    style: dict[str, Any] = {"color": SERIES[k % len(SERIES)], "linestyle": DASHES[k % _DIFFERENT]}
+    style: dict[str, Any] = {"color": styles.SERIES[k % len(styles.SERIES)], "linestyle": styles.DASHES[k % _DIFFERENT]}
     if k >= _DIFFERENT:
-        style |= {"marker": MARKERS[k % len(MARKERS)], "markersize": 3.8}
+        style |= {"marker": styles.MARKERS[k % len(styles.MARKERS)], "markersize": 3.8}
     return style
 
 
@@ -65,7 +49,7 @@ def paint(rows: Sequence[Sequence[Curves]], height: float) -> Figure:
         half = -(-len(rows[0]) // 2)
         rows = [rows[0][:half], rows[0][half:]]
     names = list(dict.fromkeys(one.name for row in rows for panel in row for one in panel.curves if one.name))
-    figure, grid = panels(len(rows), max(map(len, rows)), height, names)
+    figure, grid = styles.panels(len(rows), max(map(len, rows)), height, names)
     handles: dict[str, Line2D] = {}
     for k, row in enumerate(rows):
         for place, axes in enumerate(grid[k]):
@@ -76,7 +60,7 @@ def paint(rows: Sequence[Sequence[Curves]], height: float) -> Figure:
             lines = _paint(axes, row[place], label=lowest)
             for one, line in zip(row[place].curves, lines, strict=True):
                 handles.setdefault(one.name, line)
-    legend(figure, [handles[name] for name in names], names)
+    styles.legend(figure, [handles[name] for name in names], names)
     return figure
 
 
@@ -84,25 +68,28 @@ def _paint(axes: Axes, panel: Curves, *, label: bool) -> list[Line2D]:
     lines: list[Line2D] = []
     for one in panel.curves:
         k = one.series or 0
-        dashes = DASHES[(k if one.dashes is None else one.dashes) % len(DASHES)]
-        look = {"color": REFERENCE if one.series is None else SERIES[k % len(SERIES)], "linestyle": dashes}
-        look |= {"marker": MARKERS[k % len(MARKERS)]} if one.form == "mark" else {}
+        dashes = styles.DASHES[(k if one.dashes is None else one.dashes) % len(styles.DASHES)]
+        look = {
+            "color": styles.REFERENCE if one.series is None else styles.SERIES[k % len(styles.SERIES)],
+            "linestyle": dashes,
+        }
+        look |= {"marker": styles.MARKERS[k % len(styles.MARKERS)]} if one.form == "mark" else {}
         lines += axes.plot(one.x, one.y, **look | _FORMS[one.form])
     f, values = panel.curves[0].x, [one.y for one in panel.curves if one.form in ("line", "strong")]
-    frequency_axes(axes, f[0], f[-1], log_gain=panel.kind == "gain", label=label)
+    styles.frequency_axes(axes, f[0], f[-1], log_gain=panel.kind == "gain", label=label)
     if panel.kind == "phase":
         phase_panel(axes, values)
     else:
-        gain_limits(axes, values, panel.low, panel.high)
+        styles.gain_limits(axes, values, panel.low, panel.high)
     for level, words in panel.references.items():
-        axes.axhline(level, color=REFERENCE, linewidth=0.8)
-        axes.annotate(words, (f[-1], level), (-3, -2), color=MUTED, ha="right", va="top", **_LABEL)
+        axes.axhline(level, color=styles.REFERENCE, linewidth=0.8)
+        axes.annotate(words, (f[-1], level), (-3, -2), color=styles.MUTED, ha="right", va="top", **_LABEL)
     if panel.required is not None:
-        axes.axvspan(f[0], panel.required, color=BAND, linewidth=0, zorder=0)
+        axes.axvspan(f[0], panel.required, color=styles.BAND, linewidth=0, zorder=0)
     if panel.wished is not None:
-        axes.axvline(panel.wished, color=MUTED, linewidth=0.9, linestyle=DASH_DOTTED)
+        axes.axvline(panel.wished, color=styles.MUTED, linewidth=0.9, linestyle=styles.DASH_DOTTED)
         at = (panel.wished, axes.get_ylim()[0])
-        axes.annotate(f"goal {panel.wished:g} Hz", at, (3, 3), color=MUTED, va="bottom", **_LABEL)
+        axes.annotate(f"goal {panel.wished:g} Hz", at, (3, 3), color=styles.MUTED, va="bottom", **_LABEL)
     for limit in panel.levels:
         _paint_level(axes, limit)
     axes.set_title(panel.title)
@@ -113,11 +100,11 @@ def _paint(axes: Axes, panel: Curves, *, label: bool) -> list[Line2D]:
 def _paint_level(axes: Axes, one: Level) -> None:
     """Draw a limit or a goal; above the limit of a part of the frequencies what is forbidden is shaded."""
     (left, right), top = axes.get_xlim(), axes.get_ylim()[1]
-    colour, dashes = (LIMIT, DASHED) if one.hard else (MUTED, DASH_DOTTED)
+    colour, dashes = (styles.LIMIT, styles.DASHED) if one.hard else (styles.MUTED, styles.DASH_DOTTED)
     start, end = max(left, one.start or left), min(right, one.end or right)
     banded = one.end is not None
     if banded and one.hard and (start, end) != (left, right) and one.y < top:
-        axes.fill_between([start, end], one.y, top, color=BEYOND, linewidth=0, zorder=0.5)
+        axes.fill_between([start, end], one.y, top, color=styles.BEYOND, linewidth=0, zorder=0.5)
     axes.plot([start, end], [one.y, one.y], color=colour, linewidth=0.9, linestyle=dashes)
     # A limit's number is above its left end, a goal's below its right one.
     at_left = one.hard or banded
@@ -141,7 +128,7 @@ def phase_panel(axes: Axes, phases: Sequence[FloatArray]) -> None:
     axes.set_yticks(np.arange(low, high + 1.0, step))
     odd = 360.0 * np.arange(math.ceil((low + 180.0) / 360.0), math.floor((high + 180.0) / 360.0) + 1) - 180.0
     for level in odd[:: max(1, len(odd) // 4)]:
-        axes.axhline(level, color=REFERENCE, linewidth=0.9, zorder=1)
+        axes.axhline(level, color=styles.REFERENCE, linewidth=0.9, zorder=1)
 
 
 def control_plot(
@@ -153,7 +140,7 @@ def control_plot(
     listed = np.empty((1, 1), dtype=object)
     listed[0, 0] = list(lines)
     figure = axes[0, 0].figure
-    return control.ControlPlot(listed, axes, figure, legend=legend(figure, handles, names))
+    return control.ControlPlot(listed, axes, figure, legend=styles.legend(figure, handles, names))
 
 
 # Directions in degrees, the best first, and distances in points at which labels are tried.
@@ -220,7 +207,7 @@ class LabelPlacer:
                 continue
             self._dots.append(at)
             self.axes.plot([x], [y], "o", color=dot, markersize=3.0, zorder=4)
-            self.write(f"{plain(f, 3)} Hz", x, y, colour=MUTED, size=6.5)
+            self.write(f"{plain(f, 3)} Hz", x, y, colour=styles.MUTED, size=6.5)
 
     def write(
         self,
@@ -228,7 +215,7 @@ class LabelPlacer:
         x: float,
         y: float,
         *,
-        colour: str = INK,
+        colour: str = styles.INK,
         size: float = 7.0,
         bold: bool = False,
         required: bool = False,

@@ -24,45 +24,28 @@ from platform_ctrl.mechanics.modes import poles_and_kinds, rotors_at_rest
 from platform_ctrl.mechanics.state_space import state_space, subsystems
 from platform_ctrl.plant.drawing import Outline, bodies, camera, disc_axis, levels
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.report import style
 from platform_ctrl.report.figures.panels import LabelPlacer
 from platform_ctrl.report.figures.root_locus import increasing, spinning
-from platform_ctrl.report.style import (
-    BAND,
-    DASH_DOTTED,
-    DASHED,
-    FULL_WIDTH,
-    INK,
-    LIMIT,
-    MARKERS,
-    MUTED,
-    PAGE,
-    REFERENCE,
-    SERIES,
-    legend,
-    line_style,
-    linear_axis,
-    panels,
-    standalone,
-)
 
 # Inches of a disc's radius at most, and below a panel for its scale; in radii: room around each body, length of the
 # root's axes.
 _RADIUS, _NO_SCALE, _ROOM, _ROOT_AXIS = 0.62, 0.46, (1.3, 0.55), 0.8
 # Of gimbals by how many joints lie between them and the root.
-_LEVELS = (INK, SERIES[7], SERIES[6], SERIES[3], REFERENCE)
-_ANGLE, _SPIN, _SIGN = SERIES[1], SERIES[0], SERIES[2]
+_LEVELS = (style.INK, style.SERIES[7], style.SERIES[6], style.SERIES[3], style.REFERENCE)
+_ANGLE, _SPIN, _SIGN = style.SERIES[1], style.SERIES[0], style.SERIES[2]
 _ROTORS = {
     "regulated": ("-", "rotor, constant relative spin"),
-    "free": (DASHED, "rotor, free-running"),
-    "servo": (DASH_DOTTED, "rotor, speed loop"),
+    "free": (style.DASHED, "rotor, free-running"),
+    "servo": (style.DASH_DOTTED, "rotor, speed loop"),
 }
 # Parts at a joint: marker, and name in the legend.
 _SIGNS: dict[str, tuple[dict[str, Any], str]] = {
     "torquer": ({"marker": "s", "markerfacecolor": _SIGN, "markersize": 5.5}, "torquer"),
-    "pickoff": ({"marker": "o", "markerfacecolor": PAGE, "markersize": 5.5}, "pick-off"),
+    "pickoff": ({"marker": "o", "markerfacecolor": style.PAGE, "markersize": 5.5}, "pick-off"),
     "spring": ({"marker": "x", "markersize": 6.0}, "spring"),
     "cage": ({"marker": "|", "markersize": 9.0}, "cage"),
-    "erection": ({"marker": "v", "markerfacecolor": PAGE, "markersize": 6.0}, "erection"),
+    "erection": ({"marker": "v", "markerfacecolor": style.PAGE, "markersize": 6.0}, "erection"),
 }
 # Speeds at which the modes are computed, at least.
 _SPEEDS = 401
@@ -73,7 +56,7 @@ _CORNER = 0.005
 _HEIGHT = 4.25
 
 
-@standalone
+@style.standalone
 def axes_picture(platform: Platform) -> Figure:
     """Picture of the axes of `platform`.
 
@@ -95,19 +78,19 @@ def axes_picture(platform: Platform) -> Figure:
     rows = camera(platform)
     shapes, low, high = _placed([_root_axes(platform), *bodies(platform, rows[2])], rows)
     width, height = high - low
-    scale = min(_RADIUS, FULL_WIDTH / width)
+    scale = min(_RADIUS, style.FULL_WIDTH / width)
     handles, names = _entries(platform, shapes)
-    figure, [[axes]] = panels(1, 1, scale * height - _NO_SCALE, names, titles=False)
+    figure, [[axes]] = style.panels(1, 1, scale * height - _NO_SCALE, names, titles=False)
     axes.set_position((0.0, 0.0, 1.0, scale * height / figure.get_size_inches()[1]))
     axes.set_axis_off()
     middle = 0.5 * (low[0] + high[0])
-    axes.set_xlim(middle - 0.5 * FULL_WIDTH / scale, middle + 0.5 * FULL_WIDTH / scale)
+    axes.set_xlim(middle - 0.5 * style.FULL_WIDTH / scale, middle + 0.5 * style.FULL_WIDTH / scale)
     axes.set_ylim(low[1], high[1])
     order = sorted(range(len(shapes)), key=lambda k: (round(_depth(shapes[k][0], rows), 6), k))
     for rank, k in enumerate(order):
         _draw(axes, *shapes[k], rows, platform, 2.0 + 1e-3 * rank)
     _label(axes, platform, shapes, rows)
-    legend(figure, handles, names)
+    style.legend(figure, handles, names)
     return figure
 
 
@@ -160,15 +143,15 @@ def _draw(axes: Axes, shape: Outline, at: FloatArray, rows: FloatArray, platform
     elif kind == "mount":
         _mount(axes, flat, order)
     elif kind == "plate":
-        axes.fill(*flat.T, facecolor=BAND, edgecolor=colour, linewidth=2.0, zorder=order, clip_on=False)
+        axes.fill(*flat.T, facecolor=style.BAND, edgecolor=colour, linewidth=2.0, zorder=order, clip_on=False)
     elif kind == "bearing":
-        dot: dict[str, Any] = {"markerfacecolor": PAGE, "markeredgecolor": INK, "markersize": 4.0}
+        dot: dict[str, Any] = {"markerfacecolor": style.PAGE, "markeredgecolor": style.INK, "markersize": 4.0}
         axes.plot(*flat.T, "o", zorder=order, clip_on=False, **dot)
     elif kind.startswith("sign "):
         look: dict[str, Any] = {"color": _SIGN, **_SIGNS[kind.removeprefix("sign ")][0]}
         axes.plot(*flat.T, linestyle="none", zorder=order, clip_on=False, **look)
     elif kind in ("axis", "spin", "root"):
-        colour = {"axis": _ANGLE, "spin": _SPIN, "root": INK}[kind]
+        colour = {"axis": _ANGLE, "spin": _SPIN, "root": style.INK}[kind]
         _arrow(axes, flat[0], flat[1], colour, order, f"{kind} {shape.body}")
     else:
         colour, thick = {"bar": (colour, 2.8), "pin": (colour, 1.7), "shaft": (_SPIN, 1.6)}.get(kind, (_ANGLE, 1.6))
@@ -176,7 +159,7 @@ def _draw(axes: Axes, shape: Outline, at: FloatArray, rows: FloatArray, platform
         along = flat[-1] - flat[0]
         ends = 0.1 * along / max(float(np.hypot(*along)), 0.3)
         halo = np.array([flat[0] + ends, *flat[1:-1], flat[-1] - ends])
-        axes.plot(*halo.T, color=PAGE, linewidth=6.0, solid_capstyle="butt", zorder=order, clip_on=False)
+        axes.plot(*halo.T, color=style.PAGE, linewidth=6.0, solid_capstyle="butt", zorder=order, clip_on=False)
         axes.plot(*flat.T, color=colour, linewidth=thick, zorder=order, clip_on=False, gid=kind)
         if kind == "turn-tip":
             _arrow(axes, flat[-2], flat[-1], _ANGLE, order, "")
@@ -202,16 +185,20 @@ def _disc(axes: Axes, shape: Outline, at: FloatArray, rows: FloatArray, platform
         "zorder": order,
         "clip_on": False,
     }
-    axes.fill(*back.T, facecolor=BAND, **look)
+    axes.fill(*back.T, facecolor=style.BAND, **look)
     along = front[0] - back[0]
     side = (front - front.mean(axis=0)) @ np.array([-along[1], along[0]])
     ends = [int(np.argmax(side)), int(np.argmin(side))]
     axes.fill(
-        *np.concatenate([back[ends], front[ends[::-1]]]).T, facecolor=BAND, linewidth=0.0, zorder=order, clip_on=False
+        *np.concatenate([back[ends], front[ends[::-1]]]).T,
+        facecolor=style.BAND,
+        linewidth=0.0,
+        zorder=order,
+        clip_on=False,
     )
     for k in ends:
         axes.plot(*np.array([back[k], front[k]]).T, color=_SPIN, linewidth=1.4, zorder=order, clip_on=False)
-    axes.fill(*front.T, facecolor=BAND, **look)
+    axes.fill(*front.T, facecolor=style.BAND, **look)
 
 
 def _mount(axes: Axes, flat: FloatArray, order: float) -> None:
@@ -225,7 +212,7 @@ def _mount(axes: Axes, flat: FloatArray, order: float) -> None:
         for foot in np.linspace(block[0], block[1], 4)[:-1] + side * 0.03 * across:
             hatch += [foot, foot + 0.09 * (along + 0.5 * side * across), gap]
     for lines, width in ((blocks, 1.7), (hatch, 0.8)):
-        axes.plot(*np.array(lines).T, color=MUTED, linewidth=width, zorder=order, clip_on=False)
+        axes.plot(*np.array(lines).T, color=style.MUTED, linewidth=width, zorder=order, clip_on=False)
 
 
 def _label(axes: Axes, platform: Platform, shapes: Sequence[tuple[Outline, FloatArray]], rows: FloatArray) -> None:
@@ -241,21 +228,21 @@ def _label(axes: Axes, platform: Platform, shapes: Sequence[tuple[Outline, Float
         text = names[shape.body] if shape.kind == "axis" else shape.body
         turn = round(math.degrees(math.atan2(*(tip - tail)[::-1])))
         directions = [turn + more for more in (0, 30, -30, 60, -60, 90, -90, 125, -125)]
-        colour = {"axis": _ANGLE, "spin": _SPIN, "root": INK}[shape.kind]
+        colour = {"axis": _ANGLE, "spin": _SPIN, "root": style.INK}[shape.kind]
         places.write(text, *tip, colour=colour, size=9.0, bold=True, required=True, directions=directions)
 
 
 def _entries(platform: Platform, shapes: Sequence[tuple[Outline, FloatArray]]) -> tuple[list[Any], list[str]]:
     """Return the legend: what occurs in the picture."""
     kinds = {shape.kind for shape, _ in shapes}
-    entries: dict[str, Any] = {f"1, 2, 3: axes of {platform.root_name}": Line2D([], [], color=INK)}
+    entries: dict[str, Any] = {f"1, 2, 3: axes of {platform.root_name}": Line2D([], [], color=style.INK)}
     if platform.gimbals:
         entries["axis and turn of a positive angle"] = Line2D([], [], color=_ANGLE)
     if platform.rotors:
         entries["spin axis, direction of L"] = Line2D([], [], color=_SPIN)
     for control in dict.fromkeys(rotor.control for rotor in platform.rotors):
         dashes, name = _ROTORS[control]
-        entries[name] = Patch(facecolor=BAND, edgecolor=_SPIN, linestyle=dashes)
+        entries[name] = Patch(facecolor=style.BAND, edgecolor=_SPIN, linestyle=dashes)
     for kind, (look, name) in _SIGNS.items():
         if f"sign {kind}" in kinds:
             entries[name] = Line2D([], [], color=_SIGN, linestyle="none", **look)
@@ -271,7 +258,7 @@ class SpinMode:
     nominal: float  # At the nominal speed
 
 
-@standalone
+@style.standalone
 def campbell(platform: Platform, *, spins: ArrayLike | None = None, orders: ArrayLike = (1.0, 2.0)) -> Figure:
     """Natural frequencies of the uncontrolled gimbals over the speed of the rotors, with multiples of that speed.
 
@@ -319,30 +306,30 @@ def campbell(platform: Platform, *, spins: ArrayLike | None = None, orders: Arra
     modes = [m for group in subsystems(model) for m in _modes(model, still, group, speed)]
 
     labels = [f"{m.label}: {plain(m.nominal * HZ, 3)} Hz at nominal speed" for m in modes]
-    figure, [[axes]] = panels(1, 1, _HEIGHT, labels, titles=False)
+    figure, [[axes]] = style.panels(1, 1, _HEIGHT, labels, titles=False)
     handles: list[Any] = []
     for k, mode in enumerate(modes):
-        handles += axes.plot(unit * speed, mode.frequency * HZ, **line_style(k))
+        handles += axes.plot(unit * speed, mode.frequency * HZ, **style.line_style(k))
         if speed[0] <= 1.0 <= speed[-1]:
-            mark = MARKERS[k % len(MARKERS)]
-            axes.plot([unit], [mode.nominal * HZ], mark, color=SERIES[k % len(SERIES)], markersize=5)
+            mark = style.MARKERS[k % len(style.MARKERS)]
+            axes.plot([unit], [mode.nominal * HZ], mark, color=style.SERIES[k % len(style.SERIES)], markersize=5)
     highest = max((float(m.frequency.max()) for m in modes), default=0.0)
     axes.set_ylim(0.0, 1.18 * HZ * (highest or float(multiples.min()) * spin[0] * float(speed[-1])))
     axes.set_xlim(unit * speed[0], unit * speed[-1])
-    linear_axis(axes.xaxis, 8)
-    linear_axis(axes.yaxis, 6)
+    style.linear_axis(axes.xaxis, 8)
+    style.linear_axis(axes.yaxis, 6)
     axes.set_ylabel("frequency, Hz")
     axes.set_xlabel("rotor speed, rpm" if len(spin) == 1 else "rotor speed / nominal")
     if unit > 50.0:
         axes.xaxis.set_major_formatter(lambda rpm, _: f"{rpm:,.0f}")
     if speed[0] < 1.0 < speed[-1]:
-        axes.axvline(unit, color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.4)))
+        axes.axvline(unit, color=style.REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.4)))
     _spin_lines(axes, modes, speed, unit, spin, multiples)
     if modes:
-        legend(figure, handles, labels)
+        style.legend(figure, handles, labels)
     else:
         words = "these gimbals have no oscillating mode"
-        axes.annotate(words, (0.5, 0.5), xycoords="axes fraction", color=MUTED, ha="center")
+        axes.annotate(words, (0.5, 0.5), xycoords="axes fraction", color=style.MUTED, ha="center")
     return figure
 
 
@@ -376,26 +363,28 @@ def _spin_lines(
     for spin in reference:
         for order in orders:
             slope = order * spin * HZ
-            axes.plot(unit * speed, slope * speed, color=MUTED, linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.5)
+            axes.plot(unit * speed, slope * speed, color=style.MUTED, linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.5)
             text = f"{order:g}×" if len(reference) == 1 else f"{order:g}× {plain(spin * RPM, 4)} rpm"
             end = min(0.96 * right / unit, 0.96 * top / slope)
             named.append((text, unit * end, slope * end))
     places = LabelPlacer(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])
     for text, x, y in named:
-        places.write(text, x, y, colour=MUTED, size=7.5, directions=(160, 180, -20, 90))
+        places.write(text, x, y, colour=style.MUTED, size=7.5, directions=(160, 180, -20, 90))
     if axes.get_xlim()[0] < unit < right:
-        places.write("nominal", unit, 0.975 * top, colour=MUTED, size=7.0, directions=(0, 180))
+        places.write("nominal", unit, 0.975 * top, colour=style.MUTED, size=7.0, directions=(0, 180))
     marks = []
     for spin in reference:
         for order in orders:
             for mode in modes:
                 for at, frequency in _meetings(mode.frequency, speed, order * spin):
-                    axes.plot([unit * at], [frequency * HZ], "D", color=LIMIT, markersize=5, zorder=5, linestyle="none")
+                    axes.plot(
+                        [unit * at], [frequency * HZ], "D", color=style.LIMIT, markersize=5, zorder=5, linestyle="none"
+                    )
                     places.reserve(unit * at, frequency * HZ)
                     where = f"{plain(unit * at, 4)} rpm" if len(reference) == 1 else f"× {plain(at, 3)}"
                     marks.append((where, unit * at, frequency * HZ))
     for text, x, y in marks:
-        places.write(text, x, y, colour=LIMIT, size=7.5, required=True)
+        places.write(text, x, y, colour=style.LIMIT, size=7.5, required=True)
 
 
 def _meetings(frequency: FloatArray, speed: FloatArray, slope: float) -> list[tuple[float, float]]:

@@ -26,19 +26,8 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.modes import rotors_at_rest
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.report import style
 from platform_ctrl.report.figures.panels import LabelPlacer, control_plot
-from platform_ctrl.report.style import (
-    BAND,
-    FRAME,
-    INK,
-    LIMIT,
-    MUTED,
-    REFERENCE,
-    SERIES,
-    linear_axis,
-    panels,
-    standalone,
-)
 
 if TYPE_CHECKING:
     import control
@@ -55,7 +44,7 @@ _LABELS = 9
 _SHORTEST = 24.0
 
 
-@standalone
+@style.standalone
 def root_locus(plant: NamedSystem, controller: NamedSystem, *, gains: ArrayLike | None = None) -> control.ControlPlot:
     """Poles of the closed loop while all of the controller's gains are multiplied by one factor.
 
@@ -88,7 +77,7 @@ def root_locus(plant: NamedSystem, controller: NamedSystem, *, gains: ArrayLike 
     return draw_locus(gain_locus(plant, controller, gains), "gain", "loop gain / nominal")
 
 
-@standalone
+@style.standalone
 def root_locus_over_spin(
     platform: Platform,
     gimbals: Sequence[str] | None,
@@ -175,25 +164,27 @@ def s_plane(axes: Axes, view: PlaneView) -> list[tuple[str, float, float, tuple[
     axes.set_xlim(left, right)
     axes.set_ylim(-_BELOW * reach, reach)
     axes.grid(False)
-    axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
-    axes.axvline(0.0, color=REFERENCE, linewidth=0.9, zorder=1)
-    axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=1)
+    axes.axvspan(0.0, right, color=style.BAND, linewidth=0, zorder=0)
+    axes.axvline(0.0, color=style.REFERENCE, linewidth=0.9, zorder=1)
+    axes.axhline(0.0, color=style.REFERENCE, linewidth=0.6, zorder=1)
     turn = np.linspace(0.5 * np.pi, np.pi, 181)
     labels: list[tuple[str, float, float, tuple[int, ...]]] = []
     for hz in round_steps(reach * HZ):
         radius = hz / HZ
-        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1)
+        axes.plot(
+            radius * np.cos(turn), radius * np.sin(turn), color=style.FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1
+        )
         if radius < 0.97 * reach:
             labels.append((f"{hz:g} Hz", 0.0, radius, (0,)))
     for ratio in DAMPINGS:
         slope = ratio / np.sqrt(1.0 - ratio**2)
         end = min(reach, -left / slope)
-        axes.plot([0.0, -slope * end], [0.0, end], color=FRAME, linewidth=0.7, zorder=1)
+        axes.plot([0.0, -slope * end], [0.0, end], color=style.FRAME, linewidth=0.7, zorder=1)
         at = 0.955 * end
         text = f"{ratio:g}" if ratio != DAMPINGS[1] else f"damping {ratio:g}"
         labels.append((text, -slope * at, at, (180, 0)))
-    linear_axis(axes.xaxis, 8)
-    linear_axis(axes.yaxis, 6)
+    style.linear_axis(axes.xaxis, 8)
+    style.linear_axis(axes.yaxis, 6)
     axes.set_xlabel("real part, 1/s")
     axes.set_ylabel("imaginary part, rad/s")
     return labels
@@ -204,16 +195,18 @@ def draw_locus(locus: RootLocus, word: str, quantity: str) -> control.ControlPlo
     low, high = float(locus.values[0]), float(locus.values[-1])
     points, nominal = locus.s, continuous_poles(locus.nominal, locus.dt)
     at_start = f"{word} {number(low, 3)}" + (": plant and controller" if low == 0.0 and word == "gain" else "")
-    marked = [(points[0], "x", INK, 5.5, at_start)]
+    marked = [(points[0], "x", style.INK, 5.5, at_start)]
     if low <= 1.0 <= high:
-        marked.append((nominal, "o", SERIES[1], 7.0, f"{word} 1: nominal"))
+        marked.append((nominal, "o", style.SERIES[1], 7.0, f"{word} 1: nominal"))
     names = [quantity, *(name for *_, name in marked), *["stability begins or ends"] * bool(locus.edges.size)]
-    _, grid = panels(1, 1, _HEIGHT, names)
+    _, grid = style.panels(1, 1, _HEIGHT, names)
     axes: Axes = grid[0, 0]
     labels = s_plane(axes, locus.view)
     lines = _branches(axes, points)
     places = LabelPlacer(axes, lines)
-    handles: list[Any] = [Line2D([], [], marker="o", linestyle="-", markersize=3.2, color=SERIES[0], linewidth=1.3)]
+    handles: list[Any] = [
+        Line2D([], [], marker="o", linestyle="-", markersize=3.2, color=style.SERIES[0], linewidth=1.3)
+    ]
     for where, marker, colour, size, _ in marked:
         upper = upper_half_plane(where)
         look: dict[str, Any] = {"marker": marker, "color": colour, "markersize": size, "markerfacecolor": "none"}
@@ -226,7 +219,7 @@ def draw_locus(locus: RootLocus, word: str, quantity: str) -> control.ControlPlo
         places.write(text, at.real, at.imag)
     # Labels of the plane go where the others leave room.
     for text, x, y, directions in labels:
-        places.write(text, x, y, colour=MUTED, size=6.5, directions=directions)
+        places.write(text, x, y, colour=style.MUTED, size=6.5, directions=directions)
     axes.set_title(_stable_words(locus, word))
     plot = control_plot(grid, lines, handles, names)
     plot.locus = locus
@@ -239,7 +232,7 @@ def _branches(axes: Axes, points: ComplexArray) -> list[Line2D]:
     for branch in points.T:
         shown = np.where(np.isfinite(branch) & (branch.imag > -1e-9 * size), branch, complex(np.nan, np.nan))
         if np.isfinite(shown.real).any():
-            lines += axes.plot(shown.real, shown.imag, "-", color=SERIES[0], linewidth=1.3, zorder=2)
+            lines += axes.plot(shown.real, shown.imag, "-", color=style.SERIES[0], linewidth=1.3, zorder=2)
     return lines
 
 
@@ -250,9 +243,11 @@ def _edges(axes: Axes, places: LabelPlacer, locus: RootLocus, word: str) -> list
         s = locus.s[int(np.argmin(np.abs(locus.values - edge)))]
         outermost = upper_half_plane(s[np.isfinite(s)])
         at = 1j * outermost[int(np.argmax(outermost.real))].imag
-        drawn = axes.plot([at.real], [at.imag], "D", color=LIMIT, markersize=5.0, linestyle="none", zorder=5)
+        drawn = axes.plot([at.real], [at.imag], "D", color=style.LIMIT, markersize=5.0, linestyle="none", zorder=5)
         places.reserve(at.real, at.imag, 4.0)
-        places.write(f"{word} {number(edge, 3)}", at.real, at.imag, colour=LIMIT, size=7.5, bold=True, required=True)
+        places.write(
+            f"{word} {number(edge, 3)}", at.real, at.imag, colour=style.LIMIT, size=7.5, bold=True, required=True
+        )
     return drawn
 
 
@@ -272,7 +267,7 @@ def _dots(axes: Axes, places: LabelPlacer, locus: RootLocus, points: ComplexArra
         for x, row in zip(chosen, rows, strict=True):
             at = complex(points[row, column])
             if np.isfinite(at) and at.imag >= -1e-9 * scale:
-                axes.plot([at.real], [at.imag], "o", color=SERIES[0], markersize=3.2, linestyle="none", zorder=3)
+                axes.plot([at.real], [at.imag], "o", color=style.SERIES[0], markersize=3.2, linestyle="none", zorder=3)
                 places.reserve(at.real, at.imag, 1.8)
                 out.append((number(x, 3), at))
     return out

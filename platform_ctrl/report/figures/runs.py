@@ -24,20 +24,7 @@ from platform_ctrl.plant.drawing import root_series, signal_series
 from platform_ctrl.plant.drives import Torquer
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
-from platform_ctrl.report.style import (
-    BEYOND,
-    DASHED,
-    INK,
-    LIMIT,
-    MUTED,
-    SERIES,
-    envelope,
-    linear_axis,
-    panels,
-    settings,
-    signal_style,
-    standalone,
-)
+from platform_ctrl.report import style
 from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.verification.simulated import Run
 
@@ -61,7 +48,7 @@ _BEYOND_LIMIT = 0.3
 _CELL = 1.75
 
 
-@standalone
+@style.standalone
 def time_run(run: Run | Trajectory, platform: Platform, *, limits: Mapping[str, float] | None = None) -> Figure:
     """Gimbal angles, torques, platform rate and attitude of a simulated run over time, beyond their limits shaded.
 
@@ -163,16 +150,16 @@ def _drawn(
         title = f"commanded {'angle' if unit == 'rad' else 'rate'}, command dashed"
         wanted.append(_Signals(title=title, unit=unit, y=reading, names=names, command=t.reading_command[:, chosen]))
     columns = 2 if len(wanted) == 4 else 3
-    figure, rows = panels(-(-len(wanted) // columns), columns, 1.7)
+    figure, rows = style.panels(-(-len(wanted) // columns), columns, 1.7)
     for axes in rows.flat[len(wanted) :]:
         axes.set_visible(False)
     for axes, shown in zip(rows.flat, wanted, strict=False):
         _traces(axes, t.t, shown)
         if not t.completed:
-            axes.axvline(t.t[-1] if t.t.size else 0.0, color=LIMIT, linewidth=1.0)
+            axes.axvline(t.t[-1] if t.t.size else 0.0, color=style.LIMIT, linewidth=1.0)
         axes.set_xlim(0.0, duration)
         axes.set_xlabel("time, s")
-        linear_axis(axes.xaxis, 6)
+        style.linear_axis(axes.xaxis, 6)
     return figure
 
 
@@ -182,13 +169,15 @@ def _traces(axes: Axes, t: FloatArray, shown: _Signals) -> None:
     y, names, title = factor * shown.y, shown.names, shown.title
     limit = None if shown.limit is None else factor * shown.limit
     if shown.command is not None:
-        axes.plot(t, factor * shown.command, color=INK, linewidth=0.9, linestyle=DASHED, zorder=3.0)
+        axes.plot(t, factor * shown.command, color=style.INK, linewidth=0.9, linestyle=style.DASHED, zorder=3.0)
     # The noisiest signal is drawn first, so that it hides no other.
     noise = np.argsort(np.argsort(-np.nan_to_num(np.abs(np.diff(y, axis=0))).sum(axis=0)))
     handles: list[Any] = []
     for k, colour in enumerate(names.values()):
         good = np.isfinite(y[:, k])
-        handles += axes.plot(*envelope(t[good], y[good, k]), zorder=2.0 + 0.01 * noise[k], **signal_style(colour))
+        handles += axes.plot(
+            *style.envelope(t[good], y[good, k]), zorder=2.0 + 0.01 * noise[k], **style.signal_style(colour)
+        )
     finite = y[np.isfinite(y)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
     largest = max(-low, high)
@@ -198,17 +187,17 @@ def _traces(axes: Axes, t: FloatArray, shown: _Signals) -> None:
     if limit is not None and limit <= _FAR * largest:
         low, high = min(low, -1.12 * limit), max(high, 1.12 * limit)
         for sign in (-1.0, 1.0):
-            axes.axhspan(sign * limit, sign * 10.0 * max(-low, high), color=BEYOND, linewidth=0, zorder=0)
-            axes.axhline(sign * limit, color=LIMIT, linewidth=0.9, linestyle=DASHED)
+            axes.axhspan(sign * limit, sign * 10.0 * max(-low, high), color=style.BEYOND, linewidth=0, zorder=0)
+            axes.axhline(sign * limit, color=style.LIMIT, linewidth=0.9, linestyle=style.DASHED)
         at: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points"}
-        axes.annotate(f"limit {limit:g} {unit}", (0.0, limit), (3, 2), color=LIMIT, fontsize=7, **at)
+        axes.annotate(f"limit {limit:g} {unit}", (0.0, limit), (3, 2), color=style.LIMIT, fontsize=7, **at)
     elif limit is not None:
         title += f" (limit ±{limit:g} {unit})"
     extent = (high - low) or 1.0
     # Room for the legend inside the panel, above the traces.
     columns = 3 if len(names) > 3 and axes.get_position().width < 0.3 else 5
     axes.set_ylim(low - 0.08 * extent, high + (0.12 + 0.12 * -(-len(names) // columns)) * extent)
-    linear_axis(axes.yaxis)
+    style.linear_axis(axes.yaxis)
     axes.set_title(title)
     axes.set_ylabel(unit)
     axes.legend(
@@ -231,17 +220,17 @@ def _of_axes(symbol: str) -> dict[str, int]:
 def write_run_figure(run: Run, platform: Platform, title: str, path: Path) -> None:
     """Draw everything that a run recorded and write it to `path` as SVG, whole or not at all."""
     out = StringIO()
-    with settings():
+    with style.settings():
         figure = time_run(run, platform)
         above = 1.0 + 0.12 / figure.get_size_inches()[1]
-        figure.text(0.0, above, title, color=INK, fontsize=9.0, fontweight="bold", ha="left", va="bottom")
+        figure.text(0.0, above, title, color=style.INK, fontsize=9.0, fontweight="bold", ha="left", va="bottom")
         figure.savefig(
             out, format="svg", facecolor="white", bbox_inches="tight", pad_inches=0.1, metadata={"Date": None}
         )
     write_whole(path, out.getvalue())
 
 
-@standalone
+@style.standalone
 def campaign_histograms(campaign: CampaignStatistics | Summary) -> Figure:
     """Histograms of a campaign's results, a panel for each limit of each manoeuvre; red beyond the limit.
 
@@ -273,7 +262,7 @@ def campaign_histograms(campaign: CampaignStatistics | Summary) -> Figure:
 
 def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int) -> Figure:
     """Return a figure with a histogram for each pair of a requirement and its metric, row by row."""
-    drawn, grid = panels(-(-len(wanted) // columns), columns, _CELL)
+    drawn, grid = style.panels(-(-len(wanted) // columns), columns, _CELL)
     cells = list(grid.flat)
     for axes, (one, name) in zip(cells, wanted, strict=False):
         _histogram_panel(axes, one, name)
@@ -301,28 +290,28 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     first, last = math.floor((low - limit) / width), math.ceil((1.02 * high - limit) / width)
     edges = limit + width * np.arange(first, last + 1)
     counts, beyond = np.histogram(values, edges)[0], np.arange(first, last) >= 0
-    axes.stairs(counts, factor * edges, fill=True, color=SERIES[0], linewidth=0)
+    axes.stairs(counts, factor * edges, fill=True, color=style.SERIES[0], linewidth=0)
     if beyond.any():
-        axes.stairs(np.where(beyond, counts, 0), factor * edges, fill=True, color=LIMIT, linewidth=0)
+        axes.stairs(np.where(beyond, counts, 0), factor * edges, fill=True, color=style.LIMIT, linewidth=0)
         shade_beyond(axes, factor * limit, factor * edges[-1])
     axes.set_xlim(factor * edges[0], factor * edges[-1])
     axes.set_ylim(0.0, 1.18 * max(counts.max(initial=1), 1))
-    linear_axis(axes.xaxis)
-    linear_axis(axes.yaxis, 4)
+    style.linear_axis(axes.xaxis)
+    style.linear_axis(axes.yaxis, 4)
     axes.set_title(str(one.manoeuvre))
     axes.set_xlabel(", ".join(filter(None, [RUN_METRICS[name].name, unit])))
     far = "" if counts[beyond].any() else "far "
     words = f"{one.violation.events:,} {far}beyond" if one.violation.events else "none beyond"
     words += "" if near else f" the limit, {plain(factor * limit, 4)} {unit}".rstrip()
     look: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "ha": "right", "va": "top"}
-    colour = LIMIT if one.violation.events else MUTED
+    colour = style.LIMIT if one.violation.events else style.MUTED
     axes.annotate(words, (1.0, 1.0), (-3, -2), fontsize=7, color=colour, **look)
 
 
 def shade_beyond(axes: Axes, limit: float, reach: float) -> None:
     """Shade what lies to the right of a limit, up to `reach` at least."""
-    axes.axvspan(limit, max(1e3 * limit, 2.0 * reach), color=BEYOND, linewidth=0, zorder=0)
-    axes.axvline(limit, color=LIMIT, linewidth=0.9, linestyle=DASHED, zorder=1.5)
+    axes.axvspan(limit, max(1e3 * limit, 2.0 * reach), color=style.BEYOND, linewidth=0, zorder=0)
+    axes.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=style.DASHED, zorder=1.5)
 
 
 def with_limit(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
