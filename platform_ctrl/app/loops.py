@@ -1,5 +1,6 @@
-"""The curves of loops: of a caging loop, one torquer shown broken while all others stay closed and Omega is prescribed;
-of the free platform with all loops closed.
+"""The curves of a caging loop, and those of the free platform with all loops closed.
+
+Of a caging loop one torquer is shown broken while all others stay closed, and Omega is prescribed.
 """
 
 from __future__ import annotations

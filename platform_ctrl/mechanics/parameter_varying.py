@@ -13,8 +13,19 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import known_names, one_of, real_array, short, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics import polynomials
 from platform_ctrl.mechanics.linearisation import Terms, linearise
+from platform_ctrl.mechanics.polynomials import (
+    AffineModel,
+    FrozenSystem,
+    MatrixPolynomial,
+    acceleration_part,
+    affine_model,
+    momentum_slope,
+    monomial_values,
+    polynomial,
+    row_polynomials,
+    total,
+)
 from platform_ctrl.plant.platform import Platform
 
 if TYPE_CHECKING:
@@ -88,10 +99,10 @@ class ParameterVaryingModel:
     q0: FloatArray
     M: FloatArray
     M_Omega: FloatArray
-    G: polynomials.MatrixPolynomial
-    K: polynomials.MatrixPolynomial
-    Q0: polynomials.MatrixPolynomial
-    affine: polynomials.AffineModel
+    G: MatrixPolynomial
+    K: MatrixPolynomial
+    Q0: MatrixPolynomial
+    affine: AffineModel
 
     def at(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FrozenRows:
         """Return the matrices of the chosen gimbals at a rate, rad/s, and its derivative, rad/s² (default zero)."""
@@ -101,7 +112,7 @@ class ParameterVaryingModel:
 
     def state_space(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> control.StateSpace:
         """Return the system frozen at a rate, rad/s, and its derivative, rad/s²; signals as in `affine`."""
-        return self.affine.system(polynomials.monomial_values(self.affine.parameters, Omega, Omega_dot))
+        return self.affine.system(monomial_values(self.affine.parameters, Omega, Omega_dot))
 
     def forcing(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FloatArray:
         """Return what Omega adds to ẋ, the values of the inputs ``d_``.
@@ -121,7 +132,7 @@ class ParameterVaryingModel:
             return np.asarray(-self.M_Omega @ change - self.Q0.at(rate))
         to_rates = self.affine.A_0[: len(self.M), len(self.M) :]
         carried = to_rates @ self.M_Omega @ rate
-        rest = (self.G.at(rate) - polynomials.momentum_slope(self.K).at(rate)) @ carried - self.Q0.at(rate)
+        rest = (self.G.at(rate) - momentum_slope(self.K).at(rate)) @ carried - self.Q0.at(rate)
         return np.concatenate([-carried, rest])
 
     def state(self, q: ArrayLike, rates: ArrayLike, Omega: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
@@ -143,7 +154,7 @@ class ParameterVaryingModel:
         angles, rate = real_array("q", q, (k,)), real_array("Omega", Omega, (3,))
         momenta = self.M @ real_array("rates", rates, (k,))
         if self.form == "momenta":
-            momenta = momenta + polynomials.momentum_slope(self.K).at(rate) @ angles + self.M_Omega @ rate
+            momenta = momenta + momentum_slope(self.K).at(rate) @ angles + self.M_Omega @ rate
         return np.concatenate([angles, momenta])
 
     def rhs(
@@ -179,7 +190,7 @@ class ParameterVaryingModel:
         k, affine = len(self.M), self.affine
         rate = Omega(t) if callable(Omega) else Omega
         change = Omega_dot(t) if callable(Omega_dot) else Omega_dot
-        A = affine.state_matrix(polynomials.monomial_values(affine.parameters, rate, change))
+        A = affine.state_matrix(monomial_values(affine.parameters, rate, change))
         out: FloatArray = A @ real_array("x", x, (2 * k,))
         forcing = self.forcing(rate, change)
         out[2 * k - len(forcing) :] += forcing
@@ -187,7 +198,7 @@ class ParameterVaryingModel:
             out[k:] += real_array("Q", Q(t) if callable(Q) else Q, (k,))
         return out
 
-    def vertices(self, Omega_max: ArrayLike, Omega_dot_max: ArrayLike | None = None) -> list[polynomials.FrozenSystem]:
+    def vertices(self, Omega_max: ArrayLike, Omega_dot_max: ArrayLike | None = None) -> list[FrozenSystem]:
         """Return the vertices of the box of monomials that holds all |Omega_a| <= max and |Omega'_a| <= max.
 
         Squares run over [0, max²], products over ± the product of the limits: the box covers every Omega(t), and
@@ -206,15 +217,15 @@ class ParameterVaryingModel:
         """
         affine = self.affine
         rates, changes = _limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)
-        high = polynomials.monomial_values(affine.parameters, rates, changes)
+        high = monomial_values(affine.parameters, rates, changes)
         low = np.array([0.0 if name.endswith("^2") else -1.0 for name in affine.parameters]) * high
         ends = [sorted({a, b}) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
         corners = [np.array(corner, dtype=np.float64) for corner in itertools.product(*ends)]
-        return [polynomials.FrozenSystem(parameters=corner, system=affine.system(corner)) for corner in corners]
+        return [FrozenSystem(parameters=corner, system=affine.system(corner)) for corner in corners]
 
     def grid(
         self, points: int | Sequence[int], Omega_max: ArrayLike, Omega_dot_max: ArrayLike | None = None
-    ) -> list[polynomials.FrozenSystem]:
+    ) -> list[FrozenSystem]:
         """Return the model frozen on a regular grid of |Omega_a| <= max (and |Omega'_a| <= max).
 
         Parameters
@@ -250,10 +261,8 @@ class ParameterVaryingModel:
         out = []
         for point in itertools.product(*axes):
             rate, change = np.array(point[:3]), np.array(point[3:])
-            rho = polynomials.monomial_values(affine.parameters, rate, change)
-            out.append(
-                polynomials.FrozenSystem(parameters=rho, system=affine.system(rho), Omega=rate, Omega_dot=change)
-            )
+            rho = monomial_values(affine.parameters, rate, change)
+            out.append(FrozenSystem(parameters=rho, system=affine.system(rho), Omega=rate, Omega_dot=change))
         return out
 
 
@@ -326,10 +335,10 @@ def parameter_varying(
     # All but the gyroscopic action vanishes at Omega = 0: what is left there is that of the force elements.
     rest = linearise(platform, terms=terms, q=q)
     rows, n = _rows(platform, gimbals), len(platform.gimbals)
-    G, K, Q0 = polynomials.row_polynomials(platform, rest.q0, terms)
-    G = polynomials.total(G, polynomials.polynomial({"1": -rest.Q_rate}, (n, n))).part(rows, rows)
-    turning = polynomials.acceleration_part(platform, rest.q0, terms)
-    K = polynomials.total(K, turning, polynomials.polynomial({"1": -rest.Q_angle}, (n, n))).part(rows, rows)
+    G, K, Q0 = row_polynomials(platform, rest.q0, terms)
+    G = total(G, polynomial({"1": -rest.Q_rate}, (n, n))).part(rows, rows)
+    turning = acceleration_part(platform, rest.q0, terms)
+    K = total(K, turning, polynomial({"1": -rest.Q_angle}, (n, n))).part(rows, rows)
     M = rest.M[np.ix_(rows, rows)]
     names, angles = (tuple(some[k] for k in rows) for some in (platform.gimbal_names, platform.angle_names))
     torquers = {t.name: names.index(t.gimbal) for t in platform.torquers if t.gimbal in names}
@@ -344,8 +353,8 @@ def parameter_varying(
         M_Omega=rest.M_Omega[rows],
         G=G,
         K=K,
-        Q0=polynomials.total(Q0, polynomials.polynomial({"1": rest.Q0}, (n,))).part(rows),
-        affine=polynomials.affine_model((M, G, K), angles, torquers, momenta=form == "momenta"),
+        Q0=total(Q0, polynomial({"1": rest.Q0}, (n,))).part(rows),
+        affine=affine_model((M, G, K), angles, torquers, momenta=form == "momenta"),
     )
 
 
