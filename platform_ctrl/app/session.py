@@ -66,7 +66,7 @@ class Session:
 
     def __init__(self, backend: Backend, document: Document, state: str) -> None:
         self.backend, self.connection = backend, Connection(document)
-        self._tasks = LongTasks(self)
+        self._tasks = LongTasks(self, backend, self.connection)
         self.settings = backend.start()
         self._line: str | None = None
         if state:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from bokeh.document import Document
 
     from platform_ctrl.app.backend import Backend
-    from platform_ctrl.app.session import Session
+
     from platform_ctrl.design.tuning import OptionEffects
 
 
@@ -170,10 +170,10 @@ class _Running:
 
 
 class LongTasks:
-    """Tasks of a `page` that take longer than a picture, each in its own thread."""
+    """Tasks of a `page`, a `Session`, that take longer than a picture, each in its own thread."""
 
-    def __init__(self, page: Session) -> None:
-        self.page, self.backend, self.connection = page, page.backend, page.connection
+    def __init__(self, page: Any, backend: Backend, connection: Connection) -> None:
+        self.page, self.backend, self.connection = page, backend, connection
         self._running: _Running | None = None
         self._measuring = False
 
