@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from bokeh.document import Document
 
     from platform_ctrl.app.backend import Backend
-
     from platform_ctrl.design.tuning import OptionEffects
 
 
