@@ -277,21 +277,24 @@ class ClosedResponses(_Changed):
     Outputs are the signals that the loop does not read.
     """
 
-    controller: System  # u = K y + H r, from the first p readings and their p commands
+    controller: System  # u = K y + H r, from the first p readings and commands
+    readings: int  # p
 
     @property
     def inputs(self) -> int:
-        """The number of commands, p."""
-        return int(self.controller.D.shape[1]) // 2
+        """The number of commands."""
+        return int(self.controller.D.shape[1]) - self.readings
 
     def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
         """Return the responses; see `DisturbanceResponses`."""
-        found, p, m = self.plain.at(w, of), self.inputs, self.plain.inputs
+        found, p, m = self.plain.at(w, of), self.readings, self.plain.inputs
         KH = frequency_response(self.controller, w, -3)
         K, H = KH[..., :p], KH[..., p:]
         own = found.read[..., :p, :]
         into = np.linalg.inv(np.eye(m) - K @ own[..., :m])
-        inputs = into @ np.concatenate([np.broadcast_to(H, (*own.shape[:-2], m, p)), K @ own[..., -3:]], axis=-1)
+        inputs = into @ np.concatenate(
+            [np.broadcast_to(H, (*own.shape[:-2], *H.shape[-2:])), K @ own[..., -3:]], axis=-1
+        )
         read, seen = _with_inputs(found, inputs, m, 3)
         return ReadAndSeen(read[..., p:, :], seen[..., p:, :])
 
@@ -331,9 +334,9 @@ class Disturbed(NamedTuple):
     sight: ComplexArray
 
 
-def disturbed(found: ReadAndSeen, readings: int) -> Disturbed:
-    """Return responses with the rows of all instants as few that have the same gains."""
-    return Disturbed(found.read, *(_fewer(part) for part in np.split(found.seen, [readings], axis=-2)))
+def disturbed(found: ReadAndSeen, readings: int, kept: int) -> Disturbed:
+    """Return responses with the rows of all instants as few that have the same gains; of readings of the kept alone."""
+    return Disturbed(found.read, _fewer(found.seen[..., :kept, :]), _fewer(found.seen[..., readings:, :]))
 
 
 def _fewer(seen: ComplexArray) -> ComplexArray:

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.response import NamedSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.system import ComplexArray, System, block, seen_states
 from platform_ctrl.common.arguments import one_of
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -215,17 +216,18 @@ def feedback_part(controller: System, measured: Sequence[int]) -> System:
     return own._replace(A=A[np.ix_(kept, kept)], B=own.B[kept], C=own.C[:, kept])
 
 
-def with_error_alone(controller: System) -> System:
-    """Return u = K (y − r) of u = K y: inputs y, then r."""
+def with_error_alone(controller: System, commanded: FloatArray | None = None) -> System:
+    """Return u = K (y − r) of u = K y: inputs y, then r; with `commanded` (p, k) u = K (y − commanded r)."""
     A, B, C, D, dt = controller
-    return System(A, np.hstack([B, -B]), C, np.hstack([D, -D]), dt)
+    E = np.eye(B.shape[1]) if commanded is None else commanded
+    return System(A, np.hstack([B, -B @ E]), C, np.hstack([D, -D @ E]), dt)
 
 
 def commanded_loop(plants: System, controller: System, torques: Sequence[int], angles: Sequence[int]) -> System:
     """Return plants (N, ...) with u = K y + H r closed: inputs the plants', then r; outputs u, then the plants'."""
     A, B, C, D, dt = plants
-    p, inputs, outputs = len(angles), B.shape[-1], C.shape[-2]
+    k, inputs, outputs = controller.B.shape[1] - len(angles), B.shape[-1], C.shape[-2]
     # The commands go through the plant as what is measured without noise.
-    whole = System.split(block([[A, B, 0], [C, D, 0], [0, 0, np.eye(p)]]), A.shape[-1], dt)
-    found = whole.feedback(controller, torques, [*angles, *range(outputs, outputs + p)])
-    return found.part(slice(len(torques) + outputs), slice(inputs + p))
+    whole = System.split(block([[A, B, 0], [C, D, 0], [0, 0, np.eye(k)]]), A.shape[-1], dt)
+    found = whole.feedback(controller, torques, [*angles, *range(outputs, outputs + k)])
+    return found.part(slice(len(torques) + outputs), slice(inputs + k))

@@ -4,9 +4,10 @@ The parts of a closed loop are named by where they begin and end:
 
     [torque, Omega, noise] → [torque, angle, sight]        u = K (y + noise),  y = P (u + torque) + P_Omega Omega
 
-"angle" is all that is measured, of rate loops rates; "sight" are the rates of the line of sight. A controller may also
-have inputs for commands, behind those for what is measured: "command" enters there, with the other sign, and without
-them as noise.
+"angle" is what is measured and kept at zero or at commands, of rate loops rates; "sight" are the rates of the line of
+sight. Readings that help a loop beside these, in other units perhaps, are "helping", each by itself with all others
+closed. A controller may also have inputs for commands, behind those for what is measured: "command" enters there, with
+the other sign, and without them as noise.
 
 The largest gain over frequency is taken on the set's grid and at the closed-loop poles that are narrower than the
 grid's spacing (`Loop.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`Loop.peak`).
@@ -56,21 +57,24 @@ _ABOVE = 1e-7
 class Transfer(NamedTuple):
     """A part of the closed loop: from `source` to `target`, and `direct` times the identity.
 
-    From torque to torque the closed loop is −T = S − I at the plants' input, from noise to angle at their output.
+    From torque to torque the closed loop is −T = S − I at the plants' input, from noise to angle at their output, from
+    helping to helping at one of the further readings.
     With `of_limit` every torque is taken by itself, over its torquer's limit, for platform rates over the set's Omega.
     """
 
-    source: Literal["torque", "Omega", "noise", "command"]
-    target: Literal["torque", "angle", "sight"]
+    source: Literal["torque", "Omega", "noise", "command", "helping"]
+    target: Literal["torque", "angle", "sight", "helping"]
     direct: float = 0.0
     of_limit: bool = False
 
 
 S_OUTPUT, S_INPUT = Transfer("noise", "angle", 1.0), Transfer("torque", "torque", 1.0)
 FOLLOWING = Transfer("command", "angle", 1.0)  # from a command to its error
-T_OUTPUT, T_INPUT = Transfer("noise", "angle"), Transfer("torque", "torque")
-# (S − T)/2 = S − I/2
-HALF_OUTPUT, HALF_INPUT = Transfer("noise", "angle", 0.5), Transfer("torque", "torque", 0.5)
+# What counts in peaks of S, of T, and of (S − T)/2 = S − I/2.
+OF_S, OF_T, OF_HALF = (
+    tuple(Transfer(*ends, direct) for ends in (("noise", "angle"), ("torque", "torque"), ("helping", "helping")))
+    for direct in (1.0, 0.0, 0.5)
+)
 ANGLE_PER_OMEGA, ANGLE_PER_TORQUE = Transfer("Omega", "angle"), Transfer("torque", "angle")
 SIGHT_PER_OMEGA = Transfer("Omega", "sight")
 TORQUE_SHARE = Transfer("Omega", "torque", of_limit=True)
@@ -84,14 +88,14 @@ Indices = NDArray[np.intp]
 class Loop:
     """A controller closed around every plant of a set, each part computed when it is first needed.
 
-    `controller` is u = K y, or u = K y + H r with twice as many inputs: see `Loop.following`.
+    `controller` is u = K y, or u = K y + H r with as many inputs more as are kept: see `Loop.following`.
     """
 
     def __init__(self, plants: PlantSet, controller: System) -> None:
         self.plants = plants
         self.controller = plants.feedback(controller)
         self.two_degrees = None if self.controller is controller else controller
-        self.m, self.p = plants.B.shape[-1], plants.C.shape[-2]
+        self.m, self.p, self.kept = plants.B.shape[-1], plants.C.shape[-2], plants.kept
         self.period, self.slow = plants.period, plants.nutation / 10.0
         # By what they are of: exact values with their frequencies, rad/s, and levels that are shown not to be exceeded.
         self._exact: dict[Hashable, tuple[float, float]] = {}
@@ -149,11 +153,12 @@ class Loop:
 
     @cached_property
     def following(self) -> System:
-        """Closed loops (N, ...) from commands to what is measured, at the samples, then at the instants between."""
+        """Closed loops (N, ...) from commands to what they command, at the samples, then at the instants between."""
         plants, m, p = self.plants, self.m, self.p
         seen = plants.whole.part([*range(p), *range(p + len(plants.sight), plants.whole.C.shape[-2])], slice(m))
-        K = with_error_alone(self.controller) if self.two_degrees is None else self.two_degrees
-        return commanded_loop(seen, K, range(m), range(p)).part(slice(m, None), slice(m, None))
+        K = with_error_alone(self.controller, plants.commanded) if self.two_degrees is None else self.two_degrees
+        rows = [m + p * j + i for j in range(1 + len(plants.between)) for i in range(self.kept)]
+        return commanded_loop(seen, K, range(m), range(p)).part(rows, slice(m, None))
 
     @cached_property
     def poles(self) -> ComplexArray:
@@ -179,6 +184,11 @@ class Loop:
     def S_input(self) -> ComplexArray:
         """Sensitivity at the plants' input, (N, F, m, m)."""
         return self._sensitivities[1]
+
+    @property
+    def sensitivities(self) -> tuple[ComplexArray, ComplexArray]:
+        """S at the plants' output, (N, F, kept, kept), of what the loop keeps alone, and at their input."""
+        return self.S_output[..., : self.kept, : self.kept], self.S_input
 
     @cached_property
     def _sensitivities(self) -> tuple[ComplexArray, ComplexArray]:
@@ -247,17 +257,25 @@ class Loop:
 
     def parts(self, parts: Parts, k: int) -> list[System]:
         """Return the systems of plant `k` whose gains count."""
-        return [self.settled(self._system(transfer, k)) for transfer in parts]
+        found = []
+        for transfer in parts:
+            if transfer.target == "helping":
+                alone = [self.own_arrays.at(k).part([self.m + i], [self.m + i]) for i in range(self.kept, self.p)]
+                found += [one._replace(D=one.D + transfer.direct) for one in alone]
+            else:
+                found.append(self._system(transfer, k))
+        return [self.settled(one) for one in found]
 
     def _system(self, transfer: Transfer, k: int) -> System:
         if transfer.source == "command":
-            loop = self.following.at(k).part(slice(self.p), slice(None))
-            return loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.p) - loop.D)
-        m, p = self.m, self.p
+            loop = self.following.at(k).part(slice(self.kept), slice(None))
+            return loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.kept) - loop.D)
+        m = self.m
         if self.between(transfer):
             raise TypeError("what continuous disturbances do is not rational in z: see `gain_at`")
-        columns = slice(0, m) if transfer.source == "torque" else slice(m, m + p)
-        rows = slice(0, m) if transfer.target == "torque" else slice(m, m + p)
+        kept = slice(m, m + self.kept)
+        rows = slice(m) if transfer.target == "torque" else kept
+        columns = slice(m) if transfer.source == "torque" else kept if rows is kept else slice(m, None)
         found = self.own_arrays.at(k).part(rows, columns)
         return found._replace(D=found.D + transfer.direct * np.eye(*found.D.shape))
 
@@ -311,23 +329,25 @@ class Loop:
 
     def responses(self, transfer: Transfer, members: Indices) -> list[ComplexArray]:
         """Return the responses of a part of some closed loops on the grid, (k, F, ...), which may be several."""
-        plants, S = self.plants, self.S_output[members]
+        plants, k, S = self.plants, self.kept, self.S_output[members]
+        if transfer.target == "helping":
+            return [S[..., i : i + 1, i : i + 1] - (1.0 - transfer.direct) for i in range(k, self.p)]
         if transfer.target == "sight" and not plants.sight:
             raise ArgumentError(
                 "attenuation: the loop moves no line of sight; give the plant a [line_of_sight] that the loop turns"
             )
         if transfer.source == "command" and self.two_degrees is not None:
             H = frequency_response(self.two_degrees, plants.frequency, -3)[..., self.p :]
-            return [transfer.direct * np.eye(self.p) - S @ plants.response[members] @ H]
-        if transfer.source == "command":
-            return [S - (1.0 - transfer.direct) * np.eye(self.p)]
-        if (transfer.source, transfer.target) in (("noise", "angle"), ("torque", "torque")):
-            S = S if transfer.source == "noise" else self.S_input[members]
+            return [transfer.direct * np.eye(k) - S[..., :k, :] @ plants.response[members] @ H]
+        if transfer.source == "command" and plants.commanded is not None:
+            return [S[..., :k, :] @ plants.commanded - (1.0 - transfer.direct) * np.eye(k)]
+        if (transfer.source, transfer.target) in (("command", "angle"), ("noise", "angle"), ("torque", "torque")):
+            S = self.S_input[members] if transfer.source == "torque" else S[..., :k, :k]
             return [S - (1.0 - transfer.direct) * np.eye(S.shape[-1])]
         if transfer.source == "noise":
             return [self.K @ S]
         if not self.between(transfer):
-            return [S @ plants.response[members]]
+            return [S[..., :k, :] @ plants.response[members]]
         m = self.m
         columns = slice(-3, None) if transfer.source == "Omega" else slice(m, 2 * m)
         read, angle, sight = (one[members] for one in self._disturbed)

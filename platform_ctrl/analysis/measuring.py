@@ -130,7 +130,7 @@ class Bandwidth(Measure):
         if not loops.decay[k] > 0.0:
             return 0.0
         frequency = loops.plants.frequency
-        found = min(float(bandwidth_of_response(frequency, S[k])) for S in (loops.S_output, loops.S_input))
+        found = min(float(bandwidth_of_response(frequency, S[k])) for S in loops.sensitivities)
         w = loops.narrow.get(k, np.zeros(0))
         high = [w[gains(part, w) >= LEVEL] for part in loops.parts(SENSITIVITIES, k)] if w.size else []
         return min([found, *(float(part.min(initial=np.inf)) for part in high)])
@@ -161,7 +161,7 @@ DRIFT_TIME = 3600.0
 
 def of_following(function: Callable[[System], FloatArray]) -> Callable[[Loop], FloatArray]:
     """Return the measure of the worst channel of each plant; infinite of an unstable loop."""
-    return _worst(lambda loops, k: function(loops.settled(loops.following.at(k).part(slice(loops.p), slice(None)))))
+    return _worst(lambda loops, k: function(loops.settled(loops.following.at(k).part(slice(loops.kept), slice(None)))))
 
 
 def of_steps(function: Callable[[FloatArray, FloatArray], FloatArray]) -> Callable[[Loop], FloatArray]:

@@ -112,7 +112,7 @@ METRICS: dict[str, Metric] = {
         sense="at least",
         meaning="1/‖(S − T)/2‖∞, the smaller of input and output. Unstructured: all channels at once, "
         "cross-talk included",
-        measure=measuring.Peak(transfers=(loop.HALF_OUTPUT, loop.HALF_INPUT), reciprocal=True),
+        measure=measuring.Peak(transfers=loop.OF_HALF, reciprocal=True),
         scopes=("", "worst_case", "faults"),
         best=2.0,
     ),
@@ -141,14 +141,14 @@ METRICS: dict[str, Metric] = {
         name="sensitivity peak",
         key="sensitivity_peak",
         meaning="‖S‖∞, the larger of input and output",
-        measure=measuring.Peak(transfers=(loop.S_OUTPUT, loop.S_INPUT)),
+        measure=measuring.Peak(transfers=loop.OF_S),
         scopes=("", "worst_case"),
     ),
     "complementary sensitivity peak": Metric(
         name="complementary sensitivity peak",
         key="complementary_sensitivity_peak",
         meaning="‖T‖∞, the larger of input and output",
-        measure=measuring.Peak(transfers=(loop.T_OUTPUT, loop.T_INPUT)),
+        measure=measuring.Peak(transfers=loop.OF_T),
         scopes=("", "worst_case"),
     ),
     "damping": Metric(

@@ -65,6 +65,9 @@ class PlantSet:
     # moves by itself, the frequency that is used instead.
     nutation: float
     noise: FloatArray  # (p,): rms of one sample of each pick-off, rad
+    # (p, k): where the readings are while the k that the loop keeps, the first, rest at their commands; the others
+    # help. None: it keeps all.
+    commanded: FloatArray | None = None
     between: FloatArray  # (k,): instants after a sample, s
     # The grid that a tuner measures on, (F,), rad/s, up to the Nyquist frequency: see `on`.
     frequency: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
@@ -85,6 +88,11 @@ class PlantSet:
     def period(self) -> float:
         """Sample period, s."""
         return self.whole.dt
+
+    @property
+    def kept(self) -> int:
+        """Number of measured outputs, the first, that the loop keeps at zero or at commands; the others help."""
+        return len(self.angles) if self.commanded is None else self.commanded.shape[1]
 
     @property
     def arrays(self) -> System:
@@ -178,7 +186,7 @@ class PlantSet:
 
         Of some `plants` (F,), each at its own frequency: (F, ...).
         """
-        return disturbed(self.disturbances.at(frequency, plants), len(self.angles))
+        return disturbed(self.disturbances.at(frequency, plants), len(self.angles), self.kept)
 
     def regular(self) -> PlantSet:
         """Return the set for a synthesis: angles that drift decay slowly, else nothing would hold the loop together."""
@@ -250,19 +258,21 @@ class PlantSet:
         return inner, own
 
     def feedback(self, controller: System) -> System:
-        """Return K of a controller u = K y, itself, or of u = K y + H r, with twice as many inputs."""
+        """Return K of a controller u = K y, itself, or of u = K y + H r, with as many inputs more as are kept."""
         p = len(self.angles)
-        return feedback_part(controller, range(p)) if controller.D.shape[1] == 2 * p else controller
+        return feedback_part(controller, range(p)) if controller.D.shape[1] == p + self.kept else controller
 
     def in_directions(self, sense: FloatArray) -> PlantSet:
         """Return the set with combinations of its measured outputs, the rows of `sense` (k, p), in their place."""
         from scipy.linalg import block_diag
 
-        seen = block_diag(sense, np.eye(len(self.sight)), np.kron(np.eye(len(self.between)), sense))
+        seen, k = block_diag(sense, np.eye(len(self.sight)), np.kron(np.eye(len(self.between)), sense)), self.kept
+        commanded = self.commanded if len(sense) > k else None
         return dataclasses.replace(
             self,
             whole=self.whole._replace(C=seen @ self.whole.C, D=seen @ self.whole.D),
             angles=tuple(f"direction_{k + 1}" for k in range(len(sense))),
+            commanded=None if commanded is None else sense @ commanded @ np.linalg.inv(sense[:k, :k]),
             noise=np.sqrt(sense**2 @ self.noise**2),
             response=sense @ self.response,
             disturbances=CombinedResponses(plain=self.disturbances, sense=sense),

@@ -311,12 +311,13 @@ class ClosedLoops:
 
     def _with_commands(self, settings: Settings, spec: LoopSpec, design: DesignSpec, K: System) -> System:
         """Return a controller with the commands that its design shapes, or that a loop or a manoeuvre gives."""
+        commanded = None if spec.around is not None else self.plants.of(spec, design).commanded
         if design.command is not None:
             channel = self.directions(settings, spec, design)
             sense = np.eye(K.B.shape[1]) if channel.sense is None else channel.sense
-            return shaped(K._replace(dt=self.read.period_of(spec)), design.command, channel, sense)
+            return shaped(K._replace(dt=self.read.period_of(spec)), design.command, channel, sense, commanded)
         taken = spec.name in self._commanded or bool(self.read.commanded & set(spec.read_by(design).sensors))
-        return with_error_alone(K) if taken else K
+        return with_error_alone(K, commanded) if taken else K
 
     def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> System:
         """Return the controller of a caging loop."""

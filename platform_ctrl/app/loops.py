@@ -217,7 +217,7 @@ class CagedCurves(LoopCurves):
 
 def commanded_arrays(loops: Loop) -> System:
     """Return closed loops from torques, Omega and commands to the torques and what the plants show."""
-    K = with_error_alone(loops.controller) if loops.two_degrees is None else loops.two_degrees
+    K = with_error_alone(loops.controller, loops.plants.commanded) if loops.two_degrees is None else loops.two_degrees
     return commanded_loop(loops.plants.whole, K, range(loops.m), range(loops.p))
 
 
@@ -231,7 +231,7 @@ def _margins(loop: CagedLoop, metrics: LoopMetrics, curves: CagedCurves, bode: B
         disk = float(measured(shown, request, exact=loop.exact)[0])
     bandwidth = 0.0
     if curves.stable:
-        found = (bandwidth_of_response(shown.plants.frequency, S[0]) for S in (shown.S_output, shown.S_input))
+        found = (bandwidth_of_response(shown.plants.frequency, S[0]) for S in shown.sensitivities)
         bandwidth = float(min(found))
     return Margins(
         disk=disk,

@@ -20,6 +20,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed, swung
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop_signals import Channels, loop_channels, loop_signals
+from platform_ctrl.design.method import METHODS
 from platform_ctrl.design.plants import commanded_channels, job_signals, tracking_plants, tracking_reference
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
@@ -277,8 +278,9 @@ class JobPlants:
         """
         if spec.around is not None:
             return commanded_channels(len(self.read.channels_of(spec)))
-        read = spec.read_by(design)
+        read, any_sensors = spec.read_by(design), METHODS[design.method].any_sensors
+        platform, period = self.read.platform, self.read.period_of(spec)
         return self._channels.get(
-            (spec.name, read.sensors),
-            lambda: loop_channels(self.model, loop_signals(self.read.platform, read), self.read.period_of(spec)),
+            (spec.name, read.sensors, any_sensors),
+            lambda: loop_channels(self.model, loop_signals(platform, read), period, any_sensors),
         )

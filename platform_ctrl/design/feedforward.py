@@ -74,7 +74,8 @@ def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedfo
         w = weights @ np.linalg.pinv(seen)
         _expect_whole(where, weights, w @ seen, signals)
         # What the rates add to rates that are read, or their integrals to angles.
-        path = _filtered(w, [], period) if signals.order == 1 else _filtered(np.zeros_like(w), [(w, _LEAK)], period)
+        rates = np.array(signals.orders)[:, None] == 1
+        path = _filtered(w * rates, [(w * ~rates, _LEAK)], period)
         scale = _worst_scale(w, weights, seen, sensors, signals.sensors)
     if not path.D.any():
         raise InputError(
@@ -138,8 +139,9 @@ def _shown(model: LinearModel, signals: LoopSignals, sums: Sequence[dict[str, fl
 
 
 def _torque(model: LinearModel, signals: LoopSignals, fed: Feedforward, seen: FloatArray, period: float) -> System:
-    """Return F from the sensors' rates to the torques that keep what the loop reads at zero."""
-    T, c = _shown(model, signals, [_rates_of(model.platform, sensor) for sensor in signals.sensors])
+    """Return F from the sensors' rates to the torques that hold what the loop keeps at zero."""
+    kept = signals.sensors[: signals.kept]
+    T, c = _shown(model, signals, [_rates_of(model.platform, sensor) for sensor in kept])
     W = -np.linalg.pinv(T) @ c
     rows = rows_of(model, signals.gimbals)
     part = np.ix_(rows, rows)

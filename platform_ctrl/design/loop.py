@@ -188,7 +188,7 @@ def measured(
 
 
 def _commands(plants: PlantSet) -> list[str]:
-    return [f"{name}{COMMAND}" for name in plants.angles]
+    return [f"{name}{COMMAND}" for name in plants.angles[: plants.kept]]
 
 
 def delivered(K: System, plants: PlantSet, name: str) -> control.StateSpace:
@@ -209,8 +209,8 @@ def with_commands(plants: PlantSet, controller: control.StateSpace) -> System:
     of = [controller.output_labels.index(name) for name in plants.torques]
     p, K = len(plants.angles), given.part(of, at)
     # A controller of the errors y − r alone is measured as K from the errors.
-    error = np.array_equal(K.B[:, :p], -K.B[:, p:]) and np.array_equal(K.D[:, :p], -K.D[:, p:])
-    return own if error else K
+    alone = with_error_alone(K.part(slice(None), slice(p)), plants.commanded)
+    return own if np.array_equal(K.B, alone.B) and np.array_equal(K.D, alone.D) else K
 
 
 def takes_commands(design: Design) -> bool:
@@ -224,10 +224,10 @@ def commanded(design: Design) -> Design:
     assert plants is not None, "a loop that is commanded has plants"
     if takes_commands(design):
         return design
-    arrays = with_error_alone(plants.joined(design.controller))
+    arrays = with_error_alone(plants.joined(design.controller), plants.commanded)
     controller = delivered(arrays, plants, str(design.controller.name))
     errors = {name: f"{name}_error" for name in plants.angles}
-    compared = gain(np.hstack([np.eye(len(errors)), -np.eye(len(errors))]))
+    compared = with_error_alone(gain(np.eye(len(errors))), plants.commanded)
     inputs = (*plants.angles, *_commands(plants))
     first = Section("error", "mix", "readings minus commands", compared, inputs, tuple(errors.values()))
     rest = (one._replace(inputs=tuple(errors.get(name, name) for name in one.inputs)) for one in design.sections)

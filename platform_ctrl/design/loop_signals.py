@@ -9,11 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import System, block
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import at_angles, rows_of
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import ArgumentError, DesignError, InputError
 from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.mechanics.outputs import observed, observed_system
@@ -40,9 +41,10 @@ class LoopSignals:
     """The gimbals, sensors and torquers of a loop."""
 
     gimbals: tuple[str, ...]  # names, in the loop's order
-    # torquers, sensors: of the loop.
+    # torquers, sensors: of the loop, those sensors first that it keeps at zero or at commands.
     torquers: tuple[Torquer, ...]
     sensors: tuple[Sensor, ...]
+    kept: int  # number of these
     sight: tuple[str, ...] = ()  # outputs of the line of sight that its torquers move
     # held: whether gimbals that other loops turn are held; else the loop's are whole subsystems, perhaps with others
     # that no loop turns. passive: names of gimbals that no loop turns and that take part.
@@ -57,8 +59,13 @@ class LoopSignals:
 
     @property
     def order(self) -> int:
-        """Which derivative of what is read a torque shows in: 1 of rates, 2 of angles."""
-        return 1 if self.sensors[0].unit == "rad/s" else 2
+        """Which derivative of what is kept a torque shows in: 1 of rates, 2 of angles."""
+        return self.orders[0]
+
+    @property
+    def orders(self) -> list[int]:
+        """The same of every reading."""
+        return [1 if sensor.unit == "rad/s" else 2 for sensor in self.sensors]
 
 
 def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
@@ -66,13 +73,14 @@ def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
     own = tuple(platform.torquer_on(name) for name in spec.gimbals) if not spec.torquers else ()
     if spec.kind == "caging":
         pickoffs = tuple(platform.pickoff_on(name) for name in spec.gimbals)
-        return LoopSignals(gimbals=spec.gimbals, torquers=own, sensors=pickoffs)
-    sensors = {sensor.name: sensor for sensor in platform.sensors}
+        return LoopSignals(gimbals=spec.gimbals, torquers=own, sensors=pickoffs, kept=len(pickoffs))
+    sensors, kept = {sensor.name: sensor for sensor in platform.sensors}, spec.kept(platform)
     torquers = {torquer.name: torquer for torquer in platform.torquers}
     out = LoopSignals(
         gimbals=spec.gimbals,
         torquers=tuple(torquers[name] for name in spec.torquers) or own,
-        sensors=tuple(sensors[name] for name in spec.sensors),
+        sensors=tuple(sensors[name] for name in dict.fromkeys((*kept, *spec.sensors))),
+        kept=len(kept),
         held=True,
         free=spec.moves_root(platform),
     )
@@ -110,6 +118,7 @@ class Channels:
     order: int = 2  # 2 where the inertial directions measure angles, 1 where rates: a torque shows in that derivative
     # (n, p): of loops that read other sensors than pick-offs: from their readings to the directions. Design methods
     # then get plants whose outputs are the directions already; None: they take the gimbals' angles there by `basis`.
+    # Methods for any sensors have further rows: readings beside those that the loop keeps.
     sense: FloatArray | None = None
     # (n,): viscous friction, N m s, and stiffness, N m/rad, against motion in each direction; None: not needed.
     damping: FloatArray | None = None
@@ -120,6 +129,11 @@ class Channels:
     def inertial(self) -> int:
         """Number of directions without gyroscopic action."""
         return len(self.basis) - 2 * len(self.momenta)
+
+    def turned(self, readings: int) -> FloatArray:
+        """Return `basis` for so many outputs of `seen` plants, of which those behind the directions stay themselves."""
+        further = readings - len(self.basis)
+        return block([[self.basis, 0], [0, np.eye(further)]]) if further else self.basis
 
     def seen(self, plants: PlantSet) -> PlantSet:
         """Return plants as design methods see them: their outputs are the directions where the loop has `sense`."""
@@ -176,12 +190,12 @@ def _upright(direction: FloatArray) -> FloatArray:
     return direction if direction[np.argmax(np.abs(direction))] > 0.0 else -direction
 
 
-def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Channels:
+def loop_channels(model: LinearModel, signals: LoopSignals, period: float, any_sensors: bool = True) -> Channels:
     """Return the directions in which design methods see a loop.
 
     Of a loop that reads other sensors than pick-offs there is one for each torquer: the combination of readings that
     shows, at a hundredth of the sample rate, what this torquer does to the rate or angle of its gimbal, and nothing of
-    the others.
+    the others. Methods for `any_sensors` see the readings that are not kept beside them.
     """
     rows = rows_of(model, signals.gimbals)
     noise = np.array([sensor.sampled_noise(period) for sensor in signals.sensors])
@@ -192,19 +206,28 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
     rows, effect = rows_of(model, signals.gimbals), _effect(model, signals, period)
     own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
     mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
+    k, orders = signals.kept, signals.orders
     if signals.free:  # what is read is not the motion of the gimbals
-        mobility = np.linalg.norm(effect, axis=0)
-    if not shows_each(effect):
-        names = [sensor.name for sensor in signals.sensors]
+        mobility = np.linalg.norm(effect[:k], axis=0)
+    if not any_sensors and len({*orders}) > 1:
+        others = " or ".join(name for name, one in METHODS.items() if one.any_sensors)
+        raise DesignError(
+            f"the method works axis by axis on angles or on rates, and this loop reads both: choose {others}, or give "
+            "the design sensors of its own"
+        )
+    if not shows_each(effect[:k]):
+        names = [sensor.name for sensor in signals.sensors[:k]]
         axes = [model.platform.gimbals[model.platform.gimbal(name)].axis for name in signals.gimbals]
         why = parallel("gimbals", signals.gimbals, axes, "turn about")
-        why = why or unseen(model.platform, signals.sensors, effect)
+        why = why or unseen(model.platform, signals.sensors[:k], effect[:k])
         raise ArgumentError(
             f"sensors: {', '.join(names)} do not show what each of the torquers "
             f"{', '.join(torquer.name for torquer in signals.torquers)} does{why}; add a sensor, or leave out a torquer"
         )
     carried = [r for r in model.platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
-    sense = mobility[:, None] * np.linalg.pinv(effect)
+    helping = len(effect) - k if any_sensors else 0
+    seen = mobility[:, None] * np.linalg.pinv(effect[:k] if helping else effect)
+    sense = block([[seen, 0], [0, np.eye(helping)]]) if helping else seen
     return Channels(
         basis=np.eye(len(own)),
         momenta=np.zeros(0),
@@ -214,8 +237,17 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
         damping=None if signals.free else np.diag(model.damping)[rows][own],
         stiffness=None if signals.free else np.diag(model.stiffness)[rows][own],
         sense=sense,
-        noise=np.sqrt(sense**2 @ noise**2),
+        noise=np.sqrt(sense[: len(own)] ** 2 @ noise**2),
     )
+
+
+def following(model: LinearModel, signals: LoopSignals, period: float) -> FloatArray | None:
+    """Return where readings are while those that the loop keeps rest at commands, (p, kept); None: it keeps all."""
+    k = signals.kept
+    if k == len(signals.sensors):
+        return None
+    effect, rest = _effect(*_tied(model, signals), period), np.array(signals.orders) == signals.order
+    return np.vstack([np.eye(k), rest[k:, None] * (effect[k:] @ np.linalg.pinv(effect[:k]))])
 
 
 def _tied(model: LinearModel, signals: LoopSignals) -> tuple[LinearModel, LoopSignals]:
@@ -253,7 +285,7 @@ def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArr
     s = 1j * max(2.0 * np.pi * 0.01 / period, _ABOVE_SPRINGS * held)
     shown = system.C @ np.linalg.solve(s * np.eye(system.nstates) - system.A, system.B[:, inputs])
     mixing = np.array([[one.get(name, 0.0) for name in names] for one in weights])
-    return np.asarray(np.real(s**signals.order * (mixing @ shown)))
+    return np.asarray(np.real(s ** np.array(signals.orders)[:, None] * (mixing @ shown)))
 
 
 def without_sensors(platform: Platform) -> Platform:
@@ -302,7 +334,8 @@ def expect_no_keyhole(job: Job, signals: LoopSignals) -> None:
     least = [
         float(
             np.linalg.svd(
-                _effect(*_tied(linearise(job.platform, q=q), signals), job.sampling.period), compute_uv=False
+                _effect(*_tied(linearise(job.platform, q=q), signals), job.sampling.period)[: signals.kept],
+                compute_uv=False,
             )[-1]
         )
         for q in job.trims

@@ -90,7 +90,8 @@ class LoopProblem:
         if self.directions is not None:
             return self.directions
         signals = loop_signals(self.model.platform, self.spec.read_by(self.design))
-        return loop_channels(self.model, signals, self.job.period_of(self.spec))
+        any_sensors = METHODS[self.design.method].any_sensors
+        return loop_channels(self.model, signals, self.job.period_of(self.spec), any_sensors)
 
     def with_commands(self, K: System, sense: FloatArray | None = None) -> System:
         """Return a controller with its commands, if the design says what to do with them; else K.
@@ -99,8 +100,9 @@ class LoopProblem:
         """
         if self.design.command is None:
             return K
-        own = K._replace(dt=self.job.period_of(self.spec))
-        return shaped(own, self.design.command, self.channel, np.eye(len(K.B.T)) if sense is None else sense)
+        own, plants = K._replace(dt=self.job.period_of(self.spec)), self.plants if sense is None else self.plant_set
+        sense, commanded = np.eye(len(K.B.T)) if sense is None else sense, None if plants is None else plants.commanded
+        return shaped(own, self.design.command, self.channel, sense, commanded)
 
     def made(
         self,
@@ -401,16 +403,20 @@ def tuned(
     return tuner.run(options, starts)
 
 
-def shaped(K: System, shaping: CommandShaping, directions: Channels, sense: FloatArray) -> System:
+def shaped(
+    K: System, shaping: CommandShaping, directions: Channels, sense: FloatArray, commanded: FloatArray | None = None
+) -> System:
     """Return the controller of readings and commands behind a reference filter, of K from the readings.
 
     u = K (y − F r) + H F r. F = ω²/(s + ω)² does not overshoot. H is the inverse of the plant along the directions:
     J s² + d s + c of an angle, inertia, viscous friction and spring, and J s + d of a rate. Both are sampled by
-    Tustin's rule. `sense` (n, p) leads from the readings to the directions, along which the inertias are known.
+    Tustin's rule. `sense` (n, p) leads from the readings to the directions, along which the inertias are known;
+    `commanded` as of `PlantSet`.
     """
     from scipy.linalg import block_diag
 
-    p, w = len(K.B.T), 2.0 * math.pi * shaping.filter_hz
+    E = np.eye(len(K.B.T)) if commanded is None else commanded
+    p, w, into, through = E.shape[1], 2.0 * math.pi * shaping.filter_hz, K.B @ E, K.D @ E
     derivatives = [low_pass(w, _DAMPING, K.dt, order) for order in range(directions.order + 1)]
     A, B, C, D = (block_diag(*(part,) * p) for part in derivatives[0][:4])
     fed_C, fed_D = np.zeros((len(K.C), len(A))), np.zeros((len(K.D), p))
@@ -419,8 +425,9 @@ def shaped(K: System, shaping: CommandShaping, directions: Channels, sense: Floa
         needed = (directions.inertias, directions.damping, directions.stiffness)
         for one, strength in zip(reversed(derivatives), needed, strict=False):
             if strength is not None:
-                torque = strength[:, None] * sense
+                torque = strength[:, None] * (sense[: len(strength)] @ E)
                 fed_C += torque @ block_diag(*(one.C,) * p)
                 fed_D += torque @ block_diag(*(one.D,) * p)
-    whole = block([[K.A, -K.B @ C, K.B, -K.B @ D], [0, A, 0, B], [K.C, fed_C - K.D @ C, K.D, fed_D - K.D @ D]])
+    rows = [[K.A, -into @ C, K.B, -into @ D], [0, A, 0, B], [K.C, fed_C - through @ C, K.D, fed_D - through @ D]]
+    whole = block(rows)
     return System.split(whole, len(K.A) + len(A), K.dt)

@@ -36,6 +36,7 @@ from platform_ctrl.design.loop_signals import (
     LoopSignals,
     bare_system,
     expect_no_keyhole,
+    following,
     loop_channels,
     loop_signals,
     shows_each,
@@ -178,6 +179,7 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         torques=torques,
         angles=names,
         nutation=nutation,
+        commanded=following(linearise(job.platform), signals, period),
         noise=np.array([s.sampled_noise(sampling.period, often[s.name]) for s in signals.sensors]),
         groups=tuple(one.group for one in linear.cases),
         Omega=job.Omega,
@@ -240,9 +242,9 @@ def tracking_plants(
     own, sensors = job_signals(job, dataclasses.replace(inner, sensors=inside.angles)), spec.sensors
     both = dataclasses.replace(own, sensors=(*own.sensors, *(by_name[name] for name in sensors)))
     plants = sampled_plants(job, both, job.every(inner), dict.fromkeys(sensors, job.every(spec)))
-    p, m = len(inside.angles), len(plants.torques)
+    p, m, kept = len(inside.angles), len(plants.torques), inside.kept
     K, feedforward = controller, inside.feedforward
-    K = K if K.D.shape[1] == 2 * p else with_error_alone(K)
+    K = K if K.D.shape[1] > p else with_error_alone(K, inside.commanded)
     whole = plants.whole if feedforward is None else feedforward.taken_up(plants.whole, m, p)
     closed = commanded_loop(whole, K, range(m), range(p))
     slower = 1 if spec.rate_hz is None else round(job.period_of(spec) / plants.period)
@@ -251,16 +253,16 @@ def tracking_plants(
     every, q = len(plants.angles), len(plants.sight)
     times = plants.between[: None if slower < _SLOW_LOOP else 1]
     seen = [m + every + q + k * every + j for k in range(len(times)) for j in range(p, every)]
-    inputs = [*range(m + 3, m + 3 + p), *range(m, m + 3)]
+    inputs = [*range(m + 3, m + 3 + kept), *range(m, m + 3)]
     outer = closed.part([*range(m + p, m + every + q), *seen], inputs)
     plain = plants.disturbances if feedforward is None else feedforward.responses(plants.disturbances)
-    responses: DisturbanceResponses = ClosedResponses(plain=plain, controller=K._replace(dt=plants.period))
+    responses: DisturbanceResponses = ClosedResponses(plain=plain, controller=K._replace(dt=plants.period), readings=p)
     if slower > 1:
         outer = every_nth(outer, slower, len(sensors) + q)[0]
         times = np.add.outer(plants.period * np.arange(slower), times).ravel()
         responses = SlowerResponses(plain=responses, every=slower)
     outer = without_drift(outer)
-    commands = tuple(f"{name}{COMMAND}" for name in plants.angles[:p])
+    commands = tuple(f"{name}{COMMAND}" for name in plants.angles[:kept])
     nutation = tracking_reference(job, spec, plants.nutation, outer.dt / job.every(spec))
     found = dataclasses.replace(
         plants,
@@ -268,8 +270,9 @@ def tracking_plants(
         torques=commands,
         angles=sensors,
         nutation=nutation,
+        commanded=None,
         noise=plants.noise[p:],
-        torque_limit=np.full(p, np.inf),
+        torque_limit=np.full(kept, np.inf),
         states=tuple(f"x{k}" for k in range(outer.A.shape[-1])),
         between=times,
         disturbances=responses,
@@ -284,7 +287,7 @@ def tracking_plants(
             f"{', '.join(commands)} does{why}; add a sensor of an angle, or give the axis a rate loop by itself"
         )
     sense = np.linalg.pinv(effect)
-    return found, dataclasses.replace(commanded_channels(p), sense=sense, noise=np.sqrt(sense**2 @ found.noise**2))
+    return found, dataclasses.replace(commanded_channels(kept), sense=sense, noise=np.sqrt(sense**2 @ found.noise**2))
 
 
 def commanded_channels(count: int) -> Channels:

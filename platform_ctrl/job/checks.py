@@ -251,13 +251,13 @@ def _signals(platform: Platform, loop: LoopSpec) -> Iterator[Misfit]:
 
 
 def _sensors(platform: Platform, kind: str, names: tuple[str, ...]) -> Iterator[Misfit]:
-    """Yield sensors that a rate or pointing loop, or one of its designs, cannot read."""
+    """Yield sensors that a rate or pointing loop, or one of its designs, cannot read; one of its own unit is needed."""
     fitting, every = _fitting_sensors(platform, kind), [sensor.name for sensor in platform.sensors]
     other, wanted = ("an angle", "rates") if kind == "rate" else ("a rate", "angles")
     for name in names:
-        if name not in fitting:
+        if name not in every or not set(names) & set(fitting):
             what = f"measures {other}" if name in every else "is no sensor of the plant"
-            words = f"sensors: {given(name)} {what}; a {kind} loop reads sensors of {wanted}"
+            words = f"sensors: {given(name)} {what}; a {kind} loop keeps what sensors of {wanted} measure"
             yield "sensors", f"{words}; {suggestion(name, fitting)}"
 
 
@@ -415,7 +415,7 @@ def _command(job: Job, command: Command) -> Iterator[Misfit]:
     if reading not in by_name:
         yield unknown("reading", reading, "sensor of the plant", by_name)
         return
-    read = [name for loop in job.loops if loop.kind in OWN_RATES for name in loop.sensors]
+    read = [name for loop in job.loops if loop.kind in OWN_RATES for name in loop.kept(job.platform)]
     if reading not in read:
         use = suggestion(reading, read) if read else "add a rate or pointing loop that reads it"
         why = "read by no rate, pointing or tracking loop, and a caging loop holds its gimbals at zero"

@@ -138,7 +138,7 @@ class LoopSpec:
     gimbals
         That the loop's torquers turn; all others are held in its plants.
     sensors, torquers
-        What a rate, pointing or tracking loop reads and sets; no torquers: the first one on each gimbal.
+        What a rate, pointing or tracking loop reads (see `kept`) and sets; no torquers: the first one on each gimbal.
     around
         The rate loop that a tracking loop commands.
     rate_hz
@@ -210,6 +210,15 @@ class LoopSpec:
     def closed(self) -> DesignSpec:
         """The design that is closed."""
         return next(design for design in self.designs if design.name == self.use)
+
+    def kept(self, platform: Platform) -> tuple[str, ...]:
+        """Return the sensors that the loop keeps at zero or commands: the first of its unit, one for each torquer.
+
+        The others of `sensors` help: rates beside angles, encoders of a motor's side beside those of its load.
+        """
+        units = {sensor.name: sensor.unit for sensor in platform.sensors}
+        own = [name for name in self.sensors if units.get(name) == ("rad/s" if self.kind == "rate" else "rad")]
+        return tuple(own if self.kind == "tracking" else own[: len(self.torquers or self.gimbals)])
 
     def read_by(self, design: DesignSpec) -> LoopSpec:
         """Return the loop as a design reads it: with the design's own sensors, where it has some."""
@@ -345,7 +354,7 @@ class Job:
         """Return the names of the torquers that a loop sets; of a tracking loop those of the commands that it sets."""
         if spec.kind == "tracking":
             inner = self.loop(str(spec.around))
-            return tuple(f"{name}{COMMAND}" for name in inner.read_by(inner.closed).sensors)
+            return tuple(f"{name}{COMMAND}" for name in inner.read_by(inner.closed).kept(self.platform))
         if not spec.has_plants:
             return self.platform.root_torquers
         return spec.torquers or tuple(self.platform.torquer_on(name).name for name in spec.gimbals)

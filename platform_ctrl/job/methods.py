@@ -35,6 +35,8 @@ class JobMethod:
         What ``structure`` may be; none: the key is refused.
     tunes
         Whether ``tune = true`` is accepted.
+    any_sensors
+        Whether it works on angles and rates in one loop, and on more readings than torquers one by one.
     responses
         Whether it works on measured responses, which the key ``responses`` names.
     """
@@ -44,6 +46,7 @@ class JobMethod:
     options: ClassVar[Mapping[str, object]]
     structures: ClassVar[tuple[Structure, ...]] = ()
     tunes: ClassVar[bool] = False
+    any_sensors: ClassVar[bool] = False
     responses: ClassVar[bool] = False
 
     def expect_responses(

@@ -17,6 +17,7 @@ from platform_ctrl.design.fixed_structure.loops import LoopGradients
 from platform_ctrl.design.fixed_structure.maps import (
     CONTROLLER,
     at_least,
+    helping_maps,
     map_of,
     torque_per_Omega,
 )
@@ -87,18 +88,20 @@ def parts(M, n):
 
 
 MAPS = {
-    "S at the output": map_of(closed.S_OUTPUT),
-    "S at the input": map_of(closed.S_INPUT),
-    "(S - T)/2 at the output": map_of(closed.HALF_OUTPUT),
-    "(S - T)/2 at the input": map_of(closed.HALF_INPUT),
-    "T at the output": map_of(closed.T_OUTPUT),
-    "T at the input": map_of(closed.T_INPUT),
-    "angle per torque": map_of(closed.ANGLE_PER_TORQUE),
-    "angle per Omega": map_of(closed.ANGLE_PER_OMEGA),
-    "torque per noise": map_of(closed.Transfer("noise", "torque")),
-    "torque per rate": map_of(closed.Transfer("Omega", "torque")),
-    "controller": CONTROLLER,
-    "torque per Omega": None,
+    "S at the output": closed.S_OUTPUT,
+    "S at the input": closed.S_INPUT,
+    "(S - T)/2 at the output": closed.OF_HALF[0],
+    "(S - T)/2 at the input": closed.OF_HALF[1],
+    "T at the output": closed.OF_T[0],
+    "T at the input": closed.OF_T[1],
+    "error per command": closed.FOLLOWING,
+    "angle per torque": closed.ANGLE_PER_TORQUE,
+    "angle per Omega": closed.ANGLE_PER_OMEGA,
+    "torque per noise": closed.Transfer("noise", "torque"),
+    "torque per rate": closed.Transfer("Omega", "torque"),
+    "controller": lambda plants: CONTROLLER,
+    "torque per Omega": lambda plants: torque_per_Omega(1, plants),
+    "S at a further reading": lambda plants: helping_maps(1.0, plants)[0],
 }
 
 
@@ -122,11 +125,17 @@ def worst(found):
     return dataclasses.replace(found, ratio=found.ratio[k], gradient=found.gradient[k], plant=found.plant[k])
 
 
+@pytest.mark.parametrize("kept", [3, 2])
 @pytest.mark.parametrize("which", MAPS)
-def test_singular_values_have_the_slopes_of_differences(cases, which):
+def test_singular_values_have_the_slopes_of_differences(cases, which, kept):
     plants, _, K = cases["caging 4-5-7"]
     plants = plants.only(range(3))
-    of = MAPS[which] or torque_per_Omega(1, plants)
+    if kept < 3:
+        plants = dataclasses.replace(plants, commanded=np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.2]]))
+    elif which == "S at a further reading":
+        return
+    of = MAPS[which]
+    of = map_of(of, plants) if isinstance(of, closed.Transfer) else of(plants)
     for frequency in (90.0, 420.0, 3000.0):
         for k in range(3):
             ours, theirs = slopes(

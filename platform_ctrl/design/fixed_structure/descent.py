@@ -40,7 +40,15 @@ from platform_ctrl.analysis.poles import tuning_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.loops import LoopGradients
-from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, Pieces, joined, map_of, torque_per_Omega
+from platform_ctrl.design.fixed_structure.maps import (
+    CONTROLLER,
+    Map,
+    Pieces,
+    helping_maps,
+    joined,
+    map_of,
+    torque_per_Omega,
+)
 from platform_ctrl.design.fixed_structure.minimax import Effort, Evaluation, Minimum, minimise
 from platform_ctrl.design.fixed_structure.structures import Parametrised
 from platform_ctrl.job.requirements import LoopRequirement
@@ -226,7 +234,8 @@ class Search:
     def _bandwidth(self, family: Parametrised, x: FloatArray) -> float:
         """Return the bandwidth in Hz, roughly, as a start for the wanted one."""
         loops = LoopGradients(self._plants.only([0]), family.block(x[: len(family.start)]))
-        sizes = np.maximum(*(largest_singular_values(S[0]) for S in (loops.S_output, loops.S_input)))
+        kept = slice(loops.plants.kept)
+        sizes = np.maximum(*map(largest_singular_values, (loops.S_output[0, :, kept, kept], loops.S_input[0])))
         above = np.flatnonzero(sizes >= LEVEL)
         k = int(above[0]) if above.size else len(sizes) - 1
         return float(self._plants.frequency[max(k - 1, 0)]) / (2.0 * np.pi)
@@ -402,8 +411,11 @@ def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.
 
 
 def _maps(transfer: Transfer, plants: PlantSet) -> Iterator[Map]:
+    if transfer.target == "helping":
+        yield from helping_maps(transfer.direct, plants)
+        return
     if not transfer.of_limit:
-        yield map_of(transfer)
+        yield map_of(transfer, plants)
         return
     for k in np.flatnonzero(np.isfinite(plants.torque_limit)):
         yield torque_per_Omega(int(k), plants)

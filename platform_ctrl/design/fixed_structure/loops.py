@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.between_samples import Disturbed, response_at
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
+from platform_ctrl.analysis.loop import SENSITIVITIES
 from platform_ctrl.analysis.norms import LEVEL, stationary_covariance
 from platform_ctrl.analysis.plant_set import REGULAR, PlantSet
 from platform_ctrl.analysis.poles import SPLIT, continuous_poles
@@ -20,8 +21,6 @@ from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.maps import (
-    S_INPUT,
-    S_OUTPUT,
     Map,
     Numbers,
     Pieces,
@@ -30,6 +29,7 @@ from platform_ctrl.design.fixed_structure.maps import (
     at_least,
     column_of,
     joined,
+    map_of,
     reaching,
     row_of,
     singular,
@@ -221,7 +221,7 @@ class LoopGradients:
         around = w * np.exp(_SLOPE_STEP * np.array([0.0, 1.0, -1.0]))
         at = Points(self, np.zeros(3, dtype=np.intp), around)
         parts, slopes = [], []
-        for of in (S_OUTPUT, S_INPUT):
+        for of in (map_of(part, self.plants) for part in SENSITIVITIES):
             tops = self.peaks(of, floor * LEVEL, nominal, (0.0, w), ends=False)
             found = at.singular(of, only=0)
             X = of.response(at.responses)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis import loop as closed
 from platform_ctrl.analysis.loop import Transfer
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import ComplexArray
@@ -78,8 +77,16 @@ def _plus(S: ComplexArray, factor: float) -> ComplexArray:
     return S if factor == 0.0 else S + factor * np.eye(S.shape[-1])
 
 
-def _at_output(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    return row_of(u, r.S_output, r.P), column_of(r.S_output, v)
+def _at_output(direct: float, part: slice, commanded: FloatArray | None = None) -> Map:
+    """Return S at some outputs, or from their commands, less the identity, and `direct` times that."""
+
+    def right(r: Responses) -> ComplexArray:
+        return r.S_output[..., part] if commanded is None else np.asarray(r.S_output @ commanded)
+
+    return Map(
+        lambda r: _plus(right(r)[..., part, :], direct - 1.0),
+        lambda r, u, v: (row_of(u, r.S_output[..., part, :], r.P), column_of(right(r), v)),
+    )
 
 
 def _at_input(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -89,12 +96,14 @@ def _at_input(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexAr
 CONTROLLER = Map(lambda r: r.K, lambda r, u, v: (u, v))
 
 
-def map_of(transfer: Transfer) -> Map:
+def map_of(transfer: Transfer, plants: PlantSet) -> Map:
     """Return the map of a part of the closed loop; of torques over their limits see `torque_per_Omega`."""
-    direct = transfer.direct
+    direct, kept = transfer.direct, slice(plants.kept)
     match transfer.source, transfer.target:
-        case "noise" | "command", "angle":
-            return Map(lambda r: _plus(r.S_output, direct - 1.0), _at_output)
+        case "noise", "angle":
+            return _at_output(direct, kept)
+        case "command", "angle":
+            return _at_output(direct, kept, plants.commanded)
         case "torque", "torque":
             return Map(lambda r: _plus(r.S_input, direct - 1.0), _at_input)
         case "noise", "torque":
@@ -105,14 +114,19 @@ def map_of(transfer: Transfer) -> Map:
                 lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, r.read[..., -3:], v)),
                 True,
             )
-    return _between(transfer.source, transfer.target)
+    return _between(transfer.source, transfer.target, kept)
+
+
+def helping_maps(direct: float, plants: PlantSet) -> list[Map]:
+    """Return S at each of the readings that help the loop, with all others closed."""
+    return [_at_output(direct, slice(i, i + 1)) for i in range(plants.kept, len(plants.angles))]
 
 
 def _torque_per_Omega(r: Responses) -> ComplexArray:
     return r.K @ r.S_output @ r.read[..., -3:] + r.fed
 
 
-def _between(source: str, target: str) -> Map:
+def _between(source: str, target: str, kept: slice) -> Map:
     """Return the map from a continuous disturbance to what is measured or to the line of sight, between samples.
 
     Of commands in place of torques at the samples.
@@ -123,20 +137,17 @@ def _between(source: str, target: str) -> Map:
 
     def response(r: Responses) -> ComplexArray:
         if sampled(r):
-            return r.P @ r.S_input
+            return r.P[..., kept, :] @ r.S_input
         at, seen, m = r.columns(source), getattr(r, target), r.P.shape[-1]
         return np.asarray(seen[..., at] + seen[..., :m] @ (r.K @ r.S_output @ r.read[..., at]))
 
     def differential(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         if sampled(r):
-            return _at_input(r, row_of(u, r.P), v)
+            return _at_input(r, row_of(u, r.P[..., kept, :]), v)
         at, seen, m = r.columns(source), getattr(r, target), r.P.shape[-1]
         return row_of(u, seen[..., :m], r.S_input), column_of(r.S_output, r.read[..., at], v)
 
     return Map(response, differential, True)
-
-
-S_OUTPUT, S_INPUT = map_of(closed.S_OUTPUT), map_of(closed.S_INPUT)
 
 
 def torque_per_Omega(k: int, plants: PlantSet) -> Map:

@@ -77,6 +77,7 @@ class LQG(TunedMethod):
     """LQG loops."""
 
     key = "lqg"
+    any_sensors = True
     options = OPTIONS
     advice = "a smaller largest_torque, a larger recovery, or tune = true"
     # The integral action is the user's; only ratios of the other amplitudes count.
@@ -100,22 +101,22 @@ class LQG(TunedMethod):
         problem = quadratic_problem(options, channel, plants)
         (A, B, C, D, period), (K, L, M) = problem.plant, lqg_gains(problem)
         # From y and u to the present estimate and the sums, of which u is the state feedback.
-        one = np.eye(len(C))
+        one = np.eye(len(problem.sums))
         estimator = block(
             [
                 [A - L @ C, 0, L, B - L @ D],
-                [0, one, np.diag(problem.sums), 0],
+                [0, one, np.diag(problem.sums) @ np.eye(len(one), len(C)), 0],
                 [np.eye(len(A)) - M @ C, 0, M, -M @ D],
                 [0, one, 0, 0],
             ]
         )
-        n, p, m = len(A) + len(C), len(C), len(K)
+        n, p, m = len(A) + len(one), len(C), len(K)
         try:
             closed = System.split(estimator, n, period).feedback(gain(-K), range(p, p + m))
         except ArgumentError:
             raise DesignError("lqg: the loop has no solution at one instant; try a delay of one sample") from None
         made = closed.part(slice(m), slice(p))
-        return between(channel.basis / problem.error[:, None], made, channel.basis.T * problem.torque)
+        return between(channel.turned(p) / problem.error[:, None], made, channel.basis.T * problem.torque)
 
     def starts(self, problem: LoopProblem, options: dict[str, float]) -> list[dict[str, float]]:
         """Return other starts of the tuner: torques around those by the rules of thumb."""
@@ -161,8 +162,8 @@ class QuadraticProblem:
         Plant and sums of the measurements behind it, with the weights: the arguments of `control.dlqr`.
     G, QN, RN
         With A and C of `plant` the arguments of `control.dlqe`.
-    sums : (p,)
-        What the sums add of each measurement per sample.
+    sums : (k,)
+        What the sums add of each of the first measurements, which the loop keeps, per sample.
     error, torque : (p,), (m,)
         The units of measurements and torques, rad (rate loops: rad/s) and N m.
     """
@@ -196,8 +197,13 @@ def quadratic_problem(options: dict[str, float], channel: Channels, plants: Plan
         both = [options.get(name, 0.0), options.get(f"{name}2", 0.0)]
         return np.array(both * pairs + [options.get(f"inertial_{name}", 0.0)] * channel.inertial)
 
-    torque, error = by_channel("largest_torque"), np.full(size, options["largest_error"])
-    A, B, C, D, _ = between(channel.basis.T * torque, plants.of_torques(), channel.basis / error[:, None])
+    basis, torque = channel.turned(len(plants.noise)), by_channel("largest_torque")
+    noise = np.sqrt(basis**2 @ plants.noise**2)
+    # Further readings count in units of what they show of the same motion.
+    shown = plants.response[0, np.abs(plants.frequency - plants.nutation).argmin()]
+    reach = np.linalg.norm(basis @ shown, axis=1) / np.linalg.norm(shown[:size])
+    error = options["largest_error"] * np.append(np.ones(size), reach[size:])
+    A, B, C, D, _ = between(channel.basis.T * torque, plants.of_torques(), basis / error[:, None])
     from_rate = plants.B_Omega[0][: len(A)]
     seen = seen_states(A[None], C[None])
     A, B, C, from_rate = A[np.ix_(seen, seen)], B[seen], C[:, seen], from_rate[seen]
@@ -205,14 +211,14 @@ def quadratic_problem(options: dict[str, float], channel: Channels, plants: Plan
     s *= np.sqrt(np.linalg.norm(B / s[:, None]) / np.linalg.norm(C * s))
     A, B, C, from_rate = A * s / s[:, None], B / s[:, None], C * s, from_rate / s[:, None]
     n, sums = len(A), np.full(size, 2.0 * np.pi * options["integral_hz"] * period)
-    rate = options["largest_error"] / options["largest_rate"] / period * C @ (A - np.eye(n))
-    noise = np.sqrt(channel.basis**2 @ plants.noise**2) / error
-    noise = np.where(noise > 0.0, noise, 1.0 / _ERROR)
+    kept = C[:size]
+    rate = options["largest_error"] / options["largest_rate"] / period * kept @ (A - np.eye(n))
+    noise = np.where(noise > 0.0, noise / error, 1.0 / _ERROR)
     return QuadraticProblem(
         plant=System(A, B, C, D, period),
-        A=block([[A, 0], [sums[:, None] * C, np.eye(size)]]),
-        B=np.vstack([B, sums[:, None] * D]),
-        Q=block([[C.T @ C + rate.T @ rate, 0], [0, np.eye(size)]]),
+        A=block([[A, 0], [sums[:, None] * kept, np.eye(size)]]),
+        B=np.vstack([B, sums[:, None] * D[:size]]),
+        Q=block([[kept.T @ kept + rate.T @ rate, 0], [0, np.eye(size)]]),
         R=np.eye(B.shape[1]),
         G=np.hstack([B * (by_channel("recovery") / torque), from_rate * options.get("platform_rate", 0.0)]),
         QN=np.eye(B.shape[1] + 3),
