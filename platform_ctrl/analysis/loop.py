@@ -23,18 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis import norms
+from platform_ctrl.analysis import poles as pole
 from platform_ctrl.analysis.between_samples import Disturbed
 from platform_ctrl.analysis.feedback import commanded_loop, sensitivities_of_plants, with_error_alone
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.poles import (
-    Drift,
-    continuous_poles,
-    poles,
-    resonances,
-    spectral_abscissa,
-    unseen_equilibria,
-    without_drift,
-)
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
@@ -128,14 +120,14 @@ class Loop:
         return self.plants.arrays.feedback(self.controller)
 
     @cached_property
-    def drifts(self) -> tuple[Drift, ...]:
+    def drifts(self) -> tuple[pole.Drift, ...]:
         """Of each plant the closed loop without the equilibria that its sensors do not see, and these."""
         if not self.plants.drifting:
             return ()
         A, B, C, D, dt = self.own_arrays
         read = slice(self.m, None)
         every = range(len(A))
-        return tuple(unseen_equilibria(System(A[k], B[k], C[k, read], D[k, read], dt)) for k in every)
+        return tuple(pole.unseen_equilibria(System(A[k], B[k], C[k, read], D[k, read], dt)) for k in every)
 
     @property
     def free_angles(self) -> tuple[str, ...]:
@@ -149,7 +141,7 @@ class Loop:
 
     def settled(self, system: System) -> System:
         """Return one of the closed loops, or a part, without poles of equilibria that its response does not have."""
-        return without_drift(system) if self.plants.drifting else system
+        return pole.without_drift(system) if self.plants.drifting else system
 
     @cached_property
     def following(self) -> System:
@@ -163,12 +155,12 @@ class Loop:
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles of the closed loops in z, (N, poles)."""
-        return poles(np.array([one.system.A for one in self.drifts]) if self.drifts else self.own_arrays.A)
+        return pole.poles(np.array([one.system.A for one in self.drifts]) if self.drifts else self.own_arrays.A)
 
     @cached_property
     def decay(self) -> FloatArray:
         """Decay rate of the slowest pole, 1/s, (N,)."""
-        return np.asarray(-spectral_abscissa(continuous_poles(self.poles, self.plants.period)))
+        return np.asarray(-pole.spectral_abscissa(pole.continuous_poles(self.poles, self.plants.period)))
 
     @cached_property
     def K(self) -> ComplexArray:
@@ -298,9 +290,9 @@ class Loop:
 
         Infinite where it grows without bound towards zero frequency.
         """
-        grid, s = self.plants.frequency, continuous_poles(self.poles[k], self.period)
+        grid, s = self.plants.frequency, pole.continuous_poles(self.poles[k], self.period)
         s = s[np.isfinite(s)]
-        own = resonances(s)
+        own = pole.resonances(s)
         slowest = np.abs(s[s != 0.0]).min(initial=grid[0])
         low = max(min(_LIMIT * float(slowest), grid[0]), _ROUNDING / self.period)
         w = np.concatenate([np.geomspace(low, grid[0], 20), grid, own[own >= low]])
@@ -384,7 +376,7 @@ class Loop:
     def narrow(self) -> dict[int, FloatArray]:
         """Frequencies, rad/s, of resonances of stable loops that may hide between two points of the grid, by plant."""
         grid = self.plants.frequency
-        s = continuous_poles(self.poles, self.plants.period)
+        s = pole.continuous_poles(self.poles, self.plants.period)
         centre = np.where(np.isfinite(s), s.imag, 0.0)
         place = np.clip(np.searchsorted(grid, centre), 1, len(grid) - 1)
         # Below the grid its first frequency is the spacing.

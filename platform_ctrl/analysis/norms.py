@@ -17,16 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.analysis import poles as pole
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.poles import (
-    continuous_poles,
-    onto_equilibria,
-    poles,
-    resonances,
-    search_grid,
-    spectral_abscissa,
-    spectral_radius,
-)
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System, scaled
@@ -123,7 +115,7 @@ def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band
     def points(own: FloatArray) -> FloatArray:
         return np.concatenate([[band[0], top], own[(own > band[0]) & (own < top)]])
 
-    best, frequency = axis.largest(points(resonances(s)))
+    best, frequency = axis.largest(points(pole.resonances(s)))
     for _ in range(_SEARCHES):
         best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance, band)
         if not 0.0 < best < math.inf:
@@ -212,8 +204,8 @@ def h2_norm(system: StateSystem) -> float:
     if dt == 0.0 and np.any(D):
         raise ArgumentError("h2_norm: D of a continuous system must be zero, otherwise the norm is infinite")
     A, B, C = scaled(A, B, C)
-    s = continuous_poles(poles(A), dt)
-    if spectral_abscissa(s) >= 0.0:
+    s = pole.continuous_poles(pole.poles(A), dt)
+    if pole.spectral_abscissa(s) >= 0.0:
         raise ArgumentError(f"h2_norm: the system must be stable, it has a pole at s = {s[np.argmax(s.real)]:.6g}")
     if dt > 0.0:
         X = stationary_covariance(A, B)
@@ -252,7 +244,7 @@ def drifting_rms(system: System, rms: FloatArray, duration: float) -> FloatArray
     where the system is unstable otherwise.
     """
     A, B, C, D, dt = system
-    P = onto_equilibria(system)
+    P = pole.onto_equilibria(system)
     if P is None:
         return np.full(len(C), np.inf)
     walk = np.linalg.norm((C @ P @ B) * rms, axis=1)
@@ -270,7 +262,7 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
     X = np.array(np.broadcast_to(X, (*batch, *X.shape[-2:])))
     if A.shape[-1] == 0:
         return X
-    stable = np.less(np.broadcast_to(spectral_radius(poles(A)), batch), 1.0, dtype=np.bool_)
+    stable = np.less(np.broadcast_to(pole.spectral_radius(pole.poles(A)), batch), 1.0, dtype=np.bool_)
     X[~stable] = np.inf
     power = np.array(np.broadcast_to(A, (*batch, *A.shape[-2:])))[stable]
     inside = X[stable]
@@ -296,7 +288,7 @@ def peak(system: System, band: Band = WHOLE, known: ComplexArray | None = None) 
         norm, frequency = _norm(system, PEAK_TOLERANCE, True, known)
     else:
         axis = FrequencyAxis(system, known)
-        norm, frequency = peak_gain(axis, continuous_poles(axis.poles(), system.dt), PEAK_TOLERANCE, band)
+        norm, frequency = peak_gain(axis, pole.continuous_poles(axis.poles(), system.dt), PEAK_TOLERANCE, band)
     return norm * (1.0 + PEAK_TOLERANCE), frequency
 
 
@@ -305,7 +297,7 @@ def exceeds(system: System, level: float, known: ComplexArray, band: Band = WHOL
 
     The system has no poles in the band; `known` (n,) are its poles in s or z.
     """
-    axis, s = FrequencyAxis(system, known), continuous_poles(known, system.dt)
+    axis, s = FrequencyAxis(system, known), pole.continuous_poles(known, system.dt)
     crossings = level_frequencies(axis, level)
     if not crossings.size and level > 0.0 and axis.system.A.size:
         # The Hamiltonian leaves floating point: nothing is shown.
@@ -389,11 +381,11 @@ def bandwidth_of_sensitivity(S: System, known: ComplexArray | None = None) -> fl
     from scipy.optimize import brentq
 
     axis = FrequencyAxis(S, known)
-    s = continuous_poles(axis.poles(), S.dt)
-    if S.A.shape[0] and spectral_abscissa(s) >= 0.0:
+    s = pole.continuous_poles(axis.poles(), S.dt)
+    if S.A.shape[0] and pole.spectral_abscissa(s) >= 0.0:
         return 0.0
     # Crossings, and frequencies between them: so fine that the first is in the first interval whose ends differ.
-    w = np.union1d(search_grid(S, s), level_frequencies(axis, LEVEL))
+    w = np.union1d(pole.search_grid(S, s), level_frequencies(axis, LEVEL))
     # An integrator in the loop makes S as small as the frequency; far below the fastest pole rounding rules.
     w = w[(w > _ROUNDED * w[np.isfinite(w)].max()) & (w <= axis.edge)]
     sizes = axis.gains(w)

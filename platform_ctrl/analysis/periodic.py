@@ -22,16 +22,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis import poles as pole
 from platform_ctrl.analysis.margins import DiskMargin, no_margin
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.analysis.poles import (
-    continuous_poles,
-    poles,
-    search_grid,
-    spectral_abscissa,
-    unseen_equilibria,
-    without_drift_over_a_cycle,
-)
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import factor
 from platform_ctrl.analysis.singular_values import largest_singular_values
@@ -272,20 +265,22 @@ class PeriodicLoop:
         rows = np.vstack(
             [row for one in {id(one): one for one in loops}.values() for row in (one.A - np.eye(n), one.C[m:])]
         )
-        self.drift = unseen_equilibria(System(self.A, np.zeros((n, 0)), rows, np.zeros((len(rows), 0)), self.period))
-        self.poles: ComplexArray = poles(self.drift.system.A)
+        self.drift = pole.unseen_equilibria(
+            System(self.A, np.zeros((n, 0)), rows, np.zeros((len(rows), 0)), self.period)
+        )
+        self.poles: ComplexArray = pole.poles(self.drift.system.A)
 
     def _disk(self, outputs: Sequence[int], inputs: Sequence[int]) -> list[System]:
         """Return S − I/2 from some channels' torques to others', by sample; the same matrices are the same object."""
         direct = 0.5 * (np.array(outputs)[:, None] == np.array(inputs))
         parts = _each(self.systems, lambda one: one.part(outputs, inputs))
         by_sample = _each(parts, lambda one: one._replace(D=one.D + direct))
-        return without_drift_over_a_cycle(by_sample) if self.drift.equilibria.size else by_sample
+        return pole.without_drift_over_a_cycle(by_sample) if self.drift.equilibria.size else by_sample
 
     @property
     def decay(self) -> float:
         """The minimum decay rate, 1/s."""
-        return -float(spectral_abscissa(continuous_poles(self.poles, self.period)))
+        return -float(pole.spectral_abscissa(pole.continuous_poles(self.poles, self.period)))
 
     def loop_margins(self) -> FloatArray:
         """Return the disk margin of each channel, all others closed, (m,); 0 if the loop is not stable."""
@@ -306,7 +301,7 @@ class PeriodicLoop:
         from scipy.linalg import matrix_balance
 
         m, every = self.channels, range(self.channels)
-        disks, s = self._disk(every, every), continuous_poles(self.poles, self.period)
+        disks, s = self._disk(every, every), pole.continuous_poles(self.poles, self.period)
         if not self.decay > 0.0:
             return no_margin(0.0, np.zeros(0), s, disks[0]._replace(dt=self.period))
         plain = periodic_norm(disks) if m > 1 else self._alone[0]
@@ -342,7 +337,7 @@ class PeriodicLoop:
         if N * m > _MOST_STACKED:
             return np.zeros(0), np.zeros(0), np.zeros(0)
         disk = lifted(disks)
-        grid = search_grid(disk, s)
+        grid = pole.search_grid(disk, s)
         response = frequency_response(disk, grid, -3)
         own = response.reshape(-1, N, m, N, m)[:, :, range(m), :, range(m)]
         alone = largest_singular_values(own).max(axis=0)

@@ -278,7 +278,8 @@ class Tuning:
 
     def run(self, progress: Progress) -> dict[str, float]:
         """Return the tuned options."""
-        from platform_ctrl.design.method import METHODS, TunedMethod, tuned
+        from platform_ctrl.design.method import TunedMethod, tuned
+        from platform_ctrl.design.methods import METHODS
         from platform_ctrl.design.tuning import over_decades
 
         problem = dataclasses.replace(self.problem, progress=progress)

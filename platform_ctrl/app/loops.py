@@ -23,16 +23,7 @@ from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, following_grid, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, Index, System
-from platform_ctrl.app.curves import (
-    EDGE,
-    GRID_POINTS,
-    Band,
-    LoopCurves,
-    channel_margins,
-    channel_response,
-    frequency_gain,
-    gain_crossings,
-)
+from platform_ctrl.app import curves as drawn
 from platform_ctrl.app.excitation import SampledInput, caged_excitation, drive, settling, step_size
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Margins, Measured, TimeResponse
 from platform_ctrl.app.plants import ATTITUDE, FreePlants
@@ -98,7 +89,7 @@ def loop_metrics(loop: CagedLoop, whole: Loop | None = None) -> LoopMetrics:
     return measure(loop.plants, loop.delivered, requests, exact=False)
 
 
-class CagedCurves(LoopCurves):
+class CagedCurves(drawn.LoopCurves):
     """The curves of a caging loop; with a cache of metrics those of the whole set too, failed parts left out."""
 
     def __init__(self, loop: CagedLoop, settings: Settings, cached: CachedMetrics | None = None) -> None:
@@ -125,7 +116,7 @@ class CagedCurves(LoopCurves):
             inside = np.flatnonzero(within)
             self.set = self.whole if within.all() else Loop(names.only(inside.tolist()), loop.delivered)
             own = self.set.plants
-            self.band = Band(own.labels, own.frequency, channel_response(self.set.S_input, self.index))
+            self.band = drawn.Band(own.labels, own.frequency, drawn.channel_response(self.set.S_input, self.index))
             self.other_poles = continuous_poles(self.set.poles, self.plant.dt)
 
     @cached_property
@@ -140,7 +131,7 @@ class CagedCurves(LoopCurves):
         low = max(min(2e-3 * plant.nutation, 0.05 * nyquist), 1e-4 * nyquist)
         # The slowest pole is inside the diagram.
         low = max(min(low, 0.2 * float(np.abs(s[np.isfinite(s)]).min(initial=np.inf))), 1e-5 * nyquist)
-        grid = following_grid(np.concatenate([s, own]), low, EDGE * nyquist, GRID_POINTS)
+        grid = following_grid(np.concatenate([s, own]), low, drawn.EDGE * nyquist, drawn.GRID_POINTS)
         # With the frequencies of the band, whose phases are those of this curve and a difference.
         return np.union1d(grid, plant.frequency)
 
@@ -198,7 +189,7 @@ class CagedCurves(LoopCurves):
         shown = Loop(self.loop.shown.on(self.frequency), self.controller)
         own = shown.responses(part, np.zeros(1, dtype=np.intp))[0][0, ..., axis]
         unit, limit = of_readings(METRICS["Omega rejection"].unit, kind), self.limits["Omega rejection"]
-        return frequency_gain(f"rate Omega{self.axis} → {words}", unit, self.frequency, own, band, limit)
+        return drawn.frequency_gain(f"rate Omega{self.axis} → {words}", unit, self.frequency, own, band, limit)
 
     def measured(self, bode: Bode) -> Measured:
         """Return margins, limits and goals, by the metrics of the whole set."""
@@ -238,13 +229,13 @@ def _margins(loop: CagedLoop, metrics: LoopMetrics, curves: CagedCurves, bode: B
         worst_disk=float(metrics.disk_margin[worst]),
         worst_plant=plants.labels[worst],
         worst_sampled=not loop.exact,
-        **channel_margins(bode, curves.stable),
+        **drawn.channel_margins(bode, curves.stable),
         bandwidth=bandwidth,
         damping=float(minimum_damping(shown.poles, plants.period)[0]),
     )
 
 
-class StabilisedCurves(LoopCurves):
+class StabilisedCurves(drawn.LoopCurves):
     """The curves of the free platform with all loops closed, `controllers` in the job's order; `check` is theirs.
 
     `plants` is the set (the nominal plant alone without a band), and `shown` the plant that is shown.
@@ -280,18 +271,20 @@ class StabilisedCurves(LoopCurves):
         low = max(min(0.1 * slowest, 0.01 * nyquist), 1e-5 * nyquist)
         # Free poles at z = 1 are integrators, no resonances.
         own = continuous_poles(poles(plant.A), plant.dt)
-        grid = following_grid(np.concatenate([self.poles, own]), low, EDGE * nyquist, GRID_POINTS)
+        grid = following_grid(np.concatenate([self.poles, own]), low, drawn.EDGE * nyquist, drawn.GRID_POINTS)
         self.frequency = np.union1d(grid, plants.frequency)
         self.banded, self.other_poles = bool(settings.band and len(plants.labels) > 1), self.poles[None]
         if self.banded:
             whole = plants.arrays.part(slice(None), self.used)
             self.other_poles = continuous_poles(poles(whole.feedback(controller).A), plant.dt)
-            self.band = Band(plants.labels, plants.frequency, channel_response(self._S_of_set, self.index))
+            self.band = drawn.Band(plants.labels, plants.frequency, drawn.channel_response(self._S_of_set, self.index))
         self.all_stable = bool(np.all(spectral_abscissa(self.other_poles) < 0.0))
         # The servo's gain moves its torques; the caging loops stay closed as they are.
         self.moving = [name in self.roots for name in torquers]
         # It follows from the servo, which is far slower than the gyros.
-        crossover = gain_crossings(self.frequency, channel_response(self.own.S, self.index))[0].max(initial=1.0)
+        crossover = drawn.gain_crossings(self.frequency, drawn.channel_response(self.own.S, self.index))[0].max(
+            initial=1.0
+        )
         self.reach = min(8.0 * float(crossover), nyquist)
 
     def step(self) -> TimeResponse:
@@ -351,7 +344,9 @@ class StabilisedCurves(LoopCurves):
             band = w, (whole[..., p:, [column]] + driven[..., p:, :] @ torque)[..., 0]
         shown = self._turned(self.shown, slice(k + p, None)).at(0)
         own = frequency_response(shown, self.frequency, -3)[..., 0]
-        return frequency_gain(f"torque M{self.axis} on the platform → attitude", "rad/(N m)", self.frequency, own, band)
+        return drawn.frequency_gain(
+            f"torque M{self.axis} on the platform → attitude", "rad/(N m)", self.frequency, own, band
+        )
 
     @cached_property
     def _K_of_set(self) -> ComplexArray:
@@ -382,7 +377,7 @@ class StabilisedCurves(LoopCurves):
             worst_disk=min(own, worst) if self.all_stable else 0.0,
             worst_plant=worst_plant if worst < own else self.settings.plant,
             worst_sampled=self.banded,
-            **channel_margins(bode, self.stable),
+            **drawn.channel_margins(bode, self.stable),
             bandwidth=bandwidth,
             damping=float(minimum_damping(self.z_poles[None], self.plant.dt)[0]),
         )

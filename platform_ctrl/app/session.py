@@ -9,19 +9,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app import fragments
+from platform_ctrl.app import tasks as work
 from platform_ctrl.app.background import DesignPending, LatestTasks
 from platform_ctrl.app.pictures import tree_data
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.settings import History
-from platform_ctrl.app.tasks import (
-    Connection,
-    LongTasks,
-    Request,
-    decode_state,
-    encode_state,
-    error_text,
-    parse_request,
-)
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
@@ -65,13 +57,13 @@ class Session:
     """One page. Its methods run on the server's loop while the document is locked; `_work` runs in a thread."""
 
     def __init__(self, backend: Backend, document: Document, state: str) -> None:
-        self.backend, self.connection = backend, Connection(document)
-        self._tasks = LongTasks(self, backend, self.connection)
+        self.backend, self.connection = backend, work.Connection(document)
+        self._tasks = work.LongTasks(self, backend, self.connection)
         self.settings = backend.start()
         self._line: str | None = None
         if state:
             try:
-                self.settings = decode_state(backend, state)
+                self.settings = work.decode_state(backend, state)
             except PlatformCtrlError as error:
                 self._line = f"The state in the link was not used: {error}"
         self.history = History(self.settings)
@@ -126,7 +118,7 @@ class Session:
         """Do what a message requests; a wrong one is answered by an error."""
         count = None
         try:
-            request = parse_request(new)
+            request = work.parse_request(new)
             count = request.count
             if request.what in CHANGES:
                 change, more = getattr(self.backend, CHANGES[request.what]), request.more
@@ -141,23 +133,23 @@ class Session:
         except Exception as error:
             # The sliders show their values again, not what was typed.
             html = {} if self.picture is None else self._chosen(self.picture.settings)
-            self.connection.answer(count, line={"text": error_text(error), "kind": "error"}, html=html)
+            self.connection.answer(count, line={"text": work.error_text(error), "kind": "error"}, html=html)
 
-    def _on_ready(self, request: Request) -> None:
+    def _on_ready(self, request: work.Request) -> None:
         self.change("ready", lambda settings: settings, count=request.count, gesture="ready")
 
-    def _on_dark(self, request: Request) -> None:
+    def _on_dark(self, request: work.Request) -> None:
         self.plots.dark(request.more["dark"])
         self.connection.answer(request.count)
 
-    def _on_move(self, request: Request) -> None:
+    def _on_move(self, request: work.Request) -> None:
         for one in request.more["moves"]:
             slider, number = one["slider"], one["value"]
             change = partial(self.backend.moved, slider=slider, number=number)
             gesture = ("move", slider, request.more["gesture"])
             self.change(f"move {slider}", change, count=request.count, gesture=gesture)
 
-    def _on_view(self, request: Request) -> None:
+    def _on_view(self, request: work.Request) -> None:
         views = VIEWS if self.backend.read.budget is not None else VIEWS[:1]
         known_name("view", request.more["view"], views)
         self._show_view(request.more["view"])
@@ -169,7 +161,7 @@ class Session:
         if view == "loop" and before != view and self.picture is not None:
             self.plots.show(self.picture)
 
-    def _on_turn(self, request: Request) -> None:
+    def _on_turn(self, request: work.Request) -> None:
         panels = {one.name: one for one in self.plots.panels}
         panels[request.more["panel"]].turn()
         self.connection.answer(request.count, html=self._headings())
@@ -177,15 +169,15 @@ class Session:
     def _headings(self) -> dict[str, str]:
         return {f"head-{one.name}": fragments.heading(one) for one in self.plots.panels}
 
-    def _on_undo(self, request: Request) -> None:
+    def _on_undo(self, request: work.Request) -> None:
         there = self.settings
         undo = (lambda: there) if self._awaited is not None else partial(self.history.step, -1)
         self._step(request, undo if self._awaited is not None or self.history.can_undo else None)
 
-    def _on_redo(self, request: Request) -> None:
+    def _on_redo(self, request: work.Request) -> None:
         self._step(request, partial(self.history.step, 1) if self.history.can_redo else None)
 
-    def _step(self, request: Request, step: Callable[[], Settings] | None) -> None:
+    def _step(self, request: work.Request, step: Callable[[], Settings] | None) -> None:
         if step is None:
             self.connection.say(f"There is nothing to {request.what}.", count=request.count)
             return
@@ -211,7 +203,7 @@ class Session:
             try:
                 settings = task.change(settings)
             except Exception as error:
-                line = error_text(error)
+                line = work.error_text(error)
 
         try:
             if self._view == "budget":
@@ -224,7 +216,7 @@ class Session:
         except DesignPending as error:
             line, awaits = str(error), True
         except Exception as error:
-            line = error_text(error)
+            line = work.error_text(error)
         self._awaited = (settings, gesture) if awaits else None
         if picture is not None:
             # The next tasks start from here, before it is shown.
@@ -357,7 +349,7 @@ class Session:
                 settings = self.picture.settings
                 _, words, more = fragments.loop_verdict(self.picture)
                 # The address, and what a screen reader says, not of every step of a move.
-                link = encode_state(self.backend, settings)
+                link = work.encode_state(self.backend, settings)
                 self.connection.answer(link=link, spoken=f"{words}. {more}")
                 self._tasks.measure(settings)
 

@@ -11,15 +11,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from platform_ctrl.cli.exits import (
-    INTERRUPTED,
-    INTERRUPTED_LINE,
-    end_of_process,
-    exit_interrupted,
-    failed,
-    interruptible,
-    reported,
-)
+from platform_ctrl.cli import exits
 from platform_ctrl.errors import PlatformCtrlError, began_with_interrupt
 
 __all__ = ["main"]
@@ -29,22 +21,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (default: those of the process) and return its exit code."""
     if arguments is not None:
         code = _guarded(list(arguments))
-        if code == INTERRUPTED:
-            print(INTERRUPTED_LINE, file=sys.stderr, flush=True)
+        if code == exits.INTERRUPTED:
+            print(exits.INTERRUPTED_LINE, file=sys.stderr, flush=True)
         return code
     from platform_ctrl.common.processes import collect_seldom
 
     collect_seldom()
     try:
-        end = end_of_process()
-        with interruptible() as check:
+        end = exits.end_of_process()
+        with exits.interruptible() as check:
             code = _guarded(sys.argv[1:])
             check()
-        if code == INTERRUPTED:
-            exit_interrupted()
+        if code == exits.INTERRUPTED:
+            exits.exit_interrupted()
         end(code)
     except KeyboardInterrupt:
-        exit_interrupted()
+        exits.exit_interrupted()
     return code
 
 
@@ -71,11 +63,11 @@ def _guarded(arguments: list[str]) -> int:
             raise
         # A full disk behind standard output; errors of files are messages of their own.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = failed(f"standard output: {error.strerror or error}", 1)
+        code = exits.failed(f"standard output: {error.strerror or error}", 1)
     except BaseException as error:
         if not began_with_interrupt(error):
             raise
-        code = INTERRUPTED
+        code = exits.INTERRUPTED
     return code
 
 
@@ -88,11 +80,11 @@ def _run(arguments: list[str]) -> int:
     try:
         return int(command.main(_with_help(arguments), prog_name="platform-ctrl", standalone_mode=False) or 0)
     except typer.Abort:
-        return INTERRUPTED
+        return exits.INTERRUPTED
     except PlatformCtrlError as error:
         if began_with_interrupt(error):
-            return INTERRUPTED
-        return reported(error)
+            return exits.INTERRUPTED
+        return exits.reported(error)
     except Exception as error:
         # What typer raises for a wrong command line: its class has moved between modules, this method has not.
         if not hasattr(error, "format_message"):
@@ -102,7 +94,7 @@ def _run(arguments: list[str]) -> int:
         meaning = getattr(param, "help", None)
         if message.startswith("Missing") and meaning:
             message = f"{message.rstrip('.')}: {meaning}"
-        return failed(f"{message} (see {getattr(context, 'command_path', 'platform-ctrl')} --help)", 2)
+        return exits.failed(f"{message} (see {getattr(context, 'command_path', 'platform-ctrl')} --help)", 2)
 
 
 def _with_help(arguments: list[str]) -> list[str]:
