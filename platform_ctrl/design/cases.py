@@ -205,7 +205,7 @@ def _varied(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str], root: b
 def _of_modes(job: Job, gimbals: Sequence[str], torquers: Sequence[str]) -> list[_Width]:
     """Return the widths of the modes that torquers or the base excite, and of the drives of gimbals."""
     platform, of_mode = job.platform, job.uncertainty.of_mode
-    excited = [m.name for m in platform.modes if m.of(list(torquers)).any() or m.base.any() or m.base_force.any()]
+    excited = [m.name for m in platform.modes if m.excited(list(torquers), gimbals)]
     names = [*excited, *(one.gimbal for one in platform.compliances if {one.gimbal, one.motor_side} & {*gimbals})]
     return [
         _Width(what, name, size)

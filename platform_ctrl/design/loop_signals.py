@@ -258,9 +258,12 @@ def _tied(model: LinearModel, signals: LoopSignals) -> tuple[LinearModel, LoopSi
     loads = {one.motor_side: one.gimbal for one in model.platform.compliances}
     sensors = {one.name: one for one in platform.sensors}
     torquers = {one.name: one for one in platform.torquers}
+    gimbals = tuple(dict.fromkeys(loads.get(name, name) for name in signals.gimbals))
+    passive = dict.fromkeys(loads.get(name, name) for name in signals.passive)
     tied = dataclasses.replace(
         signals,
-        gimbals=tuple(dict.fromkeys(loads.get(name, name) for name in signals.gimbals)),
+        gimbals=gimbals,
+        passive=tuple(name for name in passive if name not in gimbals),
         torquers=tuple(torquers[one.name] for one in signals.torquers),
         sensors=tuple(sensors[one.name] for one in signals.sensors),
     )

@@ -14,7 +14,8 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.mechanics.state_space import ComplexArray, Rows, gimbal_torquers, subsystems, whole_subsystems
+from platform_ctrl.mechanics.reduction import Rows
+from platform_ctrl.mechanics.state_space import ComplexArray, gimbal_torquers, subsystems, whole_subsystems
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.common.arguments import distinct, instance, known_names, one_of
 from platform_ctrl.common.values import FloatArray, portable
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.kinematics import cross_matrix, topology
 from platform_ctrl.mechanics.linearisation import (
     LinearModel,
@@ -221,17 +221,9 @@ def linear_system(
 ) -> NamedMatrices:
     """Return the result of `state_space` with a prescribed root."""
     rows = whole_subsystems(model, gimbals) if others == "coupled" else named_rows(model, gimbals)
-    names = [model.angle_names[k] for k in rows]
-    chosen = [model.gimbal_names[k] for k in rows]
-    torquers, torque_map = gimbal_torquers(model, chosen)
-    part = np.ix_(rows, rows)
+    torquers, torque_map = gimbal_torquers(model, [model.gimbal_names[k] for k in rows])
     names, (M, G, K), (M_Omega, G_Omega, Q_force), torque_map = _with_modes(
-        model,
-        names,
-        [one[part] for one in _coefficients(model)],
-        (model.M_Omega[rows], model.G_Omega[rows], model.Q_force[rows]),
-        torquers,
-        torque_map,
+        model, rows, _coefficients(model), torquers, torque_map
     )
     n = len(names)
     mobility = inverse_inertia(M, names)
@@ -249,27 +241,30 @@ def linear_system(
 
 
 def _with_modes(
-    model: LinearModel,
-    names: list[str],
-    square: Sequence[FloatArray],
-    wide: Sequence[FloatArray],
-    torquers: list[str],
-    torque_map: FloatArray,
+    model: LinearModel, rows: list[int], square: Sequence[FloatArray], torquers: list[str], torque_map: FloatArray
 ) -> tuple[list[str], list[FloatArray], list[FloatArray], FloatArray]:
     """Return names, M, damping and stiffness, what Omega and the specific force do, and torques, modes behind gimbals.
 
-    A mode is one more coordinate: unit mass, 2 ζ ω and ω², Γ in M_Omega, −Γ_f in Q_force and φ in the torques.
+    A mode is one more coordinate: unit mass, 2 ζ ω and ω², Γ in M and M_Omega, −Γ_f in Q_force and φ in the torques.
     """
-    modes = [m for m in model.platform.modes if m.base.any() or m.base_force.any() or m.of(torquers).any()]
+    names, gimbals = [model.angle_names[k] for k in rows], [model.gimbal_names[k] for k in rows]
+    square = [one[np.ix_(rows, rows)] for one in square]
+    wide = (model.M_Omega[rows], model.G_Omega[rows], model.Q_force[rows])
+    modes = [m for m in model.platform.modes if m.excited(torquers, gimbals)]
     k = len(modes)
     frequency = np.array([m.frequency for m in modes])
     own = (np.ones(k), 2.0 * np.array([m.damping for m in modes]) * frequency, frequency**2)
-    corner = np.zeros((len(names), k))
+    shared = np.array([m.inertial(gimbals)[3:] for m in modes]).reshape(k, len(names)).T
+    corners = (shared, 0.0 * shared, 0.0 * shared)
     squares = [
-        np.block([[one, corner], [corner.T, np.diag(diagonal)]]) for one, diagonal in zip(square, own, strict=True)
+        np.block([[one, corner], [corner.T, np.diag(diagonal)]])
+        for one, corner, diagonal in zip(square, corners, own, strict=True)
     ]
-    rows = [np.array([m.base for m in modes]), np.zeros((k, 3)), -np.array([m.base_force for m in modes])]
-    wides = [np.vstack([one, row.reshape(k, 3)]) for one, row in zip(wide, rows, strict=True)]
+    if shared.any() and np.linalg.eigvalsh(square[0] - shared @ shared.T).min() <= 0.0:
+        words = "with their joints they have more inertia than the gimbals have (A* − ΓΓᵀ is not positive definite)"
+        raise MechanicsError(f"modes {', '.join(m.name for m in modes if m.joints)}: {words}; give smaller joints")
+    more = [np.array([m.base for m in modes]), np.zeros((k, 3)), -np.array([m.base_force for m in modes])]
+    wides = [np.vstack([one, row.reshape(k, 3)]) for one, row in zip(wide, more, strict=True)]
     shapes = np.array([m.of(torquers) for m in modes]).reshape(k, len(torquers)) * torque_map.sum(axis=0)
     return [*names, *(m.name for m in modes)], squares, wides, np.vstack([torque_map, shapes])
 
@@ -292,15 +287,10 @@ def free_system(
     direction in space, P − G_Omegaᵀ q − p0 × θ = 0, so that the rotations theta1 to theta3 are states in place of P.
     """
     rows = named_rows(model, gimbals)
-    angles = [model.angle_names[k] for k in rows]
     torquers, torque_map = gimbal_torquers(model, [model.gimbal_names[k] for k in rows])
+    square = (model.M, model.damping, model.stiffness)
     names, (M, damping, stiffness), (M_Omega, G_Omega, Q_force), torque_map = _with_modes(
-        model,
-        angles,
-        [one[np.ix_(rows, rows)] for one in (model.M, model.damping, model.stiffness)],
-        (model.M_Omega[rows], model.G_Omega[rows], model.Q_force[rows]),
-        torquers,
-        torque_map,
+        model, rows, square, torquers, torque_map
     )
     n = len(names)
     to_rates = inverse_inertia(np.block([[M, M_Omega], [M_Omega.T, model.root_inertia]]), (*names, *OMEGA_NAMES))
@@ -336,7 +326,7 @@ def free_system(
         T = np.eye(2 * n + 6)[:, kept]
         T[2 * n : 2 * n + 3] = np.hstack([G_Omega.T, np.zeros((3, n)), cross_matrix(model.root_momentum)])
         A, B, C, states = A[kept] @ T, B[kept], C @ T, [states[k] for k in kept]
-    inputs, outputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES], [*angles, *OMEGA_NAMES]
+    inputs, outputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES], [*names[: len(rows)], *OMEGA_NAMES]
     return _named(*_modes_last(A, B, C, states, len(rows), n), inputs, outputs, specific_force)
 
 
@@ -390,81 +380,3 @@ def _named(
     return NamedMatrices(
         A, B, C, D, distinct("inputs", inputs), distinct("outputs", outputs), distinct("states", states)
     )
-
-
-# A stage of the search for roots at zero takes what is this small against the whole for zero.
-_ZERO_ROOT = 1e-10
-
-
-class Rows(NamedTuple):
-    """The rows (19) of n gimbals in coordinates x of unit inertia, q = T x, Tᵀ M T = 1; V (n, k) are directions."""
-
-    T: FloatArray  # (n, n)
-    D: FloatArray  # (n, n): coefficient of x'
-    S: FloatArray  # (n, n): coefficient of x
-    M_Omega: FloatArray  # (n, 3): coefficients of ω' and ω
-    G_Omega: FloatArray  # (n, 3)
-
-    @classmethod
-    def of(cls, model: LinearModel, rows: list[int]) -> Rows:
-        """Return those of the gimbals in `rows`; `MechanicsError` where M is singular."""
-        M, D, S = (item[np.ix_(rows, rows)] for item in (model.M, model.damping, model.stiffness))
-        inverse_inertia(M, [model.angle_names[k] for k in rows])
-        T = np.linalg.inv(np.linalg.cholesky(M).T)
-        return cls(T, T.T @ D @ T, T.T @ S @ T, T.T @ model.M_Omega[rows], T.T @ model.G_Omega[rows])
-
-    def reduced(self, V: NDArray[np.floating]) -> tuple[FloatArray, float]:
-        """Return [x', π'] over [x, π, Q, ω], (n + k, 2 n + k + 3), and ‖∂x'/∂x‖ along U, rad/s."""
-        from scipy.linalg import null_space
-
-        n, k = V.shape
-        U = null_space(V.T) if k else np.eye(n)
-        force = np.hstack([-self.S, np.zeros((n, k)), self.T.T, -self.G_Omega])
-        momenta = np.hstack([np.zeros((k, n)), np.eye(k), np.zeros((k, n)), -V.T @ self.M_Omega])
-        along_V = V @ np.linalg.solve(V.T @ V, momenta)
-        by_force = U @ np.linalg.solve(U.T @ self.D @ U, U.T)
-        rates = along_V + by_force @ (force - self.D @ along_V)
-        size = float(np.linalg.norm(by_force @ self.S, 2)) if n else 0.0
-        return np.vstack([rates, V.T @ (force - self.D @ rates)]), size
-
-    def roots(self, V: NDArray[np.floating]) -> tuple[ComplexArray, int, float]:
-        """Return the roots, slowest first, the length of the longest chain of vectors at the root 0, and ‖∂x'/∂x‖.
-
-        Roots at 0 are split off by rank, stage by stage: as eigenvalues they would come out as noise of unknown size.
-        """
-        n, k = V.shape
-        found, rate = self.reduced(np.linalg.qr(V)[0])
-        # Momenta in units of coordinates times frequency.
-        size = max(np.linalg.norm(self.D, 2), np.sqrt(np.linalg.norm(self.S, 2))) if n else 0.0
-        unit = np.concatenate([np.ones(n), np.full(k, size or 1.0)])
-        A = found[:, : n + k] * unit / unit[:, None]
-        tolerance = _ZERO_ROOT * (np.linalg.norm(A, 2) if A.size else 0.0)
-        zeros, chain = 0, 0
-        while len(A):
-            _, values, vectors = np.linalg.svd(A)
-            null = int(np.sum(values <= tolerance))
-            if not null:
-                break
-            zeros, chain = zeros + null, chain + 1
-            rest = vectors[: len(A) - null]
-            A = rest @ A @ rest.T
-        own = np.linalg.eigvals(A) if len(A) else np.zeros(0)
-        own = own[np.argsort(np.abs(own), kind="stable")]
-        return np.concatenate([np.zeros(zeros), own]).astype(np.complex128), chain, rate
-
-    def error(self, V: NDArray[np.floating], omega: FloatArray) -> FloatArray:
-        """Return ‖X_r − X‖₂/‖X‖₂ of the responses X of x to torques at frequencies (N,), rad/s, (N,)."""
-        one, inertia = np.eye(len(self.T)), V @ np.linalg.pinv(V)
-        s = 1j * omega[:, None, None]
-        rest = s * self.D + self.S
-        reduced = s**2 * inertia + rest
-        # On a root of the reduction its response, and so the error, is infinite.
-        regular = np.linalg.cond(reduced) < 1.0 / np.finfo(float).eps
-        reduced[~regular] = one
-        # X_r − X = X (Z − Z_r) X_r holds the difference without cancellation; Z = X⁻¹ is the dynamic stiffness. X is
-        # taken over its norm: finite on a pole of the full equations, too.
-        left, values, right = np.linalg.svd(s**2 * one + rest)
-        share = np.divide(values[:, -1:], values, out=np.ones_like(values), where=values > values[:, -1:])
-        X = np.conj(np.swapaxes(left * share[:, None, :] @ right, 1, 2))
-        difference = X @ (s**2 * (one - inertia)) @ np.linalg.inv(reduced)
-        return np.where(regular, np.linalg.norm(difference, 2, axis=(1, 2)), np.inf)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
@@ -14,9 +14,10 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Refers, Unfit, number
 from platform_ctrl.plant.gimbals import Gimbal
-from platform_ctrl.plant.mistakes import Misfit
+from platform_ctrl.plant.mistakes import Misfit, missing, useless
 from platform_ctrl.plant.tables import Instead, either
 
+Interface = Literal["free", "fixed"]
 # Numbers of a mode that may be uncertain.
 MODE_NUMBERS = ("frequency", "damping", "participation")
 _HERTZ = Instead("frequency_hz", fields.POSITIVE, lambda hertz, _: 2.0 * math.pi * hertz)
@@ -106,10 +107,11 @@ def motor_side(load: Gimbal, drive: Compliance) -> Gimbal:
 
 @input_value
 class FlexibleMode:
-    """A mode of the structure, mass-normalised: η̈ + 2 ζ ω η̇ + ω² η = Σ φ_j Q_j − Γ·Ω' − Γ_f·f.
+    """A mode of the structure, mass-normalised: η̈ + 2 ζ ω η̇ + ω² η = Σ φ_j Q_j − Γ·[Ω, q̇]' − Γ_f·f.
 
-    It is a free mode, as a measured response shows it: no torquer works, joints turn freely. It then has no inertia in
-    common with the rigid gimbals.
+    A free mode is as a measured response shows it: no torquer works, joints turn freely. It then has no inertia in
+    common with the rigid gimbals. A mode with fixed interface is that of a structure whose joints are locked: torquers
+    do not excite it, but the joints' accelerations do, and it reacts on them.
 
     Attributes
     ----------
@@ -122,6 +124,10 @@ class FlexibleMode:
     participation
         φ in 1/sqrt(kg m²) by the names of torquers and of sensors: a torque Q_j excites the mode by φ_j Q_j, a sensor
         of an angle reads φ η besides, a sensor of a rate φ η̇.
+    interface
+        ``"free"`` or ``"fixed"``.
+    joints
+        Γ of the joints of a mode with fixed interface, sqrt(kg m²), by names of gimbals.
     base
         Γ of the platform's rate about root axes 1 to 3, (3,), sqrt(kg m²).
     base_force
@@ -133,15 +139,39 @@ class FlexibleMode:
     damping: fields.NotNegative
     participation: Annotated[
         Mapping[str, float], Expected("a table of numbers by names of torquers and sensors", _participation)
-    ]
+    ] = field(default_factory=dict)
+    interface: Annotated[Interface, fields.one_of(get_args(Interface))] = "free"
+    joints: Annotated[Mapping[str, float], Expected("a table of numbers by names of gimbals", _participation)] = field(
+        default_factory=dict
+    )
     base: fields.Vector = field(default_factory=fields.zero_vector)
     base_force: fields.Vector = field(default_factory=fields.zero_vector)
 
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        fixed = table.get("interface") == "fixed"
+        needed, words = ("joints", "a mode whose joints are locked") if fixed else ("participation", "a free mode")
+        if needed not in table and not table.get("base", np.zeros(3)).any():
+            yield missing(needed, f"{words} needs it, or base, to be excited")
+        if "joints" in table and not fixed:
+            yield useless(table, "joints", 'without interface = "fixed": a free mode has no inertia in common')
+
     def changed(self, frequency: float = 0.0, damping: float = 0.0, participation: float = 0.0) -> FlexibleMode:
-        """Return the mode with relative changes of ω, ζ and φ."""
-        shares = {name: (1.0 + participation) * share for name, share in self.participation.items()}
+        """Return the mode with relative changes of ω, ζ, and of φ and Γ of the joints."""
+        shares, joints = (
+            {name: (1.0 + participation) * share for name, share in of.items()}
+            for of in (self.participation, self.joints)
+        )
         numbers = {"frequency": self.frequency * (1.0 + frequency), "damping": self.damping * (1.0 + damping)}
-        return replaced(self, {**numbers, "participation": shares})
+        return replaced(self, {**numbers, "participation": shares, "joints": joints})
+
+    def inertial(self, gimbals: Sequence[str]) -> FloatArray:
+        """Return Γ of the platform's rate and of the joints of gimbals, (3 + n,), sqrt(kg m²)."""
+        return np.array([*self.base, *(self.joints.get(name, 0.0) for name in gimbals)])
+
+    def excited(self, torquers: list[str], gimbals: Sequence[str]) -> bool:
+        """Return whether torquers, the base, or what turns gimbals excite it."""
+        return any(one.any() for one in (self.inertial(gimbals), self.base_force, self.of(torquers)))
 
     @property
     def rate(self) -> str:

@@ -20,7 +20,7 @@ from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
 from platform_ctrl.plant.flexible import Compliance
 from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
 from platform_ctrl.plant.locking import carried_inertia, with_rigid_drives
-from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, suggestion, wrong
+from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, strange, suggestion, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, plant_data
 from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.plant.source import InputData, is_shipped_name, open_file, open_mapping, open_shipped, path_of
@@ -306,14 +306,25 @@ def _modes(platform: Platform) -> Iterator[Mistake]:
     """Yield modes in which nothing takes part that the platform has."""
     known = [*(one.name for one in platform.torquers), *(one.name for one in platform.sensors)]
     known += LOS_ANGLES if platform.line_of_sight is not None else ()
+    torquers = [one.name for one in platform.torquers]
     for k, mode in enumerate(platform.modes):
-        for name in mode.participation:
-            if name not in known:
-                words = f"{given(name)} is no torquer, sensor or line-of-sight angle of the plant"
-                yield Mistake(("mode", k, "participation"), f"participation: {words}; {suggestion(name, known)}")
+        words = "torquer, sensor or line-of-sight angle of the plant"
+        yield from at(("mode", k), strange("participation", mode.participation, words, known))
+        yield from at(("mode", k), strange("joints", mode.joints, "gimbal of the plant", platform.gimbal_names))
+        if mode.interface != platform.modes[0].interface:
+            words = "modes of one plant are all free, or all have their joints locked"
+            yield Mistake(("mode", k, "interface"), f"interface = {given(mode.interface)}: {words}; give one kind")
+        if mode.interface == "fixed" and (name := next((one for one in mode.participation if one in torquers), None)):
+            words = f"torquer {given(name)} does not excite a mode whose joints are locked; give joints in its place"
+            yield Mistake(("mode", k, "participation"), f"participation: {words}")
         if platform.mode == "floating" and mode.base_force.any():
             words = "base_force has no effect on a floating root, whose acceleration follows from the forces; "
             yield Mistake(("mode", k, "base_force"), f"{words}leave it out")
+    for name in dict.fromkeys(name for mode in platform.modes for name in mode.joints):
+        taken = sum(mode.joints.get(name, 0.0) ** 2 for mode in platform.modes)
+        if name in platform.gimbal_names and taken >= (whole := carried_inertia(platform, name)):
+            words = f"squares of {given(name)} of all modes are {taken:.4g} kg m², and what the gimbal turns has"
+            yield Mistake(("mode", 0, "joints"), f"joints: {words} {whole:.4g} kg m²; they have to be less")
 
 
 def _signals(platform: Platform) -> Iterator[Mistake]:

@@ -133,8 +133,9 @@ class _Parts:
 
 
 def _placed(platform: Platform) -> bool:
-    """Return whether masses and joints lie anywhere, or motors have gears."""
+    """Return whether masses and joints lie anywhere, motors have gears, or modes an inertia in common with bodies."""
     masses = [*(body.mass for body in platform.bodies), *(rotor.mass for rotor in platform.rotors)]
+    masses += [share for mode in platform.modes for share in mode.inertial(platform.gimbal_names)]
     return any(masses) or bool(platform.motors) or any(g.origin.any() for g in platform.gimbals)
 
 
@@ -269,7 +270,8 @@ def _at(platform: Platform, n: int, servos: int) -> At:
     erection = servo + servos * arrays.SERVO
     drive = erection + len(platform.erections) * arrays.ERECTION
     mode = drive + 3 * len(platform.compliances)
-    gravity = mode + modes * (arrays.SHAPE + torquers)
+    shape = arrays.INERTIAL + 3 + n
+    gravity = mode + modes * (shape + torquers)
     place, placed = gravity + 3, _placed(platform)
     work = place + (1 + n) * arrays.PLACE * placed
     swing = work + (1 + n) * arrays.WORK
@@ -292,6 +294,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         joints=bool(platform.held_by or platform.frictions or platform.cages),
         modes=modes,
         torquers=torquers,
+        shape=shape,
         dry=laws,
         cages=bool(platform.cages),
         weight=bool(platform.unbalances or platform.erections),
@@ -361,11 +364,11 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
             (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, _or_infinite(r.torque_limit))
             for r in (p.rotors[k] for p in platforms)
         ]
-    modes = constants[:, at.mode : at.gravity].reshape(N, at.modes, arrays.SHAPE + at.torquers)
-    torquers = [torquer.name for torquer in platforms[0].torquers]
+    modes = constants[:, at.mode : at.gravity].reshape(N, at.modes, at.shape + at.torquers)
+    torquers, names = [torquer.name for torquer in platforms[0].torquers], platforms[0].gimbal_names
     for j in range(at.modes):
         modes[:, j] = [
-            (m.frequency**2, 2.0 * m.damping * m.frequency, *m.base, *m.base_force, *m.of(torquers))
+            (m.frequency**2, 2.0 * m.damping * m.frequency, *m.base_force, *m.inertial(names), *m.of(torquers))
             for m in (p.modes[j] for p in platforms)
         ]
     constants[:, at.drive : at.mode] = [

@@ -50,7 +50,7 @@ def with_rotor_states(
     out = np.concatenate([states, np.zeros((len(states), at.size - first))], axis=1)
     if at.modes:  # at rest in a platform that turns
         modes = plant.constants[at.mode : at.gravity].reshape(at.modes, -1)
-        momenta = states[:, at.n : at.n + 3] @ modes[:, arrays.BASE : arrays.BASE_FORCE].T
+        momenta = states[:, at.n : 2 * at.n + 3] @ modes[:, arrays.INERTIAL : at.shape].T
         out[:, at.swings + 1 : at.swings + 2 * at.modes : 2] = momenta
     if at.keeps:
         rows = plant.constants[at.joint : at.servo].reshape(-1, arrays.JOINT)

@@ -42,12 +42,6 @@ _DECAY, _PHASE, _CONTACT = 2.7, 1.0, 0.3
 
 def check_steps(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:
     """Refuse steps that are too long for a speed loop or an element: one for each of several plants of one skeleton."""
-    for mode in platforms[0].modes if free else ():
-        if mode.base.any() or mode.base_force.any():
-            raise ArgumentError(
-                f"mode {mode.name!r}: base and base_force are for a platform whose motion is prescribed, and here its "
-                "root is free; simulate it guided, or state the mode by torquers and sensors alone"
-            )
     _check_speed_loops(platforms, steps, free)
     found = _longest(platforms, free)
     if not found:
@@ -75,8 +69,18 @@ def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, 
     """
     shape = skeleton(platforms[0])
     found: list[tuple[str, int, FloatArray]] = []
+    if shape.at.modes:
+        low, names = 0 if free else 3, platforms[0].gimbal_names
+        at = kinematics(platforms[0], np.zeros(len(names)))
+        mass = _masses(shape, platforms, at, ("regulated", "servo"))[:, low:, low:]
+        inverse = np.linalg.pinv(mass, hermitian=True)
     for k in range(shape.at.modes):
-        found.append(("mode", k, _CONTACT / np.array([p.modes[k].frequency for p in platforms])))
+        # What gives way to a mode by its inertia makes it faster.
+        own = np.array([p.modes[k].inertial(names)[low:] for p in platforms])
+        left = 1.0 - np.einsum("ni,nij,nj->n", own, inverse, own)
+        found.append(
+            ("mode", k, _CONTACT * np.sqrt(np.maximum(left, 0.0)) / np.array([p.modes[k].frequency for p in platforms]))
+        )
     if not (shape.at.joints or len(shape.links.drive)):
         return found
     ease = _eases(shape, platforms, free)

@@ -17,7 +17,6 @@ from platform_ctrl.analysis.plant_set import Group
 from platform_ctrl.design.loop import measured
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import Faults
 from platform_ctrl.job.requirements import (
     FAULTS,
     NOMINAL,
@@ -28,6 +27,7 @@ from platform_ctrl.job.requirements import (
     loop_requirements,
     requirement,
 )
+from platform_ctrl.job.uncertainty import Faults
 
 KINDS = tuple(METRICS)
 # The plants here have no line of sight.

@@ -30,6 +30,13 @@ def drive(**mode):
     }
 
 
+def locked(**mode):
+    """The same drive by the mode of its load on the shaft with the joint locked at the motor."""
+    own = {"interface": "fixed", "frequency": np.sqrt(K / J2), "damping": 0.5 * C / np.sqrt(K * J2)}
+    shares = {"participation": {"load": J2**-0.5, "gyro": J2**-0.5}, "joints": {"g": J2**0.5}}
+    return drive(**{**own, **shares, "base": [0.0, 0.0, J2**0.5], **mode})
+
+
 def response(platform, outputs, inputs, w, **options):
     system = pc.state_space(pc.linearise(platform), **options)
     system = observed(system, platform, outputs)
@@ -45,6 +52,78 @@ def test_a_drive_with_two_inertias_is_its_rigid_body_and_a_mode():
     np.testing.assert_allclose(found[0], (J2 * s**2 + shaft) / whole, rtol=1e-9)  # collocated: a zero before the pole
     np.testing.assert_allclose(found[1], shaft / whole, rtol=1e-9)  # non-collocated: none
     np.testing.assert_allclose(found[2], s * shaft / whole, rtol=1e-9)
+
+
+def test_a_drive_is_the_same_by_its_free_and_by_its_fixed_mode():
+    w, names = np.array([1.0, 30.0, np.sqrt(K / J2) * 1.02, OMEGA, 1000.0]), ["motor", "load", "gyro"]
+    free, fixed = (pc.read_platform(one) for one in (drive(), locked()))
+    for root in ("prescribed", "free"):
+        inputs = ["Q", "Omega3" if root == "prescribed" else "M3"]
+        one, other = (response(of, [*names, "Omega3"], inputs, w, root=root) for of in (free, fixed))
+        np.testing.assert_allclose(other, one, rtol=1e-8, atol=1e-14)
+
+
+@pytest.mark.parametrize("mode", ["caged", "stabilised"])
+def test_runs_of_a_drive_are_the_same_by_its_free_and_by_its_fixed_mode(mode):
+    runs = []
+    for plant in (drive(), locked()):
+        gains = control.StateSpace([], [], [], [[-4.0, -0.25]], 2e-3, inputs=["motor", "gyro"], outputs=["Q"])
+        options = {"platform": pc.read_platform(plant), "mode": mode, "duration": 0.3, "delay": 0.0}
+        options |= {"q": [0.01], "rate": [0.4]} | ({"Omega": [0.1, 0.0, 0.2]} if mode == "stabilised" else {})
+        runs.append(simulation.simulate(simulation.Scenario(**options), [gains], period=2e-3, step=1e-4, noise=False))
+    free, fixed = runs
+    np.testing.assert_allclose(fixed.reading, free.reading, rtol=0, atol=2e-6)
+    assert np.ptp(free.reading[:, 1] - free.reading[:, 2]) > 1e-4
+
+
+def test_a_motor_that_bounces_off_a_stop_keeps_the_energy_of_its_load_on_a_shaft():
+    plant = locked(damping=0.0)
+    plant["gimbal"][0] |= {"stops": [-0.3, 0.012], "restitution": 1.0}
+    idle = control.StateSpace([], [], [], [[0.0]], 1e-3, inputs=["motor"], outputs=["Q"])
+    one = {"platform": pc.read_platform(plant), "mode": "caged", "duration": 0.1, "delay": 0.0, "rate": [0.4]}
+    run = simulation.simulate(simulation.Scenario(**one), [idle], period=1e-3, step=2e-5, noise=False)
+    gyro, motor, load = run.reading.T
+    energy = 0.5 * (J1 * run.rate[:, 0] ** 2 + J2 * gyro**2 + K * (motor - load) ** 2)
+    assert run.rate.min() < -0.1
+    np.testing.assert_allclose(energy, energy[0], rtol=2e-3)
+
+
+def test_a_beam_on_a_joint_has_the_frequencies_of_a_pinned_beam():
+    """Modes of the clamped beam: λ from cos λ cosh λ = −1, Γ = 2 L √m/λ²; pinned and free: tan λ = tanh λ."""
+    m, L, bending = 1.2, 0.8, 40.0
+    clamped = [1.875104068711961, 4.694091132974175, 7.854757438237613, 10.995540734875467, 14.13716839104647]
+    modes = [
+        {
+            "name": f"beam{k}",
+            "frequency": x**2 * np.sqrt(bending / (m * L**3)),
+            "damping": 0.0,
+            "interface": "fixed",
+            "joints": {"g": 2.0 * L * np.sqrt(m) / x**2},
+        }
+        for k, x in enumerate(clamped)
+    ]
+    plant = drive() | {"mode": modes}
+    plant["gimbal"][0]["inertia"] = [0.3, 0.3, m * L**2 / 3.0]
+    poles = np.linalg.eigvals(pc.state_space(pc.linearise(pc.read_platform(plant))).A)
+    found = np.sort(poles.imag[poles.imag > 1.0])[:2]
+    pinned = np.array([3.926602312047919, 7.068582745628732]) ** 2 * np.sqrt(bending / (m * L**3))
+    assert found == pytest.approx(pinned, rel=5e-3)
+
+
+@pytest.mark.parametrize("of", [drive, locked])
+def test_a_free_root_with_modes_keeps_its_angular_momentum_in_a_run(of):
+    platform = pc.read_platform(of(**({"base": [0.1, -0.05, 0.1]} if of is drive else {})))
+    push = control.StateSpace([], [], [], [[5.0]], 1e-3, inputs=["motor"], outputs=["Q"])
+    one = {"platform": platform, "mode": "stabilised", "duration": 0.3, "delay": 0.0, "q": [0.2], "rate": [2.0]}
+    scenario = simulation.Scenario(**one, Omega=[0.5, -0.3, 0.4])
+    run = simulation.simulate(scenario, [push], period=1e-3, step=1e-4, noise=False)
+    [mode] = platform.modes
+    swing = (run.reading[:, 0] - run.Omega[:, 2] - run.rate[:, 0]) / mode.participation["gyro"]
+    u = np.hstack([run.Omega, run.rate])
+    own = np.array([pc.matrices(platform, q).A_star[:3] @ rates for q, rates in zip(run.q, u, strict=True)])
+    momentum = np.linalg.norm(own + swing[:, None] * mode.base, axis=1)
+    assert np.ptp(swing) > 0.05
+    np.testing.assert_allclose(momentum, momentum[0], rtol=1e-6)
 
 
 def test_a_shaken_base_excites_a_mode_by_its_acceleration():
@@ -114,6 +193,12 @@ def test_a_run_on_a_shaken_base_is_that_of_the_linear_model():
         ({"participation": {"Q": "much"}}, "Q = much is no number"),
         ({"frequency": 0.0}, "frequency must be a number > 0"),
         ({"name": "q"}, "is the name of the angle"),
+        ({"participation": {"lod": 1.0}}, r"did you mean \"load\""),
+        ({"joints": {"g": 0.1}}, "joints .* has no effect without interface"),
+        ({"interface": "fixed", "joints": {"g": 0.1}}, 'torquer "Q" does not excite a mode whose joints are locked'),
+        ({"interface": "fixed", "participation": {"load": 1.0}}, '"joints" is missing'),
+        ({"interface": "fixed", "participation": {"load": 1.0}, "joints": {"h": 1.0}}, '"h" is no gimbal of the plant'),
+        ({"interface": "fixed", "participation": {"load": 1.0}, "joints": {"g": 1.0}}, "they have to be less"),
     ],
 )
 def test_a_mode_that_cannot_be_is_refused(mode, words):

@@ -6,7 +6,8 @@ import pytest
 
 from platform_ctrl import linearise, read_platform
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Uncertainty
+from platform_ctrl.job.job import CoupledLimits, Job, Sampling
+from platform_ctrl.job.uncertainty import Uncertainty
 from platform_ctrl.verification.coupled import coupled_check
 
 PERIOD = 0.001

@@ -223,9 +223,7 @@ def elements(platform: Platform, names: SymbolNames) -> tuple[list[Element], lis
     if platform.erections and not f.any():
         notes.append("erection is left out: there is no specific force")
     for mode in platform.modes:
-        notes.append(
-            f"mode {mode.name} is left out: it has no inertia in common with the gimbals, linear models have it"
-        )
+        notes.append(f"mode {mode.name} is left out: linear models and runs have it")
     families = (
         ("compliances", "gimbal", "ks", "stiffness of the drive of gimbal {}", "N m/rad", "strength"),
         ("compliances", "gimbal", "ds", "damping of the drive of gimbal {}", "N m s", "damping"),

@@ -183,8 +183,8 @@ SLIDING, HELD_BY, DEFLECTION, FRICTION = 0, 1, 0, 2
 BEGUN, TURNS, HAD, DURING = 0, 1, 2, 3
 # Slots of a servo rotor's constants: spin axis in the carrier's axes; then these.
 C, SPIN, GAIN, INTEGRAL, TORQUE_LIMIT, SERVO = 3, 4, 5, 6, 7, 8
-# Slots of a mode's constants: ω², 2 ζ ω; Γ; Γ_f; then φ of every torquer.
-SQUARE, DAMPING, BASE, BASE_FORCE, SHAPE = 0, 1, 2, 5, 8
+# Slots of a mode's constants: ω², 2 ζ ω; Γ_f; Γ of Omega and every joint; then, at `At.shape`, φ of every torquer.
+SQUARE, DAMPING, BASE_FORCE, INERTIAL = 0, 1, 2, 5
 # Slots of an erection's constants: sensing axis; then these.
 ERECTION_GAIN, ERECTION_LIMIT, ERECTION = 3, 4, 5
 
@@ -229,6 +229,7 @@ class At(NamedTuple):
     joints: int  # whether springs, friction or cages act at all
     modes: int  # of the structure
     torquers: int  # that may excite them
+    shape: int  # slots of a mode's constants before φ of the torquers
     dry: int  # the laws of dry friction that there are, 1 << LAW of each
     cages: int
     weight: int  # whether specific force and unbalance or erections act
@@ -241,7 +242,7 @@ class At(NamedTuple):
     servo: int
     erection: int
     drive: int  # stiffness, damping and half the play of drives that give way
-    swings: int  # where in the state the modes are: η and its momentum η̇ + Γ·Omega of each
+    swings: int  # where in the state the modes are: η and its momentum η̇ + Γ·u of each
     mode: int
     gravity: int  # vector in space
     place: int  # a row of PLACE for each body

@@ -147,6 +147,11 @@ def mass_matrix(links: Links, mem: FloatArray, lane: int, at: At, locking: bool)
             for j in range(size):
                 b0, b1, b2 = vector(mem, lane, P + 3 * j)
                 add(mem, lane, A + i * size + j, -ease * (a0 * b0 + a1 * b1 + a2 * b2))
+    for i in range(size * at.modes):
+        own = at.mode + i // size * (at.shape + at.torquers) + arrays.INERTIAL
+        for j in range(size):
+            product = load(mem, own + i % size, lane) * load(mem, own + j, lane)
+            add(mem, lane, A + i % size * size + j, -product)
     if locking:
         for k in range(at.n):
             locked = load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, lane)

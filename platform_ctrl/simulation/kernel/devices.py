@@ -133,7 +133,7 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
         torque = load(mem, slot + arrays.PER_COMMAND, lane) * load(mem, slot + arrays.TORQUE, lane)
         store(mem, target, lane, load(mem, target, lane) + torque)
     for j in range(at.modes):
-        shape, total = at.mode + j * (arrays.SHAPE + at.torquers) + arrays.SHAPE, 0.0 * load(mem, T, lane)
+        shape, total = at.mode + j * (at.shape + at.torquers) + at.shape, 0.0 * load(mem, T, lane)
         for i in range(at.torquers):
             slot = layout.torquer + i * arrays.TORQUER
             # Modes deviate from how the structure is bent in equilibrium.

@@ -51,13 +51,13 @@ from platform_ctrl.simulation.kernel.forces import (
     erection_torques,
     felt_by_root,
     joint_torque,
-    mode_derivatives,
     servo_drives,
     servo_momenta,
     stand_still,
     unbalance_moments,
 )
 from platform_ctrl.simulation.kernel.placed import placed_derivative, placed_momenta
+from platform_ctrl.simulation.kernel.structure import mode_derivatives
 
 
 @inlined
@@ -256,8 +256,6 @@ def derivative(
     n = at.n
     torque = dy + n + 3  # the joints' torques, replaced by their accelerations
     if placed_derivative(links, mem, lane, at, free, locking, bare, y, around, dy):
-        if at.modes != 0:
-            mode_derivatives(mem, lane, at, y, around, dy)
         _turn(mem, lane, at, y, dy)
         return
     _outward(links, mem, lane, at, free, bare, y, around)
@@ -348,6 +346,8 @@ def at_rest(mem: FloatArray, lane: int, at: At) -> None:
         store(mem, at.spare_state + i, lane, load(mem, at.state + i, lane))
     for i in range(n + 3):
         store(mem, at.spare_state + n + i, lane, zero)
+    for i in range(2 * at.modes):
+        store(mem, at.spare_state + at.swings + i, lane, zero)
     for i in range(at.block):
         store(mem, at.spare_block + i, lane, zero)
 

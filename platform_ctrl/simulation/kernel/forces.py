@@ -178,31 +178,6 @@ def drive_torques(links: Links, mem: FloatArray, lane: int, at: At, y: int, dy: 
 
 
 @inlined
-def mode_rates(mem: FloatArray, lane: int, at: At, y: int) -> None:
-    """Rates of the modes of a state whose v begins with Omega: their momenta less Γ·Omega."""
-    W0, W1, W2 = vector(mem, lane, y + at.n)
-    for j in range(at.modes):
-        g0, g1, g2 = vector(mem, lane, at.mode + j * (arrays.SHAPE + at.torquers) + arrays.BASE)
-        momentum = load(mem, y + at.swings + 2 * j + 1, lane)
-        store(mem, at.swing + j, lane, momentum - (g0 * W0 + g1 * W1 + g2 * W2))
-
-
-@inlined
-def mode_derivatives(mem: FloatArray, lane: int, at: At, y: int, around: int, dy: int) -> None:
-    """Derivatives of the modes' states."""
-    mode_rates(mem, lane, at, y)
-    f0, f1, f2 = felt_by_root(mem, lane, at, y, around)
-    for j in range(at.modes):
-        row, eta = at.mode + j * (arrays.SHAPE + at.torquers), at.swings + 2 * j
-        g0, g1, g2 = vector(mem, lane, row + arrays.BASE_FORCE)
-        rate = load(mem, at.swing + j, lane)
-        force = load(mem, around + at.block - at.modes + j, lane) - (g0 * f0 + g1 * f1 + g2 * f2)
-        force = force - load(mem, row + arrays.SQUARE, lane) * load(mem, y + eta, lane)
-        store(mem, dy + eta, lane, rate)
-        store(mem, dy + eta + 1, lane, force - load(mem, row + arrays.DAMPING, lane) * rate)
-
-
-@inlined
 def servo_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, field: int) -> None:
     """Add P s of the servo rotors to a vector of their carriers."""
     for r in range(at.servos):

@@ -25,10 +25,11 @@ from platform_ctrl.simulation.kernel.devices import (
     work_on,
 )
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
-from platform_ctrl.simulation.kernel.forces import begin_surroundings, follow_rotors, hand_on, mode_rates, surround
+from platform_ctrl.simulation.kernel.forces import begin_surroundings, follow_rotors, hand_on, surround
 from platform_ctrl.simulation.kernel.friction import settle_friction
 from platform_ctrl.simulation.kernel.samples import judge, look, read, turn_bodies, update_metrics
 from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike
+from platform_ctrl.simulation.kernel.structure import mode_rates
 
 
 @inlined
@@ -177,7 +178,7 @@ def _survey(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, fr
             store(mem, v + 3 + i, lane, load(mem, at.stages + i, lane))
             store(mem, v + n + 3 + i, lane, load(mem, at.state + n + 3 + i, lane))
     if at.modes != 0:
-        mode_rates(mem, lane, at, at.state)
+        mode_rates(mem, lane, at, at.state, v + 3)
 
 
 @internal

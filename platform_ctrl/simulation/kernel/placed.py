@@ -37,6 +37,7 @@ from platform_ctrl.simulation.kernel.forces import (
     servo_drives,
     servo_momenta,
 )
+from platform_ctrl.simulation.kernel.structure import mode_derivatives, mode_rates, of_modes
 
 
 @internal
@@ -136,12 +137,14 @@ def _rates(links: Links, mem: FloatArray, lane: int, at: At, locking: bool, y: i
     mass_matrix(links, mem, lane, at, locking)
     for k in range(n):
         store(mem, dy + k, lane, 0.0 * load(mem, y + k, lane))
-    # What the joints have of dT/dqdot at rest in the root is that of Omega and the rotors.
+    # What the joints have of dT/dqdot at rest in the root is that of Omega, the rotors and the modes.
+    mode_rates(mem, lane, at, y, dy)
     _move(links, mem, lane, at, y + n, dy)
     _momenta(links, mem, lane, at, y, around, dy)
     for k in range(n):
         work = at.work + (k + 1) * arrays.WORK
         own = load(mem, y + n + 3 + k, lane) - load(mem, work + arrays.MOMENT + 2, lane)
+        own = own - of_modes(mem, lane, at, at.swing, 1, 3 + k)
         if locking:
             own = own * (1.0 - load(mem, work + arrays.LOCKED, lane))
         store(mem, dy + k, lane, own)
@@ -250,6 +253,18 @@ def _accelerations(
         if locking:
             total = total * (1.0 - load(mem, work + arrays.LOCKED, lane))
         store(mem, u + 3 + k, lane, total)
+    if at.modes != 0 and not bare:
+        # A* u' = Q - Γ η'' with η'' = f - Γ'u': A* - ΓΓ' has taken the place of A*.
+        mode_derivatives(mem, lane, at, y, around, dy)
+        h0, h1 = of_modes(mem, lane, at, at.swing, 1, 0), of_modes(mem, lane, at, at.swing, 1, 1)
+        w0, w1, w2 = vector(mem, lane, y + n)
+        h0, h1, h2 = cross(w0, w1, w2, h0, h1, of_modes(mem, lane, at, at.swing, 1, 2))
+        add_vector(mem, lane, u, -h0, -h1, -h2)
+        for i in range(n + 3):
+            pushed = of_modes(mem, lane, at, dy + at.swings + 1, 2, i)
+            if locking and i >= 3:
+                pushed = pushed * (1.0 - load(mem, at.work + (i - 2) * arrays.WORK + arrays.LOCKED, lane))
+            add(mem, lane, u + i, -pushed)
     solve(mem, lane, at, 0, u)
 
 
@@ -294,6 +309,7 @@ def _derivative(
         if at.servos != 0:
             servo_drives(links, mem, lane, at, at.no, y, dy)
         erection_torques(links, mem, lane, at, torque)
+        mode_derivatives(mem, lane, at, y, around, dy)
 
 
 @internal
@@ -304,6 +320,9 @@ def _joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, aro
         mass_matrix(links, mem, lane, at, at.no)
     _move(links, mem, lane, at, y + at.n, y + at.n + 3)
     _momenta(links, mem, lane, at, y, around, y + at.n + 3)
+    mode_rates(mem, lane, at, y, y + at.n + 3)
+    for k in range(at.n):
+        add(mem, lane, at.work + (k + 1) * arrays.WORK + arrays.MOMENT + 2, of_modes(mem, lane, at, at.swing, 1, 3 + k))
 
 
 def _of_placed(function: Any) -> Any:
