@@ -135,6 +135,12 @@ class Channels:
         further = readings - len(self.basis)
         return block([[self.basis, 0], [0, np.eye(further)]]) if further else self.basis
 
+    def shown(self, plants: PlantSet) -> FloatArray:
+        """Return what outputs of `seen` plants show of a motion that is 1 in the directions: units of the others."""
+        n, k = len(self.basis), int(np.abs(plants.frequency - plants.nutation).argmin())
+        size = np.linalg.norm(plants.response[0, k], axis=1)
+        return np.append(np.ones(n), size[n:] / np.linalg.norm(size[:n]))
+
     def seen(self, plants: PlantSet) -> PlantSet:
         """Return plants as design methods see them: their outputs are the directions where the loop has `sense`."""
         return plants if self.sense is None else plants.in_directions(self.sense)

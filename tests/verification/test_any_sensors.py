@@ -20,6 +20,7 @@ from platform_ctrl.verification.verdict import check_job
 DATA = Path(__file__).parents[1] / "data" / "state_feedback"
 JOB = tomllib.loads((DATA / "job.toml").read_text(encoding="utf-8"))
 J, VISCOUS, LAG, T = 0.039, 0.3, 0.002, 0.001
+STATE_SPACE = {"method": "structured", "structure": "state-space", "order": 4}
 
 
 def with_design(method, **changes):
@@ -158,3 +159,19 @@ def test_an_lqg_loop_reads_both_and_its_verdict_follows_from_plant_and_controlle
 def test_methods_that_work_axis_by_axis_refuse_angles_beside_rates(method):
     with pytest.raises(DesignError, match="yaw, own: the method works axis by axis on angles or on rates"):
         design.loops(pc.read_job(with_design(method)))
+
+
+@pytest.mark.parametrize("method", [{"method": "hinf"}, {"method": "structured"}, STATE_SPACE])
+def test_other_designs_have_the_rate_beside_the_angle_too(method):
+    limits = {"disk_margin": 0.6, "damping": 0.4}
+    one = {"limits": limits, "soft": {"torque_rejection": 1e-3}, "design": [{"name": "own"} | method]}
+    with_rate, alone = (
+        design.loops(pc.read_job(with_design("", **one, sensors=sensors)))[0].closed
+        for sensors in (["angle", "rate"], ["angle"])
+    )
+    assert with_rate.passed
+    # What the rate adds is less deviation behind a torque within the same limits.
+    assert with_rate.goals[0].value < 0.9 * alone.goals[0].value or method is not STATE_SPACE
+    A = np.array([[0.0, 1.0], [0.0, -VISCOUS / J]])
+    own = lifted(A, np.array([[0.0], [1.0 / J]]), np.eye(2), lag=LAG)
+    assert with_rate.measures.disk_margin[0] == pytest.approx(margins(own, of(with_rate.controller)).min(), rel=1e-4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -44,7 +45,9 @@ class Series(Structure):
             raise ArgumentError("Series: there must be at least one block, got none")
         out: list[Parameter] = []
         for k, one in enumerate(self.blocks):
-            out += one.settled(nmeas, ncon if k == len(self.blocks) - 1 else nmeas, units)
+            last = k == len(self.blocks) - 1 or nmeas == ncon
+            own = units if last else replace(units, gain=np.ones((nmeas, nmeas)))
+            out += one.settled(nmeas, ncon if last else nmeas, own)
         names = [one.name for one in out]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
@@ -53,11 +56,10 @@ class Series(Structure):
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
         """Return the blocks in series."""
-        units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
         out = System(zeros(p, 0, 0), zeros(p, 0, nmeas), zeros(p, nmeas, 0), zeros(p, nmeas, nmeas) + np.eye(nmeas))
         for k, one in enumerate(self.blocks):
             outputs = ncon if k == len(self.blocks) - 1 else nmeas
-            count = len(one.parameters(nmeas, outputs, units))
+            count = len(one.parameters(nmeas, outputs, Units(gain=np.ones((outputs, nmeas)), rate=1.0)))
             a, b, c, d, _ = one.block(p[..., :count], nmeas, outputs)
             A = np.block([[out.A, zeros(p, out.A.shape[-1], a.shape[-1])], [b @ out.C, a]])
             B, C = np.concatenate([out.B, b @ out.D], axis=-2), np.concatenate([d @ out.C, c], axis=-1)
@@ -71,11 +73,12 @@ _STEP = 1e-5
 
 @value
 class Sampled(Structure):
-    """A sampled structure in other directions: u = basisᵀ K basis y."""
+    """A sampled structure in other directions: u = basisᵀ K read y."""
 
     inner: Structure  # in the w-plane or in (z − 1)/period, in the directions that the rows of `basis` are
     period: float  # s
     basis: FloatArray  # (n, n): orthogonal
+    read: FloatArray  # (p, p): the same, and itself for further readings
     # Whether s is (z − 1)/period, and not Tustin's rule: then the sampled matrices are affine in those of `inner`.
     # Tustin's states are those of the trapezium rule.
     forward: bool = False
@@ -89,8 +92,8 @@ class Sampled(Structure):
         A, B, C, D, _ = self.inner.block(p, nmeas, ncon)
         half, eye = 0.5 * self.period * (not self.forward), np.eye(A.shape[-1])
         inverse = np.linalg.inv(eye - half * A)
-        into, out = inverse @ B @ self.basis, self.basis.T @ C
-        direct = self.basis.T @ D @ self.basis + half * out @ into
+        into, out = inverse @ B @ self.read, self.basis.T @ C
+        direct = self.basis.T @ D @ self.read + half * out @ into
         return System(
             inverse @ (eye + (self.period - half) * A), self.period * into, out @ inverse, direct, self.period
         )

@@ -44,6 +44,10 @@ if TYPE_CHECKING:
     from control import StateSpace
 
 
+# Noise of a further reading over what it shows where n is 1: with a tenth the loop has hardly a margin beside S.
+_FURTHER = 0.3
+
+
 @value
 class WeightedPlant:
     """The plant of the synthesis and what leads back."""
@@ -52,22 +56,29 @@ class WeightedPlant:
     weight: System  # W_e; its integrator belongs to the controller: W_e is in series before K
     torque_unit: FloatArray  # (size,): N m, of each channel
 
+    @property
+    def further(self) -> int:
+        """Number of readings beside the channels, behind them among n and the measurements."""
+        return len(self.weight.D) - len(self.torque_unit)
+
     def at_gimbals(self, K: System, channel: Channels, period: float) -> System:
         """Return a controller of the channels as a sampled one from angles to torques in N m, W_e before it."""
-        return between(channel.basis, from_w_plane(self.weight.series(K), period), channel.basis.T * self.torque_unit)
+        K = from_w_plane(self.weight.series(K), period)
+        return between(channel.turned(len(self.weight.D)), K, channel.basis.T * self.torque_unit)
 
 
-def signal_names(size: int) -> tuple[list[str], list[str]]:
-    """Return the names of a weighted plant's inputs and outputs, for `size` channels."""
-    inputs = [f"{kind}{k + 1}" for kind in ("n", "d", "u") for k in range(size)]
-    outputs = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque", "measured") for k in range(size)]
-    return inputs, outputs
+def signal_names(size: int, further: int = 0) -> tuple[list[str], list[str]]:
+    """Return the names of a weighted plant's inputs and outputs, for `size` channels and so many further readings."""
+    inputs = [f"n{k + 1}" for k in range(size + further)] + [f"{kind}{k + 1}" for kind in "du" for k in range(size)]
+    outputs = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque") for k in range(size)]
+    return inputs, outputs + [f"measured{k + 1}" for k in range(size + further)]
 
 
-def error_weight(gain: FloatArray, rate: FloatArray) -> System:
-    """Return W_e = gain + rate/s, channel by channel, (size,) each."""
+def error_weight(gain: FloatArray, rate: FloatArray, further: int = 0) -> System:
+    """Return W_e = gain + rate/s, channel by channel, (size,) each; further readings are not weighted."""
     size = len(rate)
-    return System(np.zeros((size, size)), np.eye(size), np.diag(rate), np.diag(gain))
+    D, rest = np.diag(np.append(gain, np.ones(further))), np.zeros((further, size))
+    return System(np.zeros((size, size)), np.hstack([np.eye(size), rest.T]), np.vstack([np.diag(rate), rest]), D)
 
 
 def torque_units(channel: Channels, nutation: float) -> FloatArray:
@@ -81,42 +92,51 @@ def torque_units(channel: Channels, nutation: float) -> FloatArray:
 
 
 def mixed_sensitivity(
-    plant: System, disturbed: System, gain: FloatArray, rate: FloatArray, constant: tuple[FloatArray, ...]
+    plant: System,
+    disturbed: System,
+    gain: FloatArray,
+    rate: FloatArray,
+    constant: tuple[FloatArray, ...],
+    noise: FloatArray | None = None,
 ) -> System:
     """Return the weighted plant from [n, d, u] to [z1, z2, z3, measurement], states those of the plant and of W_e.
 
     `plant` leads from u to the angles, `disturbed`, with the same states, from any number of d; `constant` are W_t and
-    W_u.
+    W_u. Readings behind the angles are measured as they are, with a `noise` of their own behind n.
     """
-    A, B, C, D, _ = plant
+    (A, B, C, D, _), k = plant, len(rate)
     B_d, D_d, (angle, torque) = disturbed.B, disturbed.D, constant
+    more = np.diag(np.zeros(0) if noise is None else noise)
+    n = np.eye(k, k + len(more))
     error: list[FloatArray | Literal[0]] = [
-        gain[:, None] * C,
+        gain[:, None] * C[:k],
         np.diag(rate),
-        *(gain[:, None] * D_j for D_j in (np.eye(len(C)), D_d, D)),
+        *(gain[:, None] * D_j for D_j in (n, D_d[:k], D[:k])),
     ]
     whole = block(
         [
             [A, 0, 0, B_d, B],
-            [C, 0, np.eye(len(C)), D_d, D],
+            [C[:k], 0, n, D_d[:k], D[:k]],
             error,
-            [angle @ C, 0, 0, angle @ D_d, angle @ D],
+            [angle @ C[:k], 0, 0, angle @ D_d[:k], angle @ D[:k]],
             [0, 0, 0, 0, torque],
             error,
+            [C[k:], 0, np.hstack([np.zeros((len(more), k)), more]), D_d[k:], D[k:]],
         ]
     )
-    return System.split(whole, len(A) + len(C), 0.0)
+    return System.split(whole, len(A) + k, 0.0)
 
 
 def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:
     """Return the weighted w-plane plant of the nominal loop for complete `options`."""
     unit, size = torque_units(channel, plants.nutation), len(channel.basis)
-    flat = to_w_plane(between(channel.basis.T * unit, plants.of_torques(), channel.basis))
+    flat = to_w_plane(between(channel.basis.T * unit, plants.of_torques(), channel.turned(len(plants.noise))))
     gain, rate, disturbance, torque = by_direction(options, channel)
-    disturbed = between(np.diag(disturbance), flat, np.eye(size))
+    disturbed = between(np.diag(disturbance), flat, np.eye(len(flat.C)))
     constant = options["complementary"] * np.eye(size), np.diag(torque)
-    arrays = mixed_sensitivity(flat, disturbed, gain, rate, constant)
-    return WeightedPlant(arrays=arrays, weight=error_weight(gain, rate), torque_unit=unit)
+    noise = _FURTHER * channel.shown(plants)[size:]
+    arrays = mixed_sensitivity(flat, disturbed, gain, rate, constant, noise)
+    return WeightedPlant(arrays=arrays, weight=error_weight(gain, rate, len(noise)), torque_unit=unit)
 
 
 def by_direction(options: dict[str, float], channel: Channels) -> FloatArray:
@@ -158,6 +178,7 @@ class MixedSensitivity(Method):
     """The full-order H-infinity loops."""
 
     key = "hinf"
+    any_sensors = True
     options: ClassVar = WEIGHTS | {"backoff": BACKOFF}
     advice = "a lower bandwidth_hz, or a larger backoff"
 
@@ -178,8 +199,8 @@ def hinf_controller(
     options = MixedSensitivity().defaults(problem.design, channel, plants.nutation, plants.period)
     weighted = weighted_plant(options, channel, plants)
     size = len(weighted.torque_unit)
-    P = weighted.arrays.to_control(*signal_names(size))
-    found = hinf(P, size, size, method=method, backoff=options["backoff"])
+    P = weighted.arrays.to_control(*signal_names(size, weighted.further))
+    found = hinf(P, size + weighted.further, size, method=method, backoff=options["backoff"])
     claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
     K = weighted.at_gimbals(System.of(found.controller, "controller"), channel, plants.period)
     return K, options, claims
@@ -235,7 +256,7 @@ def generalised_plant(loop: LoopOutcome, **weights: float) -> StateSpace:
     >>> with_controller(loop, K).closed.results  # doctest: +SKIP
     """
     weighted, _ = _weighted(loop, weights)
-    return weighted.arrays.to_control(*signal_names(len(weighted.torque_unit)))
+    return weighted.arrays.to_control(*signal_names(len(weighted.torque_unit), weighted.further))
 
 
 def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "given", **weights: float) -> LoopOutcome:
@@ -271,10 +292,11 @@ def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "g
     else:
         (weighted, channel), K = _weighted(loop, weights), System.of(controller, "controller")
         size = len(weighted.torque_unit)
-        if K.D.shape != (size, size):
+        measured_signals = size + weighted.further
+        if K.D.shape != (size, measured_signals):
             raise ArgumentError(
-                f"controller: must have {size} inputs and outputs, as the generalised plant has "
-                f"{size} measurements and controls, got {K.D.shape[1]} and {K.D.shape[0]}"
+                f"controller: must have {measured_signals} inputs and {size} outputs, as the generalised plant has "
+                f"measurements and controls, got {K.D.shape[1]} and {K.D.shape[0]}"
             )
         sampled = weighted.at_gimbals(K, channel, plants.period)
         given = channel.of_readings(sampled).to_control(plants.angles, plants.torques)

@@ -199,10 +199,7 @@ def quadratic_problem(options: dict[str, float], channel: Channels, plants: Plan
 
     basis, torque = channel.turned(len(plants.noise)), by_channel("largest_torque")
     noise = np.sqrt(basis**2 @ plants.noise**2)
-    # Further readings count in units of what they show of the same motion.
-    shown = plants.response[0, np.abs(plants.frequency - plants.nutation).argmin()]
-    reach = np.linalg.norm(basis @ shown, axis=1) / np.linalg.norm(shown[:size])
-    error = options["largest_error"] * np.append(np.ones(size), reach[size:])
+    error = options["largest_error"] * channel.shown(plants)
     A, B, C, D, _ = between(channel.basis.T * torque, plants.of_torques(), basis / error[:, None])
     from_rate = plants.B_Omega[0][: len(A)]
     seen = seen_states(A[None], C[None])

@@ -27,7 +27,7 @@ from platform_ctrl.design.method import LoopProblem, Method, Option, SectionedMe
 from platform_ctrl.design.methods.classical import Classical
 from platform_ctrl.design.methods.hinf import hinf_controller
 from platform_ctrl.design.methods.pi import PI
-from platform_ctrl.design.sections import between, first_order, side_by_side
+from platform_ctrl.design.sections import between, first_order, gain, side_by_side
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.judging import STABLE
 from platform_ctrl.job.methods import DesignSpec, Structure
@@ -68,6 +68,7 @@ class Structured(Method):
     """A controller of fixed structure, tuned on the loop's own requirements over its plants."""
 
     key = "structured"
+    any_sensors = True
     options = OPTIONS
     advice = "weaker limits, or another structure"
     structures = ("cross-axis", "pid", "state-space")
@@ -97,6 +98,11 @@ class Structured(Method):
         plants, structure = problem.plants, design.structure or DEFAULT
         options = self.defaults(design, channel, plants.nutation, plants.period)
         cross_axis = cross_axis_structure(options["integral_hz"], channel, plants)
+        if structure == "cross-axis" and cross_axis.nmeas > cross_axis.ncon:
+            raise DesignError(
+                'structured: structure = "cross-axis" works axis by axis, and this loop has further readings: choose '
+                '"pid" or "state-space", or give the design sensors of its own'
+            )
         full_order = dataclasses.replace(problem, design=DesignSpec(name=design.name, method="hinf", options={}))
 
         def progress(limits: float, goals: float) -> None:
@@ -135,6 +141,7 @@ def tuned_controller(
     requested = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
     if not any(r.kind == "stability" for r in requested):
         requested.append(requirement("stability", kept))
+    shown = channel.shown(plants)
     searches, spent = Search(plants, requested, options["reserve"], progress), 0
 
     def search(family: Parametrised, share: float, sketch: bool = False) -> Found:
@@ -155,7 +162,7 @@ def tuned_controller(
             # Another method that finds nothing is no reason to give up the first start.
             continue
         rolloff = min(2.0 * np.pi * options["rolloff_hz"], 0.8 * np.pi / plants.period)
-        pid = pid_structure(block, channel, plants.period, plants.nutation, integral, rolloff)
+        pid = pid_structure(block, channel, plants.period, plants.nutation, integral, rolloff, shown)
         found = search(pid, _SHARES["pid"] if structure == "state-space" else 1.0 - _SHARES["cross-axis"])
         if found.better_than(best[0], options["reserve"]):
             best = found, pid
@@ -164,7 +171,7 @@ def tuned_controller(
             if inner is None:
                 continue
             inner = of_order(inner, int(options["order"]), plants.nutation * plants.period)
-            free = free_structure(inner, channel, plants.period, plants.nutation, integral)
+            free = free_structure(inner, channel, plants.period, plants.nutation, integral, shown)
             found = search(free, 1.0 - sum(_SHARES.values()))
             if found.better_than(best[0], options["reserve"]):
                 best = found, free
@@ -193,60 +200,80 @@ def cross_axis_structure(integral_hz: float, channel: Channels, plants: PlantSet
     fixed = {name: number for name, number in options.items() if name not in moved}
 
     def build(trial: dict[str, float]) -> System:
-        return method.of_directions(trial, channel, period)
+        return between(np.eye(size, read), method.of_directions(trial, channel, period), np.eye(size))
 
     values = {name: options[name] for name in (*moved, *fixed)}
-    size = len(channel.basis)
+    size, read = len(channel.basis), len(plants.noise)
     structure = Named(build=build, values=values, largest=method.upper_bounds(period), fixed=fixed)
-    return Parametrised(structure, size, size, Units(gain=np.ones((size, size)), rate=1.0))
+    return Parametrised(structure, read, size, Units(gain=np.ones((size, read)), rate=1.0))
 
 
 def pid_structure(
-    like: System, channel: Channels, period: float, nutation: float, integral: float, rolloff: float
+    like: System,
+    channel: Channels,
+    period: float,
+    nutation: float,
+    integral: float,
+    rolloff: float,
+    shown: FloatArray | None = None,
 ) -> Parametrised:
     """Return a matrix PID with a second-order low-pass, at first at `rolloff`, in every channel of the gyros.
 
     The start resembles the response of `like`, which has a PI with `integral`, between a tenth of the nutation and a
-    fifth of the sample rate. Frequencies and rates are in rad/s.
+    fifth of the sample rate. Frequencies and rates are in rad/s. Further readings, which show `shown`, have
+    proportional gains alone.
     """
-    n = len(channel.basis)
+    n, read = like.D.shape
+    shown = np.ones(n) if shown is None else shown
     K_P, K_I, K_D = _fitted(like, channel, period, nutation, rolloff)
-    unit = float(np.abs(K_P).max() + nutation * np.abs(K_D).max()) or 1.0
+    unit = float(np.abs(K_P[:, :n]).max() + nutation * np.abs(K_D).max()) or 1.0
+    own = np.arange(read) < n
     start = {
         f"{name}{i + 1}{j + 1}": float(K[i, j])
         for name, K in (("kp", K_P), ("ki", K_I), ("kd", K_D))
-        for i, j in np.ndindex(n, n)
+        for i, j in np.ndindex(n, read)
+        if own[j] or name == "kp"
     }
     bounds: dict[str, tuple[float, float]] = {}
-    for k in range(n):
+    for k in range(read):
         start |= {f"filter{k + 1}": rolloff, f"damping{k + 1}": 0.8}
         # Beyond 1/π of the sample rate Tustin's poles turn negative, and ring.
         bounds |= {f"filter{k + 1}": (0.0, 0.9 * np.pi / period), f"damping{k + 1}": (_FILTER_DAMPING, 2.0)}
-    structure = Sampled(inner=PID(start=start, bounds=bounds), period=period, basis=channel.basis)
-    return Parametrised(structure, n, n, Units(gain=np.full((n, n), unit), rate=nutation, integral=integral))
+    mask = np.tile(own, (n, 1))
+    pid = PID(I=mask, D=mask, start=start, bounds=bounds)
+    structure = Sampled(inner=pid, period=period, basis=channel.basis, read=channel.turned(read))
+    gain = np.tile(unit / shown, (n, 1))
+    return Parametrised(structure, read, n, Units(gain=gain, rate=nutation, integral=integral))
 
 
 def _fitted(like: System, channel: Channels, period: float, nutation: float, rolloff: float) -> FloatArray:
-    """Return the gains K_P, K_I, K_D of the PID whose response is nearest to a controller's, by least squares."""
-    n = len(channel.basis)
+    """Return the gains K_P, K_I, K_D of the PID whose response is nearest to a controller's, by least squares.
+
+    Of readings behind the directions K_P alone counts.
+    """
+    n, read = like.D.shape
     w = np.geomspace(0.1 * nutation, min(4.0 * nutation, 0.4 * np.pi / period), 40)
-    target = channel.basis @ frequency_response(like, w, -3) @ channel.basis.T
+    target = channel.basis @ frequency_response(like, w, -3) @ channel.turned(read).T
     s = 2.0 / period * 1j * np.tan(0.5 * w * period)
     F = rolloff**2 / (s**2 + 1.6 * rolloff * s + rolloff**2)
     terms = np.array([F, F / s, F * s]).T
     weight = 1.0 / np.linalg.norm(target, axis=(1, 2))
     left, right = terms * weight[:, None], target.reshape(len(w), -1) * weight[:, None]
-    found = np.linalg.lstsq(np.vstack([left.real, left.imag]), np.vstack([right.real, right.imag]), rcond=None)[0]
-    return np.asarray(found.reshape(3, n, n), dtype=np.float64)
+    left, right = (np.vstack([one.real, one.imag]) for one in (left, right))
+    found = np.linalg.lstsq(left, right, rcond=None)[0].reshape(3, n, read)
+    found[0, :, n:] = np.linalg.lstsq(left[:, :1], right, rcond=None)[0].reshape(n, read)[:, n:]
+    return np.asarray(found, dtype=np.float64)
 
 
-def free_structure(inner: System, channel: Channels, period: float, nutation: float, integral: float) -> Parametrised:
+def free_structure(
+    inner: System, channel: Channels, period: float, nutation: float, integral: float, shown: FloatArray
+) -> Parametrised:
     """Return a controller of fixed order behind a PI, 1 + integral/s, in every channel: so integral action stays.
 
     `inner` is what is behind the PI, sampled, in the channels of the gyros (see `without_integrators`). The unit of
     rates is the nutation frequency; it and `integral` are in rad/s.
     """
-    n, rate = len(channel.basis), nutation
+    n, read, rate = len(channel.basis), len(shown), nutation
     A, B, C, D, _ = inner
     # In (z − 1)/period the search is among the entries of the sampled matrices themselves.
     A, B = (A - np.eye(len(A))) / period, B / period
@@ -256,21 +283,21 @@ def free_structure(inner: System, channel: Channels, period: float, nutation: fl
     entries = (("a", A), ("b", B * scale), ("c", C / scale), ("d", D))
     start = {f"{name}{i + 1}{j + 1}": float(K[i, j]) for name, K in entries for i, j in np.ndindex(*K.shape)}
     # 1 + integral/s by Tustin's rule.
-    gains = {f"kp{k + 1}{k + 1}": 1.0 + 0.5 * integral * period for k in range(n)}
+    gains = {f"kp{k + 1}{k + 1}": 1.0 + 0.5 * integral * period * (k < n) for k in range(read)}
     gains |= {f"ki{k + 1}{k + 1}": integral for k in range(n)}
-    pi = PID(P="diagonal", I="diagonal", D="none", filter_order=0, fixed=gains)
-    blocks = (pi, StateSpaceOrder(states=len(A), start=start))
-    structure = Sampled(inner=Series(blocks=blocks), period=period, basis=channel.basis, forward=True)
-    return Parametrised(structure, n, n, Units(gain=np.full((n, n), unit), rate=rate))
+    pi = PID(P="diagonal", I=np.diag(np.arange(read) < n), D="none", filter_order=0, fixed=gains)
+    series = Series(blocks=(pi, StateSpaceOrder(states=len(A), start=start)))
+    structure = Sampled(inner=series, period=period, basis=channel.basis, read=channel.turned(read), forward=True)
+    return Parametrised(structure, read, n, Units(gain=np.tile(unit / shown, (n, 1)), rate=rate))
 
 
 def without_integrators(controller: System, channel: Channels, integral: float, period: float) -> System | None:
     """Return a controller without its PI, 1 + integral/s, in the channels of the gyros; None if unstable then."""
     from scipy.linalg import schur, solve_sylvester
 
-    basis = channel.basis
-    undone = side_by_side(*[first_order(1.0, 0.0, 1.0, integral, period)] * len(basis))
-    A, B, C, D, _ = undone.series(between(basis.T, controller, basis))
+    basis, read = channel.basis, controller.B.shape[1]
+    undone = [first_order(1.0, 0.0, 1.0, integral, period)] * len(basis) + [gain(1.0)] * (read - len(basis))
+    A, B, C, D, _ = side_by_side(*undone).series(between(channel.turned(read).T, controller, basis))
     triangle, vectors, kept = schur(A, sort=lambda re, im=0.0: bool(abs(complex(re, im) - 1.0) > _INTEGRATOR))
     left, right = triangle[:kept, :kept], triangle[kept:, kept:]
     if kept and np.abs(np.linalg.eigvals(left)).max() >= 1.0:
@@ -288,10 +315,10 @@ def of_order(system: System, order: int, rate: float) -> System:
     """
     less = balanced_truncation(system, order)
     A, B, C, D, period = less
-    missing = order - len(A)
+    missing, (outputs, inputs) = order - len(A), D.shape
     if missing <= 0:
         return less
-    size = len(D)
+    size = max(D.shape)
     own = np.zeros((missing, missing))
     for k in range(0, missing, 2):
         pair = slice(k, min(k + 2, missing))
@@ -302,7 +329,7 @@ def of_order(system: System, order: int, rate: float) -> System:
     unit = float(np.abs(D).max()) or 1.0
     turn_size = float(np.sqrt(np.linalg.norm(C) / np.linalg.norm(B) / unit)) if len(A) else 1.0
     into, out = np.sqrt(rate) / turn_size * 0.3 * np.cos(phase), unit * np.sqrt(rate) * turn_size * 0.02 * np.sin(phase)
-    first = len(A)
+    first, into, out = len(A), into[:, :inputs], out[:, :outputs]
     whole = np.zeros((order, order))
     whole[:first, :first], whole[first:, first:] = A, own
     return System(whole, np.vstack([B, into]), np.hstack([C, out.T]), D, period)
