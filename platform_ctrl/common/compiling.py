@@ -66,7 +66,8 @@ class PartCompiler(Compiler):
 _njit: Any = numba.njit  # its types know nothing of the switches for wrappers
 
 # error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+# No "nrt": no array is made within, and none of those given is counted in and out of every call.
+_OPTIONS: dict[str, Any] = {"_nrt": False, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 # Without wrappers for Python and C, which take as long as a small function.
 _PART = _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
 
@@ -102,7 +103,8 @@ def compiled(function: F) -> F:
 def _stamp(source: Path) -> tuple[float, int]:
     """Newest change and total size of the files beside a source file, and of those that say how it is compiled."""
     own = Path(__file__)
-    files = [file.stat() for file in (own, own.with_name("simd.py"), *sorted(source.parent.glob("*.py")))]
+    shared = [own, own.with_name("simd.py"), own.with_name("references.py")]
+    files = [file.stat() for file in (*shared, *sorted(source.parent.glob("*.py")))]
     return max(file.st_mtime for file in files), sum(file.st_size for file in files)
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from llvmlite import ir
@@ -33,7 +33,7 @@ Mask = Any
 
 
 class _Vector(types.Type):
-    """LANES numbers or the bits of a mask, as LLVM has them."""
+    """LANES numbers, the bits of a mask, or where such numbers begin, as LLVM has them."""
 
     def __init__(self, name: str, vector: Any) -> None:
         super().__init__(name=f"{name}{LANES}")
@@ -48,6 +48,13 @@ class _VectorModel(models.PrimitiveModel):
 
 _VECTOR, _BITS = ir.VectorType(ir.DoubleType(), LANES), ir.VectorType(ir.IntType(1), LANES)
 _lane, _mask = _Vector("Lane", _VECTOR), _Vector("LaneMask", _BITS)
+_slots = _Vector("Slots", ir.DoubleType().as_pointer())
+
+
+class _Typed(AbstractTemplate):
+    """What says the type of a call; what is made for a target is asked before numba's own, of which there are many."""
+
+    metadata: ClassVar[dict[str, str]] = {"target": "cpu"}
 
 
 # Said of functions below, which compiled ones alone call: a wrapper for C takes longer than what is in it.
@@ -81,7 +88,7 @@ def _widened(builder: Any, kind: Any, number: Any) -> Any:
 
 def _binary(name: Any, result: Any, emit: Callable[[Any, Any, Any], Any]) -> None:
     @infer_global(name)
-    class _Typing(AbstractTemplate):
+    class _Typing(_Typed):
         def generic(self, args: Any, kws: Any) -> Any:
             if len(args) == 2 and not kws and _lane in args:
                 given = [types.unliteral(kind) for kind in args]
@@ -126,7 +133,7 @@ def _of_vectors(name: Any, emit: Callable[..., Any], *kinds: Any) -> None:
     """Make an operator of vectors of these kinds, which returns the same kind."""
 
     @infer_global(name)
-    class _Typing(AbstractTemplate):
+    class _Typing(_Typed):
         def generic(self, args: Any, kws: Any) -> Any:
             return signature(kinds[0], *kinds) if tuple(args) == kinds else None
 
@@ -171,46 +178,60 @@ def _columns(lane: Any) -> Any:
     return (lambda lane: (0, LANES)) if isinstance(lane, types.NoneType) else columns
 
 
-def _row(context: Any, builder: Any, kind: Any, array: Any, slot: Any) -> Any:
-    data = context.make_array(kind)(context, builder, array).data
+def slots(memory: FloatArray) -> FloatArray:
+    """Return a memory (slots, LANES) as compiled functions hand it on: by where it begins."""
+    return memory
+
+
+@infer_global(slots)
+class _SlotsOf(_Typed):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(_slots, *args)
+
+
+@lower_builtin(slots, types.Array)
+def _slots_of(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return context.make_array(sig.args[0])(context, builder, args[0]).data
+
+
+def _place(context: Any, builder: Any, kinds: Any, given: Any) -> Any:
+    """Where a slot is: of all columns, or of one."""
+    data, slot, lane = given
+    if kinds[0] != _slots:
+        data = context.make_array(kinds[0])(context, builder, data).data
     first = builder.gep(data, [builder.mul(slot, ir.Constant(slot.type, LANES))])
-    return builder.bitcast(first, _VECTOR.as_pointer())
+    if isinstance(kinds[2], types.NoneType):
+        return builder.bitcast(first, _VECTOR.as_pointer())
+    return builder.gep(first, [lane])
 
 
-@intrinsic
-def _load_row(typing: Any, memory: Any, slot: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(_row(context, builder, sig.args[0], *args), align=8)
-
-    return _lane(memory, slot), generate
-
-
-@intrinsic
-def _store_row(typing: Any, memory: Any, slot: Any, number: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        row = _row(context, builder, sig.args[0], args[0], args[1])
-        builder.store(_widened(builder, sig.args[2], args[2]), row, align=8)
-        return context.get_dummy_value()
-
-    return types.none(memory, slot, number), generate
+@infer_global(load)
+class _Load(_Typed):
+    def generic(self, args: Any, kws: Any) -> Any:
+        memory, slot, lane = (types.unliteral(kind) for kind in args)
+        return signature(_lane if isinstance(lane, types.NoneType) else types.float64, memory, slot, lane)
 
 
-@overload(load, strict=False, jit_options=_INSIDE)
-def _load(memory: Any, slot: Any, lane: Any) -> Any:
-    if isinstance(lane, types.NoneType):
-        return lambda memory, slot, lane: _load_row(memory, slot)
-    return lambda memory, slot, lane: memory[slot, lane]
+@infer_global(store)
+class _Store(_Typed):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(types.none, *(types.unliteral(kind) for kind in args))
 
 
-@overload(store, strict=False, jit_options=_INSIDE)
-def _store(memory: Any, slot: Any, lane: Any, number: Any) -> Any:
-    if isinstance(lane, types.NoneType):
-        return lambda memory, slot, lane, number: _store_row(memory, slot, number)
+@lower_builtin(load, types.Any, types.Integer, types.Any)
+def _load(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.load(_place(context, builder, sig.args, args), align=8)
 
-    def put(memory, slot, lane, number):
-        memory[slot, lane] = number
 
-    return put
+@lower_builtin(store, types.Any, types.Integer, types.Any, types.Any)
+def _store(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    number = args[3]
+    if isinstance(sig.args[2], types.NoneType):
+        number = _widened(builder, sig.args[3], number)
+    else:
+        number = context.cast(builder, number, sig.args[3], types.float64)
+    builder.store(number, _place(context, builder, sig.args, args[:3]), align=8)
+    return context.get_dummy_value()
 
 
 # Elementary functions.
@@ -257,21 +278,28 @@ def mantissa_and_exponent(x: Number) -> tuple[Number, Number]:
     return 2.0 * m, float(e - 1)
 
 
-@intrinsic
-def _choose_lane(typing: Any, mask: Any, a: Any, b: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.select(args[0], _widened(builder, a, args[1]), _widened(builder, b, args[2]))
-
-    return _lane(mask, a, b), generate
+@infer_global(choose)
+class _Choose(_Typed):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(_lane, *(types.unliteral(kind) for kind in args)) if args[0] == _mask else None
 
 
-@intrinsic
-def _anywhere_in_lane(typing: Any, mask: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        bits = builder.bitcast(args[0], ir.IntType(LANES))
-        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+@lower_builtin(choose, _mask, types.Any, types.Any)
+def _choose(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    a, b = (_widened(builder, kind, number) for kind, number in zip(sig.args[1:], args[1:], strict=True))
+    return builder.select(args[0], a, b)
 
-    return types.boolean(mask), generate
+
+@infer_global(anywhere)
+class _Anywhere(_Typed):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(types.boolean, *args) if args[0] == _mask else None
+
+
+@lower_builtin(anywhere, _mask)
+def _anywhere(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    bits = ir.IntType(LANES)
+    return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
 
 
 _WHOLE = ir.VectorType(ir.IntType(64), LANES)
@@ -319,16 +347,6 @@ def _exponent_of_lane(builder: Any, x: Any) -> Any:
 
 
 _root_of_lane, _floor_of_lane = _by_llvm("sqrt"), _by_llvm("floor")
-
-
-@overload(choose, strict=False, jit_options=_INSIDE)
-def _choose(mask: Any, a: Any, b: Any) -> Any:
-    return (lambda mask, a, b: _choose_lane(mask, a, b)) if mask == _mask else choose
-
-
-@overload(anywhere, strict=False, jit_options=_INSIDE)
-def _anywhere(mask: Any) -> Any:
-    return (lambda mask: _anywhere_in_lane(mask)) if mask == _mask else (lambda mask: mask)
 
 
 @overload(root, strict=False, jit_options=_INSIDE)

@@ -7,6 +7,7 @@ import numba
 import numpy as np
 
 from platform_ctrl import Platform
+from platform_ctrl.common.simd import LANES, choose, load, store
 from platform_ctrl.simulation import rollout
 from platform_ctrl.simulation.kernel import arithmetic
 from platform_ctrl.simulation.kernel.devices import philox
@@ -17,19 +18,24 @@ from small_trees import tree
 @numba.njit
 def _each(x, y):
     for i in range(len(x)):
-        y[0, i], y[1, i] = arithmetic.cosine_and_sine(x[i])
-        y[2, i], y[3, i] = arithmetic.exponential(x[i]), arithmetic.hyperbolic_tangent(x[i])
-        y[4, i] = arithmetic.logarithm(abs(x[i]) + 1e-300)
+        a = load(x, i, None)
+        c, s = arithmetic.cosine_and_sine(a)
+        store(y, i, None, c)
+        store(y, len(x) + i, None, s)
+        store(y, 2 * len(x) + i, None, arithmetic.exponential(a))
+        store(y, 3 * len(x) + i, None, arithmetic.hyperbolic_tangent(a))
+        store(y, 4 * len(x) + i, None, arithmetic.logarithm(choose(a < 0.0, -a, a) + 1e-300))
 
 
 def test_elementary_functions_are_those_of_mpmath_in_the_last_places():
     rng = np.random.default_rng(1)
     beside = 0.5 * np.pi * rng.integers(-60000, 60000, 200)
     x = np.concatenate([rng.uniform(-10.0, 10.0, 500), beside, np.nextafter(beside, 0.0), rng.uniform(-700, 700, 500)])
-    found = np.empty((5, len(x)))
-    _each(x, found)
+    x = x[: len(x) // LANES * LANES]
+    found = np.empty((5 * len(x) // LANES, LANES))
+    _each(x.reshape(-1, LANES), found)
     exact = (mpmath.cos, mpmath.sin, mpmath.exp, mpmath.tanh, lambda a: mpmath.log(abs(a) + mpmath.mpf(1e-300)))
-    for row, function in zip(found, exact, strict=True):
+    for row, function in zip(found.reshape(5, -1), exact, strict=True):
         small = np.abs(x) < 700.0 if function is mpmath.exp else np.full(len(x), True)
         with mpmath.workdps(50):
             true = [function(mpmath.mpf(a)) for a in x[small]]

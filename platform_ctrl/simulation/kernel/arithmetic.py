@@ -8,12 +8,15 @@ nested form, long enough for a double.
 from __future__ import annotations
 
 from platform_ctrl.common.compiling import inlined
+from platform_ctrl.common.references import hand_on_by_reference
 from platform_ctrl.common.simd import Number, choose, load, mantissa_and_exponent, power_of_two, store, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Links
 
 Vector = tuple[Number, Number, Number]
+
+hand_on_by_reference(arrays.At, arrays.Layout, arrays.Links, arrays.PlacedLinks, arrays.Shared)
 
 # pi/2 and ln 2 in parts; the first ones have zeros at their ends, so that a multiple of them is exact.
 _HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from platform_ctrl.common.compiling import compiled, inlined, internal
-from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser, load, store
+from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser, load, slots, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine
@@ -207,10 +207,10 @@ def _segment(
         hand_on(shared, mem, lane, at, layout, free)
         if at.course != 0:
             follow_rotors(shared, mem, lane, at, layout, start + (m + 1.0) * step, step)
-        put_torques(shared, mem, lane, at, layout, 0)
-        for row in range(1, 3):
-            work_on(shared, mem, lane, layout, segment)
-            surround(shared, mem, lane, at, layout, free, row, segment, at.yes, start + (m + 0.5 * row) * step)
+        for row in range(3):
+            if row > 0:
+                work_on(shared, mem, lane, layout, segment)
+                surround(shared, mem, lane, at, layout, free, row, segment, at.yes, start + (m + 0.5 * row) * step)
             put_torques(shared, mem, lane, at, layout, row)
         if contact:
             for i in range(at.size):
@@ -347,7 +347,7 @@ def simulate_samples(
     command changes: the first holds the command of `whole` + 1 samples ago, the second that of `whole` samples ago.
     """
     _begin(links, shared, keys, mem, lane, at, layout, free)
-    contact = False
+    contact = at.no  # no literal: see `At`
     for k in range(layout.samples):
         if k > 0:
             contact = _period(links, shared, mem, lane, at, layout, free, k - 1, contact)
@@ -382,7 +382,7 @@ def simulate_groups(
         for i in range(given.shape[1]):
             for j in range(given.shape[2]):
                 mem[at.end + i, j] = given[g, i, j]
-        simulate_samples(links, shared, keys[g], mem, lane, at, layout, free, record)
+        simulate_samples(links, shared, keys[g], slots(mem), lane, at, layout, free, record)
         for i in range(metrics.shape[1]):
             for j in range(metrics.shape[2]):
                 metrics[g, i, j] = mem[layout.metrics + i, j]
