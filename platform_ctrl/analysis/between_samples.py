@@ -303,15 +303,21 @@ class ClosedResponses(_Changed):
 class CombinedResponses(_Changed):
     """Responses of plants of which combinations of the readings are read."""
 
-    sense: FloatArray  # (q, p)
+    sense: FloatArray  # (q, p), or of each plant (N, q, p)
+
+    def only(self, index: NDArray[np.intp]) -> CombinedResponses:
+        """Return the responses of some of the plants."""
+        sense = self.sense[index] if self.sense.ndim > 2 else self.sense
+        return CombinedResponses(plain=self.plain.only(index), sense=sense)
 
     def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
         """Return the responses; see `DisturbanceResponses`."""
         read, seen = self.plain.at(w, of)
-        p = self.sense.shape[1]
-        return ReadAndSeen(
-            self.sense @ read, np.concatenate([self.sense @ seen[..., :p, :], seen[..., p:, :]], axis=-2)
-        )
+        sense, p = self.sense, self.sense.shape[-1]
+        if sense.ndim > 2:
+            sense = sense[:, None] if of is None else sense[of]
+        within = sense[..., None, :, :] @ seen[..., :p, :]
+        return ReadAndSeen(sense @ read, np.concatenate([within, seen[..., p:, :]], axis=-2))
 
 
 def _with_inputs(found: ReadAndSeen, inputs: ComplexArray, m: int, d: int) -> ReadAndSeen:

@@ -196,7 +196,10 @@ def torque_noise(loops: Loop, plants: slice = slice(None)) -> FloatArray:
     """Return the rms of every torque from the noise of the sensors, N m, (k, m); infinite of an unstable loop."""
     m, everything = loops.m, slice(None)
     to_torque = loops.own_arrays.at(plants).part(slice(m), everything)
-    out = _rms(loops, to_torque.part(everything, slice(m, None)), loops.plants.noise)
+    read, turning = to_torque.part(everything, slice(m, None)), loops.plants.turning
+    if turning is not None:
+        read = read._replace(B=read.B @ turning[plants], D=read.D @ turning[plants])
+    out = _rms(loops, read, loops.plants.noise)
     fed = loops.plants.feedforward
     if fed is not None:
         out = np.hypot(out, _rms(loops, fed.noise_of_torques(to_torque), np.ones(len(fed.sensors))))

@@ -64,7 +64,10 @@ class PlantSet:
     # Nutation frequency of the nominal plant, rad/s: its fastest open-loop motion without torquers. Where it hardly
     # moves by itself, the frequency that is used instead.
     nutation: float
-    noise: FloatArray  # (p,): rms of one sample of each pick-off, rad
+    # (p,): rms of one sample of each sensor, rad or rad/s; (N, p, p): what makes the measured outputs of the sensors'
+    # readings, in each plant; None: they are these.
+    noise: FloatArray
+    turning: FloatArray | None = None
     # (p, k): where the readings are while the k that the loop keeps, the first, rest at their commands; the others
     # help. None: it keeps all.
     commanded: FloatArray | None = None
@@ -81,6 +84,7 @@ class PlantSet:
     # held: names of gimbals that other loops turn and that are held here; dry_friction: whether the plant has any.
     held: tuple[str, ...] = ()
     dry_friction: bool = False
+    limited: tuple[str, ...] = ()  # angles, in words, at which the gain of resolved readings is limited: a keyhole
     # Feedforward of the platform's rate in the plants, or None: see `fed_forward`.
     feedforward: RateFeedforward | None = None
 
@@ -146,13 +150,17 @@ class PlantSet:
             disturbed=None,
         )
 
-    @property
-    def noise_input(self) -> FloatArray:
-        """How independent samples of unit rms become the noise of what the controller reads, (p, k).
+    def noise_of(self, sense: FloatArray | None = None) -> FloatArray:
+        """Return the rms of one sample of what is measured, or of combinations (k, p) of it, of the nominal plant."""
+        turned = np.eye(len(self.angles)) if self.turning is None else self.turning[0]
+        return np.asarray(np.sqrt((turned if sense is None else sense @ turned) ** 2 @ self.noise**2))
+
+    def noise_input(self, k: int) -> FloatArray:
+        """Return how independent samples of unit rms become the noise of what the controller reads of plant k, (p, i).
 
         Noise that feedforward filters before it is read is not in it.
         """
-        own, fed = np.diag(self.noise), self.feedforward
+        own, fed = np.diag(self.noise) if self.turning is None else self.turning[k] * self.noise, self.feedforward
         static = fed is not None and fed.into == "reading" and not len(fed.path.A)
         return np.hstack([own, fed.path.D * fed.noise]) if fed is not None and static else own
 
@@ -264,20 +272,35 @@ class PlantSet:
 
     def in_directions(self, sense: FloatArray) -> PlantSet:
         """Return the set with combinations of its measured outputs, the rows of `sense` (k, p), in their place."""
-        from scipy.linalg import block_diag
-
-        seen, k = block_diag(sense, np.eye(len(self.sight)), np.kron(np.eye(len(self.between)), sense)), self.kept
+        found, k = self._combined(sense), self.kept
         commanded = self.commanded if len(sense) > k else None
+        return dataclasses.replace(
+            found,
+            angles=tuple(f"direction_{k + 1}" for k in range(len(sense))),
+            commanded=None if commanded is None else sense @ commanded @ np.linalg.inv(sense[:k, :k]),
+            noise=self.noise if self.turning is not None else self.noise_of(sense),
+            turning=None if self.turning is None else sense @ self.turning,
+            response=sense @ self.response,
+            feedforward=None if self.feedforward is None else self.feedforward.in_directions(sense),
+        )
+
+    def resolved(self, turning: FloatArray, names: Sequence[str]) -> PlantSet:
+        """Return the set that measures `names`, in each plant other combinations (N, p, p) of its measured outputs."""
+        return dataclasses.replace(self._combined(turning), angles=tuple(names), turning=turning)
+
+    def _combined(self, sense: FloatArray) -> PlantSet:
+        """Return the set with combinations of its measured outputs, (k, p), or of each plant (N, k, p)."""
+        *batch, k, p = sense.shape
+        q, times = len(self.sight), len(self.between)
+        seen = np.zeros((*batch, k + q + times * k, p + q + times * p))
+        seen[..., :k, :p], seen[..., k : k + q, p : p + q] = sense, np.eye(q)
+        for i in range(times):
+            seen[..., k + q + i * k : k + q + (i + 1) * k, p + q + i * p : p + q + (i + 1) * p] = sense
         return dataclasses.replace(
             self,
             whole=self.whole._replace(C=seen @ self.whole.C, D=seen @ self.whole.D),
-            angles=tuple(f"direction_{k + 1}" for k in range(len(sense))),
-            commanded=None if commanded is None else sense @ commanded @ np.linalg.inv(sense[:k, :k]),
-            noise=np.sqrt(sense**2 @ self.noise**2),
-            response=sense @ self.response,
             disturbances=CombinedResponses(plain=self.disturbances, sense=sense),
             disturbed=None,
-            feedforward=None if self.feedforward is None else self.feedforward.in_directions(sense),
         )
 
     def of(self, groups: Sequence[str]) -> BoolArray:
@@ -298,6 +321,7 @@ class PlantSet:
             self,
             whole=self.whole.at(index),
             response=self.response[index],
+            turning=None if self.turning is None else self.turning[index],
             labels=tuple(self.labels[k] for k in index),
             groups=tuple(self.groups[k] for k in index),
             disturbances=self.disturbances.only(index),

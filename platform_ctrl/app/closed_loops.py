@@ -29,7 +29,7 @@ from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
-from platform_ctrl.verification.coupled_plant import sensed_rates
+from platform_ctrl.verification.coupled_plant import sensed_rates, with_resolvers
 
 if TYPE_CHECKING:
     import control
@@ -220,7 +220,7 @@ class ClosedLoops:
         """Return the curves of all loops closed around the free platform, and lines about their controllers."""
         job, model = self.job(settings), self.plants.model
         closed = self.closed_designs(settings)
-        controllers = tuple(made.controller for made, _ in closed)
+        controllers = with_resolvers(job, [made.controller for made, _ in closed], job.trims[0])
         plants, shown = self.plants.free(settings.plant, sensed_rates(job, controllers), settings.band)
         check = partial(self.coupled, settings)
         curves = StabilisedCurves(job, settings, model, controllers, plants, shown, check)
@@ -316,7 +316,8 @@ class ClosedLoops:
             channel = self.directions(settings, spec, design)
             sense = np.eye(K.B.shape[1]) if channel.sense is None else channel.sense
             return shaped(K._replace(dt=self.read.period_of(spec)), design.command, channel, sense, commanded)
-        taken = spec.name in self._commanded or bool(self.read.commanded & set(spec.read_by(design).sensors))
+        readings = self.read.readings_of(spec.read_by(design))
+        taken = spec.name in self._commanded or not self.read.commanded.isdisjoint(readings)
         return with_error_alone(K, commanded) if taken else K
 
     def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> System:

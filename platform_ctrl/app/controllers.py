@@ -216,6 +216,6 @@ def existing_designs(path: Path, job: Job) -> list[Design]:
 def loop_names(job: Job, spec: LoopSpec, design: DesignSpec) -> tuple[list[str], list[str]]:
     """Return the names of what a design of a loop reads and sets; a tracking loop sets commands of the loop inside."""
     if spec.around is not None:
-        return list(spec.read_by(design).sensors), list(job.channels_of(spec))
+        return list(job.readings_of(spec.read_by(design))), list(job.channels_of(spec))
     signals = loop_signals(job.platform, spec.read_by(design))
-    return [one.name for one in signals.sensors], [one.name for one in signals.torquers]
+    return list(signals.readings), [one.name for one in signals.torquers]

@@ -99,7 +99,7 @@ class CagedCurves(drawn.LoopCurves):
                          readings=names.angles, torquers=names.torques, channel=channel)  # fmt: skip
         self.loop, self._cached = loop, cached
         self.shown = Loop(loop.shown, loop.controller)
-        sensors = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
+        sensors = self.job.units
         sets = sensors | {torquer.name: torquer.unit for torquer in self.job.platform.torquers}
         torques = {name: sets[name.removesuffix(COMMAND)] for name in self.torquers}
         self.units = sensors | dict.fromkeys(names.sight, "rad/s") | torques
@@ -263,8 +263,7 @@ class StabilisedCurves(drawn.LoopCurves):
         plant = shown.arrays.at(0).part(slice(None), self.used)
         super().__init__(job, settings, plant, controller, shown.sensors, torquers, channel)
         self.plants, self.shown, self._model, self._check = plants, shown, model, check
-        sensors = {sensor.name: sensor.unit for sensor in job.platform.sensors}
-        self.units = dict.fromkeys(ATTITUDE, "rad") | sensors | {one.name: one.unit for one in job.platform.torquers}
+        self.units = dict.fromkeys(ATTITUDE, "rad") | job.units | {one.name: one.unit for one in job.platform.torquers}
         self.limits = {"disk margin": job.coupled.disk_margin}
         nyquist = math.pi / plant.dt
         slowest = float(np.abs(self.poles[np.isfinite(self.poles)]).min(initial=nyquist))

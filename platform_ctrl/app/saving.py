@@ -138,7 +138,7 @@ def write_job(
         "sha256": job_hashes(job),
         "controllers": [
             {"name": one.loop, "design": one.name, "method": one.method}
-            | controller_record(one.controller, job.sampling.delay)
+            | controller_record(one.controller, job)
             | {"options": one.options}
             for one in controllers or ()
         ],

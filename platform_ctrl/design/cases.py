@@ -66,8 +66,7 @@ class Case:
     group: Group  # what it stands for
     platform: Platform
     Omega: FloatArray  # (3,): rad/s
-    # (m,): share of its command that each torquer gives: what a fault leaves, times the secant gain of its drive.
-    torque: FloatArray
+    torque: FloatArray  # (m,): share of its command that each torquer gives, which a fault leaves
     q: FloatArray | None = None  # (n,): rad; None: zero
     rate: float | None = None  # amplitude of the gimbals' rates for dry friction, rad/s; None: without dry friction
     # (m, f): what drives add in proportion to the f readings of gimbal rates from which they feed friction forward,
@@ -97,7 +96,7 @@ def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = (), root
         for one in varied:
             group: Group = "angles" if one.group == "nominal" else "uncertainty"
             label = at_angles(platform, q) if one.group == "nominal" else f"{one.label}, {at_angles(platform, q)}"
-            out.append(replace(one, label=label, group=group, q=q, torque=secant_gains(job, q, torquers)))
+            out.append(replace(one, label=label, group=group, q=q))
     slow, weak = job.faults.slow_rotor, job.faults.weak_torquer
     if slow is not None:
         for name in carried(platform, gimbals):
@@ -155,12 +154,6 @@ def _fed(job: Job, torquers: Sequence[str], sensors: Sequence[str], gain: Callab
             size = gain(FedFriction(friction=law.friction, friction_rate=law.friction_rate))
             out[torquers.index(law.torquer)] = [size * law.weights.get(name, 0.0) for name in sensors]
     return out
-
-
-def secant_gains(job: Job, q: FloatArray, torquers: Sequence[str]) -> FloatArray:
-    """Return the factors of drives on the commands of `torquers` (m,) at gimbal angles (n,), rad."""
-    laws = {law.torquer: law for law in job.drive_laws}
-    return np.array([laws[t].gain(laws[t].angle(job.platform, q)) if t in laws else 1.0 for t in torquers])
 
 
 def at_angles(platform: Platform, q: FloatArray) -> str:

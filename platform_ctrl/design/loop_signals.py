@@ -15,6 +15,7 @@ from platform_ctrl.design.cases import at_angles, rows_of
 from platform_ctrl.errors import ArgumentError, DesignError, InputError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import METHODS
+from platform_ctrl.job.resolve import Resolver, resolver
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.mechanics.outputs import observed, observed_system
@@ -56,6 +57,7 @@ class LoopSignals:
     # Sensors from which drives of its torquers find the rates by which they feed friction forward: of gimbal rates, a
     # feedback, and where dry friction counts of the root.
     fed: tuple[Sensor, ...] = ()
+    resolvers: tuple[Resolver, ...] = ()  # what turns readings to the axes of gimbals
 
     @property
     def order(self) -> int:
@@ -66,6 +68,23 @@ class LoopSignals:
     def orders(self) -> list[int]:
         """The same of every reading."""
         return [1 if sensor.unit == "rad/s" else 2 for sensor in self.sensors]
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        """Names of what controllers read: the sensors, or resolved readings in the place of theirs."""
+        names = [one.name for one in self.sensors]
+        for law in self.resolvers:
+            for sensor, name in zip(law.sensors, law.names, strict=True):
+                names[names.index(sensor)] = name
+        return tuple(names)
+
+    def turning(self, q: FloatArray) -> FloatArray:
+        """Return what makes `readings` of the sensors' readings (p, p) at gimbal angles (n,), rad."""
+        out, names = np.eye(len(self.sensors)), [one.name for one in self.sensors]
+        for law in self.resolvers:
+            at = [names.index(name) for name in law.sensors]
+            out[np.ix_(at, at)] = law.matrix(q)
+        return out
 
 
 def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
@@ -83,6 +102,7 @@ def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
         kept=len(kept),
         held=True,
         free=spec.moves_root(platform),
+        resolvers=(resolver(platform, spec.gimbals, kept, spec.resolve_limit),) if spec.resolve else (),
     )
     return dataclasses.replace(out, sight=_moved_sight(platform, out))
 
@@ -205,6 +225,7 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float, any_s
     """
     rows = rows_of(model, signals.gimbals)
     noise = np.array([sensor.sampled_noise(period) for sensor in signals.sensors])
+    turning = signals.turning(model.q0)
     if not signals.held:
         found = channels(model, rows)
         return dataclasses.replace(found, noise=np.sqrt(found.basis**2 @ noise**2))
@@ -231,7 +252,7 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float, any_s
             f"{', '.join(torquer.name for torquer in signals.torquers)} does{why}; add a sensor, or leave out a torquer"
         )
     carried = [r for r in model.platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
-    helping = len(effect) - k if any_sensors else 0
+    effect, helping = turning @ effect, len(effect) - k if any_sensors else 0
     seen = mobility[:, None] * np.linalg.pinv(effect[:k] if helping else effect)
     sense = block([[seen, 0], [0, np.eye(helping)]]) if helping else seen
     return Channels(
@@ -243,7 +264,7 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float, any_s
         damping=None if signals.free else np.diag(model.damping)[rows][own],
         stiffness=None if signals.free else np.diag(model.stiffness)[rows][own],
         sense=sense,
-        noise=np.sqrt(sense[: len(own)] ** 2 @ noise**2),
+        noise=np.sqrt((sense[: len(own)] @ turning) ** 2 @ noise**2),
     )
 
 
@@ -253,6 +274,7 @@ def following(model: LinearModel, signals: LoopSignals, period: float) -> FloatA
     if k == len(signals.sensors):
         return None
     effect, rest = _effect(*_tied(model, signals), period), np.array(signals.orders) == signals.order
+    effect = signals.turning(model.q0) @ effect
     return np.vstack([np.eye(k), rest[k:, None] * (effect[k:] @ np.linalg.pinv(effect[:k]))])
 
 
@@ -340,15 +362,10 @@ def parallel(what: str, names: Sequence[str], axes: Sequence[FloatArray], do: st
 
 def expect_no_keyhole(job: Job, signals: LoopSignals) -> None:
     """Refuse gimbal angles at which a torquer hardly turns what the sensors read, as at an elevation of 90°."""
-    least = [
-        float(
-            np.linalg.svd(
-                _effect(*_tied(linearise(job.platform, q=q), signals), job.sampling.period)[: signals.kept],
-                compute_uv=False,
-            )[-1]
-        )
-        for q in job.trims
-    ]
+    least = []
+    for q in job.trims:
+        seen = signals.turning(q) @ _effect(*_tied(linearise(job.platform, q=q), signals), job.sampling.period)
+        least.append(float(np.linalg.svd(seen[: signals.kept], compute_uv=False)[-1]))
     for q, one in zip(job.trims[1:], least[1:], strict=True):
         if one < _KEYHOLE * least[0]:
             raise InputError(

@@ -24,6 +24,7 @@ from platform_ctrl.analysis.system import System, seen_states
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import (
     Case,
+    at_angles,
     carried,
     cases,
     friction_rate,
@@ -173,7 +174,7 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         states = [states[k] for k in kept]
         responses = SlowerResponses(plain=responses, every=every)
     nutation = loop_reference(linear, period)
-    return PlantSet(
+    found = PlantSet(
         whole=whole._replace(dt=period),
         labels=tuple(one.label for one in linear.cases),
         torques=torques,
@@ -191,7 +192,14 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         drifting=linear.drifting,
         held=linear.held,
         dry_friction=bool(linear.cases[0].platform.dry_frictions),
-    ).on(tuning_grid(nutation, period))
+    )
+    if signals.resolvers:
+        still = np.zeros(len(job.platform.gimbals))
+        trims = [still if one.q is None else one.q for one in linear.cases]
+        found = found.resolved(np.array([signals.turning(q) for q in trims]), signals.readings)
+        near = [at_angles(job.platform, q) for q in job.trims if any(law.limited(q) for law in signals.resolvers)]
+        found = dataclasses.replace(found, limited=tuple(near))
+    return found.on(tuning_grid(nutation, period))
 
 
 def _held(linear: LinearPlants, sampling: Sampling, lags: FloatArray) -> System:
@@ -239,8 +247,13 @@ def tracking_plants(
     closed, with its commands behind what it measures where it does more with them than to compare.
     """
     by_name = {sensor.name: sensor for sensor in job.platform.sensors}
-    own, sensors = job_signals(job, dataclasses.replace(inner, sensors=inside.angles)), spec.sensors
-    both = dataclasses.replace(own, sensors=(*own.sensors, *(by_name[name] for name in sensors)))
+    read = inner if inner.resolve else dataclasses.replace(inner, sensors=inside.angles)
+    own, sensors, law = job_signals(job, read), spec.sensors, job.resolver(spec)
+    both = dataclasses.replace(
+        own,
+        sensors=(*own.sensors, *(by_name[name] for name in sensors)),
+        resolvers=(*own.resolvers, *(() if law is None else (law,))),
+    )
     plants = sampled_plants(job, both, job.every(inner), dict.fromkeys(sensors, job.every(spec)))
     p, m, kept = len(inside.angles), len(plants.torques), inside.kept
     K, feedforward = controller, inside.feedforward
@@ -268,10 +281,11 @@ def tracking_plants(
         plants,
         whole=outer,
         torques=commands,
-        angles=sensors,
+        angles=plants.angles[p:],
         nutation=nutation,
         commanded=None,
         noise=plants.noise[p:],
+        turning=None if plants.turning is None else plants.turning[:, p:, p:],
         torque_limit=np.full(kept, np.inf),
         states=tuple(f"x{k}" for k in range(outer.A.shape[-1])),
         between=times,
@@ -287,7 +301,7 @@ def tracking_plants(
             f"{', '.join(commands)} does{why}; add a sensor of an angle, or give the axis a rate loop by itself"
         )
     sense = np.linalg.pinv(effect)
-    return found, dataclasses.replace(commanded_channels(kept), sense=sense, noise=np.sqrt(sense**2 @ found.noise**2))
+    return found, dataclasses.replace(commanded_channels(kept), sense=sense, noise=found.noise_of(sense))
 
 
 def commanded_channels(count: int) -> Channels:

@@ -51,6 +51,8 @@ class Export:
         driven = ", ".join(drive.torquer for drive in self.job.drives)
         if driven:
             self.notes.append(f"{target}: without the [[drive]] of {driven}, which is not linear; the C source has it")
+        if turned := ", ".join(name for law in self.job.resolvers for name in law.names):
+            self.notes.append(f"{target}: {turned} are turned readings: by what, is not linear; the C source has it")
         return [*controller_systems(self.job, self.controllers), *model_systems(self.job)]
 
 
@@ -102,7 +104,7 @@ def _write_mat(export: Export, path: Path, target: Path) -> None:
 def _write_models(export: Export, path: Path, target: Path) -> None:
     from platform_ctrl.export.systems import write_entries
 
-    write_entries(export.systems(target), path, export.job.platform)
+    write_entries(export.systems(target), path, export.job.platform, export.job.units)
 
 
 def _write_csv(export: Export, path: Path, target: Path) -> None:

@@ -30,7 +30,7 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.verification.controllers import outcomes_from
 from platform_ctrl.verification.coupled import one_controller
-from platform_ctrl.verification.coupled_plant import coupled_plant
+from platform_ctrl.verification.coupled_plant import coupled_plant, with_resolvers
 
 if TYPE_CHECKING:
     import control
@@ -82,7 +82,7 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
     same of the coupled plant with all loops closed; not where some are computed at rates of their own, so that together
     they are periodic and have no frequency response.
     """
-    units = signal_units(job.platform)
+    units = signal_units(job.platform, job.units)
     outcomes = outcomes_from(_nominal(job), controllers)
     closed = dict(zip((one.spec.name for one in outcomes), controllers, strict=True))
     # Of the loop itself: without feedforward, which is a part of its plants.
@@ -101,6 +101,7 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
         what = f"{job.name}: {name} broken at one torquer, its others closed"
         out += _broken(f"loop {name}", plant, own[name], _frequency(plants.values(), plant.dt), what)
     if len(controllers) > 1 and job.cycle == 1:
+        controllers = with_resolvers(job, controllers, job.trims[0])
         plant = coupled_plant(job, linearise(job.platform), controllers).system
         K = one_controller(job, controllers, plant)
         what = f"{job.name}: broken at one torquer, everything else closed, on the coupled plant"

@@ -40,18 +40,24 @@ class ExportedSystem(NamedTuple):
     note: str = ""
 
 
-def signal_units(platform: Platform) -> dict[str, str]:
-    """Return the units of everything that a plant's signals can be, by name."""
+def signal_units(platform: Platform, readings: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the units of everything that a plant's signals can be, by name, and those of further `readings`."""
+    readings = {sensor.name: sensor.unit for sensor in platform.sensors} | dict(readings or {})
     units = dict.fromkeys(platform.angle_names, "rad")
     units |= dict.fromkeys([*map(gimbal_rate, platform.angle_names), *OMEGA_NAMES], "rad/s")
-    units |= {f"{sensor.name}{COMMAND}": sensor.unit for sensor in platform.sensors}
-    units |= {sensor.name: sensor.unit for sensor in platform.sensors} | dict.fromkeys(FORCE_NAMES, "m/s^2")
+    units |= {f"{name}{COMMAND}": unit for name, unit in readings.items()}
+    units |= readings | dict.fromkeys(FORCE_NAMES, "m/s^2")
     return units | dict.fromkeys(ROOT_TORQUE_NAMES, "N m") | {t.name: t.unit for t in platform.torquers}
 
 
-def write_entries(systems: Sequence[ExportedSystem], path: str | os.PathLike[str], platform: Platform | None) -> Path:
-    """Write systems as JSON; `platform` is whose signals they have, for their units."""
-    units = {} if platform is None else signal_units(platform)
+def write_entries(
+    systems: Sequence[ExportedSystem],
+    path: str | os.PathLike[str],
+    platform: Platform | None,
+    readings: Mapping[str, str] | None = None,
+) -> Path:
+    """Write systems as JSON; `platform` is whose signals they have, for their units, beside those of `readings`."""
+    units = {} if platform is None else signal_units(platform, readings)
     return write_json({"schema": SCHEMA, "systems": [_entry(one, units) for one in systems]}, path)
 
 

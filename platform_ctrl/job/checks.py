@@ -13,7 +13,7 @@ import numpy as np
 from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import budget_misfits, too_large
-from platform_ctrl.job.drive import Drive, Feedforward, angle_sensors, drive_law
+from platform_ctrl.job.drive import Drive, Feedforward, drive_law
 from platform_ctrl.job.faults import FAULT_KINDS, PART_WORDS, Fault, part_names
 from platform_ctrl.job.job import OWN_RATES, Job, LoopSpec
 from platform_ctrl.job.manoeuvre import Manoeuvre
@@ -54,11 +54,16 @@ _LARGEST_COMMAND, _SMALL_COMMAND = {"rad": 2.0 * math.pi, "rad/s": 100.0}, 0.5
 
 def job_mistakes(job: Job) -> list[Mistake]:
     """Return the mistakes of a job over several of its tables."""
-    return [
+    own = [
         *at(("operation",), _operation(job)),
         *at(("sampling",), _delay(job)),
         *at(("loop",), _rates(job)),
         *(mistake for k in range(len(job.loops)) for mistake in at(("loop", k), _loop(job, k))),
+    ]
+    if own and any(loop.resolve for loop in job.loops):
+        return own  # what runs may command depends on what the loops read
+    return [
+        *own,
         *(mistake for k, drive in enumerate(job.drives) for mistake in at(("drive", k), _drive(job, drive))),
         *(mistake for k in range(len(job.manoeuvres)) for mistake in at(("manoeuvre", k), _run(job, k))),
         *(mistake for k, one in enumerate(job.fault_events) for mistake in at(("fault", k), _fault(job, one))),
@@ -151,9 +156,9 @@ def _loop(job: Job, k: int) -> Iterator[Misfit]:
         case "caging":
             yield from _caging(job, k)
         case "rate" | "pointing":
-            yield from _signals(job.platform, loop)
+            yield from _once(_signals(job.platform, loop), _resolved(job, loop))
         case "tracking":
-            yield from _tracking(job, k)
+            yield from _once(_tracking(job, k), _resolved(job, loop))
         case "stabilisation":
             yield from _stabilising(job, k)
     rate = loop.rate_hz or 1.0 / job.sampling.period
@@ -250,6 +255,20 @@ def _signals(platform: Platform, loop: LoopSpec) -> Iterator[Misfit]:
             yield unknown("torquers", name, "torquer on a gimbal of the loop", torquers)
 
 
+def _once(first: Iterator[Misfit], then: Iterator[Misfit]) -> Iterator[Misfit]:
+    """Yield misfits, and those that can be found where there are none."""
+    found = list(first)
+    yield from found or then
+
+
+def _resolved(job: Job, loop: LoopSpec) -> Iterator[Misfit]:
+    """Yield why the readings of a loop cannot be turned to the axes of its gimbals."""
+    try:
+        job.resolver(loop)
+    except ArgumentError as error:
+        yield "resolve", str(error)
+
+
 def _sensors(platform: Platform, kind: str, names: tuple[str, ...]) -> Iterator[Misfit]:
     """Yield sensors that a rate or pointing loop, or one of its designs, cannot read; one of its own unit is needed."""
     fitting, every = _fitting_sensors(platform, kind), [sensor.name for sensor in platform.sensors]
@@ -314,23 +333,10 @@ def _drive(job: Job, drive: Drive) -> Iterator[Misfit]:
         yield unknown("torquer", drive.torquer, "torquer on a gimbal of the plant", gimbals)
         return
     gimbal = platform.gimbal(gimbals[drive.torquer])
-    if drive.secant_of is not None:
-        carried = [name for name, of in angle_sensors(platform).items() if _carries(platform, gimbal, of)]
-        if drive.secant_of not in carried:
-            what = f"sensor of the angle of a gimbal that {platform.gimbal_names[gimbal]!r} carries"
-            yield unknown("secant_of", drive.secant_of, what, carried)
     rates = [sensor.name for sensor in platform.rate_sensors]
     if set(drive.sensors) <= set(rates) and drive.friction:
         yield from _friction(job, gimbal, drive)
     yield from strange("sensors", drive.sensors, "rate sensor of the plant", rates)
-
-
-def _carries(platform: Platform, gimbal: int, other: int) -> bool:
-    """Return whether a gimbal lies between the root and another one."""
-    while (other := int(platform.parents[other])) >= 0:
-        if other == gimbal:
-            return True
-    return False
 
 
 def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[Misfit]:
@@ -359,7 +365,7 @@ def _run(job: Job, k: int) -> Iterator[Misfit]:
         more = f" s; give at most {MOST_SAMPLES * job.sampling.period:.6g} s"
         yield wrong(run, "duration", f"at most {MOST_SAMPLES:.0e} sample periods", more)
     yield from within(("initial",), _initial(run, job.platform))
-    yield from within(("limits",), _run_limits(run, job.platform))
+    yield from within(("limits",), _run_limits(run, job.platform, job.units))
     if run.mode == "caged" and (moving := [one.name for one in job.loops if one.moves_root(job.platform)]):
         words = f'mode = "caged" prescribes the rate of {job.platform.root_name!r}, which loop {moving[0]!r} moves'
         yield "mode", f'{words}; use "stabilised"'
@@ -380,8 +386,7 @@ def _run(job: Job, k: int) -> Iterator[Misfit]:
     yield from strange("faults", run.faults, "[[fault]] of the job", [fault.name for fault in job.fault_events])
 
 
-def _run_limits(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
-    units = {sensor.name: sensor.unit for sensor in platform.sensors}
+def _run_limits(run: Manoeuvre, platform: Platform, units: Mapping[str, str]) -> Iterator[Misfit]:
     commanded = {units.get(command.reading) for command in run.commands}
     for key in run.limits:
         metric = RUN_METRICS[key]
@@ -411,17 +416,18 @@ def _initial(run: Manoeuvre, platform: Platform) -> Iterator[Misfit]:
 
 def _command(job: Job, command: Command) -> Iterator[Misfit]:
     yield from _below_half(command, ["frequency_hz"], 1.0 / job.sampling.period)
-    reading, by_name = command.reading, {sensor.name: sensor for sensor in job.platform.sensors}
-    if reading not in by_name:
-        yield unknown("reading", reading, "sensor of the plant", by_name)
+    reading, units = command.reading, job.units
+    if reading not in units:
+        yield unknown("reading", reading, "sensor of the plant", units)
         return
-    read = [name for loop in job.loops if loop.kind in OWN_RATES for name in loop.kept(job.platform)]
+    read = [name for loop in job.loops if loop.kind in OWN_RATES for name in job.kept_by(loop)]
     if reading not in read:
         use = suggestion(reading, read) if read else "add a rate or pointing loop that reads it"
         why = "read by no rate, pointing or tracking loop, and a caging loop holds its gimbals at zero"
         yield "reading", f"reading: {given(reading)} is {why}; {use}"
-    unit = by_name[reading].unit
-    small = by_name[reading] in job.platform.attitude_sensors
+    unit = units[reading]
+    sensors = [reading, *(name for law in job.resolvers if reading in law.names for name in law.sensors)]
+    small = any(one.name in sensors for one in job.platform.attitude_sensors)
     most = _SMALL_COMMAND if small else _LARGEST_COMMAND[unit]
     for key in ("step", "amplitude", "value"):
         worst = float(np.abs(getattr(command, key)).max(initial=0.0))

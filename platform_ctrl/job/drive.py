@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, get_args
 
@@ -19,8 +18,6 @@ from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.tables import no_misfits, record_value
 
-# The keys that belong together: the first, and what has no effect without it.
-_WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",)}
 # Relative part of a rate that sensors may leave out: rounding.
 _ROUNDING = 1e-9
 
@@ -72,42 +69,31 @@ class Feedforward:
 
 @input_value
 class Drive:
-    """What a torquer does besides what the loops command: torque = gain * command + friction * sat(v / friction_rate).
+    """What a torquer does besides what the loops command: torque = command + friction * sat(v / friction_rate).
 
     Attributes
     ----------
     torquer
         Name of a torquer on a gimbal.
     friction
-        Dry friction that is fed forward, N m; 0: none.
+        Dry friction that is fed forward, N m.
     friction_rate
         Rate v from which on all of it acts, rad/s.
     sensors
         Rate sensors from which the gimbal's rate v follows: on the root, then v is the rate with which the gimbal
         slides while its body is at rest in inertial space, at zero gimbal angles; or of the gimbal against its parent.
-    secant_of
-        Name of a sensor of a gimbal angle q: the gain is 1/cos q; None: 1.
-    secant_limit
-        Largest gain, >= 1, dimensionless.
     """
 
     torquer: fields.Text
     friction: fields.NotNegative = 0.0
     friction_rate: fields.Positive = 0.01
     sensors: fields.Names = ()
-    secant_of: fields.Text | None = None
-    secant_limit: fields.AtLeastOne = 5.0
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        if not _WITH.keys() & table.keys():
-            yield missing("friction", "a drive needs friction with sensors, secant_of, or both")
-            return
-        for key, others in _WITH.items():
-            for other in others:
-                if key not in table and other in table:
-                    yield useless(table, other, f"without {key}; add it, or leave the key out")
-        if table.get("friction") and not table.get("sensors"):
+        if "friction" not in table:
+            yield missing("friction", "a drive feeds it forward")
+        elif table["friction"] and not table.get("sensors"):
             yield missing("sensors", "friction is fed forward by the rate that rate sensors of the base or gimbal show")
 
 
@@ -117,7 +103,7 @@ class DriveLaw(Drive):
 
     Attributes
     ----------
-    torquer, friction, friction_rate, sensors, secant_of, secant_limit
+    torquer, friction, friction_rate, sensors
         As of `Drive`.
     weights
         Of the sensors' readings in v, by their names; dimensionless.
@@ -128,51 +114,6 @@ class DriveLaw(Drive):
     weights: dict[str, float] = dataclasses.field(default_factory=dict)
     feedback: bool = False
     _misfits = staticmethod(no_misfits)  # friction may vary to zero
-
-    def gain(self, angle: float) -> float:
-        """Return the factor on the controllers' command.
-
-        Parameters
-        ----------
-        angle
-            Reading of `secant_of`, rad.
-
-        Returns
-        -------
-        float
-            From 1 to `secant_limit`, dimensionless.
-        """
-        if self.secant_of is None:
-            return 1.0
-        cosine = math.cos(angle)
-        return 1.0 / cosine if cosine * self.secant_limit > 1.0 else self.secant_limit
-
-    def angle(self, platform: Platform, q: FloatArray) -> float:
-        """Return the angle that the gain follows.
-
-        Parameters
-        ----------
-        platform
-            With the sensor `secant_of`.
-        q : (n,)
-            Gimbal angles, rad.
-
-        Returns
-        -------
-        float
-            Without errors of the sensor, rad; 0 without `secant_of`.
-        """
-        if self.secant_of is None:
-            return 0.0
-        return float(q[angle_sensors(platform)[self.secant_of]])
-
-
-def angle_sensors(platform: Platform) -> dict[str, int]:
-    """Return the gimbals, by their numbers, whose angles pick-offs and angle sensors measure, by the sensors' names."""
-    found = {one.name: one.gimbal for one in platform.pickoffs} | {
-        one.name: one.gimbal for one in platform.angle_sensors
-    }
-    return {name: platform.gimbal(gimbal) for name, gimbal in found.items()}
 
 
 def drive_law(platform: Platform, drive: Drive) -> DriveLaw:

@@ -19,6 +19,7 @@ from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.methods import DesignSpec, LoopKind, kind_misfits
 from platform_ctrl.job.requirements import LoopRequirement, limit_misfits, loop_goals, loop_requirements, out_of_reach
+from platform_ctrl.job.resolve import Resolver, resolver
 from platform_ctrl.job.scenario import HalfCosine, Scenario
 from platform_ctrl.job.uncertainty import Faults, Uncertainty
 from platform_ctrl.job.variation import Campaign
@@ -54,11 +55,11 @@ class Sampling:
 OWN_RATES = ("rate", "pointing", "tracking")
 # Keys that have no effect in a loop, by its kind.
 _NO_EFFECT = {
-    "caging": {"sensors", "torquers", "around"},
+    "caging": {"sensors", "torquers", "around", "resolve"},
     "rate": {"around"},
     "pointing": {"around"},
     "tracking": {"gimbals", "torquers"},
-    "stabilisation": {"gimbals", "sensors", "torquers", "around", "soft"},
+    "stabilisation": {"gimbals", "sensors", "torquers", "around", "soft", "resolve"},
 }
 
 
@@ -76,6 +77,11 @@ class LoopSpec:
         That the loop's torquers turn; all others are held in its plants.
     sensors, torquers
         What a rate, pointing or tracking loop reads (see `kept`) and sets; no torquers: the first one on each gimbal.
+    resolve
+        Whether what the loop keeps is turned to the axes of the gimbals, by the angles that sensors of these measure;
+        of a tracking loop to those of the rate loop that it commands. See `platform_ctrl.job.resolve`.
+    resolve_limit
+        Largest gain of that against the angles zero, >= 1, dimensionless.
     around
         The rate loop that a tracking loop commands.
     rate_hz
@@ -98,6 +104,8 @@ class LoopSpec:
     gimbals: fields.Names = ()
     sensors: fields.Names = ()
     torquers: fields.Names = ()
+    resolve: fields.Truth = False
+    resolve_limit: fields.AtLeastOne = 5.0
     around: fields.Text | None = None
     rate_hz: fields.Positive | None = None
     designs: Annotated[tuple[DesignSpec, ...], Array("design", least=1, most=MOST_LOOPS, unique=("name",))]
@@ -120,7 +128,12 @@ class LoopSpec:
         if "rate_hz" in table and kind not in OWN_RATES:
             slower = f"{', '.join(OWN_RATES)} loops alone may be slower than [sampling]"
             yield useless(table, "rate_hz", f"in a {kind} loop; leave it out: {slower}")
+        if "resolve_limit" in table and not table.get("resolve"):
+            yield useless(table, "resolve_limit", "without resolve = true; add it, or leave the key out")
         for k, design in enumerate(designs):
+            if table.get("resolve") and "sensors" in design:
+                words = "a loop with resolve = true turns the readings of its own sensors; leave the key out"
+                yield ("design", k, "sensors"), f"sensors: {words}"
             yield from ((("design", k, key), text) for key, text in kind_misfits(design, kind))
         for key in ("limits", "soft"):
             yield from within((key,), limit_misfits(table.get(key, {})))
@@ -291,19 +304,46 @@ class Job:
         """Return the names of the torquers that a loop sets; of a tracking loop those of the commands that it sets."""
         if spec.kind == "tracking":
             inner = self.loop(str(spec.around))
-            return tuple(f"{name}{COMMAND}" for name in inner.read_by(inner.closed).kept(self.platform))
+            return tuple(f"{name}{COMMAND}" for name in self.kept_by(inner.read_by(inner.closed)))
         if not spec.has_plants:
             return self.platform.root_torquers
         return spec.torquers or tuple(self.platform.torquer_on(name).name for name in spec.gimbals)
 
     def readings_of(self, spec: LoopSpec) -> tuple[str, ...]:
-        """Return the names of the sensors that a loop reads; of a stabilisation loop, which may read all, none."""
+        """Return the names of what a loop reads, perhaps resolved; none of a stabilisation loop, which may read all."""
         if spec.kind == "caging":
             return tuple(self.platform.pickoff_on(name).name for name in spec.gimbals)
-        return spec.sensors
+        return self._turned(spec, spec.sensors)
+
+    def kept_by(self, spec: LoopSpec) -> tuple[str, ...]:
+        """Return the names of the readings that a loop keeps at zero or at commands, perhaps resolved."""
+        return self._turned(spec, spec.kept(self.platform))
+
+    def _turned(self, spec: LoopSpec, sensors: tuple[str, ...]) -> tuple[str, ...]:
+        law = self.resolver(spec)
+        names = {} if law is None else dict(zip(law.sensors, law.names, strict=True))
+        return tuple(names.get(name, name) for name in sensors)
+
+    def resolver(self, spec: LoopSpec) -> Resolver | None:
+        """Return what turns the readings of a loop to the axes of its gimbals, on the nominal plant; None: nothing."""
+        if not spec.resolve:
+            return None
+        inner = self.loop(str(spec.around)) if spec.kind == "tracking" else spec
+        return resolver(self.platform, inner.gimbals, spec.kept(self.platform), spec.resolve_limit)
+
+    @property
+    def resolvers(self) -> tuple[Resolver, ...]:
+        """What turns readings to the axes of gimbals, in the order of the loops that ask for it."""
+        return tuple(law for spec in self.loops if (law := self.resolver(spec)) is not None)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of all that controllers may read, by names: sensors in the plant's order, then resolved readings."""
+        out = {sensor.name: sensor.unit for sensor in self.platform.sensors}
+        return out | {name: out[law.sensors[0]] for law in self.resolvers for name in law.names}
 
     def read_in(self, spec: LoopSpec, design: DesignSpec) -> tuple[str, ...]:
-        """Return the names of the sensors that a design of a loop reads, those of its feedforward too."""
+        """Return the names of what a design of a loop reads, the sensors of its feedforward too."""
         fed = design.feedforward
         return (*self.readings_of(spec.read_by(design)), *(() if fed is None else fed.sensors))
 
@@ -315,7 +355,8 @@ class Job:
         for spec in self.loops:
             if not spec.designs:
                 continue  # a loop of which no more than what it turns is known
-            for name in self.read_in(spec, spec.closed):
+            law = self.resolver(spec)
+            for name in (*self.read_in(spec, spec.closed), *(() if law is None else (*law.sensors, *law.encoders))):
                 out[name] = math.gcd(out.get(name, 0), self.every(spec))
         return out
 
@@ -362,7 +403,7 @@ class Job:
                 period = self.period_of(spec)
                 # Tustin's rule, prewarped at the filter's frequency.
                 tau = 0.5 * period / math.tan(math.pi * shaping.filter_hz * period)
-                out |= dict.fromkeys(spec.read_by(spec.closed).sensors, tau)
+                out |= dict.fromkeys(self.readings_of(spec.read_by(spec.closed)), tau)
         return out
 
     def scenario(self, manoeuvre: Manoeuvre) -> Scenario:
@@ -409,6 +450,7 @@ class Job:
             commands=manoeuvre.commands,
             filters=self.reference_filters,
             drives=self.drive_laws,
+            resolvers=self.resolvers,
             faults=tuple(fault for fault in self.fault_events if fault.name in manoeuvre.faults),
             q=q,
             rate=rate,

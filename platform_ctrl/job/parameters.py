@@ -132,8 +132,7 @@ def _ruled(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> Iterator[_
     yield _one(_SHAKING, fields.NOT_NEGATIVE, "vibrations", factor=True)
     for k, law in enumerate(scenario.drives):
         for key, expected in _numbers(Drive).items():
-            # Of friction where some is fed forward, of the gain where it follows an angle.
-            if law.secant_of is not None if key == "secant_limit" else law.friction:
+            if law.friction:
                 yield _one(f"drive.{law.torquer}.{key}", expected, "drives", k, key)
     for reading in dict.fromkeys(one.reading for of in scenarios for one in of.commands):
         for k in range(max(sum(one.reading == reading for one in of.commands) for of in scenarios)):

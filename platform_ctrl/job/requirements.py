@@ -184,6 +184,8 @@ class LoopRequirement(Requirement):
         if self.metric.of != "controller":
             if plants.held:
                 words.append(f"held: {', '.join(plants.held)}")
+            if plants.limited:
+                words.append(f"keyhole: the gain of resolved readings is limited at {'; '.join(plants.limited)}")
             if self.kind == "stability":
                 words += drifting(free)
             if self.kind == "torque noise" and free:

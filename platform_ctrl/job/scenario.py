@@ -18,6 +18,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.budget import misplaced, too_large
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.resolve import Resolver
 from platform_ctrl.job.spectra import interpolated
 from platform_ctrl.mechanics.forces import specific_force_at, twisted
 from platform_ctrl.plant import fields
@@ -362,6 +363,8 @@ class Scenario:
         the run sends there of ramps, sines and tables is advanced, 2 r(t + τ) − r(t), so that the path is not late.
     drives
         What torquers do besides what the controllers command; one for each torquer at most.
+    resolvers
+        What turns readings to the axes of gimbals: their names are readings as well.
     faults
         What fails. Of several on one part: a weak torquer is weak, then stuck, then dead; a sensor drifts, then loses
         samples, then is stuck, then dead.
@@ -398,6 +401,7 @@ class Scenario:
     commands: tuple[Command, ...] = ()
     filters: dict[str, float] = field(default_factory=dict)
     drives: tuple[DriveLaw, ...] = ()
+    resolvers: tuple[Resolver, ...] = ()
     faults: tuple[Fault, ...] = ()
     q: FloatArray = field(default_factory=lambda: read_only(()))
     rate: FloatArray = field(default_factory=lambda: read_only(()))

@@ -22,8 +22,7 @@ from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
-from platform_ctrl.job.drive import DriveLaw
-from platform_ctrl.job.scenario import Mode, Scenario
+from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.packing import sight_of
@@ -35,7 +34,7 @@ from platform_ctrl.simulation.run_plan import (
     controller_rows,
     prepared_run,
 )
-from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, steps
+from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, reading_units, steps
 
 if TYPE_CHECKING:
     import control
@@ -71,10 +70,10 @@ class BatchResult:
     line_of_sight_mean, line_of_sight_rms : (N, outputs)
         Line of sight: mean, and rms about it, of ``los_rate1``, ``los_rate2``, ``los_roll_rate``, rad/s, and of
         ``los_angle1``, ``los_angle2``, ``los_roll``, rad.
-    angle_following_error : (N, sensors of angles)
+    angle_following_error : (N, readings of angles)
         Largest |reading − command| from `settle` on, without the sensor's bias and scale error, rad; 0 where nothing is
         commanded.
-    rate_following_error : (N, sensors of rates)
+    rate_following_error : (N, readings of rates)
         The same of rates, rad/s.
     requested : (N,)
         Number of samples of a complete run.
@@ -169,17 +168,20 @@ def simulate_batch(
     shape = members[0].skeleton if members else None
     n, nu, sight = (shape.at.n, len(shape.targets), len(shape.sight)) if shape else (0, 0, 0)
     widths = widths_of_metrics(n, nu, sight)
-    rows, sensors = np.empty((len(members), sum(widths))), members[0].scenario.platform.sensors if members else ()
-    errors, names = np.zeros((len(members), len(sensors))), [sensor.name for sensor in sensors]
     # All batches are put together, and with that checked, before the first one is computed.
-    for places, batched in _batches(members, controllers, period, noise):
+    batches = _batches(members, controllers, period, noise)
+    units: dict[str, str] = {}
+    for places, _ in batches:
+        units |= reading_units(members[places[0]].scenario)
+    rows, errors, names = np.empty((len(members), sum(widths))), np.zeros((len(members), len(units))), [*units]
+    for places, batched in batches:
         found = batch_metrics(batched, threads)
         commanded = [names.index(name) for name in commanded_readings(members[places[0]].scenario)]
         rows[places], errors[np.ix_(places, commanded)] = np.split(found, [sum(widths)], axis=1)
     angle, attitude, share, saturated, contacts, samples, rate, settled, mean, squares = np.split(
         rows, np.cumsum(widths[:-1]), axis=1
     )
-    of_rates = np.array([sensor.unit == "rad/s" for sensor in sensors], dtype=np.bool_)
+    of_rates = np.array([unit == "rad/s" for unit in units.values()], dtype=np.bool_)
     rms = np.sqrt(squares / np.maximum(settled, 1.0))
     return BatchResult(
         angle=angle,
@@ -214,11 +216,10 @@ def _batches(
         scenario = own[0].scenario
         commanded = commanded_readings(scenario)
         limited = tuple(torquer.limit is None for torquer in scenario.platform.torquers)
-        kind = scenario.mode, commanded, limited, tuple(tuple(one.weights.items()) for one in scenario.drives)
+        weights = tuple(tuple(one.weights.items()) for one in scenario.drives)
+        kind = scenario.mode, commanded, limited, weights, (*reading_units(scenario),)
         if kind not in modes:
-            modes[kind] = merged_controller(
-                scenario.platform, controllers, period, scenario.mode, commanded, scenario.drives
-            )
+            modes[kind] = merged_controller(scenario, controllers, period)
         return batch(own, modes[kind], period, noise)
 
     return [(places, put_together(places)) for places in groups.values()]
@@ -234,24 +235,18 @@ def _kind(platform: Platform) -> tuple[object, ...]:
     )
 
 
-def merged_controller(
-    platform: Platform,
-    controllers: Sequence[control.StateSpace],
-    period: float,
-    mode: Mode,
-    commanded: Sequence[str],
-    drives: Sequence[DriveLaw],
-) -> ControllerRows:
-    """Return one state space from all sensors, and commands of some readings, to all torquers, in the kernel's form.
+def merged_controller(scenario: Scenario, controllers: Sequence[control.StateSpace], period: float) -> ControllerRows:
+    """Return one state space from all readings, and commands of some, to all torquers, in the kernel's form.
 
     Where Omega is prescribed controllers that act on the root are left out. Behind it are the rates of drives. The last
     inputs are the excesses of the torques over their limits, if there are limits.
     """
-    roots = set(platform.root_torquers)
+    platform = scenario.platform
+    roots = set(platform.root_torquers) if scenario.mode != "stabilised" else set()
     # Anything that is no controller stays: `interconnected_by_sample` refuses it.
-    active = [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
-    sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
-    commands = [f"{name}{COMMAND}" for name in commanded]
+    active = [K for K in controllers if not roots & set(getattr(K, "output_labels", ()))]
+    readings, torquers = [*reading_units(scenario)], [t.name for t in platform.torquers]
+    commands = [f"{name}{COMMAND}" for name in commanded_readings(scenario)]
     taken = {name for system in active for name in system.input_labels}
     useless = [name.removesuffix(COMMAND) for name in commands if name not in taken]
     if useless:
@@ -260,10 +255,10 @@ def merged_controller(
             "whose manoeuvre commands it"
         )
     limited = [t.name for t in platform.torquers if t.limit is not None]
-    by_sample = interconnected_by_sample(active, [*sensors, *commands], torquers, period, limited)
-    rates = np.zeros((len(drives), by_sample[0].B.shape[1]))
-    for row, one in zip(rates, drives, strict=True):
-        row[: len(sensors)] = [one.weights.get(name, 0.0) for name in sensors]
+    by_sample = interconnected_by_sample(active, [*readings, *commands], torquers, period, limited)
+    rates = np.zeros((len(scenario.drives), by_sample[0].B.shape[1]))
+    for row, one in zip(rates, scenario.drives, strict=True):
+        row[: len(readings)] = [one.weights.get(name, 0.0) for name in readings]
     return controller_rows(by_sample, rates)
 
 
@@ -320,7 +315,8 @@ def recorded(
     batched = batch([member], controller, period, noise)
     at, shared = batched.packed.at, batched.shared
     # q, rates, Omega, p, attitude, readings, commands, torques, servo rotors' spins and torques, line of sight.
-    columns = 3 * at.n + 7 + len(shared.sensors) + 2 * len(shared.targets) + 2 * at.servos
+    resolved = batched.layout.readings - batched.layout.sensors
+    columns = 3 * at.n + 7 + len(shared.sensors) + resolved + 2 * len(shared.targets) + 2 * at.servos
     samples = batched.layout.samples
     try:
         record = np.zeros((samples, columns))

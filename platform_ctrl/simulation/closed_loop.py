@@ -14,7 +14,13 @@ from platform_ctrl.simulation.batch import merged_controller, recorded
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.rotor_states import servo_rotors
 from platform_ctrl.simulation.run_plan import prepared_run
-from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, sampled_commands, steps
+from platform_ctrl.simulation.scenarios import (
+    commanded_readings,
+    expect_several,
+    reading_units,
+    sampled_commands,
+    steps,
+)
 
 if TYPE_CHECKING:
     import control
@@ -30,8 +36,9 @@ class Trajectory:
         Sample instants, s.
     q, rate, p : (N, n)
         Gimbal angles, rad; their rates, rad/s; joint momenta ∂T/∂q̇, N m s.
-    reading : (N, sensors)
+    reading : (N, readings)
         What the sensors said, the pick-offs first, rad and rad/s: lag, delay, errors, noise, quantisation included.
+        Behind them are those that are turned to joint axes.
     reading_command : (N, commanded readings)
         What the scenario commands of readings, in their units; what an outer loop commands adds to it.
     command, torque : (N, torquers)
@@ -47,10 +54,12 @@ class Trajectory:
         Line of sight, if the plant has one, without any sensor's errors: ``los_rate1``, ``los_rate2``,
         ``los_roll_rate``, rad/s, and ``los_angle1``, ``los_angle2``, ``los_roll`` since t = 0, rad.
     angle_names, pickoff_names, torquer_names, rotor_names, commanded_names
-        What the columns are, each in the plant's order; `pickoff_names` are those of all sensors, `commanded_names` of
+        What the columns are, each in the plant's order; `pickoff_names` are those of all readings, `commanded_names` of
         those that are commanded.
     commanded_units
         Of these readings, ``"rad"`` or ``"rad/s"``.
+    following_error : (commanded readings,)
+        Largest |reading − command| from the scenario's `settle` on, without bias and scale errors of the sensors.
     saturated : (torquers,)
         Number of samples whose command reached the torquer's limit.
     stop_contacts : (n,)
@@ -81,6 +90,7 @@ class Trajectory:
     rotor_names: tuple[str, ...]
     commanded_names: tuple[str, ...]
     commanded_units: tuple[str, ...]
+    following_error: FloatArray
     saturated: NDArray[np.int64]
     stop_contacts: NDArray[np.int64]
     ended: str
@@ -167,10 +177,11 @@ def simulate(
     period, step = steps(period, step)
     expect_several("controllers", controllers)
     member = prepared_run(scenario, period, step)
-    commanded = commanded_readings(scenario)
-    controller = merged_controller(scenario.platform, controllers, period, scenario.mode, commanded, scenario.drives)
+    commanded, readings = commanded_readings(scenario), reading_units(scenario)
+    controller = merged_controller(scenario, controllers, period)
     record, metrics = recorded(member, controller, period, noise)
     platform = scenario.platform
+    following = metrics[len(metrics) - len(commanded) :]
     widths = widths_of_metrics(len(platform.gimbals), len(platform.torquers), 0)
     saturated, contacts, samples = (
         np.rint(part).astype(np.int64) for part in np.split(metrics, np.cumsum(widths))[3:6]
@@ -179,7 +190,7 @@ def simulate(
     ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
     record = record[:done]
     n, nu, servos = len(platform.gimbals), len(platform.torquers), servo_rotors(platform)
-    widths = (n, n, 3, n, 4, len(platform.sensors), nu, nu, len(servos), len(servos))
+    widths = (n, n, 3, n, 4, len(readings), nu, nu, len(servos), len(servos))
     angle, rate, Omega, momentum, attitude, reading, command, torque, spin, motor, sight = np.split(
         record, np.cumsum(widths), axis=1
     )
@@ -199,11 +210,12 @@ def simulate(
         rotor_torque=motor,
         line_of_sight=sight,
         angle_names=platform.angle_names,
-        pickoff_names=tuple(s.name for s in platform.sensors),
+        pickoff_names=tuple(readings),
         torquer_names=tuple(t.name for t in platform.torquers),
         rotor_names=tuple(r.name for r in servos),
         commanded_names=commanded,
-        commanded_units=tuple(s.unit for s in platform.sensors if s.name in commanded),
+        commanded_units=tuple(readings[name] for name in commanded),
+        following_error=following,
         saturated=saturated,
         stop_contacts=contacts,
         ended=ended,

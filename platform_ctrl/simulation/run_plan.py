@@ -23,7 +23,6 @@ from platform_ctrl.simulation.scenarios import (
     component,
     courses_of,
     distinct_plants,
-    drive_parts,
     expect_scenario,
     part_of,
     put_drives,
@@ -36,6 +35,8 @@ from platform_ctrl.simulation.scenarios import (
     put_stops,
     put_torquers,
     rate,
+    reading_units,
+    resolving,
     rows_of_sensors,
     states,
 )
@@ -145,7 +146,8 @@ def prepared_run(scenario: Scenario, period: float, longest: float) -> PreparedR
         tuple((sine.kind, sine.axis, sine.gimbal) for sine in scenario.sines),
         tuple(dataclasses.astuple(command) for command in scenario.commands),
         tuple(sorted(scenario.filters.items())),
-        tuple((one.torquer, tuple(one.weights.items()), one.secant_of) for one in scenario.drives),
+        tuple((one.torquer, tuple(one.weights.items())) for one in scenario.drives),
+        (resolving(scenario), tuple(name for law in scenario.resolvers for name in law.names)),
     )
     return PreparedRun(scenario, shape, when, faults, key)
 
@@ -236,13 +238,16 @@ def _shared(
     terms = [term for one in sums for term in one]
     ends = np.cumsum([len(one) for one in sums], dtype=np.int64)
     bounds = np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64)
-    readings = [sensor.name for sensor in platform.sensors]
-    parts = [readings.index(name) for name in commanded_readings(scenario)] + drive_parts(scenario)
+    readings, torquers = [*reading_units(scenario)], [torquer.name for torquer in platform.torquers]
+    resolved = resolving(scenario)
+    parts = [readings.index(name) for name in commanded_readings(scenario)]
+    parts += [torquers.index(law.torquer) for law in scenario.drives]
+    parts += resolved.parts
     courses = courses_of(scenario, period * np.arange(one.timing.samples, dtype=np.float64))
     shared = Shared(
         sensors=np.concatenate([bounds, rows_of_sensors(platform, len(bounds), period)], axis=1),
         signals=np.array([signal for signal, _ in terms], dtype=np.int64),
-        weights=np.array([weight for _, weight in terms], dtype=np.float64),
+        weights=np.array([*(weight for _, weight in terms), *resolved.numbers], dtype=np.float64),
         targets=np.array(shape.targets, dtype=np.int64),
         faults=np.array(faults, dtype=np.int64).reshape(-1, 3),
         rotors=np.array(rows, dtype=np.int64).reshape(-1, 2),
@@ -270,6 +275,7 @@ def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: Contro
     at = packed.at
     n, nu, ny, sight = at.n, len(shared.targets), len(one.skeleton.sensors), len(one.skeleton.sight)
     commands, drives = len(commanded_readings(one.scenario)), len(one.scenario.drives)
+    readings, resolvers = len(reading_units(one.scenario)), len(one.scenario.resolvers)
     place = at.end
 
     def take(count: int) -> int:
@@ -288,14 +294,16 @@ def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: Contro
         profile=one.scenario.profile is not None,
         fade=one.scenario.fade > 0.0,
         sensors=ny,
+        readings=readings,
         commands=commands,
         drives=drives,
+        resolvers=resolvers,
         start=take(at.size),
         steady=take(at.block),
         rate=take(arrays.PROFILE),
         segments=take(2),
         settle=take(1),
-        sensor=take((ny + commands + nu) * arrays.SENSOR),
+        sensor=take((readings + commands + nu) * arrays.SENSOR),
         lowpass=take(_filtered(shared) * arrays.LOWPASS),
         torquer=take(nu * arrays.TORQUER),
         drive=take(drives * arrays.DRIVEN),
@@ -308,6 +316,7 @@ def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: Contro
         command=take(nu),
         ring=take((one.timing.whole + 2) * nu),
         late=take(int(shared.sensors[:, arrays.LATE].sum())),
+        turned=take(arrays.TURNED if resolvers else 0),
         velocity=take(2 * n + 3),
         sight=take(sight),
         turns=take(21 * (n + 1)) if one.skeleton.turned else 0,

@@ -99,9 +99,15 @@ def _motion(scenario: Scenario) -> None:
 
 
 def commanded_readings(scenario: Scenario) -> tuple[str, ...]:
-    """Return the names of the sensors whose readings are commanded, in the plant's order."""
+    """Return the names of the readings that are commanded, in the order of `reading_units`."""
     commanded = {command.reading for command in scenario.commands}
-    return tuple(sensor.name for sensor in scenario.platform.sensors if sensor.name in commanded)
+    return tuple(name for name in reading_units(scenario) if name in commanded)
+
+
+def reading_units(scenario: Scenario) -> dict[str, str]:
+    """Return the units of all readings by their names: sensors in the plant's order, then resolved ones."""
+    out = {sensor.name: sensor.unit for sensor in scenario.platform.sensors}
+    return out | {name: out[law.sensors[0]] for law in scenario.resolvers for name in law.names}
 
 
 def sampled_commands(scenario: Scenario, t: FloatArray) -> FloatArray:
@@ -156,26 +162,39 @@ def _path(command: Command, t: FloatArray) -> FloatArray:
 
 
 def _commands(scenario: Scenario) -> None:
-    known = [sensor.name for sensor in scenario.platform.sensors]
+    known = reading_units(scenario)
     for command in scenario.commands:
         if command.reading not in known:
             raise ArgumentError(f"commands: there is no sensor {command.reading!r}, only {', '.join(known) or 'none'}")
 
 
-def drive_parts(scenario: Scenario) -> list[int]:
-    """Return of each drive the torquer, and the sensor of the angle that its gain follows or -1, by their numbers."""
-    platform = scenario.platform
-    sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
-    out = []
-    for law in scenario.drives:
-        out += [torquers.index(law.torquer), -1 if law.secant_of is None else sensors.index(law.secant_of)]
-    return out
+class Resolving(NamedTuple):
+    """What turns readings to joint axes in the kernel's form, see `kernel.arrays.Shared`."""
+
+    parts: tuple[int, ...]
+    numbers: tuple[float, ...]
+
+
+def resolving(scenario: Scenario) -> Resolving:
+    """Return the resolvers of a scenario in the kernel's form."""
+    sensors = [sensor.name for sensor in scenario.platform.sensors]
+    parts, numbers = list[int](), list[float]()
+    for law in scenario.resolvers:
+        parts.append(len(law.names))
+        numbers.append(law.least)
+        for name, (axis, steps) in zip(law.sensors, law.paths, strict=True):
+            parts += [sensors.index(name), len(steps)]
+            numbers += axis.tolist()
+            for own, column, encoder in steps:
+                parts += [column, -1 if encoder < 0 else sensors.index(law.encoders[encoder])]
+                numbers += own.tolist()
+    return Resolving(tuple(parts), tuple(numbers))
 
 
 def put_drives(scenarios: Sequence[Scenario], rows: FloatArray) -> None:
-    """Friction that is fed forward, 1 over the rate from which on it acts, largest gain."""
+    """Friction that is fed forward, and 1 over the rate from which on it acts."""
     if rows.size:
-        rows[:] = [[(one.friction, 1.0 / one.friction_rate, one.secant_limit) for one in s.drives] for s in scenarios]
+        rows[:] = [[(one.friction, 1.0 / one.friction_rate) for one in s.drives] for s in scenarios]
 
 
 def part_of(platform: Platform, fault: Fault) -> int:

@@ -115,7 +115,7 @@ class PreparedBudget:
         else:
             self._balanced, tolerance = like.deciding, _QUICK
         self._prepared = [_prepared(loop, one) for one in self._balanced]
-        self.first, decided = self._found(loop.controller, range(len(self._balanced)), tolerance)
+        self.first, decided = self._found(controllers, range(len(self._balanced)), tolerance)
         self._decided = sorted({0, *decided})
 
     @property
@@ -141,17 +141,17 @@ class PreparedBudget:
         ArgumentError
             The loop is not stable.
         """
-        return self._found(self._loop.controllers_of(controllers), self._decided, _QUICK)[0]
+        return self._found(controllers, self._decided, _QUICK)[0]
 
     def _found(
-        self, controller: MultiRate, places: Sequence[int], tolerance: float
+        self, controllers: Sequence[control.StateSpace], places: Sequence[int], tolerance: float
     ) -> tuple[LineOfSightBudget, list[int]]:
         """Return the budget at the first of some angles, and the place of those at which each limit is worst."""
         found: list[LineOfSightBudget] = []
         for k in places:
             apart, together = self._prepared[k]
             at = self._balanced[k]
-            closed = self._loop.with_drives(controller, at.friction.fed, at.q)
+            closed = self._loop.with_drives(self._loop.controllers_of(controllers, at.q), at.friction.fed)
             # Only the first is shown over frequency.
             of_all = together.of(closed, tolerance, over_frequency=not found)
             alone = of_all if apart is together else apart.of(closed, tolerance, over_frequency=not found)
@@ -238,7 +238,7 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
     first = len(LOS_RATES) + len(loop.job.platform.gimbals)
     # Between what the budget counts and what the loop samples.
     corner = 2.0 * math.pi * math.sqrt(loop.budget.from_hz * 0.5 / loop.job.sampling.period)
-    controller = _with_finders(loop)
+    controller = _with_finders(loop, q)
 
     def found(gains: FloatArray, spectra: bool) -> BudgetResult:
         plant = _balancing_plant(loop, gains, q, corner if spectra else None)
@@ -297,7 +297,7 @@ def _highest(loop: BudgetLoop, balance: FrictionBalance, q: FloatArray) -> float
     In a long cycle each harmonic of the bearing has many images. Beyond the sampler's reach and above all modes inertia
     leaves nothing of them.
     """
-    if loop.controller.cycle == 1:
+    if loop.cycle == 1:
         return math.inf
     plant = loop.damped(balance.viscous, q)
     modes = np.abs(poles(plant.plant.A)).max(initial=0.0)
@@ -312,14 +312,15 @@ def _within(spectrum: Density, highest: float) -> Density:
     return replaced(spectrum, {"knots": np.minimum(ends, [0.5 * highest, highest])})
 
 
-def _with_finders(loop: BudgetLoop) -> MultiRate:
+def _with_finders(loop: BudgetLoop, q: FloatArray) -> MultiRate:
     """Return the loop's controllers with the rates that drives find behind the torques."""
     weights = np.array([loop.weights(law) for law in loop.laws if law is not None]).reshape(-1, len(loop.sensors))
-    A, B, C, D, dt = loop.controller.fast
+    controller = loop.controllers_of(loop.given, q)
+    A, B, C, D, dt = controller.fast
     m = len(loop.torquers)
     C = np.insert(C, m, np.zeros((len(weights), len(A))), axis=0)
-    D = np.insert(D, m, np.pad(weights, ((0, 0), (0, loop.controller.held))), axis=0)
-    return loop.controller._replace(fast=System(A, B, C, D, dt))
+    D = np.insert(D, m, np.pad(weights, ((0, 0), (0, controller.held))), axis=0)
+    return controller._replace(fast=System(A, B, C, D, dt))
 
 
 def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner: float | None) -> HybridPlant:

@@ -22,7 +22,6 @@ from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.cases import secant_gains
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import BudgetSpec, Source
 from platform_ctrl.job.drive import DriveLaw
@@ -32,7 +31,7 @@ from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
 from platform_ctrl.plant.sensors import LOS_RATES
-from platform_ctrl.verification.coupled_plant import moves_freely
+from platform_ctrl.verification.coupled_plant import moves_freely, with_resolvers
 
 if TYPE_CHECKING:
     import control
@@ -46,16 +45,16 @@ class BudgetLoop:
 
     def __init__(self, job: Job, budget: BudgetSpec, controllers: Sequence[control.StateSpace]) -> None:
         self.job, self.budget = job, budget
-        self.free = moves_freely(job, controllers)
+        self.free, self.given = moves_freely(job, controllers), controllers
         self.dry = job.platform.dry_frictions
-        read = {name for one in controllers for name in one.input_labels}
+        read = {name for one in with_resolvers(job, controllers, job.trims[0]) for name in one.input_labels}
         used = {name for one in controllers for name in one.output_labels}
         # An angle that no controller reads may drift.
         self.sensors = [one.name for one in job.platform.sensors if one.name in read]
         self.torquers = [one.name for one in job.platform.torquers if one.name in used]
         self.laws = self._drives()
         self.turning = self._turning()
-        self.controller = self.controllers_of(controllers)
+        self.cycle = self.controllers_of(controllers, job.trims[0]).cycle
         self.inputs: list[str] = []
         columns = [self._input(source) for source in budget.sources]
         for friction in job.platform.frictions:
@@ -68,19 +67,17 @@ class BudgetLoop:
         self.names = [*(one.name for one in budget.sources), *(one.name for one in self.noise)]
         self.kinds = [*(one.kind for one in budget.sources), *("sensor" for _ in self.noise)]
 
-    def controllers_of(self, controllers: Sequence[control.StateSpace]) -> MultiRate:
-        """Return controllers as one, from the loop's sensors to its torquers."""
-        return interconnected_at_rates(controllers, self.sensors, self.torquers, self.job.sampling.period)
+    def controllers_of(self, controllers: Sequence[control.StateSpace], q: FloatArray) -> MultiRate:
+        """Return controllers as one at gimbal angles (n,), from the loop's sensors to its torquers."""
+        turned = with_resolvers(self.job, controllers, q)
+        return interconnected_at_rates(turned, self.sensors, self.torquers, self.job.sampling.period)
 
-    def with_drives(self, controller: MultiRate, fed: FloatArray, q: FloatArray) -> MultiRate:
-        """Return a controller with what drives add in proportion to readings, `fed` (J,), N m s, at angles."""
+    def with_drives(self, controller: MultiRate, fed: FloatArray) -> MultiRate:
+        """Return a controller with what drives add in proportion to readings, `fed` (J,), N m s."""
         D = np.array(controller.fast.D)
-        share = secant_gains(self.job, q, self.torquers)
         for law, gain in zip(self.laws, fed, strict=True):
             if law is not None:
-                # The torquer's column has the secant gain, which is not of what the drive adds.
-                row = self.torquers.index(law.torquer)
-                D[row, : len(self.sensors)] += gain / share[row] * self.weights(law)
+                D[self.torquers.index(law.torquer), : len(self.sensors)] += gain * self.weights(law)
         return controller._replace(fast=controller.fast._replace(D=D))
 
     def weights(self, law: DriveLaw) -> FloatArray:
@@ -144,14 +141,13 @@ class BudgetLoop:
         B, D = np.hstack([B, np.eye(len(A))[:, momenta]]), np.pad(D, ((0, 0), (0, len(momenta))))
         labels = [*shown.input_labels, *map(_torque_on, model.angle_names)]
         columns = [labels.index(name) for name in (*controls, *self.inputs)]
-        gains = np.concatenate([secant_gains(self.job, q, self.torquers), np.ones(len(self.inputs))])
         # The gimbals' rates: the first states are their angles.
         rates = len(model.angle_names)
         C, D = np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])
         period, often = self.job.sampling.period, self.job.often_read
         late = {one.name: one.periods_late(period, often.get(one.name, 1)) for one in platform.sensors}
         return HybridPlant(
-            plant=System(A, gains * B[:, columns], C, gains * D[:, columns]),
+            plant=System(A, B[:, columns], C, D[:, columns]),
             controls=len(controls),
             measured=len(self.sensors),
             period=period,
@@ -159,7 +155,7 @@ class BudgetLoop:
             lag=np.array([torquers[name].lag for name in self.torquers]),
             reading_delay=tuple(late[name] for name in self.sensors),
             integrated=(True,) * len(LOS_RATES) + (False,) * rates,
-            cycle=self.controller.cycle,
+            cycle=self.cycle,
         )
 
     def _input(self, source: Source) -> int:

@@ -26,7 +26,7 @@ from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import given, suggestion
 from platform_ctrl.plant.platform import is_rate
 from platform_ctrl.plant.source import read_json
-from platform_ctrl.verification.result_file import JSONTable
+from platform_ctrl.verification.result_file import JSONTable, resolve_record
 
 if TYPE_CHECKING:
     import control
@@ -66,7 +66,7 @@ def read_controllers(
     entries = list(table.tables(key, "controllers")) if key in table.data or key == "controllers" else []
     if not entries and key == "controllers":
         raise table.mistake(f"{key} must be a list of controllers, got []")
-    known = [s.name for s in job.platform.sensors]
+    known = [*job.units]
     known += [f"{name}{COMMAND}" for name in known]
     made_by: dict[str, str] = {}
     out = []
@@ -143,7 +143,7 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
             raise entry.mistake(f"inputs: {wrong}; {suggestion(one, known)}")
     torquers = [t.name for t in job.platform.torquers]
     rates = [spec.read_by(design) for spec in job.loops if spec.kind == "rate" for design in spec.designs]
-    commands = {f"{name}{COMMAND}" for spec in rates for name in spec.sensors}
+    commands = {f"{name}{COMMAND}" for spec in rates for name in job.readings_of(spec)}
     for one in outputs:
         if one not in torquers and one not in commands:
             raise entry.mistake(f"outputs: {given(one)} is no torquer of the plant; {suggestion(one, torquers)}")
@@ -158,10 +158,19 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
         found = entry.value(key, _SECONDS)
         if not math.isclose(found, expected, rel_tol=1e-9, abs_tol=0.0 if key == "dt" else 1e-9 * period):
             raise entry.mistake(f"{key}: {found:g} s is not {words}, {expected:g} s")
+    _expect_resolved(entry, job, inputs)
     arrays = entry.arrays(len(inputs), len(outputs), period)
     design = entry.data.get("design")
     title = f"{name}, {design}" if isinstance(design, str) and design else name
     return arrays.to_control(inputs, outputs, name=title)
+
+
+def _expect_resolved(entry: JSONTable, job: Job, inputs: Sequence[str]) -> None:
+    """Refuse a controller whose readings were turned to joint axes otherwise than the job's are."""
+    own = next((law for law in job.resolvers if not set(law.names).isdisjoint(inputs)), None)
+    given_law = entry.data.get("resolve")
+    if given_law is not None and given_law != (None if own is None else resolve_record(own)):
+        raise entry.mistake("resolve: the job's loop turns its readings otherwise; design it again, or change the loop")
 
 
 def outcomes_from(

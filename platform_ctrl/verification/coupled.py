@@ -43,6 +43,7 @@ from platform_ctrl.verification.coupled_plant import (
     one_way_plant,
     sensed_rates,
     used_signals,
+    with_resolvers,
 )
 
 if TYPE_CHECKING:
@@ -150,6 +151,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
 
     See docs/reference/job-file.md.
     """
+    made, controllers = controllers, with_resolvers(job, controllers, model.q0)
     plant = coupled_plant(job, model, controllers)
     together = _Together(job, controllers, plant)
     channels, coupled = together.channels, together.loop_margins
@@ -162,7 +164,8 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         of = replaced(job, {"platform": platform})
         for q in job.trims if label else job.trims[1:]:
             at.append("".join(f", {words}" for words in (label, at_angles(platform, q)) if words))
-            trims.append(_Together(of, controllers, coupled_plant(of, linearise(platform, q=q), controllers)))
+            there = with_resolvers(job, made, q)
+            trims.append(_Together(of, there, coupled_plant(of, linearise(platform, q=q), there)))
     margins = [one.simultaneous for one in trims]
     slowest = min(range(len(trims)), key=lambda k: trims[k].decay)
     least = min(range(len(trims)), key=lambda k: margins[k].guaranteed)
@@ -197,8 +200,8 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     results += holding_results(job, channels, ALL_LOOPS)
 
     def weakest(platform: Platform, q: FloatArray) -> tuple[complex, ComplexArray]:
-        changed = replaced(job, {"platform": platform})
-        return _Together(changed, controllers, coupled_plant(changed, linearise(platform, q=q), controllers)).slowest
+        changed, there = replaced(job, {"platform": platform}), with_resolvers(job, made, q)
+        return _Together(changed, there, coupled_plant(changed, linearise(platform, q=q), there)).slowest
 
     results += limit_cycle_results(job, weakest, ALL_LOOPS)
     return CoupledCheck(
@@ -228,6 +231,8 @@ def _conditions(job: Job, together: _Together, growing: str) -> str:
         words.append(f"no loop changes the platform's momentum {', '.join(together.conserved)}: it counts as zero")
     if together.uncontrolled and not growing:
         words.append(f"no loop acts on {', '.join(together.uncontrolled)}, which no loop depends on")
+    if near := [at_angles(job.platform, q) for q in job.trims if any(law.limited(q) for law in job.resolvers)]:
+        words.append(f"keyhole: the gain of resolved readings is limited at {'; '.join(near)}")
     return "".join(f"; {one}" for one in words) + _dry(job)
 
 

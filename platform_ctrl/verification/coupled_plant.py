@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.analysis.system import System, seen_states, state_scaling
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.cases import secant_gains
+from platform_ctrl.design.sections import gain
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.outputs import observed
@@ -65,21 +65,24 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         growth = _growth(whole.A[np.ix_(rest, rest)])
         momenta = {states[k].removeprefix("p_") for k in rest if states[k].startswith("p_")}
         uncontrolled = tuple(g.name for g in platform.gimbals if g.angle in momenta)
-    names = [t.name for t in torquers]
-    gains = secant_gains(job, model.q0, names)
     arrays = System(
-        whole.A[np.ix_(kept, kept)],
-        gains * whole.B[np.ix_(kept, columns)],
-        whole.C[:, kept],
-        gains * whole.D[:, columns],
-        0.0,
+        whole.A[np.ix_(kept, kept)], whole.B[np.ix_(kept, columns)], whole.C[:, kept], whole.D[:, columns], 0.0
     )
-    named = arrays.to_control(names, outputs, [states[k] for k in kept])
+    named = arrays.to_control([t.name for t in torquers], outputs, [states[k] for k in kept])
     at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
     left_out = tuple(
         name for name in model.angle_names if (k := states.index(name)) not in kept and not whole.A[:, k].any()
     )
     return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth, conserved)
+
+
+def with_resolvers(job: Job, controllers: Sequence[control.StateSpace], q: FloatArray) -> list[control.StateSpace]:
+    """Return controllers behind what turns readings to joint axes at gimbal angles (n,), a constant matrix each."""
+    read = {name for K in controllers for name in K.input_labels}
+    laws = [law for law in job.resolvers if not read.isdisjoint(law.names)]
+    period = job.sampling.period
+    static = [gain(law.matrix(q))._replace(dt=period).to_control(law.sensors, law.names) for law in laws]
+    return [*static, *controllers]
 
 
 def _sets(controllers: Sequence[control.StateSpace], torquer: str) -> bool:

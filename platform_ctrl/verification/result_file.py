@@ -24,6 +24,7 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.reading import data_hash, job_hashes
+from platform_ctrl.job.resolve import Resolver
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Unfit, finite_number
 from platform_ctrl.plant.mistakes import given, one_line
@@ -205,11 +206,14 @@ def _content_hash(record: Mapping[str, Any]) -> str:
     return data_hash({**record, "sha256": hashes})
 
 
-def controller_record(K: control.StateSpace, delay: float) -> Record:
-    """Return matrices, signals and times of a controller."""
+def controller_record(K: control.StateSpace, job: Job) -> Record:
+    """Return matrices, signals and times of a controller, and what turns its readings to joint axes."""
     matrices = {name: np.asarray(getattr(K, name), dtype=np.float64) for name in "ABCD"}
-    signals = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
-    return {"dt": float(K.dt), **matrices, **signals, "delay": delay}
+    signals: Record = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
+    for law in job.resolvers:
+        if law.names[0] in K.input_labels:
+            signals["resolve"] = resolve_record(law)
+    return {"dt": float(K.dt), **matrices, **signals, "delay": job.sampling.delay}
 
 
 def _controller(result: JobResult, design: Design) -> Record:
@@ -220,13 +224,18 @@ def _controller(result: JobResult, design: Design) -> Record:
         "name": design.loop,
         "design": design.name,
         "method": design.method,
-        **controller_record(K, result.job.sampling.delay),
+        **controller_record(K, result.job),
         "claims": claims,
         **_proofs(result.proofs.get((design.loop, design.name))),
         "options": design.options,
         "sections": [section.record() for section in design.sections],
         "goals": [_requirement(one) for one in design.goals],
     }
+
+
+def resolve_record(law: Resolver) -> Record:
+    """Return what turns the readings of a controller to joint axes; the rest of it follows from the plant file."""
+    return {name: list(getattr(law, name)) for name in ("sensors", "gimbals", "encoders")} | {"limit": law.limit}
 
 
 def _proofs(proofs: Proofs | None) -> Record:

@@ -169,28 +169,15 @@ def _largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str
     }
     for key in names:
         if RUN_METRICS[key].commanded:
-            found[key] = _following_error(job, trajectory, settled, RUN_METRICS[key].unit)
+            mine = [one == RUN_METRICS[key].unit for one in trajectory.commanded_units]
+            names_of = np.array(trajectory.commanded_names)[mine].tolist()
+            found[key] = _worst(trajectory.following_error[mine], names_of, "nothing commanded")
     if sight.size:
         found["los_angle_rms"] = _worst(sight[3:5], LOS_ANGLES)
         found["los_rate_rms"] = _worst(sight[:2], LOS_RATES)
         attenuation = float(attenuation_db(base, jitter[:2]))
         found["attenuation_db"] = attenuation, _worst(jitter[:2], LOS_RATES)[1] if base.any() else "no base motion"
     return {name: found[name] for name in names}
-
-
-def _following_error(job: Job, trajectory: Trajectory, settled: NDArray[np.bool_], unit: str) -> tuple[float, str]:
-    """Return the largest |reading − command| of the readings in a unit, and the sensor's name.
-
-    Bias and scale error of the sensor are taken out: the loop follows with them what it should follow without.
-    """
-    sensors = {sensor.name: sensor for sensor in job.platform.sensors}
-    behind = [k for k, one in enumerate(trajectory.commanded_units) if one == unit]
-    names = [trajectory.commanded_names[k] for k in behind]
-    columns = [trajectory.pickoff_names.index(name) for name in names]
-    bias = np.array([sensors[name].bias for name in names])
-    scale = np.array([1.0 + sensors[name].scale_error or 1.0 for name in names])
-    error = ((trajectory.reading[:, columns] - bias) / scale - trajectory.reading_command[:, behind])[settled]
-    return _worst(np.abs(error).max(axis=0, initial=0.0), names, "nothing commanded")
 
 
 def _worst(values: FloatArray, names: Sequence[str], without: str = "") -> tuple[float, str]:
@@ -228,7 +215,7 @@ def _filter_words(job: Job, reading: str) -> str:
     """Name the reference filter behind which a commanded reading is."""
     for spec in job.loops:
         shaping = spec.closed.command
-        if shaping is not None and reading in spec.read_by(spec.closed).sensors:
+        if shaping is not None and reading in job.readings_of(spec.read_by(spec.closed)):
             hz = shaping.filter_hz
             return (
                 f"behind the reference filter of {spec.name} (filter_hz = {hz:g}), which smooths steps and corners "
@@ -317,6 +304,7 @@ def simulated_budget(
                 one for source in budget.sources for one in _sines(source, budget, np.random.default_rng([seed, k]))
             ),
             drives=job.drive_laws,
+            resolvers=job.resolvers,
             start="equilibrium",
             seed=seed,
             run=k,

@@ -18,6 +18,7 @@ from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification import budget_result as budgets
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
+from platform_ctrl.verification.coupled_plant import with_resolvers
 from platform_ctrl.verification.proofs import Proofs, coupled_proofs, flint, proofs_of, with_proofs
 from platform_ctrl.verification.simulated import Run, simulate_manoeuvre, simulated_budget
 
@@ -128,7 +129,7 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
         say("proofs in interval arithmetic: stability and disk margins")
         proofs = {(d.loop, d.name): proofs_of(outcome.spec, d) for outcome in loops for d in outcome.designs}
         if coupled is not None:
-            proofs["", ""] = coupled_proofs(coupled, controllers)
+            proofs["", ""] = coupled_proofs(coupled, with_resolvers(job, controllers, job.trims[0]))
     shaken = job.budget.runs if job.budget is not None else None
     if coupled is not None and coupled.stable_at_all_angles and (budgets.budget_requirements(job.budget) or shaken):
         say("budget: every source through the coupled sampled model")

@@ -1,53 +1,21 @@
-"""Drives in linear plants: a secant gain undoes the cosine of an elevation, friction that is fed back is a slope."""
+"""Drives in linear plants: friction that is fed back is a slope."""
 
 from __future__ import annotations
 
-import control
 import numpy as np
 import pytest
 
-from driven_gimbal import COULOMB, FRICTION, INERTIA, RATE_HZ, SECANT, VISCOUS, driven_job
+from driven_gimbal import COULOMB, FRICTION, INERTIA, RATE_HZ, VISCOUS, driven_job
 from platform_ctrl import read_job
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design import loops
 from platform_ctrl.design.plants import plants_of
-from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import simulate
-from platform_ctrl.verification.coupled_plant import coupled_plant
 
 ANGLES = {"Omega": [0.1, 0.1, 0.1], "angles": {"pitch": [-0.5, 1.0, 1.4]}}
 TACHO = FRICTION | {"sensors": ["tacho"], "friction_rate": 0.1}
-
-
-def test_a_loop_at_any_elevation_is_that_at_zero_where_the_inner_inertia_is_a_sphere() -> None:
-    plants = plants_of(read := read_job(driven_job(SECANT, operation=ANGLES)), read.loops[0])
-    labels = ("nominal", "pitch = -0.5 rad", "pitch = 1 rad", "pitch = 1.4 rad")
-    zero, low, high, beyond = (plants.response[plants.labels.index(label)] for label in labels)
-    for one in (low, high):
-        np.testing.assert_allclose(one, zero, rtol=0.0, atol=1e-12 * np.abs(zero).max())
-    # Beyond the limit of 5 only a part of the cosine is undone.
-    np.testing.assert_allclose(beyond[:, 0, 0], 5.0 * np.cos(1.4) * zero[:, 0, 0], rtol=1e-9)
-    without = plants_of(read := read_job(driven_job(operation=ANGLES)), read.loops[0])
-    np.testing.assert_allclose(
-        without.response[without.labels.index("pitch = 1 rad")][:, 0, 0], np.cos(1.0) * zero[:, 0, 0], rtol=1e-9
-    )
-
-
-def test_the_coupled_check_has_the_secant_gain() -> None:
-    job = read_job(driven_job(SECANT, operation=ANGLES))
-    K = control.ss(
-        [], [], [], -np.eye(2), 1.0 / RATE_HZ, inputs=["gyro", "pitch_gyro"], outputs=["Qouter", "Qinner"], name="K"
-    )
-    w = np.array([1.0, 30.0, 300.0])
-    zero, moved = (
-        frequency_response(
-            System.of(coupled_plant(job, linearise(job.platform, q=np.array([0.0, q])), [K]).system, ""), w, -3
-        )
-        for q in (0.0, 1.0)
-    )
-    np.testing.assert_allclose(moved, zero, rtol=0.0, atol=1e-9 * np.abs(zero).max())
 
 
 def test_friction_that_is_fed_back_is_a_slope_of_further_plants() -> None:

@@ -1,4 +1,4 @@
-"""Drives of torquers in the generated code: what is simulated is what is delivered."""
+"""Drives of torquers and turned readings in the generated code: what is simulated is what is delivered."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import control
 import numpy as np
 import pytest
 
-from driven_gimbal import FRICTION, RATE_HZ, SECANT, driven_job
+from driven_gimbal import FRICTION, RATE_HZ, resolved_job
 from generated_c import Machine, compiled
 from platform_ctrl import read_job
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_c
 from platform_ctrl.simulation import simulate
 
-BOTH = FRICTION | SECANT | {"sensors": ["base_pitch", "base_oblique"], "friction": 0.027}
+BOTH = FRICTION | {"sensors": ["base_pitch", "base_oblique"], "friction": 0.027}
 
 
 def controller() -> control.StateSpace:
@@ -28,7 +28,7 @@ def controller() -> control.StateSpace:
         [[-0.3, -0.2], [-0.1, 0.0]],
         -np.diag([0.7, 0.5]),
         1.0 / RATE_HZ,
-        inputs=["gyro", "pitch_gyro"],
+        inputs=["yaw_resolved_rate", "pitch_resolved_rate"],
         outputs=["Qouter", "Qinner"],
         name="loop",
     )
@@ -40,13 +40,13 @@ def written(job: Any, folder: Path, **more: Any) -> Any:
 
 def machine(folder: Path, number: type) -> Machine:
     library = compiled(sorted(folder.iterdir()), folder / "all.so")
-    inputs = ["gyro", "pitch_gyro", "pitch", "base_oblique", "base_pitch"]
+    inputs = ["pitch", "gyro", "pitch_gyro", "base_oblique", "base_pitch"]
     return Machine(library, "driven", inputs, ["Qouter", "Qinner"], number, ["loop_status"])
 
 
 @pytest.fixture(scope="module")
 def job() -> Any:
-    return read_job(driven_job(BOTH))
+    return read_job(resolved_job(BOTH))
 
 
 def test_torques_are_the_simulated_commands(job: Any, tmp_path: Path) -> None:
@@ -56,16 +56,20 @@ def test_torques_are_the_simulated_commands(job: Any, tmp_path: Path) -> None:
     scenario = dataclasses.replace(job.scenario(job.manoeuvres[0]), q=np.array([0.0, 0.8]))
     run = simulate(scenario, [controller()], period=1.0 / RATE_HZ)
     column = {sensor.name: k for k, sensor in enumerate(job.platform.sensors)}
-    names = ["gyro", "pitch_gyro", "pitch", "base_oblique", "base_pitch"]
+    names = ["pitch", "gyro", "pitch_gyro", "base_oblique", "base_pitch"]
     torques, statuses = code.run(run.reading[:, [column[name] for name in names]])
-    np.testing.assert_allclose(torques, run.command, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(torques, run.command, rtol=1e-13, atol=1e-15)
     assert set(statuses) == {0}
 
 
 def test_a_reading_that_is_not_finite_leaves_the_command_as_it_is(job: Any, tmp_path: Path) -> None:
     written(job, tmp_path)
     code = machine(tmp_path, ctypes.c_double)
-    (plain, _), status = code.step([0.1, 0.0, np.nan, 0.2, 0.0])
+    (plain, _), status = code.step([0.0, 0.1, 0.0, np.nan, 0.0])
+    assert plain == pytest.approx(-0.07, rel=1e-12)
+    assert status == 2
+    # Of an encoder: nothing is known of the readings, and the last outputs go out again.
+    (plain, _), status = code.step([np.nan, 0.2, 0.0, 0.0, 0.0])
     assert plain == pytest.approx(-0.07, rel=1e-12)
     assert status == 2
 
@@ -73,7 +77,7 @@ def test_a_reading_that_is_not_finite_leaves_the_command_as_it_is(job: Any, tmp_
 def test_single_precision_is_the_same_to_its_digits(job: Any, tmp_path: Path) -> None:
     written(job, tmp_path, number="float")
     code = machine(tmp_path, ctypes.c_float)
-    (torque, _), status = code.step([0.1, 0.0, 0.8, 0.004, 0.0])
+    (torque, _), status = code.step([0.8, 0.1, 0.0, 0.004, 0.0])
     rate = -1.25 * 0.004
     assert torque == pytest.approx(-0.07 / np.cos(0.8) + 0.027 * rate / 0.01, rel=1e-6)
     assert status == 0

@@ -1,4 +1,4 @@
-"""Feedforward of dry friction and gain over gimbal angles in simulated runs."""
+"""Feedforward of dry friction in simulated runs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import control
 import numpy as np
 import pytest
 
-from driven_gimbal import COULOMB, COULOMB_RATE, FRICTION, INERTIA, RATE_HZ, SECANT, VISCOUS, driven_job
+from driven_gimbal import COULOMB, COULOMB_RATE, FRICTION, INERTIA, RATE_HZ, VISCOUS, driven_job
 from platform_ctrl import read_job
 from platform_ctrl.simulation import Scenario, simulate, simulate_batch
 
@@ -59,19 +59,9 @@ def test_an_inertia_with_fed_forward_friction_moves_as_by_hand(drive: dict[str, 
     np.testing.assert_allclose(body, expected, rtol=0.0, atol=2e-5 * np.abs(expected).max())
 
 
-def test_the_gain_is_the_secant_of_the_reading_up_to_its_limit() -> None:
-    law = scenario_of(SECANT).drives[0]
-    for angle in (-0.5, 0.0, 1.0, 1.3694, 1.5, 2.0):
-        scenario = dataclasses.replace(scenario_of(SECANT), q=np.array([0.0, angle]), duration=0.05)
-        run = simulate(scenario, [damping(0.3)], period=PERIOD, noise=False)
-        gains = np.array([law.gain(float(q)) for q in run.reading[:, 1]])
-        np.testing.assert_allclose(run.command[:, 0], gains * (-0.3 * run.reading[:, 2]), rtol=1e-14, atol=0.0)
-    assert law.gain(1.5) == law.gain(2.0) == law.secant_limit == 5.0
-
-
 def test_many_runs_are_those_of_one() -> None:
-    one = scenario_of({**FRICTION, **SECANT})
-    most = dataclasses.replace(one.drives[0], friction=0.01, friction_rate=0.05, secant_limit=1.1)
+    one = scenario_of(FRICTION)
+    most = dataclasses.replace(one.drives[0], friction=0.01, friction_rate=0.05)
     q = np.array([0.0, 0.6])
     scenarios = [dataclasses.replace(one, q=q, drives=drives) for drives in (one.drives, (most,), ())]
     closed = [damping(0.5)]
@@ -79,12 +69,3 @@ def test_many_runs_are_those_of_one() -> None:
     both = simulate_batch(scenarios, closed, period=PERIOD)
     np.testing.assert_array_equal(both.gimbal_rate, [np.abs(run.rate).max(axis=0) for run in alone])
     assert len(np.unique(both.gimbal_rate[:, 0])) == 3
-
-
-def test_the_equilibrium_is_no_command_that_the_gain_multiplies() -> None:
-    job = driven_job(SECANT)
-    job["plant"]["spring"] = [{"gimbal": "outer", "stiffness": 0.1, "rest": 0.5}]
-    job["manoeuvre"][0] |= {"start": "equilibrium", "sine": [], "initial": {"pitch": 1.0, "yaw": 0.2}}
-    read = read_job(job)
-    run = simulate(read.scenario(read.manoeuvres[0]), [damping(0.5)], period=PERIOD)
-    assert np.abs(run.rate).max() < 1e-12

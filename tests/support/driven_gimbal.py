@@ -7,7 +7,6 @@ from typing import Any
 
 INERTIA, COULOMB, COULOMB_RATE, VISCOUS, RATE_HZ = 0.02, 0.02, 0.01, 0.003, 1000.0
 FRICTION = {"torquer": "Qouter", "friction": COULOMB, "friction_rate": 0.01, "sensors": ["base_yaw"]}
-SECANT = {"torquer": "Qouter", "secant_of": "pitch"}
 _SPHERE = [INERTIA, INERTIA, INERTIA]
 _PLANT: dict[str, Any] = {
     "schema": 1,
@@ -54,6 +53,13 @@ _JOB: dict[str, Any] = {
         }
     ],
 }
+
+
+def resolved_job(*drives: dict[str, Any], **changed: Any) -> dict[str, Any]:
+    """Return the same with readings that are turned to the axes of the gimbals."""
+    data = driven_job(*drives, **changed)
+    data["loop"][0]["resolve"] = True
+    return data
 
 
 def driven_job(*drives: dict[str, Any], **changed: Any) -> dict[str, Any]:

@@ -205,6 +205,7 @@ def simulated(of: Any, rows: np.ndarray, closed: list[control.StateSpace] | None
         delay=of.sampling.delay,
         Omega_table=table,
         drives=of.drive_laws,
+        resolvers=of.resolvers,
     )
     found = simulate(run, closed or controllers(), period=period, step=1e-4, noise=False)
     return float(found.line_of_sight[found.t > 3.0 - 1e-9][: round(2.0 / period), 3].std())

@@ -348,7 +348,7 @@ class LoopGradients:
         # The noise enters with the measurement: ȳ = R x + F n, u = M_u ȳ.
         F, M_u, shown = before[:, n_K:], self.M[n_K:], after[n_K:]
         B, C, D = L @ self.M[:, n_K:], M_u @ R, M_u @ F
-        into = self.plants.noise_input
+        into = self.plants.noise_input(plant)
         variance = into @ into.T
         X = stationary_covariance(A, B @ into)
         adjoint = stationary_covariance(A.T, C[:, :, None])

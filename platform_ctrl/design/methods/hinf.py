@@ -130,7 +130,7 @@ def mixed_sensitivity(
 def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:
     """Return the weighted w-plane plant of the nominal loop for complete `options`."""
     unit, size = torque_units(channel, plants.nutation), len(channel.basis)
-    flat = to_w_plane(between(channel.basis.T * unit, plants.of_torques(), channel.turned(len(plants.noise))))
+    flat = to_w_plane(between(channel.basis.T * unit, plants.of_torques(), channel.turned(len(plants.angles))))
     gain, rate, disturbance, torque = by_direction(options, channel)
     disturbed = between(np.diag(disturbance), flat, np.eye(len(flat.C)))
     constant = options["complementary"] * np.eye(size), np.diag(torque)

@@ -137,7 +137,7 @@ def _synthesis(
     into = channel.basis.T * unit
     B, D = np.hstack([B @ into, plants.B_Omega[0, : len(A)]]), np.hstack([D @ into, plants.D_Omega[0]])
     flat = to_w_plane(System(A, B, channel.basis @ C, channel.basis @ D, period))
-    noise = channel.basis.T * unit * np.sqrt(np.mean(plants.noise**2) * plants.period)
+    noise = channel.basis.T * unit * np.sqrt(np.mean(plants.noise_of() ** 2) * plants.period)
     if not noise.any():
         raise DesignError(
             "the least torque noise is asked for, but no sensor of the loop has noise: give noise_rms of its"

@@ -197,8 +197,8 @@ def quadratic_problem(options: dict[str, float], channel: Channels, plants: Plan
         both = [options.get(name, 0.0), options.get(f"{name}2", 0.0)]
         return np.array(both * pairs + [options.get(f"inertial_{name}", 0.0)] * channel.inertial)
 
-    basis, torque = channel.turned(len(plants.noise)), by_channel("largest_torque")
-    noise = np.sqrt(basis**2 @ plants.noise**2)
+    basis, torque = channel.turned(len(plants.angles)), by_channel("largest_torque")
+    noise = plants.noise_of(basis)
     error = options["largest_error"] * channel.shown(plants)
     A, B, C, D, _ = between(channel.basis.T * torque, plants.of_torques(), basis / error[:, None])
     from_rate = plants.B_Omega[0][: len(A)]

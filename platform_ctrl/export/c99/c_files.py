@@ -24,6 +24,7 @@ from platform_ctrl.export.c99.code import Code, Number, WrittenController, contr
 from platform_ctrl.export.systems import signal_units
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.resolve import Resolver
 
 if TYPE_CHECKING:
     import control
@@ -88,7 +89,7 @@ def write_c(
     one_of("number", number, ("double", "float"))
     controllers = controllers_of(job, entries)
     named = [name for one in controllers for name in (*one.inputs, *one.outputs)]
-    signals = field_names([*named, *drive_inputs(job, named)])
+    signals = field_names([*named, *other_inputs(job, named)])
     prefixes = Identifiers(24, FILES)
     units, notes = [], []
     origin = {"Controllers": f"sha256 {sha256}" if sha256 else ""}
@@ -105,7 +106,7 @@ def write_c(
                 number=number,
                 prefix=prefixes.new(one.name).lower(),
                 signals=signals,
-                units=signal_units(job.platform),
+                units=signal_units(job.platform, job.units),
                 remarks=tuple(text for text in (about_windup, remark) if text),
                 origin=about | origin,
             )
@@ -116,6 +117,8 @@ def write_c(
     texts |= job_files(job, prefix, units)
     if job.drives:
         notes.append(f"{prefix}.h: what the drives do is in {prefix}_step, not in the steps of single controllers")
+    if job.resolvers:
+        notes.append(f"{prefix}.h: readings are turned in {prefix}_step; single controllers take them turned")
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
@@ -191,26 +194,31 @@ def job_files(job: Job, prefix: str, units: Sequence[Code]) -> dict[str, str]:
         unit.prefix: f"out_{k}" if every[unit.prefix] == 1 else f"state->{unit.prefix}_last"
         for k, unit in enumerate(units, 1)
     }
+    laws = job.resolvers
+    resolved = {name: f"resolved_{k}[{i}]" for k, law in enumerate(laws, 1) for i, name in enumerate(law.names)}
     for unit in units:
         for name in unit.controller.inputs:
-            if name not in made:
+            if name in resolved:
+                made[name] = resolved[name]
+            elif name not in made:
                 readers[name], made[name] = unit, f"in->{unit.signals[name]}"
         taken = [(unit.signals[name], made[name]) for name in unit.controller.inputs]
         given = {name: f"{results[unit.prefix]}.{unit.signals[name]}" for name in unit.controller.outputs}
         made |= {name: f"{result}_commanded" for name, result in given.items()}
         driven = {law.torquer for law in job.drive_laws}
         shown = [(unit.signals[name], result) for name, result in given.items() if name not in driven]
-        steps.append((unit.prefix, taken, shown, every[unit.prefix], results[unit.prefix]))
+        turned = [k for k, law in enumerate(laws, 1) if set(law.names) & set(unit.controller.inputs)]
+        steps.append((unit.prefix, taken, shown, every[unit.prefix], results[unit.prefix], turned))
     held = [one for one, n in every.items() if n > 1]
     cycle = math.lcm(*every.values())
     states = [f"    {one}_state {one};" for one in every]
     states += [f"    {one}_out {one}_last; /* held */\n    unsigned int {one}_status;" for one in held]
     states += [f"    unsigned int {prefix}_sample; /* 0 to {cycle - 1} */"] if held else []
     outputs = [unit.output_field(name) for unit in units for name in unit.controller.outputs]
-    number, signals, what = units[0].number, units[0].signals, signal_units(job.platform)
+    number, signals, what = units[0].number, units[0].signals, units[0].units
     inputs = [unit.input_field(name) for name, unit in readers.items()]
-    inputs += [field(number, signals[name], what[name]) for name in drive_inputs(job, list(made))]
-    laws = sorted(job.drive_laws, key=lambda law: [t.name for t in job.platform.torquers].index(law.torquer))
+    inputs += [field(number, signals[name], what[name]) for name in other_inputs(job, list(made))]
+    drives = sorted(job.drive_laws, key=lambda law: [t.name for t in job.platform.torquers].index(law.torquer))
     words = {
         "p": prefix,
         "units": units,
@@ -220,9 +228,9 @@ def job_files(job: Job, prefix: str, units: Sequence[Code]) -> dict[str, str]:
         "period": job.sampling.period,
         "origin": units[0].origin,
         "operations": np.sum([unit.operations for unit in units], axis=0),
-        "drives": [_drive(job, prefix, law, units, results) for law in laws],
+        "drives": [_drive(job, prefix, law, units, results) for law in drives],
         "number": number,
-        "cosine": "cos" if number == "double" else "cosf",
+        "resolvers": [_resolver(law, signals, number) for law in laws],
         "largest": "DBL_MAX" if number == "double" else "FLT_MAX",
         "unity": literal(1.0, number),
         "steps": steps,
@@ -235,10 +243,56 @@ def job_files(job: Job, prefix: str, units: Sequence[Code]) -> dict[str, str]:
     return {f"{prefix}.{end}": rendered(f"job.{end}.j2", **words) for end in "hc"}
 
 
-def drive_inputs(job: Job, named: Sequence[str]) -> list[str]:
-    """Return the sensors that the drives of a job read beside what is `named`, in the plant's order."""
-    used = {name for law in job.drive_laws for name in (*law.weights, law.secant_of)} - set(named)
-    return [sensor.name for sensor in job.platform.sensors if sensor.name in used]
+def other_inputs(job: Job, named: Sequence[str]) -> list[str]:
+    """Return the sensors that drives and resolvers of a job read beside what is `named`, in the plant's order."""
+    used = {name for law in job.drive_laws for name in law.weights}
+    used |= {name for law in job.resolvers for name in (*law.sensors, *law.encoders)}
+    return [sensor.name for sensor in job.platform.sensors if sensor.name in used - set(named)]
+
+
+def _resolver(law: Resolver, signals: Mapping[str, str], number: Number) -> dict[str, Any]:
+    """Return the statements that turn readings, and what they do in words, for the template."""
+    import sympy
+    from sympy.codegen.ast import float32, real
+    from sympy.codegen.rewriting import create_expand_pow_optimization
+
+    size, names = len(law.names), range(1, len(law.encoders) + 1)
+    products, types = create_expand_pow_optimization(2), {} if number == "double" else {real: float32}
+    lines: list[str] = []
+
+    def put(name: str, expression: Any) -> Any:
+        """Add a statement unless it is a number, which is returned then, whole numbers as such."""
+        plain = sympy.sympify(expression).replace(
+            lambda x: x.is_Float and float(x).is_integer(), lambda x: sympy.Integer(int(x))
+        )
+        if plain.is_Number:
+            return plain
+        lines.append(f"const {number} {name} = {sympy.ccode(products(plain), type_aliases=types)};")
+        return sympy.Symbol(name)
+
+    parts = [sympy.symbols([f"{what}_{k}" for k in names]) for what in ("cosine", "sine")]
+    turned = sympy.Matrix(law.jacobian(*parts)).applyfunc(sympy.expand)
+    for function, own in zip(("cos", "sin"), parts, strict=True):
+        for part, name in zip(own, law.encoders, strict=True):
+            if turned.has(part):
+                end = "" if number == "double" else "f"
+                lines.append(f"const {number} {part} = {function}{end}(in->{signals[name]});")
+    J = sympy.Matrix(size, size, lambda i, k: put(f"j_{i + 1}{k + 1}", turned[i, k]))
+    det = put("det", J.det())
+    room = put("room", law.least**2 - det**2)
+    zero = literal(0.0, number)
+    lines.append(f"const {number} damping = ({room} > {zero}) ? {room} : {zero};")
+    G = J.T * J + sympy.Symbol("damping") * sympy.eye(size)
+    upper = {(i, k): put(f"g_{i + 1}{k + 1}", G[i, k]) for k in range(size) for i in range(k + 1)}
+    G = sympy.Matrix(size, size, lambda i, k: upper[min(i, k), max(i, k)])
+    y = [put(f"y_{k}", sympy.Symbol(f"in->{signals[name]}")) for k, name in enumerate(law.sensors, 1)]
+    seen = J.T * sympy.Matrix(y)
+    b = [put(f"b_{k + 1}", seen[k]) for k in range(size)]
+    whole = put("whole", G.det())
+    for k, one in enumerate(G.adjugate() * sympy.Matrix(b)):
+        lines.append(f"y[{k}] = {sympy.ccode(products(one / whole), type_aliases=types)};")
+    words = f"{', '.join(law.names)} = {', '.join(law.sensors)} turned to the axes of {', '.join(law.gimbals)}"
+    return {"size": size, "lines": lines, "words": words, "limit": f"{law.limit:g}"}
 
 
 def _drive(job: Job, prefix: str, law: DriveLaw, units: Sequence[Code], results: dict[str, str]) -> dict[str, Any]:
@@ -253,16 +307,13 @@ def _drive(job: Job, prefix: str, law: DriveLaw, units: Sequence[Code], results:
     limit = unit.controller.limits[unit.controller.outputs.index(law.torquer)]
     names = [sensor.name for sensor in job.platform.sensors if sensor.name in law.weights]
     reads = [f"in->{unit.signals[name]}" for name in names]
-    angle = "" if law.secant_of is None else f"in->{unit.signals[law.secant_of]}"
     return {
         "torquer": law.torquer,
         "output": unit.signals[law.torquer],
         "command": f"{results[unit.prefix]}.{unit.signals[law.torquer]}_commanded",
         "limit": literal(limit, number) if np.isfinite(limit) else "",
-        "angle": angle,
-        "secant_limit": literal(law.secant_limit, number),
         "friction": literal(law.friction, number) if law.friction else "",
         "per_rate": literal(1.0 / law.friction_rate, number),
         "products": total([law.weights[name] for name in names], reads, number),
-        "tests": [f"{prefix}_usable({one})" for one in dict.fromkeys([*([angle] if angle else []), *reads])],
+        "tests": [f"{prefix}_usable({one})" for one in reads],
     }

@@ -56,8 +56,10 @@ TRANSITION, BEFORE, NOW, INPUT, LAGGING, LOWPASS = 0, 4, 6, 8, 9, 11
 LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, EQUILIBRIUM, STALL, BACK_EMF, PER_COMMAND, TORQUER = (
     0, 1, 2, 4, 6, 7, 8, 9, 11, 12, 13, 14, 15,
 )  # fmt: skip
-# Slots of a drive: friction that is fed forward, 1 over the rate from which on all of it acts, largest secant gain.
-DRIVE_FRICTION, PER_DRIVE_RATE, SECANT_LIMIT, DRIVEN = 0, 1, 2, 3
+# Slots of a drive: friction that is fed forward, 1 over the rate from which on all of it acts.
+DRIVE_FRICTION, PER_DRIVE_RATE, DRIVEN = 0, 1, 2
+# Slots in which readings are turned to joint axes: J, row by row; the readings, and their errors.
+JACOBIAN, TO_TURN, ERRORS, TURNED = 0, 9, 12, 15
 # Slots of a stop: low, high, restitution; whether the gimbal lies on it; when and at which rate it last bounced off.
 LOW, HIGH, RESTITUTION, TOUCHING, WHEN, AWAY, STOP = 0, 1, 2, 3, 4, 5, 6
 # Slots of a fault: begin, end, its two numbers; what is stuck.
@@ -81,16 +83,20 @@ class Shared(NamedTuple):
     signals: NDArray[
         np.int64
     ]  # (terms,): index into [q, Omega, rates, bodies' rates, bodies' rotations, η and η̇ in turn]
-    weights: FloatArray  # (terms,)
+    # (terms,): weights. Then of every resolver |det J| at which its gain is limited, and of each of its sensors the
+    # axis and those of the gimbals on its path.
+    weights: FloatArray
     targets: NDArray[np.int64]  # (nu,): index into [M, Q]
     faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
     rotors: NDArray[np.int64]  # (nr, 2): body; servo rotor or -1
     # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force, 6 + k: torque on gimbal k; n + 6 more: phase given
     lines: NDArray[np.int64]
-    # (nx + nu + nd + 1 + nc + 2 nd,): rows of the controllers [A B; C D] and of the rates of the nd drives, stored
-    # without zeros; the sensor of every command; of each drive its torquer, and its sensor of an angle or -1. Columns
-    # of B and D: sensors, commands, excesses of torques. Where some controllers are computed at every n-th sample there
-    # follow the rows [A B; C D] of other samples, and of every sample of `Layout.cycle` where its rows begin.
+    # (nx + nu + nd + 1 + nc + nd + ...,): rows of the controllers [A B; C D] and of the rates of the nd drives, stored
+    # without zeros; the reading of every command; of each drive its torquer; of every resolver the number of its
+    # sensors, of each of these sensor and number of gimbals on its path, of each of these the column or -1, the encoder
+    # or -1. Columns of B and D: readings, commands, excesses of torques. Where some controllers are computed at every
+    # n-th sample there follow the rows [A B; C D] of other samples, and of every sample of `Layout.cycle` where its
+    # rows begin.
     first: NDArray[np.int64]
     column: NDArray[np.int64]
     # Then of every sample from the first of a call on the nc commands, and what the controllers get of them.
@@ -113,14 +119,18 @@ class Layout(NamedTuple):
     profile: int  # whether a half-cosine is simulated
     fade: int  # whether lines rise from zero
     sensors: int  # rows of `Shared.sensors` that are sensors
+    readings: int  # sensors, and resolved readings behind them
     commands: int
     drives: int
+    resolvers: int
     start: int  # state at t = 0, v holding the rates
     steady: int  # block of surroundings: what does not change
     rate: int
     segments: int  # substeps of the two segments
     settle: int  # samples before the mean and rms begin
-    sensor: int  # behind them, in slots like theirs, commands: PATH and LAST are used; excesses of torques: LAST
+    # In slots like theirs are behind them resolved readings: BIAS (what errors of the sensors do to them) and LAST are
+    # used; commands: PATH and LAST; excesses of torques: LAST.
+    sensor: int
     lowpass: int
     torquer: int
     drive: int
@@ -133,6 +143,7 @@ class Layout(NamedTuple):
     command: int  # the present one
     ring: int  # limited commands of the last `whole` + 2 samples
     late: int  # what sensors that are late have yet to say
+    turned: int
     velocity: int  # rates at the sample
     sight: int  # rates, and angles, of the line of sight at the sample
     turns: int  # every body's rotation since t = 0; inertial axes in its axes, and at t = 0; 0: nothing reads it

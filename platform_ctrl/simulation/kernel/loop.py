@@ -27,6 +27,7 @@ from platform_ctrl.simulation.kernel.devices import (
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
 from platform_ctrl.simulation.kernel.forces import begin_surroundings, follow_rotors, hand_on, surround
 from platform_ctrl.simulation.kernel.friction import settle_friction
+from platform_ctrl.simulation.kernel.resolving import resolve
 from platform_ctrl.simulation.kernel.samples import judge, look, read, turn_bodies, update_metrics
 from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike
 from platform_ctrl.simulation.kernel.structure import mode_rates
@@ -45,9 +46,9 @@ def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, layout: L
     for i in range(4):
         record[3 * n + 3 + i] = load(mem, at.state + 2 * n + 3 + i, 0)
     column = 3 * n + 7
-    for i in range(layout.sensors):
+    for i in range(layout.readings):
         record[column + i] = load(mem, layout.sensor + i * arrays.SENSOR + arrays.LAST, 0)
-    column += layout.sensors
+    column += layout.readings
     for i in range(nu):
         record[column + i] = load(mem, layout.command + i, 0)
     column += 2 * nu
@@ -73,7 +74,7 @@ def note_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, record
     if record.shape[0] > 0:
         nu = shared.targets.shape[0]
         for i in range(nu):
-            column = 3 * at.n + 7 + layout.sensors + nu + i
+            column = 3 * at.n + 7 + layout.readings + nu + i
             record[k, column] = load(mem, layout.torquer + i * arrays.TORQUER + arrays.TORQUE, 0)
 
 
@@ -83,7 +84,7 @@ def _command(shared: Shared, mem: FloatArray, lane: int, layout: Layout, row: in
     end = layout.states + shared.targets.shape[0] + layout.drives
     zero = 0.0 * load(mem, layout.start, lane)
     for j in range(layout.commands):
-        slot = layout.sensor + (layout.sensors + j) * arrays.SENSOR
+        slot = layout.sensor + (layout.readings + j) * arrays.SENSOR
         place = shared.first[end] + 2 * row * layout.commands + j
         store(mem, slot + arrays.PATH, lane, zero + shared.number[place])
         store(mem, slot + arrays.LAST, lane, zero + shared.number[place + layout.commands])
@@ -95,15 +96,9 @@ def _driven(shared: Shared, mem: FloatArray, lane: int, layout: Layout, torquer:
     row = layout.states + shared.targets.shape[0]
     parts = row + layout.drives + 1 + layout.commands
     for d in range(layout.drives):
-        if shared.first[parts + 2 * d] != torquer:
+        if shared.first[parts + d] != torquer:
             continue
         slot, one = layout.drive + d * arrays.DRIVEN, 0.0 * total + 1.0
-        angle = shared.first[parts + 2 * d + 1]
-        if angle >= 0:
-            cosine, _ = cosine_and_sine(load(mem, layout.sensor + angle * arrays.SENSOR + arrays.LAST, lane))
-            most = load(mem, slot + arrays.SECANT_LIMIT, lane)
-            within = cosine * most > 1.0
-            total = total * choose(within, 1.0 / choose(within, cosine, one), most)
         rate = 0.0 * total
         for j in range(shared.first[row + d], shared.first[row + d + 1]):
             reading = layout.sensor + (shared.column[j] - layout.states) * arrays.SENSOR + arrays.LAST
@@ -149,7 +144,7 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
             )
         else:
             command = layout.command + row - nx
-            excess = layout.sensor + (layout.sensors + layout.commands + row - nx) * arrays.SENSOR + arrays.LAST
+            excess = layout.sensor + (layout.readings + layout.commands + row - nx) * arrays.SENSOR + arrays.LAST
             store(mem, excess, lane, within_reach(shared, mem, lane, layout, row - nx, total) - total)
             if layout.drives > 0:
                 total = _driven(shared, mem, lane, layout, row - nx, total)
@@ -293,6 +288,8 @@ def _sample(
         turn_bodies(links, mem, lane, at, layout, k)
     look(shared, mem, lane, at, layout)
     read(shared, keys, mem, lane, at, layout, k, t)
+    if layout.resolvers > 0:
+        resolve(shared, mem, lane, layout)
     _command(shared, mem, lane, layout, k)
     _control(shared, keys, mem, lane, at, layout, k, t)
     going = judge(mem, lane, at, layout, shared)

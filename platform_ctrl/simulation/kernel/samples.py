@@ -234,7 +234,7 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
         scale = load(mem, sensor + arrays.SENSOR_SCALE, lane)
         scale = choose((scale < 0.0) | (scale > 0.0), scale, 0.0 * scale + 1.0)
         error = (load(mem, sensor + arrays.LAST, lane) - load(mem, sensor + arrays.BIAS, lane)) / scale
-        error = error - load(mem, layout.sensor + (layout.sensors + j) * arrays.SENSOR + arrays.PATH, lane)
+        error = error - load(mem, layout.sensor + (layout.readings + j) * arrays.SENSOR + arrays.PATH, lane)
         _keep_largest(mem, lane, slot, settled, error)
 
 

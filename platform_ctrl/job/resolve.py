@@ -1,0 +1,188 @@
+"""Readings of body sensors in joint axes: turned by the inverse of their axes' Jacobian at the measured gimbal angles.
+
+Joint rates q̇ show in the reading of a sensor about the axis s of body b as Σ J_j q̇_j, J_j = (R_b s) · a_j, of the
+gimbals j between the root and b. With a sensor for each of the loop's gimbals what the loop reads is
+
+    y_r = (JᵀJ + max(ε² − det² J, 0) 1)⁻¹ Jᵀ y,        ε = |det J(0)| / limit,
+
+J⁻¹ y where |det J| ≥ ε. Nearer to the keyhole a motion that the sensors hardly show counts less, down to nothing where
+J is singular; what they show well stays (damped least squares: Y. Nakamura, H. Hanafusa, J. Dyn. Sys., Meas., Control
+108, 1986). Of rates against inertial space, y_r is the inertial rate in joint axes: zero while the bodies stand still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.common.values import FloatArray, read_only, value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.platform import Platform
+
+# Gimbals of a loop at most, and the least |det J| at zero angles that does not count as singular.
+MOST_AXES, _SINGULAR = 3, 1e-6
+
+
+@value
+class Resolver:
+    """What turns the readings of a loop's sensors to the axes of its gimbals.
+
+    Attributes
+    ----------
+    names
+        Of the p resolved readings, in the order of `gimbals`.
+    sensors, gimbals, encoders
+        Names of p sensors, of p gimbals, and of the e sensors of the angles on which J depends.
+    turned
+        Indices of the gimbals (e,) whose angles the encoders measure.
+    limit, least
+        Largest gain against that at the angles zero, and the |det J| at which it is reached; dimensionless.
+    paths
+        Of each sensor its axis (3,), in body axes, and the gimbals from its body towards the root: the axis (3,) of
+        each, its column of J or −1, the place of its encoder or −1 where its angle does not count.
+    """
+
+    names: tuple[str, ...]
+    sensors: tuple[str, ...]
+    gimbals: tuple[str, ...]
+    encoders: tuple[str, ...]
+    turned: tuple[int, ...]
+    limit: float
+    least: float
+    paths: tuple[tuple[FloatArray, tuple[tuple[FloatArray, int, int], ...]], ...]
+
+    def jacobian(self, cosines: Any, sines: Any) -> Any:
+        """Return J (p, p), dimensionless, from cosines and sines of the encoders' angles (e,), or symbols of these."""
+        rows = np.zeros((len(self.sensors), len(self.gimbals)), dtype=np.asarray([*cosines, 0.0]).dtype)
+        for row, (axis, steps) in zip(rows, self.paths, strict=True):
+            for own, column, encoder in steps:
+                along = axis @ own
+                if column >= 0:
+                    row[column] = along
+                if encoder >= 0:
+                    c, s = cosines[encoder], sines[encoder]
+                    axis = c * axis + s * np.cross(own, axis) + (1 - c) * along * own
+        return rows
+
+    def _jacobian_at(self, q: FloatArray) -> FloatArray:
+        angles = q[list(self.turned)]
+        return np.asarray(self.jacobian(np.cos(angles), np.sin(angles)), dtype=np.float64)
+
+    def matrix(self, q: FloatArray) -> FloatArray:
+        """Return what turns readings to joint axes (p, p), dimensionless, at gimbal angles q (n,), rad."""
+        J = self._jacobian_at(q)
+        damping = max(self.least**2 - float(np.linalg.det(J)) ** 2, 0.0)
+        return np.asarray(np.linalg.solve(J.T @ J + damping * np.eye(len(J)), J.T))
+
+    def limited(self, q: FloatArray) -> bool:
+        """Return whether the gain is limited at gimbal angles q (n,), rad: near the keyhole."""
+        return abs(float(np.linalg.det(self._jacobian_at(q)))) < self.least
+
+
+def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str], limit: float) -> Resolver:
+    """Return what turns the readings of a loop's sensors to the axes of its gimbals.
+
+    Parameters
+    ----------
+    platform
+        That has the gimbals and the sensors.
+    gimbals, sensors
+        Of the loop; a gimbal on the motor side of a drive counts as its load.
+    limit
+        Largest gain against that at the angles zero, >= 1, dimensionless.
+
+    Returns
+    -------
+    Resolver
+        With the first pick-off or angle sensor of each gimbal whose angle counts.
+
+    Raises
+    ------
+    ArgumentError
+        The sensors do not show every gimbal's rate, or an angle is not measured.
+    """
+    loads = {one.motor_side: one.gimbal for one in platform.compliances}
+    names = tuple(dict.fromkeys(loads.get(name, name) for name in gimbals))
+    if not 1 <= len(names) == len(sensors) <= MOST_AXES:
+        raise ArgumentError(
+            f"resolve = true needs a sensor for each gimbal, {MOST_AXES} at most; here are the sensors "
+            f"{', '.join(sensors)} and the gimbals {', '.join(names)}"
+        )
+    measured = _encoders(platform)
+    known = {one.name: one for one in platform.sensors}
+    encoders: list[str] = []
+    turned: list[int] = []
+    paths = []
+    for name in sensors:
+        sensor: Any = known[name]
+        path = _path(platform, name, getattr(sensor, "body", None), getattr(sensor, "frame", "inertial"))
+        columns = [names.index(g) if (g := platform.gimbal_names[k]) in names else -1 for k in path]
+        if max(columns, default=-1) < 0:
+            raise ArgumentError(
+                f"{name} is on {sensor.body!r}, which none of the gimbals {', '.join(names)} carries; resolve = true "
+                "needs sensors of bodies that these turn"
+            )
+        # The angles of this gimbal, and of those nearer to the root, turn sensor and axes alike.
+        last = max(k for k, column in enumerate(columns) if column >= 0)
+        steps = []
+        for k, column in zip(path[: last + 1], columns, strict=False):
+            at = -1
+            if k != path[last]:
+                if k not in measured:
+                    raise ArgumentError(
+                        f"{name} turns with gimbal {platform.gimbal_names[k]!r}, whose angle resolve = true needs and "
+                        "no sensor measures; add a [[pickoff]] or [[angle_sensor]] of it to the plant"
+                    )
+                if measured[k] not in encoders:
+                    encoders.append(measured[k])
+                    turned.append(k)
+                at = encoders.index(measured[k])
+            steps.append((read_only(platform.gimbals[k].axis), column, at))
+        paths.append((read_only(sensor.axis), tuple(steps)))
+    end = "rate" if known[sensors[0]].unit == "rad/s" else "angle"
+    angles = [platform.angle_names[platform.gimbal(name)] for name in names]
+    made = Resolver(
+        names=tuple(f"{angle}_resolved_{end}" for angle in angles),
+        sensors=tuple(sensors),
+        gimbals=names,
+        encoders=tuple(encoders),
+        turned=tuple(turned),
+        limit=limit,
+        least=0.0,
+        paths=tuple(paths),
+    )
+    still = np.ones(len(encoders))
+    det = abs(float(np.linalg.det(made.jacobian(still, 0.0 * still))))
+    if det < _SINGULAR:
+        raise ArgumentError(
+            f"at the angles zero {', '.join(sensors)} do not show the rate of each of the gimbals {', '.join(names)}: "
+            "two axes are parallel, or one is across all others; choose other sensors"
+        )
+    return Resolver(**{name: getattr(made, name) for name in made._fields} | {"least": det / limit})  # type: ignore[attr-defined]
+
+
+def _path(platform: Platform, name: str, body: str | None, frame: str) -> list[int]:
+    """Return the indices of the gimbals from a sensor's body to the root."""
+    if body is None or frame != "inertial":
+        raise ArgumentError(
+            f"{name} measures about an axis of the root or of a joint already; resolve = true turns readings of "
+            "sensors of bodies against inertial space"
+        )
+    k, out = platform.body(body) - 1, []
+    while k >= 0:
+        out.append(k)
+        k = int(platform.parents[k])
+    return out
+
+
+def _encoders(platform: Platform) -> dict[int, str]:
+    """Return the first sensor of the angle of each gimbal that has one, or whose motor side has one, by its index."""
+    out: dict[int, str] = {}
+    for one in (*platform.pickoffs, *platform.angle_sensors):
+        out.setdefault(platform.gimbal(one.gimbal), one.name)
+    for load, motor in platform.sides:
+        if motor in out:
+            out.setdefault(load, out[motor])
+    return out

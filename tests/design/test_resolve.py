@@ -1,0 +1,158 @@
+"""Loops whose readings are turned to joint axes: their plants, the coupled check, noise, and what is simulated."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+from driven_gimbal import RATE_HZ, driven_job, resolved_job
+from platform_ctrl import read_job
+from platform_ctrl.analysis.loop import Loop
+from platform_ctrl.analysis.measuring import torque_noise
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.design.plants import plants_of
+from platform_ctrl.design.sections import gain
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.scenario import Sine
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.simulation import Scenario, simulate, simulate_batch
+from platform_ctrl.verification.coupled import coupled_check
+
+ANGLES = {"Omega": [0.1, 0.1, 0.1], "angles": {"pitch": [-0.5, 1.0, 1.4]}}
+READ = ["yaw_resolved_rate", "pitch_resolved_rate"]
+
+
+def test_a_loop_at_any_elevation_is_that_at_zero_where_the_inner_inertia_is_a_sphere() -> None:
+    plants = plants_of(read := read_job(resolved_job(operation=ANGLES)), read.loops[0])
+    assert plants.angles == tuple(READ)
+    assert plants.limited == ("pitch = 1.4 rad",)
+    labels = ("nominal", "pitch = -0.5 rad", "pitch = 1 rad", "pitch = 1.4 rad")
+    zero, low, high, beyond = (plants.response[plants.labels.index(label)] for label in labels)
+    for one in (low, high):
+        np.testing.assert_allclose(one, zero, rtol=0.0, atol=1e-12 * np.abs(zero).max())
+    # Beyond the limit of 5 only a part of the cosine is undone: cos² over the limit's.
+    np.testing.assert_allclose(beyond[:, 0, 0], 25.0 * np.cos(1.4) ** 2 * zero[:, 0, 0], rtol=1e-9)
+    without = plants_of(read := read_job(driven_job(operation=ANGLES)), read.loops[0])
+    np.testing.assert_allclose(
+        without.response[without.labels.index("pitch = 1 rad")][:, 0, 0], np.cos(1.0) * zero[:, 0, 0], rtol=1e-9
+    )
+
+
+def test_noise_is_turned_like_the_readings() -> None:
+    """At a pitch of 60 degrees the yaw gyro's noise counts twice."""
+    data = resolved_job(operation=ANGLES | {"angles": {"pitch": [np.pi / 3]}})
+    data["plant"]["rate_sensor"][0]["noise_rms"] = 1e-3
+    data["plant"]["rate_sensor"][1]["noise_rms"] = 3e-3
+    plants = plants_of(read := read_job(data), read.loops[0])
+    rms = torque_noise(Loop(plants, gain(-1e-2 * np.eye(2))))
+    np.testing.assert_allclose(rms[plants.labels.index("pitch = 1.0472 rad")] / rms[0], [2.0, 1.0], rtol=1e-9)
+
+
+def turned(name: str, **changed: Any) -> Any:
+    """Return a shipped job without its runs, with turned readings, far from level."""
+    job = read_job(Path(f"examples/{name}.toml"))
+    spec = dataclasses.replace(job.loops[0], resolve=True)
+    return dataclasses.replace(job, loops=(spec,), manoeuvres=(), budget=None, **changed)
+
+
+def servo(job: Any, names: tuple[str, ...], hz: float) -> control.StateSpace:
+    """Return u = −J ω y, each axis by itself, by the inertias at level."""
+    M = np.diag(linearise(job.platform).M)
+    return control.ss(
+        [], [], [], -2.0 * np.pi * hz * np.diag(M), job.sampling.period, inputs=list(names),
+        outputs=list(job.channels_of(job.loops[0])), name="camera, P",
+    )  # fmt: skip
+
+
+def test_margins_of_yaw_roll_pitch_do_not_depend_on_pitch() -> None:
+    """Fixed readings lose the loop straight down, where yaw and roll have changed places."""
+    pitch = (-np.pi / 2, -1.0, 0.5)
+    job = turned("multirotor_gimbal", angles={"pitch": pitch})
+    fixed = dataclasses.replace(job, loops=(dataclasses.replace(job.loops[0], resolve=False),))
+    margins = {}
+    for one in (job, fixed):
+        K = servo(one, one.readings_of(one.loops[0]), 15.0)
+        found = coupled_check(one, linearise(one.platform), [K])
+        level = found.simultaneous.guaranteed
+        down = dataclasses.replace(one, angles={"pitch": (-np.pi / 2,)})
+        at_all = coupled_check(down, linearise(one.platform), [K])
+        margins[one] = (level, next(r.value for r in at_all.results if r.name == "simultaneous disk margin"))
+    assert margins[job][0] > 0.9
+    assert margins[job][1] == pytest.approx(margins[job][0], rel=0.15)
+    assert margins[fixed][1] < 0.1
+
+
+def run_at(job: Any, q: list[float], **more: Any) -> Scenario:
+    return dataclasses.replace(job.scenario(job.manoeuvres[0]), q=np.array(q), duration=0.2, **more)
+
+
+@pytest.mark.parametrize("rate_hz", [None, RATE_HZ / 4])
+def test_what_a_loop_reads_in_a_run_is_the_map_of_the_sampled_readings(rate_hz: float | None) -> None:
+    """With noise, steps of the encoder and a drift of it: the map knows what the encoder says, nothing else."""
+    data = resolved_job()
+    if rate_hz:
+        data["loop"][0]["rate_hz"] = rate_hz
+    data["plant"]["rate_sensor"][0] |= {"noise_rms": 1e-3, "bandwidth_hz": 200.0}
+    data["plant"]["pickoff"][1] |= {"quantisation": 1e-2, "noise_rms": 1e-3}
+    job = read_job(data)
+    n = round(RATE_HZ / rate_hz) if rate_hz else 1
+    K = control.ss([], [], [], -0.3 * np.eye(2), n / RATE_HZ, inputs=READ, outputs=["Qouter", "Qinner"])
+    drift = Fault(name="slips", kind="pick-off drift", part="pitch", at=0.05, until=0.2, rate=1.0)
+    for elevation, faults in ((-1.396, ()), (1.3, (drift,)), (1.55, ())):
+        run = simulate(run_at(job, [0.3, elevation], faults=faults), [K], period=1.0 / RATE_HZ)
+        columns = [run.pickoff_names.index(name) for name in ("gyro", "pitch_gyro", "pitch")]
+        (law,) = job.resolvers
+        for k in range(0, len(run.t), n):
+            *read, pitch = run.reading[k, columns]
+            expected = law.matrix(np.array([0.0, pitch])) @ read
+            np.testing.assert_allclose(run.reading[k, -2:], expected, rtol=1e-12, atol=1e-15)
+            np.testing.assert_allclose(run.command[k : k + n], np.tile(-0.3 * expected, (n, 1))[: len(run.t) - k])
+
+
+def test_many_runs_are_those_of_one_and_errors_of_sensors_are_no_errors_of_following() -> None:
+    data = resolved_job()
+    data["plant"]["rate_sensor"][0] |= {"bias": 0.05, "scale_error": 0.01}
+    data["manoeuvre"][0] |= {"sine": [], "command": [{"reading": "yaw_resolved_rate", "step": 0.1}]}
+    job = read_job(data)
+    D = np.hstack([-2.0 * np.eye(2), 2.0 * np.eye(2)[:, :1]])
+    inputs = [*READ, "yaw_resolved_rate_command"]
+    K = control.ss([], [], [], D, 1.0 / RATE_HZ, inputs=inputs, outputs=["Qouter", "Qinner"])
+    scenarios = [run_at(job, [0.0, pitch], settle=0.1) for pitch in (0.0, -1.0, 0.9)]
+    both = simulate_batch(scenarios, [K], period=1.0 / RATE_HZ)
+    alone = [simulate(one, [K], period=1.0 / RATE_HZ) for one in scenarios]
+    column = list(alone[0].pickoff_names).index("yaw_resolved_rate") - 2  # behind two angles
+    np.testing.assert_array_equal(both.rate_following_error[:, column], [run.following_error[0] for run in alone])
+    for run in alone:
+        settled = run.t >= 0.1
+        true = (run.reading[settled, run.pickoff_names.index("gyro")] - 0.05) / 1.01
+        pitch = run.reading[settled, run.pickoff_names.index("pitch")]
+        error = np.abs(true / np.cos(pitch) - 0.1).max()
+        assert run.following_error[0] == pytest.approx(error, rel=1e-9)
+
+
+def test_at_80_degrees_down_the_linear_loop_is_what_the_simulation_does() -> None:
+    """The base yaws a little at 5 Hz: what the loop reads, by the linear plants and in the non-linear run."""
+    w, size, q = 10.0 * np.pi, 1e-3, np.array([0.0, 0.0, -1.396])
+    job = turned("multirotor_gimbal", angles={"pitch": (q[2],)})
+    platform = dataclasses.replace(job.platform, frictions=(), unbalances=())
+    job = dataclasses.replace(job, platform=platform)
+    K = servo(job, job.readings_of(job.loops[0]), 15.0)
+    sine = Sine(kind="rate", axis=3, frequency_hz=5.0, amplitude=size)
+    more = {"q": q, "start": "equilibrium", "resolvers": job.resolvers, "sines": (sine,)}
+    scenario = Scenario(platform=platform, mode="caged", duration=0.8, delay=job.sampling.delay, **more)
+    run = simulate(scenario, [K], period=job.sampling.period, noise=False)
+    settled = run.t >= 0.4 - 1e-9
+    settled[-1] = False
+    turning = np.exp(-1j * w * run.t[settled])
+    found = 2.0 * np.mean(run.reading[settled][:, -3:] * turning[:, None], axis=0) * 1j / size
+    plants = plants_of(job, job.loops[0])
+    whole = plants.whole.at(plants.labels.index("pitch = -1.396 rad"))
+    closed = whole.feedback(gain(K.D), range(3), range(3))  # the torques are its first outputs
+    expected = frequency_response(closed.part(slice(3, 6), [5]), np.array([w]), -3)[0, :, 0]
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=0.01 * np.abs(expected).max())
+    assert abs(expected[0]) > 10.0 * abs(expected[2])  # the base yaws: the yaw joint feels it
