@@ -160,6 +160,16 @@ def read_log(path: Path, columns: Sequence[str], time: str = "time") -> Log:
     return Log(label=label, time=t, signals={name: values[:, wanted.index(name)] for name in columns})
 
 
+def read_density(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies, Hz, and densities: the first two columns of a CSV file with a header."""
+    label = one_line(str(path))
+    header = [name.strip() for name in read_text(path, "a CSV file with a header").partition("\n")[0].split(",")]
+    if len(header) < 2:
+        raise InputError(f"{label}: needs two columns with a header, frequency in Hz and density")
+    values, _ = _csv(path, label, header[:2])
+    return values[:, 0], values[:, 1]
+
+
 def _doubtful_clock(name: str, unit: ColumnUnit | None, t: FloatArray) -> str:
     """Return in words why a clock cannot be in the unit that its name states, or in s; empty where it may be."""
     own = SUFFIXES["s"] if unit is None else unit

@@ -378,6 +378,7 @@ def _run(job: Job, k: int) -> Iterator[Misfit]:
         for key, found in kinds.items():
             yield from (((key, i, "kind"), f"kind: {words}") for i, kind in enumerate(found) if kind == "force")
     shaken = {"vibration": [one.gimbal for one in run.vibrations], "sine": [one.gimbal for one in run.sines]}
+    shaken["gimbal_torque"] = [one.gimbal for one in run.gimbal_torques]
     for key, names in shaken.items():
         for i, name in enumerate(names):
             yield from within((key, i), strange("gimbal", [name], "gimbal of the plant", gimbals))

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import field
+from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import numpy as np
 
+from platform_ctrl.analysis.logs import read_density
 from platform_ctrl.analysis.metrics import RUN_METRICS
-from platform_ctrl.common.values import input_value
+from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.job.budget import too_large
 from platform_ctrl.job.scenario import COMMANDS, Command, Mode, Sine, Start, TimeTable, Vibration
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
-from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, within, wrong
+from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, useless, within, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES
-from platform_ctrl.plant.tables import Array, Key, Shape
+from platform_ctrl.plant.tables import Array, Key, Shape, record_value
 
-MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 20, 100, 100
+MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS, MOST_TORQUES = 20, 100, 100, 20
 _LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
 _INITIAL = Shape(dict, {}, others=("", fields.NUMBER))
 
@@ -52,7 +54,7 @@ def _time_table(columns: tuple[str, ...]) -> Shape:
 MOTION = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
 _MOTION_TABLE = {"caged": "Omega_table", "stabilised": "torque_table"}
 # What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
-_EVENTS = ("vibration", "sine", "command", "faults", "initial")
+_EVENTS = ("vibration", "sine", "gimbal_torque", "command", "faults", "initial")
 
 
 def _motion(table: Mapping[str, Any]) -> Iterator[Misfit]:
@@ -75,6 +77,95 @@ def _motion(table: Mapping[str, Any]) -> Iterator[Misfit]:
         yield wrong(table, "duration", f"at least 2 rise + hold, {least:.6g} s")
 
 
+# The keys that make a torque on a gimbal: each with the keys that it needs, and those that it may have.
+GIMBAL_TORQUES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "psd": ((), ()),
+    "densities": (("frequencies_hz",), ()),
+    "amplitude": (("frequency_hz",), ("phase",)),
+    "value": (("t",), ()),
+    "log": (("column",), ("time",)),
+}
+
+
+@record_value
+class GimbalTorque:
+    """A torque from outside on a gimbal, as of wind, against its parent: random, a sine, or a course over time.
+
+    It excites modes as the first torquer on the gimbal does.
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal.
+    frequencies_hz, densities : (k,)
+        As of `Vibration`, Hz and (N m)²/Hz.
+    psd
+        Path of a CSV file with a header whose first two columns are these.
+    frequency_hz, amplitude, phase
+        amplitude sin(2π frequency_hz t + phase); Hz, N m, rad.
+    t, value : (k,)
+        A table over time, s and N m: straight lines between the points; before the first and after the last it stays.
+    log, column, time
+        Path of a recorded CSV log that is played from t = 0 on, and the names of its columns: N m, unless the name of
+        the column states another unit, and s.
+    """
+
+    gimbal: fields.Text
+    psd: fields.Text | None = None
+    frequencies_hz: fields.Frequencies = field(default_factory=lambda: read_only(()))
+    densities: fields.Densities = field(default_factory=lambda: read_only(()))
+    frequency_hz: Annotated[float, fields.FREQUENCY] = 0.0
+    amplitude: fields.NotZero = 0.0
+    phase: fields.Number = 0.0
+    t: Annotated[tuple[float, ...], fields.TIMES] = ()
+    value: fields.Numbers = ()
+    log: fields.Text | None = None
+    column: fields.Text | None = None
+    time: fields.Text = "time"
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        made = [key for key in GIMBAL_TORQUES if key in table]
+        if len(made) != 1:
+            yield (), f"give exactly one of {', '.join(GIMBAL_TORQUES)}, got {' and '.join(made) or 'none of them'}"
+            return
+        needed, possible = GIMBAL_TORQUES[made[0]]
+        yield from (missing(key, f"{made[0]} has no effect without it") for key in needed if key not in table)
+        for key in sorted(table.keys() - {"gimbal", made[0], *needed, *possible}):
+            yield useless(table, key, f"with {made[0]}; leave it out")
+        yield from of_length(table, "densities", "frequencies_hz")
+        yield from of_length(table, "value", "t")
+
+    def read(self, folder: Path) -> GimbalTorque:
+        """Return the same with the numbers of its file in place of the file's path, which starts at `folder`."""
+        if self.psd is not None:
+            f, densities = read_density(folder / self.psd)
+            return GimbalTorque(gimbal=self.gimbal, frequencies_hz=f, densities=densities)
+        if self.log is None:
+            return self
+        table = TimeTable.from_log(folder / self.log, (self.column, None, None), time=self.time)
+        return GimbalTorque(gimbal=self.gimbal, t=tuple(table.t.tolist()), value=tuple(table.values[:, 0].tolist()))
+
+    @property
+    def course(self) -> tuple[tuple[str, FloatArray], ...]:
+        """Its table, as a scenario has it."""
+        return ((self.gimbal, np.array([self.t, self.value]).T),) if self.t else ()
+
+    @property
+    def random(self) -> tuple[Vibration, ...]:
+        """What is random of it."""
+        f, densities = self.frequencies_hz, self.densities
+        if not densities.size:
+            return ()
+        return (Vibration(kind="torque", gimbal=self.gimbal, frequencies_hz=f, densities=densities),)
+
+    @property
+    def sine(self) -> tuple[Sine, ...]:
+        """What is a sine of it."""
+        f, a, phase = self.frequency_hz, self.amplitude, self.phase
+        return (Sine(kind="torque", gimbal=self.gimbal, frequency_hz=f, amplitude=a, phase=phase),) if a else ()
+
+
 @input_value
 class Manoeuvre:
     """A run of the non-linear plant.
@@ -95,6 +186,8 @@ class Manoeuvre:
         Caged: a platform rate, stabilised: a torque on the platform, over time; it adds to the above.
     vibrations, sines
         Of the base.
+    gimbal_torques
+        From outside, as of wind.
     commands
         What loops hold their readings at.
     faults
@@ -123,6 +216,7 @@ class Manoeuvre:
     torque_table: Annotated[TimeTable | None, _time_table(ROOT_TORQUE_NAMES)] = None
     vibrations: Annotated[tuple[Vibration, ...], Array("vibration", most=MOST_VIBRATIONS)] = ()
     sines: Annotated[tuple[Sine, ...], Array("sine", most=MOST_SINES)] = ()
+    gimbal_torques: Annotated[tuple[GimbalTorque, ...], Array("gimbal_torque", most=MOST_TORQUES)] = ()
     commands: Annotated[tuple[Command, ...], Array("command", most=MOST_COMMANDS)] = ()
     faults: fields.Names = ()
     initial: Annotated[dict[str, float], _INITIAL] = field(default_factory=dict)
@@ -137,7 +231,8 @@ class Manoeuvre:
         for key in ("settle", "fade"):
             if table.get(key, 0.0) >= table["duration"]:
                 yield wrong(table, key, f"less than duration, {table['duration']:.6g} s")
-        if table.get("fade") and not (table.get("vibration") or table.get("sine")):
+        rising = any({"psd", "densities", "amplitude"} & one.keys() for one in table.get("gimbal_torque", ()))
+        if table.get("fade") and not (table.get("vibration") or table.get("sine") or rising):
             words = "fade is the time over which a vibration or a sine rises, and this manoeuvre has neither"
             yield "fade", f"{words}: leave it out"
         for key in ("vibration", "sine"):

@@ -76,6 +76,10 @@ def read_job(
         document = open_mapping(source, "job given as a dict", start or Path())
     else:
         document = open_file(path_of(source, "the path of a job file or a dict"))
+    runs = document.data.get("manoeuvre")
+    for table in runs if isinstance(runs, list) else ():
+        if isinstance(table, dict) and isinstance(table.get("torque"), list):  # else a step on the root
+            table["gimbal_torque"] = table.pop("torque")
     platform, plant_wrong = _plant(document, start or document.folder)
     read, wrong = read_table(JOB_FILE, document.data)
     mistakes = [*document.mistakes, *plant_wrong, *wrong]
@@ -94,7 +98,8 @@ def read_job(
     if job.campaign is not None and "seed" not in document.data["campaign"]:
         job = replaced(job, {"campaign": replaced(job.campaign, {"seed": job.seed})})
     job, of_responses = _with_responses(job, start or document.folder)
-    mistakes = [*of_responses, *_variation(job)]
+    job, of_torques = _with_torques(job, start or document.folder)
+    mistakes = [*of_responses, *of_torques, *_variation(job)]
     if job.budget is not None:
         budget, of_logs = with_logs(job.budget, start or document.folder)
         mistakes += of_logs or value_mistakes(budget)
@@ -157,6 +162,22 @@ def _with_responses(job: Job, folder: Path) -> tuple[Job, list[Mistake]]:
             designs.append(design)
         loops.append(replaced(spec, {"designs": tuple(designs)}))
     return replaced(job, {"loops": tuple(loops)}), mistakes
+
+
+def _with_torques(job: Job, folder: Path) -> tuple[Job, list[Mistake]]:
+    """Return a job with the numbers of its files of torques on gimbals, and what is wrong with these."""
+    mistakes: list[Mistake] = []
+    runs = []
+    for k, run in enumerate(job.manoeuvres):
+        torques = list(run.gimbal_torques)
+        for i, one in enumerate(torques):
+            try:
+                torques[i] = one.read(folder)
+            except (InputError, ArgumentError) as error:
+                key = "psd" if one.log is None else "log"
+                mistakes.append(Mistake(("manoeuvre", k, "gimbal_torque", i, key), f"{key}: {error}"))
+        runs.append(replaced(run, {"gimbal_torques": tuple(torques)}) if torques else run)
+    return replaced(job, {"manoeuvres": tuple(runs)}), mistakes
 
 
 def job_data(job: Job) -> dict[str, Any]:

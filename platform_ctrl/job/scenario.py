@@ -352,10 +352,12 @@ class Scenario:
     torque_table
         Stabilised: a torque over time, or None.
     vibrations, sines
-        Of the base.
+        Of the base, and torques on gimbals.
+    gimbal_torques
+        Torques on gimbals over time: name of the gimbal, and rows of time, s, and torque, N m, (k, 2).
     fade
-        Time over which these rise from zero by a half-cosine, s; 0: they are there from t = 0 on, as a step of the
-        platform's rate.
+        Time over which vibrations and sines rise from zero by a half-cosine, s; 0: they are there from t = 0 on, as a
+        step of the platform's rate.
     commands
         What loops hold their readings at; others hold them at zero.
     filters
@@ -398,6 +400,7 @@ class Scenario:
     torque_table: TimeTable | None = None
     vibrations: tuple[Vibration, ...] = ()
     sines: tuple[Sine, ...] = ()
+    gimbal_torques: tuple[tuple[str, FloatArray], ...] = ()
     commands: tuple[Command, ...] = ()
     filters: dict[str, float] = field(default_factory=dict)
     drives: tuple[DriveLaw, ...] = ()

@@ -144,6 +144,7 @@ def prepared_run(scenario: Scenario, period: float, longest: float) -> PreparedR
         None if table is None else (table.t.tobytes(), table.values.tobytes(), table.smooth),
         tuple((v.kind, v.axis, v.gimbal, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
         tuple((sine.kind, sine.axis, sine.gimbal) for sine in scenario.sines),
+        tuple((gimbal, course.tobytes()) for gimbal, course in scenario.gimbal_torques),
         tuple(dataclasses.astuple(command) for command in scenario.commands),
         tuple(sorted(scenario.filters.items())),
         tuple((one.torquer, tuple(one.weights.items())) for one in scenario.drives),
@@ -234,6 +235,8 @@ def _shared(
         if len(knots) == 1:
             pieces = np.zeros((1, 3, 4))
             pieces[0, :, 0] = table.values[0]
+    if scenario.gimbal_torques:
+        knots, pieces = _with_gimbals(scenario, knots, pieces)
     sums = (*shape.sensors, *shape.sight)
     terms = [term for one in sums for term in one]
     ends = np.cumsum([len(one) for one in sums], dtype=np.int64)
@@ -260,6 +263,28 @@ def _shared(
         period=period,
     )
     return shared, places
+
+
+def _with_gimbals(scenario: Scenario, knots: FloatArray, pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a time table, which may be empty, with the torques on the gimbals as further columns (k − 1, 3 + n, 4)."""
+    every = np.unique(np.concatenate([knots, *(course[:, 0] for _, course in scenario.gimbal_torques)]))
+    every = every if len(every) > 1 else np.append(every, every + 1.0)
+    out = np.zeros((len(every) - 1, 3 + len(scenario.platform.gimbals), 4))
+    if len(knots) > 1:
+        from scipy.interpolate import PPoly
+
+        cubic, begin = PPoly(pieces.transpose(2, 0, 1)[::-1], knots), every[:-1]
+        inside = (begin >= knots[0]) & (begin < knots[-1])
+        for power in range(4):
+            found = cubic(np.clip(begin, knots[0], knots[-1]), power) / math.factorial(power)
+            out[:, :3, power] = np.where(inside[:, None] | (power == 0), found, 0.0)
+    elif len(knots):
+        out[:, :3, 0] = pieces[0, :, 0]
+    for gimbal, course in scenario.gimbal_torques:
+        column, values = 3 + scenario.platform.gimbal(gimbal), np.interp(every, course[:, 0], course[:, 1])
+        out[:, column, 0] += values[:-1]
+        out[:, column, 1] += np.diff(values) / np.diff(every)
+    return every, out
 
 
 def _bounds(controller: ControllerRows, parts: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -323,7 +348,7 @@ def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: Contro
         table=take(9),
         pushed=take(3 * n),
         alive=take(1),
-        random=take(4),
+        random=take(4 + n),
         begun=take(at.size),
         metrics=take(sum(widths_of_metrics(n, nu, sight))),
         following=take(commands),

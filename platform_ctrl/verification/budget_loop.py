@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -38,6 +38,14 @@ if TYPE_CHECKING:
 
 # A recorded spectrum has at most so many points to an octave; below, its own.
 _PER_OCTAVE = 24
+
+
+def _torque_on(angle: str) -> str:
+    return f"torque on {angle}"
+
+
+def _from_outside(angle: str) -> str:
+    return f"torque on {angle} from outside"
 
 
 class BudgetLoop:
@@ -138,8 +146,15 @@ class BudgetLoop:
         A, B, C, D, _ = System.of(shown, "budget")
         # The torque on a gimbal changes its momentum.
         momenta = [shown.state_labels.index(f"p_{angle}") for angle in model.angle_names]
-        B, D = np.hstack([B, np.eye(len(A))[:, momenta]]), np.pad(D, ((0, 0), (0, len(momenta))))
-        labels = [*shown.input_labels, *map(_torque_on, model.angle_names)]
+        inside = np.eye(len(A))[:, momenta]
+        # From outside, as of wind, it works on modes as the first torquer of the gimbal does.
+        outside, first = inside.copy(), {t.gimbal: t.name for t in reversed(platform.torquers)}
+        for mode in platform.modes:
+            if (swing := f"p_{mode.name}") in shown.state_labels:
+                shares = mode.of([first.get(name, "") for name in platform.gimbal_names])
+                outside[shown.state_labels.index(swing)] = shares
+        B, D = np.hstack([B, inside, outside]), np.pad(D, ((0, 0), (0, 2 * len(momenta))))
+        labels = [*shown.input_labels, *map(_torque_on, model.angle_names), *map(_from_outside, model.angle_names)]
         columns = [labels.index(name) for name in (*controls, *self.inputs)]
         # The gimbals' rates: the first states are their angles.
         rates = len(model.angle_names)
@@ -161,7 +176,7 @@ class BudgetLoop:
     def _input(self, source: Source) -> int:
         """Return the disturbance input on which a source acts."""
         if source.kind == "torque":
-            return self.torque_on(source.gimbal or "")
+            return self.torque_on(source.gimbal or "", _from_outside)
         name = (OMEGA_NAMES if source.kind == "base-rate" else FORCE_NAMES)[(source.axis or 1) - 1]
         if source.kind == "base-rate" and self.free:
             raise ArgumentError(
@@ -170,9 +185,9 @@ class BudgetLoop:
             )
         return self._index(name)
 
-    def torque_on(self, gimbal: str) -> int:
-        """Return the disturbance input that is the torque on a gimbal."""
-        return self._index(_torque_on(self.job.platform.gimbals[self.job.platform.gimbal(gimbal)].angle))
+    def torque_on(self, gimbal: str, name: Callable[[str], str] = _torque_on) -> int:
+        """Return the disturbance input that is the torque on a gimbal: of its bearing, or by name from outside."""
+        return self._index(name(self.job.platform.gimbals[self.job.platform.gimbal(gimbal)].angle))
 
     def _index(self, name: str) -> int:
         if name not in self.inputs:
@@ -237,10 +252,6 @@ class BudgetLoop:
                 )
             )
         return [*out, *(one for one in self.sources if isinstance(one, SineDisturbance)), *self.noise]
-
-
-def _torque_on(angle: str) -> str:
-    return f"torque on {angle}"
 
 
 def _spectrum(source: Source, low: float, high: float) -> Density | None:

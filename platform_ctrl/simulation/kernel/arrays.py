@@ -101,8 +101,8 @@ class Shared(NamedTuple):
     column: NDArray[np.int64]
     # Then of every sample from the first of a call on the nc commands, and what the controllers get of them.
     number: FloatArray
-    knots: FloatArray  # (k,): of the time table of Omega or, with a free root, of M
-    pieces: FloatArray  # (k - 1, 3, 4)
+    knots: FloatArray  # (k,): of the time table of Omega or, with a free root, of M, and of torques on the gimbals
+    pieces: FloatArray  # (k - 1, 3, 4), or with torques on the gimbals (k - 1, 3 + n, 4)
     period: float
 
 

@@ -138,7 +138,13 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
             slot = layout.torquer + i * arrays.TORQUER
             # Modes deviate from how the structure is bent in equilibrium.
             torque = load(mem, slot + arrays.TORQUE, lane) - load(mem, slot + arrays.EQUILIBRIUM, lane)
-            total = total + load(mem, shape + i, lane) * load(mem, slot + arrays.PER_COMMAND, lane) * torque
+            torque = load(mem, slot + arrays.PER_COMMAND, lane) * torque
+            first = shared.targets[i] >= 3
+            for k in range(i):
+                first = first and shared.targets[k] != shared.targets[i]
+            if first:  # a torque from outside works where the first torquer of its gimbal does
+                torque = torque + load(mem, pushed + shared.targets[i], lane)
+            total = total + load(mem, shape + i, lane) * torque
         store(mem, T + at.block - at.modes + j, lane, total)
 
 

@@ -239,7 +239,7 @@ def erection_torques(links: Links, mem: FloatArray, lane: int, at: At, dy: int) 
 
 @inlined
 def _look_up(shared: Shared, mem: FloatArray, lane: int, t: int, scale: int, result: int) -> None:
-    """The time table at the times in slot `t`, into three slots: one scenario after the other, each has its piece."""
+    """The time table at the times in slot `t`, a slot each column: one scenario after the other, each has its piece."""
     first, last = columns(lane)
     knots, pieces = shared.knots, shared.pieces
     for column in range(first, last):
@@ -252,10 +252,10 @@ def _look_up(shared: Shared, mem: FloatArray, lane: int, t: int, scale: int, res
             else:
                 high = middle - 1
         s = time - knots[low]
-        for i in range(3):
+        for i in range(pieces.shape[1]):
             c = pieces[low, i]
             number = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
-            store(mem, result + i, column, load(mem, scale, column) * number)
+            store(mem, result + i, column, (load(mem, scale, column) if i < 3 else 1.0) * number)
 
 
 @inlined
@@ -357,8 +357,8 @@ def hand_on(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, 
     if shared.lines.shape[0] > 0:
         for i in range(n + 6, n + 9):
             store(mem, block + i, lane, load(mem, end + i, lane))
-        for i in range(n):
-            store(mem, layout.pushed + i, lane, load(mem, layout.pushed + 2 * n + i, lane))
+    for i in range(n):
+        store(mem, layout.pushed + i, lane, load(mem, layout.pushed + 2 * n + i, lane))
     if at.course != 0:
         for i in range(n + 9, 4 * n + 12):
             store(mem, block + i, lane, load(mem, end + i, lane))
@@ -391,6 +391,8 @@ def surround(
         else:
             for i in range(3):
                 store(mem, Omega + i, lane, zero)
+    for i in range(n):
+        store(mem, layout.pushed + row * n + i, lane, zero)
     if shared.pieces.shape[0] > 0:
         store(mem, layout.random, lane, t)
         _look_up(shared, mem, lane, layout.random, layout.rate + arrays.SCALE, layout.random + 1)
@@ -400,11 +402,11 @@ def surround(
                 store(mem, layout.table + 3 * row + i, lane, load(mem, layout.steady + i, lane) + value)
             else:
                 store(mem, Omega + i, lane, load(mem, Omega + i, lane) + value)
+        for i in range(3, shared.pieces.shape[1]):
+            store(mem, layout.pushed + row * n + i - 3, lane, load(mem, layout.random + 1 + i, lane))
     if shared.lines.shape[0] > 0:
         for i in range(3):
             store(mem, force + i, lane, load(mem, layout.steady + n + 6 + i, lane))
-        for i in range(n):
-            store(mem, layout.pushed + row * n + i, lane, zero)
         there = zero + 1.0
         if layout.fade != 0:
             there = _faded(mem, lane, layout, t)
