@@ -21,6 +21,7 @@ from platform_ctrl.plant.flexible import Compliance
 from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
 from platform_ctrl.plant.locking import carried_inertia, with_rigid_drives
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, strange, suggestion, wrong
+from platform_ctrl.plant.mode_table import with_mode_table
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, plant_data
 from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.plant.source import InputData, is_shipped_name, open_file, open_mapping, open_shipped, path_of
@@ -96,7 +97,7 @@ def judge_plant(document: InputData) -> tuple[Platform | None, list[Mistake]]:
     if "root" not in document.data and {"plant", "loop"} <= set(document.data):
         its_plant = given(document.data["plant"])
         return None, [Mistake(("plant",), f"this is a job file; give its plant instead, {its_plant}")]
-    data = _axis_by_axis(document.data)
+    data = _axis_by_axis(with_mode_table(document.data, document.folder))
     read, mistakes = read_table(PLANT_FILE, data)
     if mistakes := [*document.mistakes, *mistakes]:
         return None, mistakes

@@ -206,6 +206,48 @@ def test_a_mode_that_cannot_be_is_refused(mode, words):
         pc.read_platform(drive(**mode))
 
 
+def table(tmp_path, text):
+    """A plant whose modes are in a file."""
+    (tmp_path / "modes.csv").write_text(text, encoding="utf-8")
+    plant = {key: one for key, one in drive().items() if key != "mode"} | {"modes": str(tmp_path / "modes.csv")}
+    return pc.read_platform(plant)
+
+
+def test_modes_in_a_table_are_those_of_the_plant_file(tmp_path):
+    head = "# free\nname, frequency_hz, damping, Q, gyro, base3, base_force1\n"
+    platform = table(tmp_path, f"{head}a, 20, 0.01, 1.5, -2, , 0.1\n\nb, 50, 0.02, , 3, 0.2,\n")
+    a, b = platform.modes
+    assert (a.name, a.damping, dict(a.participation)) == ("a", 0.01, {"Q": 1.5, "gyro": -2.0})
+    assert a.frequency == pytest.approx(40.0 * np.pi)
+    assert (a.base.tolist(), a.base_force.tolist()) == ([0, 0, 0], [0.1, 0, 0])
+    assert (dict(b.participation), b.base.tolist()) == ({"gyro": 3.0}, [0, 0, 0.2])
+    [locked] = table(tmp_path, "name,frequency,damping,load,joint.g\na,30,0,2,0.1\n").modes
+    assert (locked.interface, dict(locked.joints), locked.frequency) == ("fixed", {"g": 0.1}, 30.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", 'there is no column "name"'),
+        ("name,frequncy_hz,damping,Q\na,1,2,3\n", 'no column "frequency_hz"; is "frequncy_hz" meant'),
+        ("name,frequency_hz,Q\na,1,2\n", 'no column "damping"'),
+        ("name,frequency_hz,damping,Q,Q\n", 'column "Q" is there twice'),
+        ("name,frequency_hz,damping,Q\na,1,0.1\n", "modes.csv, line 2: has 3 cells, and the header 4 columns"),
+        ("name,frequency_hz,damping,Q\na,1,0.1,much\n", 'line 2: Q must be a number, got "much"'),
+        ("name,frequency_hz,damping,lod\na,1,0.1,1\n", '"lod" is no torquer, sensor .* did you mean "load"'),
+        ("name,frequency_hz,damping,Q\na,1,-0.1,1\n", "damping must be a number >= 0"),
+    ],
+)
+def test_a_table_of_modes_that_cannot_be_is_refused(tmp_path, text, words):
+    with pytest.raises(pc.PlatformCtrlError, match=words):
+        table(tmp_path, text)
+
+
+def test_a_table_of_modes_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(pc.PlatformCtrlError, match="there is no such file"):
+        pc.read_platform(drive() | {"modes": str(tmp_path / "none.csv")})
+
+
 def test_a_mode_is_written_as_it_was_read():
     platform = pc.read_platform(drive())
     import tomllib
