@@ -107,12 +107,12 @@ def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
     return dataclasses.replace(out, sight=_moved_sight(platform, out))
 
 
-def bare_system(model: LinearModel, signals: LoopSignals) -> NamedMatrices:
-    """Return the linear model of a loop's gimbals and of those that no loop turns."""
+def bare_system(model: LinearModel, signals: LoopSignals, currents: bool = False) -> NamedMatrices:
+    """Return the linear model of a loop's gimbals and of those that no loop turns, currents of motors in it or not."""
     gimbals = [*signals.gimbals, *signals.passive]
     if signals.free:
-        return free_system(model, gimbals, isolated=True)
-    return linear_system(model, gimbals, others="held" if signals.held else "coupled")
+        return free_system(model, gimbals, isolated=True, currents=currents)
+    return linear_system(model, gimbals, others="held" if signals.held else "coupled", currents=currents)
 
 
 def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:

@@ -100,7 +100,7 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     for one in plants:
         rates = None if one.rate is None else np.full(len(one.platform.gimbals), one.rate)
         model = linearise(one.platform, Omega=one.Omega, q=one.q, rate_amplitude=rates)
-        bare = bare_system(model, signals)
+        bare = bare_system(model, signals, currents=True)
         systems.append(observed_system(bare, one.platform, list(dict.fromkeys(outputs)), model.q0, model.Omega0))
     # Torques on a floating root do nothing here: no rate of the root is prescribed.
     columns = [systems[0].input_labels.index(name) for name in torques]

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from platform_ctrl.common.arguments import distinct, instance, known_names, one_of
 from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError, MechanicsError
+from platform_ctrl.mechanics.currents import with_currents
 from platform_ctrl.mechanics.kinematics import cross_matrix, topology
 from platform_ctrl.mechanics.linearisation import (
     LinearModel,
@@ -155,6 +156,7 @@ def state_space(
     gimbals: Sequence[str] | None = None,
     specific_force: bool = False,
     others: Literal["coupled", "held"] = "coupled",
+    currents: bool = False,
 ) -> control.StateSpace:
     """Return the linear model as a state-space system.
 
@@ -172,6 +174,9 @@ def state_space(
     others
         What becomes of gimbals that are not named: ``"held"`` at their angles of the trim, or ``"coupled"``: they must
         not be, `gimbals` have to be whole subsystems.
+
+    currents
+        Whether current, integral and voltage of current loops with `rate_hz` are states, the last ones; else ideal.
 
     Returns
     -------
@@ -209,8 +214,8 @@ def state_space(
             raise ArgumentError(
                 "gimbals: given with root='free'; a free platform couples them all: leave it out, or hold the others"
             )
-        return free_system(model, gimbals, specific_force).state_space()
-    return linear_system(model, gimbals, specific_force, others).state_space()
+        return free_system(model, gimbals, specific_force, currents=currents).state_space()
+    return linear_system(model, gimbals, specific_force, others, currents).state_space()
 
 
 def linear_system(
@@ -218,6 +223,7 @@ def linear_system(
     gimbals: Sequence[str] | None = None,
     specific_force: bool = False,
     others: Literal["coupled", "held"] = "coupled",
+    currents: bool = False,
 ) -> NamedMatrices:
     """Return the result of `state_space` with a prescribed root."""
     rows = whole_subsystems(model, gimbals) if others == "coupled" else named_rows(model, gimbals)
@@ -237,7 +243,9 @@ def linear_system(
     C = np.eye(len(rows), 2 * n)
     inputs = [*torquers, *OMEGA_NAMES, *FORCE_NAMES]
     states = [*names, *(f"p_{name}" for name in names)]
-    return _named(*_modes_last(A, B, C, states, len(rows), n), inputs, names[: len(rows)], specific_force)
+    parts = _modes_last(A, B, C, states, len(rows), n)
+    parts = with_currents(parts, inputs, model) if currents else parts
+    return _named(parts, inputs, names[: len(rows)], specific_force)
 
 
 def _with_modes(
@@ -279,7 +287,11 @@ def _modes_last(
 
 
 def free_system(
-    model: LinearModel, gimbals: Sequence[str] | None = None, specific_force: bool = False, isolated: bool = False
+    model: LinearModel,
+    gimbals: Sequence[str] | None = None,
+    specific_force: bool = False,
+    isolated: bool = False,
+    currents: bool = False,
 ) -> NamedMatrices:
     """Return the result of `state_space` with a free root, gimbals that are not named held.
 
@@ -327,7 +339,8 @@ def free_system(
         T[2 * n : 2 * n + 3] = np.hstack([G_Omega.T, np.zeros((3, n)), cross_matrix(model.root_momentum)])
         A, B, C, states = A[kept] @ T, B[kept], C @ T, [states[k] for k in kept]
     inputs, outputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES], [*names[: len(rows)], *OMEGA_NAMES]
-    return _named(*_modes_last(A, B, C, states, len(rows), n), inputs, outputs, specific_force)
+    parts = _modes_last(A, B, C, states, len(rows), n)
+    return _named(with_currents(parts, inputs, model) if currents else parts, inputs, outputs, specific_force)
 
 
 def named_rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
@@ -358,22 +371,18 @@ def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[st
     A row is a gimbal, in the order given; 1 where a torquer turns it, of a servo the torque for a unit of its command.
     """
     torquers = [t for t in model.platform.torquers if t.gimbal in gimbals]
-    torque_map = np.zeros((len(gimbals), len(torquers)))
-    for column, torquer in enumerate(torquers):
-        torque_map[list(gimbals).index(str(torquer.gimbal)), column] = torquer.gain
-    return [t.name for t in torquers], torque_map
+    torque_map = np.array([[t.gain if t.gimbal == name else 0.0 for t in torquers] for name in gimbals])
+    return [t.name for t in torquers], torque_map.reshape(len(gimbals), len(torquers))
 
 
 def _named(
-    A: FloatArray,
-    B: FloatArray,
-    C: FloatArray,
-    states: list[str],
+    parts: tuple[FloatArray, FloatArray, FloatArray, list[str]],
     inputs: list[str],
     outputs: list[str],
     specific_force: bool,
 ) -> NamedMatrices:
-    """Put names to a system whose last three inputs are the specific force, wanted or not."""
+    """Put names to A, B, C and states of a system whose last three inputs are the specific force, wanted or not."""
+    A, B, C, states = parts
     if not specific_force:
         B, inputs = B[:, :-3], inputs[:-3]
     D = np.zeros((len(C), B.shape[1]))

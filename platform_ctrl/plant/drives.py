@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import field
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from platform_ctrl.common.values import input_value
+from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer
@@ -20,6 +20,8 @@ from platform_ctrl.plant.tables import TABLE, Instead, either
 
 RotorControl = Literal["regulated", "free", "servo"]
 
+# A current loop has at least so many samples for a period of its bandwidth.
+_PER_BANDWIDTH = 10.0
 # Torques about the root's axes.
 ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 
@@ -98,6 +100,31 @@ class Rotor:
         return Body(self.mass, self.origin, self.transverse_inertia * across)
 
 
+class Winding(NamedTuple):
+    """A motor's winding and current loop, at the joint: L i' = v − R i − K q̇, the torque is `per_ampere` i.
+
+    States are i, the loop's integral x and d: the loop wants u = proportional (i* − i) + x, x' = integral (i* − i), and
+    v = 2 d − u with d' = 2 (u − d)/delay is u after a delay (Padé). u and v are within the supply; x stays where u is
+    at it and would go further.
+    """
+
+    per_ampere: float  # N m/A
+    back_emf: float  # K, V s
+    resistance: float  # ohm
+    inductance: float  # H
+    supply: float  # V
+    proportional: float  # V/A
+    integral: float  # V/(A s)
+    delay: float  # s
+
+    @property
+    def matrices(self) -> tuple[FloatArray, FloatArray]:
+        """Of the states [i, x, d] within the supply: (3, 3), and (3, 2) for [i*, q̇]."""
+        P, L, pace = self.proportional, self.inductance, 2.0 / self.delay
+        A = [[(P - self.resistance) / L, -1.0 / L, 2.0 / L], [-self.integral, 0.0, 0.0], [-P * pace, pace, -pace]]
+        return np.array(A), np.array([[-P / L, -self.back_emf / L], [self.integral, 0.0], [P * pace, 0.0]])
+
+
 @input_value
 class Torquer:
     """A motor that turns a gimbal against its parent, or the root against inertial space.
@@ -122,6 +149,8 @@ class Torquer:
     command, gain
         Of a servo: what takes the place of the torque, ``"rate"`` or ``"angle"``, and the torque for a unit of it. Its
         limits are those of the command.
+    winding
+        Of a motor whose current is a state, or None.
     """
 
     name: fields.Text = ""
@@ -135,6 +164,7 @@ class Torquer:
     back_emf: float = 0.0
     command: str = ""
     gain: float = 1.0
+    winding: Winding | None = None
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
@@ -170,9 +200,29 @@ class CurrentLoop:
     ----------
     bandwidth_hz
         Where the current is 3 dB down, its delay included, Hz.
+    rate_hz
+        Sample rate of the loop, Hz, which delays the voltage by 1.5 samples: the current is a state of models and runs
+        then. None: it is a lag of that bandwidth, without back-EMF behind the loop.
+    proportional, integral
+        In place of the bandwidth: gains of the loop, V/A and V/(A s); None: those that cancel the winding's pole.
     """
 
-    bandwidth_hz: fields.Positive
+    bandwidth_hz: fields.Positive | None = None
+    rate_hz: fields.Positive | None = None
+    proportional: fields.Positive | None = None
+    integral: fields.NotNegative | None = None
+
+    @staticmethod
+    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+        bandwidth, rate = table.get("bandwidth_hz"), table.get("rate_hz")
+        if (bandwidth is None) == ("proportional" not in table):
+            yield (), either("bandwidth_hz", "proportional", bandwidth is not None)
+        if ("integral" in table) != ("proportional" in table):
+            yield (), 'give "proportional" and "integral" together'
+        if "proportional" in table and rate is None:
+            yield missing("rate_hz", "gains need the rate at which the loop is computed")
+        if bandwidth is not None and rate is not None and bandwidth > rate / _PER_BANDWIDTH:
+            yield wrong(table, "bandwidth_hz", f"at most a tenth of rate_hz, {rate / _PER_BANDWIDTH:g}")
 
 
 @input_value
@@ -195,12 +245,15 @@ class Motor:
         About its axis, kg m²; its mass and transverse inertia are part of the parent's.
     torque_constant, resistance, inductance, supply
         N m/A (V s/rad), ohm, H and V, or None.
-    current_limit
-        A, or None.
+    current_limit, continuous_current
+        A, or None; the second is the rms that the motor's heat allows, which every run is compared with.
     current_loop
-        Its bandwidth; None: nothing drives it, or a [[torquer]] says what does.
+        None: nothing drives it, or a [[torquer]] says what does.
     efficiency
         Share of the motor's torque that arrives at the gimbal.
+    cogging : (h, 3)
+        Harmonics of the torque without current, in runs: order per turn of the motor, amplitude, N m, and phase at
+        angle 0, rad.
     """
 
     name: fields.Text = ""
@@ -212,17 +265,29 @@ class Motor:
     inductance: fields.Positive | None = None
     supply: fields.Positive | None = None
     current_limit: fields.Positive | None = None
+    continuous_current: fields.Positive | None = None
     current_loop: Annotated[CurrentLoop | None, TABLE] = None
     efficiency: fields.SomePart = 1.0
+    cogging: Annotated[
+        FloatArray | None,
+        fields.Expected(
+            "rows [order > 0, amplitude >= 0, phase]", fields.rows(lambda x: x > 0, lambda x: x >= 0, lambda x: True)
+        ),
+    ] = None
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        needed = ("torque_constant", "resistance", "supply")
-        if "current_loop" in table:
+        loop, needed = table.get("current_loop"), ["torque_constant", "resistance", "supply"]
+        if loop is not None:
+            needed += ["inductance"] if "rate_hz" in loop else []
             yield from (missing(key, "a current loop needs it") for key in needed if key not in table)
+            if all(key in table for key in needed) and {"proportional", "integral", "rate_hz"} <= loop.keys():
+                winding = _winding(CurrentLoop(**loop), table["resistance"], table["inductance"], 1.0, 0.0, 1.0)
+                if np.linalg.eigvals(winding.matrices[0]).real.max() > 0.0:
+                    yield "current_loop", "current_loop is not stable: take smaller gains, or a higher rate_hz"
         elif "rotor_inertia" not in table:
             yield missing("rotor_inertia", "a motor without current_loop is a rotor alone, of so many kg m²")
-        for key in ("current_limit", "efficiency", "name"):
+        for key in ("current_limit", "continuous_current", "efficiency", "name"):
             if key in table and "current_loop" not in table:
                 yield useless(table, key, 'without "current_loop"')
 
@@ -232,20 +297,43 @@ class Motor:
             object.__setattr__(self, "name", default_torquer(self.gimbal, None))
 
     @property
+    def per_ampere(self) -> float:
+        """Torque on the gimbal for an ampere, N m/A; 0 without `torque_constant`."""
+        return abs(self.gear) * (self.torque_constant or 0.0) * self.efficiency
+
+    @property
     def drive(self) -> Torquer | None:
         """The torquer that it is, with what its supply allows; None without a current loop."""
         loop, constant, resistance, supply = self.current_loop, self.torque_constant, self.resistance, self.supply
         if loop is None or constant is None or resistance is None or supply is None:
             return None
-        per_ampere = abs(self.gear) * constant * self.efficiency
+        per_ampere, K = self.per_ampere, abs(self.gear) * constant
+        winding = None
+        if loop.rate_hz is not None and self.inductance is not None:
+            winding = _winding(loop, resistance, self.inductance, per_ampere, K, supply)
         return Torquer(
             name=self.name,
             gimbal=self.gimbal,
             limit=per_ampere * min(supply / resistance, self.current_limit or math.inf),
-            lag=1.0 / (2.0 * math.pi * loop.bandwidth_hz),
+            lag=0.0 if winding else 1.0 / (2.0 * math.pi * (loop.bandwidth_hz or math.inf)),
             stall=per_ampere * supply / resistance,
-            back_emf=per_ampere * abs(self.gear) * constant / resistance,
+            back_emf=per_ampere * K / resistance,
+            winding=winding,
         )
+
+
+def _winding(
+    loop: CurrentLoop, resistance: float, inductance: float, per_ampere: float, back_emf: float, supply: float
+) -> Winding:
+    """Return a winding with its current loop, which is 3 dB down at its bandwidth or has the gains that it states."""
+    delay, P, integral = 1.5 / (loop.rate_hz or math.inf), loop.proportional, loop.integral
+    if P is None or integral is None:
+        # |ω_c/(jω + ω_c e^(−jφ))|² = 1/2, φ the phase of the delay at ω.
+        w = 2.0 * math.pi * (loop.bandwidth_hz or 0.0)
+        sine = math.sin(2.0 * math.atan(0.5 * w * delay))
+        crossover = w * (math.sqrt(1.0 + sine * sine) - sine)
+        P, integral = inductance * crossover, resistance * crossover
+    return Winding(per_ampere, back_emf, resistance, inductance, supply, P, integral, delay)
 
 
 @input_value

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.common.files import toml
-from platform_ctrl.common.values import input_value, replaced
+from platform_ctrl.common.values import FloatArray, input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.drives import Motor, Rotor, Servo, Torquer
+from platform_ctrl.plant.drives import Motor, Rotor, Servo, Torquer, Winding
 from platform_ctrl.plant.fields import stops_written
 from platform_ctrl.plant.flexible import Compliance, FlexibleMode, motor_side
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
@@ -114,7 +114,10 @@ class Platform(GimbalTree):
         """Add the motor sides of drives that give way, and name sensors after the signals that they measure."""
         own = tuple(one for one in self.torquers if not one.driven)
         drives = [one for motor in self.motors if (one := motor.drive) is not None]
-        object.__setattr__(self, "torquers", (*own, *drives, *(one.drive for one in self.servos)))
+        drives += [one.drive for one in self.servos]
+        # Those with currents as states are the last.
+        drives.sort(key=lambda one: one.winding is not None)
+        object.__setattr__(self, "torquers", (*own, *drives))
         self._add_motor_sides()
         if all(sensor.name for sensor in self.sensors):
             return
@@ -172,6 +175,17 @@ class Platform(GimbalTree):
     def held_by(self) -> tuple[Spring, ...]:
         """The springs, then what the loops of the servos are to their joints."""
         return (*self.springs, *(one.spring for one in self.servos))
+
+    @property
+    def windings(self) -> tuple[tuple[int, Winding], ...]:
+        """Index of the gimbal and winding of each of the last torquers, whose currents are states."""
+        return tuple((self.gimbal(str(t.gimbal)), t.winding) for t in self.torquers if t.winding is not None)
+
+    @property
+    def cogging(self) -> tuple[tuple[int, FloatArray], ...]:
+        """Index of the gimbal, and [order per turn of the gimbal, N m on it, phase], of each harmonic of cogging."""
+        rows = [(m, row) for m in self.motors if m.cogging is not None for row in m.cogging]
+        return tuple((self.gimbal(m.gimbal), row * [m.gear, m.gear, 1.0]) for m, row in rows)
 
     @property
     def dry_frictions(self) -> tuple[Friction, ...]:

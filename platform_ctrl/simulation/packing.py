@@ -20,6 +20,7 @@ from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Links, PlacedLinks
+from platform_ctrl.simulation.links import joint_frame, tree_links
 
 # Laws of dry friction by the names of `Friction.law`; a viscous one is a smooth one without a dry part.
 _LAWS = {
@@ -122,6 +123,8 @@ class _Parts:
             # How a sensor sees a mode is part of what it reads.
             tuple([(m.name, *(m.participation.get(name, 0.0) for name in p.outputs)) for m in p.modes]),
             tuple([one.gimbal for one in p.motors]),
+            tuple([k for k, _ in (*p.windings, *p.cogging)]),
+            (len(p.windings), len(p.cogging)),
             (_placed(p), p.mode == "floating", bool(p.gravity.any())),
         )
 
@@ -159,7 +162,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
     platform = parts.platform
     gimbal, body = platform.gimbal, platform.body
     tree = topology(platform)
-    frames = np.array([np.eye(3), *(_frame(axis) for axis in tree.axes)])
+    frames = np.array([np.eye(3), *(joint_frame(axis) for axis in tree.axes)])
     for kind, elements in (("friction", platform.frictions), ("cage", platform.cages)):
         names = [element.gimbal for element in elements]
         twice = [name for name in names if names.count(name) > 1]
@@ -174,7 +177,8 @@ def _skeleton(parts: _Parts) -> Skeleton:
     servos = tuple(k for k, control in enumerate(controls) if control == "servo")
     carriers = tuple(tree.carriers.tolist())
     erections = [(gimbal(one.gimbal), body(one.senses)) for one in platform.erections]
-    links = _links(tree.parents.tolist(), tree.order, frames, platform.sides, erections, [carriers[k] for k in servos])
+    drives = (*platform.sides, *((k, k) for k, _ in (*platform.windings, *platform.cogging)))
+    links = tree_links(tree.parents.tolist(), tree.order, frames, drives, erections, [carriers[k] for k in servos])
     return Skeleton(
         links=cast(Links, PlacedLinks(*links)) if _placed(platform) else links,
         at=_at(platform, len(tree.parents), len(servos)),
@@ -217,51 +221,13 @@ def _terms(platform: Platform, frames: FloatArray, signals: Mapping[str, float])
     return tuple((index, weight) for index, weight in weights.items() if weight != 0.0)
 
 
-def _frame(axis: FloatArray) -> FloatArray:
-    """Rotation from a body's axes in the file to those of the kernel, whose z is the joint's axis."""
-    # An axis that is 1e-9 rad off has a 1 too.
-    if axis.max() == 1.0 and np.count_nonzero(axis) == 1:
-        return np.asarray(np.roll(np.eye(3), -1 - int(axis.argmax()), axis=0))
-    across = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
-    across /= np.linalg.norm(across)
-    return np.array([across, np.cross(axis, across), axis])
-
-
-def _links(
-    parents: list[int],
-    order: tuple[int, ...],
-    frames: FloatArray,
-    drives: tuple[tuple[int, int], ...],
-    erections: list[tuple[int, int]],
-    carriers: list[int],
-) -> Links:
-    n = len(parents)
-    rows = np.zeros((n, 13), dtype=np.int64)
-    turns = np.zeros((n, 3, 3))
-    slot = {(0, 1): 3, (0, 2): 4, (1, 2): 5}
-    for m, k in enumerate(order):
-        parent = parents[k] + 1
-        turn = frames[k + 1] @ frames[parent].T
-        renamed = bool(np.isin(turn, (0.0, 1.0)).all())
-        x, y, z = (int(row.argmax()) for row in turn) if renamed else (0, 1, 2)
-        mixed = [slot[min(i, j), max(i, j)] for i, j in ((x, y), (x, z), (y, z))]
-        rows[m] = (k, parent, x, y, z, x, y, z, *mixed, not renamed, order.index(parent - 1) if parent else -1)
-        turns[m] = turn
-    # Not read-only: to numba these would be arrays of another type, and the kernel would be compiled once more.
-    return Links(
-        tree=rows,
-        turn=turns,
-        servo_carrier=np.array(carriers, dtype=np.int64),
-        drive=np.array(drives, dtype=np.int64).reshape(-1, 2),
-        erection=np.array(erections, dtype=np.int64).reshape(-1, 2),
-    )
-
-
 def _at(platform: Platform, n: int, servos: int) -> At:
     laws = sum({1 << _LAWS[friction.law] for friction in platform.dry_frictions})
     modes, torquers = len(platform.modes), len(platform.torquers)
     swings = 2 * n + 7 + 2 * servos
-    bare = swings + 2 * modes
+    currents = swings + 2 * modes
+    windings, teeth = len(platform.windings), len(platform.cogging)
+    bare = currents + 3 * windings
     keeps = bare if laws > 1 << arrays.SMOOTH else 0
     size = bare + (n * arrays.FRICTION if keeps else 0)
     body = 0
@@ -269,7 +235,8 @@ def _at(platform: Platform, n: int, servos: int) -> At:
     servo = joint + n * arrays.JOINT
     erection = servo + servos * arrays.SERVO
     drive = erection + len(platform.erections) * arrays.ERECTION
-    mode = drive + 3 * len(platform.compliances)
+    winding = drive + 3 * len(platform.compliances)
+    mode = winding + windings * arrays.WINDING + 3 * teeth
     shape = arrays.INERTIAL + 3 + n
     gravity = mode + modes * (shape + torquers)
     place, placed = gravity + 3, _placed(platform)
@@ -283,7 +250,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
     stages = during + (1 + n * arrays.DURING if keeps else 0)
     state = stages + 3 * size
     surroundings = state + size
-    block = arrays.slots_of_block(n, modes)
+    block = arrays.slots_of_block(n, windings, modes)
     spare = surroundings + 3 * block
     return At(
         yes=True,
@@ -307,6 +274,11 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         servo=servo,
         erection=erection,
         drive=drive,
+        windings=windings,
+        teeth=teeth,
+        winding=winding,
+        currents=currents,
+        wanted=block - modes - windings,
         swings=swings,
         mode=mode,
         gravity=gravity,
@@ -372,7 +344,12 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
             for m in (p.modes[j] for p in platforms)
         ]
     constants[:, at.drive : at.mode] = [
-        [number for c in p.compliances for number in (c.strength, c.damping, 0.5 * c.play)] for p in platforms
+        [
+            *(number for c in p.compliances for number in (c.strength, c.damping, 0.5 * c.play)),
+            *(number for _, one in p.windings for number in (*one[:-1], 2.0 / one.delay)),
+            *(number for _, row in p.cogging for number in row),
+        ]
+        for p in platforms
     ]
     erections = constants[:, at.erection : at.drive].reshape(N, len(platforms[0].erections), arrays.ERECTION)
     for j, device in enumerate(platforms[0].erections):

@@ -85,11 +85,14 @@ def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, 
         return found
     ease = _eases(shape, platforms, free)
     with np.errstate(divide="ignore"):
-        for j, (k, motor) in enumerate(shape.links.drive):
+        for j, (k, motor) in enumerate(platforms[0].sides):
             stiffness, damping = np.array([(p.compliances[j].strength, p.compliances[j].damping) for p in platforms]).T
             apart = ease[:, k] + ease[:, motor]
             found.append(("compliance", int(k), _CONTACT / np.sqrt(stiffness * apart)))
             found.append(("compliance", int(k), _DECAY / (damping * apart)))
+        for j, (k, _) in enumerate(platforms[0].windings):
+            poles = [np.linalg.eigvals(p.windings[j][1].matrices[0]) for p in platforms]
+            found.append(("current loop", k, _DECAY / np.abs(poles).max(axis=1)))
         for j, k in enumerate(shape.springs):
             stiffness, damping = np.array([(p.held_by[j].stiffness, p.held_by[j].damping) for p in platforms]).T
             found.append(("spring", k, _PHASE / np.sqrt(np.abs(stiffness) * ease[:, k])))

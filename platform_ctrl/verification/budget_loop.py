@@ -139,7 +139,7 @@ class BudgetLoop:
         ]
         platform = dataclasses.replace(self.job.platform, frictions=tuple(frictions))
         model = linearise(platform, q=q)
-        system = state_space(model, root="free" if self.free else "prescribed", specific_force=True)
+        system = state_space(model, root="free" if self.free else "prescribed", specific_force=True, currents=True)
         shown = observed(system, platform, [*self.sensors, *LOS_RATES], model.q0, model.Omega0)
         torquers = {t.name: t for t in platform.torquers}
         controls = [torquers[name].signal for name in self.torquers]

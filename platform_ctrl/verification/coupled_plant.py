@@ -48,7 +48,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     nothing would hold it: it counts as carried by the vehicle, Omega given.
     """
     platform, free = job.platform, moves_freely(job, controllers)
-    system = state_space(model, root="free" if free else "prescribed")
+    system = state_space(model, root="free" if free else "prescribed", currents=True)
     torquers = [t for t in platform.torquers if free or t.gimbal is not None]
     read = {name for K in controllers for name in K.input_labels}
     outputs = [*(name for name in model.angle_names if name in read), *sensed_rates(job, controllers)]
@@ -169,7 +169,7 @@ def used_signals(
 
 def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> CoupledPlant:
     """The platform turns under M alone, J ω' = M, and the gimbals see its rate: no reaction."""
-    system = state_space(model)
+    system = state_space(model, currents=True)
     n, torquers = system.nstates, job.platform.torquers
     B_Omega = system.B[:, [system.input_labels.index(name) for name in OMEGA_NAMES]]
     mobility = np.linalg.inv(model.root_inertia)

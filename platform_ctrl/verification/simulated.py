@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import field
 from typing import TYPE_CHECKING
 
@@ -208,7 +208,24 @@ def _judged(
         )
         reasons = (lost, _filter_words(job, signal) if metric.commanded and not lost else "")
         out.append(result if result.passed else result.because("; ".join(filter(None, reasons))))
-    return tuple(out)
+    return (*out, *_heat(job, manoeuvre.name, trajectory))
+
+
+def _heat(job: Job, subject: str, trajectory: Trajectory) -> Iterator[CheckResult]:
+    """Yield the rms current of each motor of which the plant says what it bears, over that."""
+    warm = Requirement(name="rms current over the motor's continuous one", limit=1.0, unit="", sense="at most")
+    for motor in job.platform.motors:
+        if motor.continuous_current is not None:
+            torque = trajectory.torque[:, trajectory.torquer_names.index(motor.name)]
+            rms = float(np.sqrt(np.mean(torque**2))) / motor.per_ampere
+            yield warm.judge(
+                rms / motor.continuous_current,
+                subject=subject,
+                stage="simulated",
+                evidence=f"motor {motor.name}: {rms:.3g} A rms over the run, it "
+                f"bears {motor.continuous_current:.3g} A; where it is more take a larger motor or gear, or let it cool",
+                method="simulated",
+            )
 
 
 def _filter_words(job: Job, reading: str) -> str:

@@ -360,6 +360,11 @@ def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
         "voltage of {}: left out, the torque limit is that at rest": [
             torquer.name for torquer in platform.torquers if torquer.stall is not None
         ],
+        "current loop and cogging of {}: left out": [
+            one.name or one.gimbal
+            for one in platform.motors
+            if one.cogging is not None or (one.drive is not None and one.drive.winding is not None)
+        ],
         "specific force {}: gravity, which keeps its direction in the world when the root turns": [
             text(platform.specific_force) for _ in range(bool(moved))
         ],

@@ -194,6 +194,8 @@ SLIDING, HELD_BY, DEFLECTION, FRICTION = 0, 1, 0, 2
 BEGUN, TURNS, HAD, DURING = 0, 1, 2, 3
 # Slots of a servo rotor's constants: spin axis in the carrier's axes; then these.
 C, SPIN, GAIN, INTEGRAL, TORQUE_LIMIT, SERVO = 3, 4, 5, 6, 7, 8
+# Slots of a winding's constants: torque per ampere, back-EMF, ...; gains of its loop, and 2 over its delay.
+EMF, RESISTANCE, INDUCTANCE, SUPPLY, LOOP_GAIN, LOOP_INTEGRAL, PACE, WINDING = 1, 2, 3, 4, 5, 6, 7, 8
 # Slots of a mode's constants: ω², 2 ζ ω; Γ_f; Γ of Omega and every joint; then, at `At.shape`, φ of every torquer.
 SQUARE, DAMPING, BASE_FORCE, INERTIAL = 0, 1, 2, 5
 # Slots of an erection's constants: sensing axis; then these.
@@ -212,7 +214,8 @@ class Links(NamedTuple):
     tree: NDArray[np.int64]  # (n, 13)
     turn: FloatArray  # (n, 3, 3)
     servo_carrier: NDArray[np.int64]  # (m,): body
-    drive: NDArray[np.int64]  # (d, 2): gimbals on the load and motor sides of drives that give way
+    # (d, 2): gimbals on the load and motor sides of drives that give way; twice that of each winding, and harmonic
+    drive: NDArray[np.int64]
     erection: NDArray[np.int64]  # (e, 2): order of the torqued gimbal, sensing body
 
 
@@ -253,6 +256,11 @@ class At(NamedTuple):
     servo: int
     erection: int
     drive: int  # stiffness, damping and half the play of drives that give way
+    windings: int  # of motors whose currents are states, those of the last torquers
+    teeth: int  # harmonics of cogging
+    winding: int  # a row of WINDING for each; behind them order, torque and phase of each harmonic
+    currents: int  # where in the state currents, integrals and delayed voltages are
+    wanted: int  # where in a block the torques are that are wanted of currents
     swings: int  # where in the state the modes are: η and its momentum η̇ + Γ·u of each
     mode: int
     gravity: int  # vector in space
@@ -275,9 +283,9 @@ class At(NamedTuple):
 
 
 # A block of the surroundings: [M, Q], Omega, specific force, of every body its rotors' momentum and how fast that
-# changes, and what the torquers excite the modes with. Where the parts begin:
+# changes, the torques wanted of currents, and what the torquers excite the modes with. Where the parts begin:
 
 
-def slots_of_block(n: int, modes: int = 0) -> int:
-    """Return the number of slots of a block of the surroundings of n gimbals and of modes, which are the last."""
-    return 7 * n + 15 + modes
+def slots_of_block(n: int, windings: int, modes: int) -> int:
+    """Return the number of slots of a block of the surroundings of n gimbals, torques wanted of currents, and modes."""
+    return 7 * n + 15 + windings + modes

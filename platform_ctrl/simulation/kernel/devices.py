@@ -11,7 +11,7 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Mask, Number, choose, columns, greater, lesser, load, root, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine, logarithm
+from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine, logarithm, put
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Shared
 
 
@@ -45,7 +45,7 @@ def ready_torquers(shared: Shared, mem: FloatArray, lane: int, layout: Layout) -
 
 
 @internal
-def hold_equilibrium(shared: Shared, mem: FloatArray, lane: int, layout: Layout) -> None:
+def hold_equilibrium(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
     """Begin as if torquers had given the torque that holds the gimbals, within their limits, before t = 0."""
     nu = shared.targets.shape[0]
     for i in range(nu):
@@ -57,6 +57,12 @@ def hold_equilibrium(shared: Shared, mem: FloatArray, lane: int, layout: Layout)
         store(mem, slot + arrays.TORQUE, lane, torque)
         for k in range(layout.whole + 2):
             store(mem, layout.ring + k * nu + i, lane, torque)
+        m = i - nu + at.windings
+        if m >= 0:
+            winding = at.winding + m * arrays.WINDING
+            current = torque / load(mem, winding, lane)
+            v = load(mem, winding + arrays.RESISTANCE, lane) * current
+            put(mem, lane, at.state + at.currents + 3 * m, current, v, v)
 
 
 @inlined
@@ -132,6 +138,9 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
         slot = layout.torquer + i * arrays.TORQUER
         torque = load(mem, slot + arrays.PER_COMMAND, lane) * load(mem, slot + arrays.TORQUE, lane)
         store(mem, target, lane, load(mem, target, lane) + torque)
+    for m in range(at.windings):
+        slot = layout.torquer + (at.torquers - at.windings + m) * arrays.TORQUER
+        store(mem, T + at.wanted + m, lane, load(mem, slot + arrays.TORQUE, lane))
     for j in range(at.modes):
         shape, total = at.mode + j * (at.shape + at.torquers) + at.shape, 0.0 * load(mem, T, lane)
         for i in range(at.torquers):

@@ -46,8 +46,8 @@ from platform_ctrl.simulation.kernel.arithmetic import (
     whole_inertia_to_parent,
 )
 from platform_ctrl.simulation.kernel.arrays import At, Links
+from platform_ctrl.simulation.kernel.drives import drive_torques
 from platform_ctrl.simulation.kernel.forces import (
-    drive_torques,
     erection_torques,
     felt_by_root,
     joint_torque,
@@ -270,7 +270,7 @@ def derivative(
                 Q = Q + joint_torque(mem, lane, at, y, k, rate)
             store(mem, torque + k, lane, Q)
         if not bare:
-            drive_torques(links, mem, lane, at, y, dy)
+            drive_torques(links, mem, lane, at, y, around, dy)
         if at.weight != 0 and not bare:
             unbalance_moments(mem, lane, at)
             erection_torques(links, mem, lane, at, torque)
@@ -295,7 +295,7 @@ def derivative(
             H0, H1 = load(mem, slot + arrays.MOMENT, lane), load(mem, slot + arrays.MOMENT + 1, lane)
             w0, w1 = load(mem, slot + arrays.RATE, lane), load(mem, slot + arrays.RATE + 1, lane)
             store(mem, torque + k, lane, Q + H0 * w1 - H1 * w0)
-        drive_torques(links, mem, lane, at, y, dy)
+        drive_torques(links, mem, lane, at, y, around, dy)
         if at.weight != 0:
             # The same recursion once more, for moments that act on the carriers.
             for b in range(n + 1):

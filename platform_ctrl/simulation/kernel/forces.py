@@ -129,12 +129,12 @@ def joint_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Numbe
         Q = Q - dry_torque(mem, lane, at, y, k, rate)
     if at.cages != 0:
         # No cage is one with infinite clearance.
-        Q = Q - _contact(mem, lane, joint + arrays.CAGE, q - load(mem, joint + arrays.CAGE + 3, lane), rate)
+        Q = Q - contact(mem, lane, joint + arrays.CAGE, q - load(mem, joint + arrays.CAGE + 3, lane), rate)
     return Q
 
 
 @inlined
-def _contact(mem: FloatArray, lane: int, slot: int, out: Number, rate: Number) -> Number:
+def contact(mem: FloatArray, lane: int, slot: int, out: Number, rate: Number) -> Number:
     """Torque that deflects by `out` a spring with stiffness, damping and clearance at a slot: beyond it only pushes."""
     stiffness, clearance = load(mem, slot, lane), load(mem, slot + 2, lane)
     held = stiffness * out + load(mem, slot + 1, lane) * rate
@@ -165,16 +165,10 @@ def felt_by_root(mem: FloatArray, lane: int, at: At, y: int, around: int) -> Vec
 
 
 @inlined
-def drive_torques(links: Links, mem: FloatArray, lane: int, at: At, y: int, dy: int) -> None:
-    """Add the torques of drives that give way to the joints' in `dy`, behind the joints' rates there."""
-    torque = dy + at.n + 3
-    for d in range(links.drive.shape[0]):
-        k, motor = links.drive[d, 0], links.drive[d, 1]
-        apart = load(mem, y + motor, lane) - load(mem, y + k, lane)
-        turning = load(mem, dy + motor, lane) - load(mem, dy + k, lane)
-        twist = _contact(mem, lane, at.drive + 3 * d, apart, turning)
-        add(mem, lane, torque + k, twist)
-        add(mem, lane, torque + motor, -twist)
+def missing_torque(mem: FloatArray, lane: int, at: At, y: int, around: int, m: int) -> Number:
+    """By how much the torque of a motor's current is more than the torque that is wanted of it."""
+    current = load(mem, y + at.currents + 3 * m, lane)
+    return load(mem, at.winding + m * arrays.WINDING, lane) * current - load(mem, around + at.wanted + m, lane)
 
 
 @inlined

@@ -76,6 +76,10 @@ def note_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, record
         for i in range(nu):
             column = 3 * at.n + 7 + layout.readings + nu + i
             record[k, column] = load(mem, layout.torquer + i * arrays.TORQUER + arrays.TORQUE, 0)
+        for m in range(at.windings):
+            column = 3 * at.n + 7 + layout.sensors + 2 * nu - at.windings + m
+            current = load(mem, at.state + at.currents + 3 * m, 0)
+            record[k, column] = load(mem, at.winding + m * arrays.WINDING, 0) * current
 
 
 @inlined
@@ -240,7 +244,7 @@ def _begin(
         store(mem, at.state + i, lane, load(mem, layout.start + i, lane))
     store(mem, layout.alive, lane, zero + 1.0)
     ready_torquers(shared, mem, lane, layout)
-    hold_equilibrium(shared, mem, lane, layout)
+    hold_equilibrium(shared, mem, lane, at, layout)
     begin_surroundings(shared, mem, lane, at, layout)
     for j in range(shared.lines.shape[0]):
         if shared.lines[j] >= n + 6:

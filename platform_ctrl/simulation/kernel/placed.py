@@ -29,9 +29,9 @@ from platform_ctrl.simulation.kernel.arithmetic import (
 )
 from platform_ctrl.simulation.kernel.arrays import At, Links, PlacedLinks
 from platform_ctrl.simulation.kernel.composites import add_vector, gather, in_gimbal, in_parent, mass_matrix, solve
+from platform_ctrl.simulation.kernel.drives import drive_torques
 from platform_ctrl.simulation.kernel.forces import (
     cross,
-    drive_torques,
     erection_torques,
     joint_torque,
     servo_drives,
@@ -298,7 +298,7 @@ def _derivative(
             Q = Q + joint_torque(mem, lane, at, y, k, load(mem, dy + k, lane))
         add(mem, lane, torque + k, Q)
     if not bare:
-        drive_torques(links, mem, lane, at, y, dy)
+        drive_torques(links, mem, lane, at, y, around, dy)
     if free:
         for i in range(3):
             store(mem, dy + n + i, lane, load(mem, around + i, lane))

@@ -8,7 +8,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import vector
 from platform_ctrl.simulation.kernel.arrays import At
-from platform_ctrl.simulation.kernel.forces import felt_by_root
+from platform_ctrl.simulation.kernel.forces import felt_by_root, missing_torque
 
 
 @inlined
@@ -45,6 +45,9 @@ def mode_derivatives(mem: FloatArray, lane: int, at: At, y: int, around: int, dy
         g0, g1, g2 = vector(mem, lane, row + arrays.BASE_FORCE)
         rate = load(mem, at.swing + j, lane)
         force = load(mem, around + at.block - at.modes + j, lane) - (g0 * f0 + g1 * f1 + g2 * f2)
+        for m in range(at.windings):
+            shape = load(mem, row + at.shape + at.torquers - at.windings + m, lane)
+            force = force + shape * missing_torque(mem, lane, at, y, around, m)
         force = force - load(mem, row + arrays.SQUARE, lane) * load(mem, y + eta, lane)
         store(mem, dy + eta, lane, rate)
         store(mem, dy + eta + 1, lane, force - load(mem, row + arrays.DAMPING, lane) * rate)

@@ -1,0 +1,49 @@
+"""Drives: shafts and gears that give way, currents of motors with their loops, and cogging."""
+
+from __future__ import annotations
+
+from platform_ctrl.common.compiling import inlined
+from platform_ctrl.common.simd import Number, choose, greater, lesser, load
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arithmetic import add, cosine_and_sine, put, vector
+from platform_ctrl.simulation.kernel.arrays import At, Links
+from platform_ctrl.simulation.kernel.forces import contact, missing_torque
+
+
+@inlined
+def _within(mem: FloatArray, lane: int, slot: int, number: Number) -> Number:
+    limit = load(mem, slot, lane)
+    return lesser(greater(number, -limit), limit)
+
+
+@inlined
+def drive_torques(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int, dy: int) -> None:
+    """Add the torques of drives to the joints' in `dy`, behind the joints' rates there; derivatives of currents."""
+    n, zero = at.n, 0.0 * load(mem, y, lane)
+    torque, first = dy + n + 3, links.drive.shape[0] - at.windings - at.teeth
+    for d in range(first):
+        k, motor = links.drive[d, 0], links.drive[d, 1]
+        apart = load(mem, y + motor, lane) - load(mem, y + k, lane)
+        turning = load(mem, dy + motor, lane) - load(mem, dy + k, lane)
+        twist = contact(mem, lane, at.drive + 3 * d, apart, turning)
+        add(mem, lane, torque + k, twist)
+        add(mem, lane, torque + motor, -twist)
+    for m in range(at.windings):
+        k, slot, state = links.drive[first + m, 0], at.winding + m * arrays.WINDING, at.currents + 3 * m
+        add(mem, lane, torque + k, missing_torque(mem, lane, at, y, around, m))
+        current, integral, delayed = vector(mem, lane, y + state)
+        error = load(mem, around + at.wanted + m, lane) / load(mem, slot, lane) - current
+        asked = load(mem, slot + arrays.LOOP_GAIN, lane) * error + integral
+        given = _within(mem, lane, slot + arrays.SUPPLY, asked)
+        v = _within(mem, lane, slot + arrays.SUPPLY, 2.0 * delayed - given)
+        v = v - load(mem, slot + arrays.RESISTANCE, lane) * current
+        v = v - load(mem, slot + arrays.EMF, lane) * load(mem, dy + k, lane)
+        further = (asked - given) * error > 0.0
+        rise = choose(further, zero, load(mem, slot + arrays.LOOP_INTEGRAL, lane) * error)
+        pace = load(mem, slot + arrays.PACE, lane)
+        put(mem, lane, dy + state, v / load(mem, slot + arrays.INDUCTANCE, lane), rise, pace * (given - delayed))
+    for t in range(at.teeth):
+        k, slot = links.drive[first + at.windings + t, 0], at.winding + at.windings * arrays.WINDING + 3 * t
+        _, s = cosine_and_sine(load(mem, slot, lane) * load(mem, y + k, lane) + load(mem, slot + 2, lane))
+        add(mem, lane, torque + k, load(mem, slot + 1, lane) * s)

@@ -1,0 +1,157 @@
+"""Motors with winding and current loop: bandwidth, back-EMF, cogging, against closed form and MuJoCo's dcmotor."""
+
+import control
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import analysis, design, simulation
+from platform_ctrl.mechanics.outputs import observed
+from platform_ctrl.verification import check_job
+
+J, N, JM, K, R, L, SUPPLY = 0.02, 20.0, 1e-5, 0.05, 2.1, 1.2e-3, 48.0
+LOOP = {"bandwidth_hz": 1500.0, "rate_hz": 20e3}
+
+
+def drive(loop=LOOP, **motor):
+    """A load, a geared motor, an encoder."""
+    own = {"gimbal": "g", "gear": N, "rotor_inertia": JM, "torque_constant": K, "resistance": R, "inductance": L}
+    return {
+        "schema": 1,
+        "name": "drive",
+        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0], "mode": "held"},
+        "gimbal": [{"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J, J, J], "angle": "q"}],
+        "pickoff": [{"gimbal": "g"}],
+        "friction": [{"gimbal": "g", "viscous": 0.05}],
+        "motor": [own | {"supply": SUPPLY, "current_loop": loop} | motor],
+    }
+
+
+@pytest.mark.parametrize("rate_hz", [15e3, 20e3, 1e6])
+def test_current_is_3_db_down_at_the_bandwidth_and_follows_the_sampled_loop(rate_hz):
+    platform = pc.read_platform(drive(LOOP | {"rate_hz": rate_hz}, torque_constant=1e-9))
+    system = pc.state_space(pc.linearise(platform), currents=True)
+    w = 2 * np.pi * np.array([1.0, 200.0, 1500.0])
+    [(_, winding)] = platform.windings
+    shown = control.StateSpace(system.A, system.B[:, :1], [[0, 0, winding.per_ampere, 0, 0]], 0)
+    found = analysis.frequency_response(shown, w)[0, 0]
+    assert np.abs(found) == pytest.approx([1.0, np.abs(found[1]), np.sqrt(0.5)], rel=1e-4)
+    # The loop as it is: PI that cancels the winding's pole, a sample of delay, z² − z + κ = 0.
+    z, kappa = np.exp(1j * w / rate_hz), winding.proportional / L / rate_hz
+    sampled = kappa / (z**2 - z + kappa)
+    np.testing.assert_allclose(found[:2], sampled[:2], rtol=0.02)
+    np.testing.assert_allclose(found[2], sampled[2], rtol=0.1)
+
+
+def test_a_run_within_the_supply_is_that_of_the_exact_matrices():
+    platform = pc.read_platform(drive())
+    period, k = 1e-3, 5.0
+    law = control.StateSpace([], [], [], [[-k]], period, inputs=["q"], outputs=["Qg"])
+    at = simulation.Scenario(platform=platform, mode="caged", duration=0.3, delay=0.0, q=[0.1])
+    run = simulation.simulate(at, [law], period=period, step=2.5e-5, noise=False)
+    system = observed(pc.state_space(pc.linearise(platform), currents=True), platform, ["q"])
+    sampled = control.sample_system(system, period, method="zoh")
+    x, expected = np.array([0.1, 0.0, 0.0, 0.0, 0.0]), []
+    for _ in run.t:
+        expected.append(x[[0, 2]] * [1.0, N * K])
+        x = sampled.A @ x - sampled.B[:, 0] * k * x[0]
+    np.testing.assert_allclose(np.c_[run.q, run.torque], expected, rtol=0, atol=2e-8)
+
+
+def test_the_supply_ends_the_rate_at_its_back_emf():
+    platform = pc.read_platform(drive())
+    law = control.StateSpace([], [], [], [[-1e6]], 1e-3, inputs=["q"], outputs=["Qg"])
+    at = simulation.Scenario(platform=platform, mode="caged", duration=2.0, delay=0.0, q=[-1e3])
+    run = simulation.simulate(at, [law], period=1e-3, step=5e-5, noise=False)
+    # N K (supply − N K rate)/R = 0.05 rate
+    rate = N * K * SUPPLY / R / (0.05 + (N * K) ** 2 / R)
+    assert run.rate[-1, 0] == pytest.approx(rate, rel=1e-4)
+    assert run.torque[-1, 0] == pytest.approx(0.05 * rate, rel=1e-3)
+
+
+def test_a_motor_turns_as_dcmotor_of_mujoco_with_bristles_and_cogging():
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
+    from scipy.integrate import solve_ivp
+
+    inertia, torque, rate, seconds = 1e-3, 0.02, 3.0, 10.0
+    stiffness, damping, viscous, coulomb, breakaway, stribeck = 20.0, 0.05, 1e-3, 0.01, 0.015, 0.1
+    # Without gains the loop leaves the winding shorted; a torque on the joint turns it, over the teeth.
+    data = drive({"proportional": 1e-12, "integral": 0.0, "rate_hz": 1e4}, cogging=[[7.0, 0.004, 0.3]])
+    data["motor"][0] |= {"gear": 1.0, "rotor_inertia": 0.0}
+    data["gimbal"][0]["inertia"] = [inertia] * 3
+    data["root"] = {"name": "base", "inertia": [1e9] * 3}
+    bristles = {"bristle_stiffness": stiffness, "bristle_damping": damping, "viscous": viscous}
+    data["friction"] = [
+        bristles | {"gimbal": "g", "coulomb": coulomb, "breakaway": breakaway, "stribeck_rate": stribeck}
+    ]
+    out = simulation.rollout(
+        pc.read_platform(data),
+        [[0.0]],
+        [[0, 0, 0, rate]],
+        step=1e-4,
+        steps=round(seconds / 1e-4),
+        force=[[0, 0, 0, torque]],
+    )
+    # The activations' derivatives are those over a step of MuJoCo: a short one.
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="1e-9" gravity="0 0 0"/><worldbody><body><joint name="j" axis="0 0 1"/>
+        <inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/></body></worldbody>
+        <actuator><dcmotor joint="j" motorconst="{K}" resistance="{R}" inductance="{L}" cogging="0.004 7 0.3"
+        damping="{viscous}" lugre="{stiffness} {damping} {coulomb} {breakaway} {stribeck}"/></actuator></mujoco>"""
+    )
+    there = mujoco.MjData(model)
+    there.qfrc_applied[0] = torque
+
+    def slope(_: float, x: np.ndarray) -> list[float]:
+        there.qpos[0], there.qvel[0], there.act[:] = x[0], x[1], x[2:]
+        mujoco.mj_forward(model, there)
+        return [x[1], there.qacc[0], *there.act_dot]
+
+    begin = [0.0, rate, coulomb / stiffness, 0.0]
+    whole = solve_ivp(slope, (0.0, seconds), begin, method="LSODA", rtol=1e-10, atol=1e-13)
+    assert out.q[0, 0] == pytest.approx(whole.y[0, -1], abs=1e-6)
+    assert out.q[0, 0] > 30.0
+
+
+def test_a_job_with_a_winding_passes_and_says_what_current_its_motor_bears():
+    loop = {"name": "L", "kind": "pointing", "gimbals": ["g"], "sensors": ["q"], "use": "d"}
+    turn = {"name": "turn", "mode": "caged", "duration": 1.0, "axis": 3, "rate": 0.5, "rise": 0.2, "hold": 0.2}
+    job = {
+        "schema": 2,
+        "name": "drive",
+        "operation": {"Omega": [0.1, 0.1, 0.5]},
+        "sampling": {"rate_hz": 2000, "delay": 1e-4},
+        "loop": [loop | {"limits": {"disk_margin": 0.4}, "design": [{"name": "d", "method": "classical"}]}],
+        "manoeuvre": [turn | {"limits": {"angle": 0.2}}],
+    }
+    found = []
+    for current in (1.0, 1e-3):
+        read = pc.read_job(job | {"plant": drive(continuous_current=current)})
+        result = check_job(read, design.loops(read))
+        [heat] = [one for one in result.requirements if one.name.startswith("rms current")]
+        assert result.passed == heat.passed == (current == 1.0)
+        found.append(heat.value * current)
+    torque = result.runs[0].trajectory.torque
+    assert found == pytest.approx([np.sqrt(np.mean(torque**2)) / (N * K)] * 2)
+
+
+@pytest.mark.parametrize(
+    ("motor", "words"),
+    [
+        (
+            {"loop": {"bandwidth_hz": 1500.0, "rate_hz": 5e3}},
+            "bandwidth_hz must be at most a tenth of rate_hz, 500",
+        ),
+        (
+            {"loop": {"bandwidth_hz": 1e3, "proportional": 1.0}},
+            'give either "bandwidth_hz" or "proportional", not both',
+        ),
+        ({"loop": {"proportional": 1.0, "integral": 1.0}}, 'the key "rate_hz" is missing; gains need the rate'),
+        ({"loop": {"proportional": 99.0, "integral": 1e3, "rate_hz": 2e4}}, "current_loop is not stable: take smaller"),
+        ({"gear": 0.0}, "gear must be a number other than 0"),
+        ({"cogging": [[7.0, -1.0, 0.0]]}, "cogging must be rows"),
+    ],
+)
+def test_a_motor_that_cannot_be_is_refused(motor, words):
+    with pytest.raises(pc.PlatformCtrlError, match=words):
+        pc.read_platform(drive(**motor))
