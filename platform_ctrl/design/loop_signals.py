@@ -72,11 +72,10 @@ class LoopSignals:
     @property
     def readings(self) -> tuple[str, ...]:
         """Names of what controllers read: the sensors, or resolved readings in the place of theirs."""
-        names = [one.name for one in self.sensors]
+        names = tuple(one.name for one in self.sensors)
         for law in self.resolvers:
-            for sensor, name in zip(law.sensors, law.names, strict=True):
-                names[names.index(sensor)] = name
-        return tuple(names)
+            names = law.of(names)
+        return names
 
     def turning(self, q: FloatArray) -> FloatArray:
         """Return what makes `readings` of the sensors' readings (p, p) at gimbal angles (n,), rad."""

@@ -154,13 +154,14 @@ def _loop(job: Job, k: int) -> Iterator[Misfit]:
         yield from within((name,), _limits(job, loop, getattr(loop, name)))
     match loop.kind:
         case "caging":
-            yield from _caging(job, k)
+            found = _caging(job, k)
         case "rate" | "pointing":
-            yield from _once(_signals(job.platform, loop), _resolved(job, loop))
+            found = _signals(job.platform, loop)
         case "tracking":
-            yield from _once(_tracking(job, k), _resolved(job, loop))
+            found = _tracking(job, k)
         case "stabilisation":
-            yield from _stabilising(job, k)
+            found = _stabilising(job, k)
+    yield from list(found) or _resolved(job, loop)
     rate = loop.rate_hz or 1.0 / job.sampling.period
     for i, design in enumerate(loop.designs):
         yield from within(("design", i), _design(job, loop, design, rate))
@@ -253,12 +254,6 @@ def _signals(platform: Platform, loop: LoopSpec) -> Iterator[Misfit]:
     for name in loop.torquers:
         if torquers.get(name) not in loop.gimbals:
             yield unknown("torquers", name, "torquer on a gimbal of the loop", torquers)
-
-
-def _once(first: Iterator[Misfit], then: Iterator[Misfit]) -> Iterator[Misfit]:
-    """Yield misfits, and those that can be found where there are none."""
-    found = list(first)
-    yield from found or then
 
 
 def _resolved(job: Job, loop: LoopSpec) -> Iterator[Misfit]:
@@ -421,7 +416,7 @@ def _command(job: Job, command: Command) -> Iterator[Misfit]:
     if reading not in units:
         yield unknown("reading", reading, "sensor of the plant", units)
         return
-    read = [name for loop in job.loops if loop.kind in OWN_RATES for name in job.kept_by(loop)]
+    read = [name for loop in job.loops if loop.kind in OWN_RATES for name in job.readings_of(loop, kept=True)]
     if reading not in read:
         use = suggestion(reading, read) if read else "add a rate or pointing loop that reads it"
         why = "read by no rate, pointing or tracking loop, and a caging loop holds its gimbals at zero"

@@ -77,11 +77,9 @@ class LoopSpec:
         That the loop's torquers turn; all others are held in its plants.
     sensors, torquers
         What a rate, pointing or tracking loop reads (see `kept`) and sets; no torquers: the first one on each gimbal.
-    resolve
-        Whether what the loop keeps is turned to the axes of the gimbals, by the angles that sensors of these measure;
-        of a tracking loop to those of the rate loop that it commands. See `platform_ctrl.job.resolve`.
-    resolve_limit
-        Largest gain of that against the angles zero, >= 1, dimensionless.
+    resolve, resolve_limit
+        Whether what the loop keeps is turned to the axes of its gimbals, or of those of the loop inside, by measured
+        angles, and the largest gain of that against the angles zero, >= 1: see `platform_ctrl.job.resolve`.
     around
         The rate loop that a tracking loop commands.
     rate_hz
@@ -304,25 +302,17 @@ class Job:
         """Return the names of the torquers that a loop sets; of a tracking loop those of the commands that it sets."""
         if spec.kind == "tracking":
             inner = self.loop(str(spec.around))
-            return tuple(f"{name}{COMMAND}" for name in self.kept_by(inner.read_by(inner.closed)))
+            return tuple(f"{name}{COMMAND}" for name in self.readings_of(inner.read_by(inner.closed), kept=True))
         if not spec.has_plants:
             return self.platform.root_torquers
         return spec.torquers or tuple(self.platform.torquer_on(name).name for name in spec.gimbals)
 
-    def readings_of(self, spec: LoopSpec) -> tuple[str, ...]:
-        """Return the names of what a loop reads, perhaps resolved; none of a stabilisation loop, which may read all."""
+    def readings_of(self, spec: LoopSpec, kept: bool = False) -> tuple[str, ...]:
+        """Return the names of what a loop reads, or keeps; none of a stabilisation loop, which may read all."""
         if spec.kind == "caging":
             return tuple(self.platform.pickoff_on(name).name for name in spec.gimbals)
-        return self._turned(spec, spec.sensors)
-
-    def kept_by(self, spec: LoopSpec) -> tuple[str, ...]:
-        """Return the names of the readings that a loop keeps at zero or at commands, perhaps resolved."""
-        return self._turned(spec, spec.kept(self.platform))
-
-    def _turned(self, spec: LoopSpec, sensors: tuple[str, ...]) -> tuple[str, ...]:
-        law = self.resolver(spec)
-        names = {} if law is None else dict(zip(law.sensors, law.names, strict=True))
-        return tuple(names.get(name, name) for name in sensors)
+        names, law = spec.kept(self.platform) if kept else spec.sensors, self.resolver(spec)
+        return names if law is None else law.of(names)
 
     def resolver(self, spec: LoopSpec) -> Resolver | None:
         """Return what turns the readings of a loop to the axes of its gimbals, on the nominal plant; None: nothing."""

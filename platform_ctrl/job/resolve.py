@@ -12,7 +12,7 @@ J is singular; what they show well stays (damped least squares: Y. Nakamura, H. 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,11 @@ class Resolver:
                     c, s = cosines[encoder], sines[encoder]
                     axis = c * axis + s * np.cross(own, axis) + (1 - c) * along * own
         return rows
+
+    def of(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Return names of sensors with those of the resolved readings in the place of theirs."""
+        turned = dict(zip(self.sensors, self.names, strict=True))
+        return tuple(turned.get(name, name) for name in names)
 
     def _jacobian_at(self, q: FloatArray) -> FloatArray:
         angles = q[list(self.turned)]

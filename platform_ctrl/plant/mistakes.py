@@ -137,8 +137,15 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
+_REPLACED = dict.fromkeys(
+    ("secant_of", "secant_limit"), "resolve = true in the [[loop]] turns its readings to the axes of its gimbals"
+)
+
+
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """Return ``did you mean "..."?``, or the list of what is known."""
+    """Return ``did you mean "..."?``, the list of what is known, or what replaces a key that there was."""
+    if word in _REPLACED:
+        return _REPLACED[word]
     known = list(known)
     close = nearest(word, known)
     return listed(known) if close is None else f'did you mean "{close}"?'

@@ -438,18 +438,12 @@ def either(one: str, other: str, both: bool) -> str:
     return f'give either "{one}" or "{other}", {"not both" if both else "one of them is needed"}'
 
 
-# What to write in the place of keys that there were.
-_REPLACED: dict[str | int, str] = dict.fromkeys(
-    ("secant_of", "secant_limit"), "resolve = true in the [[loop]] turns its readings to the axes of its gimbals"
-)
-
-
 def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
     """Return the mistake of an unknown key or table."""
 
     def words() -> str:
         is_table = isinstance(item, Mapping) or (isinstance(item, list) and any(isinstance(x, Mapping) for x in item))
         what = "table" if is_table else "key"
-        return f"unknown {what} {given(path[-1])}; {_REPLACED.get(path[-1]) or suggestion(str(path[-1]), known)}"
+        return f"unknown {what} {given(path[-1])}; {suggestion(str(path[-1]), known)}"
 
     return Mistake(path, words)

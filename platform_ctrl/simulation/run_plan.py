@@ -36,7 +36,6 @@ from platform_ctrl.simulation.scenarios import (
     put_torquers,
     rate,
     reading_units,
-    resolving,
     rows_of_sensors,
     states,
 )
@@ -148,7 +147,7 @@ def prepared_run(scenario: Scenario, period: float, longest: float) -> PreparedR
         tuple(dataclasses.astuple(command) for command in scenario.commands),
         tuple(sorted(scenario.filters.items())),
         tuple((one.torquer, tuple(one.weights.items())) for one in scenario.drives),
-        (resolving(scenario), tuple(name for law in scenario.resolvers for name in law.names)),
+        (*_resolving(scenario), *reading_units(scenario)),
     )
     return PreparedRun(scenario, shape, when, faults, key)
 
@@ -242,15 +241,15 @@ def _shared(
     ends = np.cumsum([len(one) for one in sums], dtype=np.int64)
     bounds = np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64)
     readings, torquers = [*reading_units(scenario)], [torquer.name for torquer in platform.torquers]
-    resolved = resolving(scenario)
+    of_resolvers, numbers_of_resolvers = _resolving(scenario)
     parts = [readings.index(name) for name in commanded_readings(scenario)]
     parts += [torquers.index(law.torquer) for law in scenario.drives]
-    parts += resolved.parts
+    parts += of_resolvers
     courses = courses_of(scenario, period * np.arange(one.timing.samples, dtype=np.float64))
     shared = Shared(
         sensors=np.concatenate([bounds, rows_of_sensors(platform, len(bounds), period)], axis=1),
         signals=np.array([signal for signal, _ in terms], dtype=np.int64),
-        weights=np.array([*(weight for _, weight in terms), *resolved.numbers], dtype=np.float64),
+        weights=np.array([*(weight for _, weight in terms), *numbers_of_resolvers], dtype=np.float64),
         targets=np.array(shape.targets, dtype=np.int64),
         faults=np.array(faults, dtype=np.int64).reshape(-1, 3),
         rotors=np.array(rows, dtype=np.int64).reshape(-1, 2),
@@ -285,6 +284,22 @@ def _with_gimbals(scenario: Scenario, knots: FloatArray, pieces: FloatArray) -> 
         out[:, column, 0] += values[:-1]
         out[:, column, 1] += np.diff(values) / np.diff(every)
     return every, out
+
+
+def _resolving(scenario: Scenario) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Return what turns readings to joint axes: behind the drives in `Shared.first`, the terms in `Shared.weights`."""
+    sensors = [sensor.name for sensor in scenario.platform.sensors]
+    parts, numbers = list[int](), list[float]()
+    for law in scenario.resolvers:
+        parts.append(len(law.names))
+        numbers.append(law.least)
+        for name, (axis, steps) in zip(law.sensors, law.paths, strict=True):
+            parts += [sensors.index(name), len(steps)]
+            numbers += axis.tolist()
+            for own, column, encoder in steps:
+                parts += [column, -1 if encoder < 0 else sensors.index(law.encoders[encoder])]
+                numbers += own.tolist()
+    return tuple(parts), tuple(numbers)
 
 
 def _bounds(controller: ControllerRows, parts: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -168,29 +168,6 @@ def _commands(scenario: Scenario) -> None:
             raise ArgumentError(f"commands: there is no sensor {command.reading!r}, only {', '.join(known) or 'none'}")
 
 
-class Resolving(NamedTuple):
-    """What turns readings to joint axes in the kernel's form, see `kernel.arrays.Shared`."""
-
-    parts: tuple[int, ...]
-    numbers: tuple[float, ...]
-
-
-def resolving(scenario: Scenario) -> Resolving:
-    """Return the resolvers of a scenario in the kernel's form."""
-    sensors = [sensor.name for sensor in scenario.platform.sensors]
-    parts, numbers = list[int](), list[float]()
-    for law in scenario.resolvers:
-        parts.append(len(law.names))
-        numbers.append(law.least)
-        for name, (axis, steps) in zip(law.sensors, law.paths, strict=True):
-            parts += [sensors.index(name), len(steps)]
-            numbers += axis.tolist()
-            for own, column, encoder in steps:
-                parts += [column, -1 if encoder < 0 else sensors.index(law.encoders[encoder])]
-                numbers += own.tolist()
-    return Resolving(tuple(parts), tuple(numbers))
-
-
 def put_drives(scenarios: Sequence[Scenario], rows: FloatArray) -> None:
     """Friction that is fed forward, and 1 over the rate from which on it acts."""
     if rows.size:

@@ -22,6 +22,7 @@ from platform_ctrl.job.scenario import Sine
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import Scenario, simulate, simulate_batch
 from platform_ctrl.verification.coupled import coupled_check
+from platform_ctrl.verification.simulated import simulate_manoeuvre
 
 ANGLES = {"Omega": [0.1, 0.1, 0.1], "angles": {"pitch": [-0.5, 1.0, 1.4]}}
 READ = ["yaw_resolved_rate", "pitch_resolved_rate"]
@@ -112,6 +113,19 @@ def test_what_a_loop_reads_in_a_run_is_the_map_of_the_sampled_readings(rate_hz: 
             expected = law.matrix(np.array([0.0, pitch])) @ read
             np.testing.assert_allclose(run.reading[k, -2:], expected, rtol=1e-12, atol=1e-15)
             np.testing.assert_allclose(run.command[k : k + n], np.tile(-0.3 * expected, (n, 1))[: len(run.t) - k])
+
+
+def test_a_run_that_comes_near_the_keyhole_says_so() -> None:
+    data = resolved_job()
+    data["manoeuvre"][0] |= {"duration": 0.05, "limits": {"gimbal_rate": 9.0}}
+    said = []
+    for pitch in (0.3, 1.45):
+        data["manoeuvre"][0]["initial"] = {"pitch": pitch}
+        job = read_job(data)
+        K = control.ss([], [], [], -0.3 * np.eye(2), 1.0 / RATE_HZ, inputs=READ, outputs=["Qouter", "Qinner"])
+        [result] = simulate_manoeuvre(job, job.manoeuvres[0], [K]).results
+        said.append("keyhole: the gain of resolved readings is limited on the way" in result.evidence)
+    assert said == [False, True]
 
 
 def test_many_runs_are_those_of_one_and_errors_of_sensors_are_no_errors_of_following() -> None:

@@ -203,7 +203,7 @@ def cross_axis_structure(integral_hz: float, channel: Channels, plants: PlantSet
         return between(np.eye(size, read), method.of_directions(trial, channel, period), np.eye(size))
 
     values = {name: options[name] for name in (*moved, *fixed)}
-    size, read = len(channel.basis), len(plants.noise)
+    size, read = len(channel.basis), len(plants.angles)
     structure = Named(build=build, values=values, largest=method.upper_bounds(period), fixed=fixed)
     return Parametrised(structure, read, size, Units(gain=np.ones((size, read)), rate=1.0))
 
