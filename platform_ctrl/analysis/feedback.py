@@ -16,24 +16,21 @@ u = K y + H r, is one system of what is measured, y, and of its commands r.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.response import NamedSystem, frequency_response, linear_arrays
-from platform_ctrl.analysis.system import ComplexArray, System, block, seen_states
+from platform_ctrl.analysis.system import ComplexArray, StateSpace, System, block, seen_states
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
-if TYPE_CHECKING:
-    import control
-
 At = Literal["input", "output"]
 
 
-def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input") -> control.StateSpace:
+def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input") -> StateSpace:
     """Return L = -K P (``at="input"``) or -P K (``at="output"``): S = (I + L)^-1.
 
     Plant and controller are joined by signal names where all of the controller's names exist in the plant, by
@@ -63,7 +60,7 @@ def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input")
     return first.series(second, sign=-1.0).to_control(names, names, states)
 
 
-def closed_loop(plant: NamedSystem, controller: NamedSystem) -> control.StateSpace:
+def closed_loop(plant: NamedSystem, controller: NamedSystem) -> StateSpace:
     """Return the closed loop of u = K (y + n), y = P (u + d), as one system with every state of both.
 
     Parameters

@@ -14,20 +14,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import schur, solve_sylvester
 
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.analysis.system import ComplexArray, System, block, scaled, state_scaling
+from platform_ctrl.analysis.system import ComplexArray, StateSpace, System, block, scaled, state_scaling
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import is_rate
-
-if TYPE_CHECKING:
-    import control
 
 
 class MultiRate(NamedTuple):
@@ -92,7 +89,7 @@ class Modulator(NamedTuple):
 
 
 def interconnected(
-    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
+    controllers: Sequence[StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> System:
     """Return one controller from `inputs` (pick-offs, rate sensors) to `outputs` (torquers).
 
@@ -108,7 +105,7 @@ def interconnected(
 
 
 def interconnected_by_sample(
-    controllers: Sequence[control.StateSpace],
+    controllers: Sequence[StateSpace],
     inputs: Sequence[str],
     outputs: Sequence[str],
     period: float,
@@ -132,7 +129,7 @@ def interconnected_by_sample(
 
 
 def interconnected_at_rates(
-    controllers: Sequence[control.StateSpace],
+    controllers: Sequence[StateSpace],
     inputs: Sequence[str],
     outputs: Sequence[str],
     period: float,
@@ -176,7 +173,7 @@ def _held(K: System, due: bool) -> System:
 
 def _joined(
     parts: Sequence[System],
-    controllers: Sequence[control.StateSpace],
+    controllers: Sequence[StateSpace],
     inputs: Sequence[str],
     outputs: Sequence[str],
     period: float,
@@ -249,7 +246,7 @@ def _expect_inputs(where: str, inputs: Sequence[str], known: Collection[str]) ->
         )
 
 
-def _where(k: int, system: control.StateSpace) -> str:
+def _where(k: int, system: StateSpace) -> str:
     return f"controller {k + 1} ({getattr(system, 'name', '')!r})"
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,12 +20,9 @@ from platform_ctrl.analysis import poles as pole
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, largest_singular_values
-from platform_ctrl.analysis.system import ComplexArray, System, scaled
+from platform_ctrl.analysis.system import ComplexArray, StateSpace, System, scaled
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-
-if TYPE_CHECKING:
-    import control
 
 # Relative error of a peak: what is returned is the upper end.
 PEAK_TOLERANCE = 5e-10
@@ -348,7 +344,7 @@ _ROUNDING = 1e-12
 _ROUNDED = 1e-9
 
 
-def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At = "output") -> float:
+def bandwidth(plant: StateSpace, controller: StateSpace, at: At = "output") -> float:
     """Return the lowest frequency, rad/s, at which the largest singular value of S reaches 1/sqrt(2).
 
     Found among the crossings that the Hamiltonian of S shows, so that a narrow peak between grid points is not missed,

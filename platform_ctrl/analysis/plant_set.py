@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,11 @@ from platform_ctrl.analysis.between_samples import (
 )
 from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import OMEGA_NAMES
-
-if TYPE_CHECKING:
-    import control
 
 BoolArray = NDArray[np.bool_]
 
@@ -205,7 +202,7 @@ class PlantSet:
         regular = self.whole._replace(A=decay * self.A, B=B)
         return replaced(self, {"whole": regular, "drifting": ()}).on(self.frequency)
 
-    def system(self, k: int = 0) -> control.StateSpace:
+    def system(self, k: int = 0) -> StateSpace:
         """Return plant `k` with its signals by name; 0 is the nominal one.
 
         Inputs: the torques, then Omega1 to Omega3, rad/s, held between the samples; outputs: the angles.
@@ -216,7 +213,7 @@ class PlantSet:
         arrays = self.whole.at(k).part(slice(len(self.angles)), slice(None))
         return arrays.to_control([*self.torques, *OMEGA_NAMES], self.angles, self.states)
 
-    def joined(self, controller: control.StateSpace | System) -> System:
+    def joined(self, controller: StateSpace | System) -> System:
         """Return the arrays of a controller u = K y from all angles of this set to all of its torques, in its order.
 
         A `control.StateSpace` is joined by the names of its signals. Commands are left out, and what they alone reach,
@@ -246,7 +243,7 @@ class PlantSet:
             )
         return K
 
-    def without_feedforward(self, controller: control.StateSpace) -> tuple[System, list[str]]:
+    def without_feedforward(self, controller: StateSpace) -> tuple[System, list[str]]:
         """Return a controller's arrays and inputs without feedforward, which must be the one that the plants have."""
         K, names, fed = System.of(controller, "controller"), list(controller.input_labels), self.feedforward
         if fed is None:

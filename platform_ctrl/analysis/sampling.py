@@ -9,19 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, overload
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.system import System, scaled, seen_states, state_scaling
+from platform_ctrl.analysis.system import StateSpace, System, scaled, seen_states, state_scaling
 from platform_ctrl.common.arguments import not_negative, positive
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-
-if TYPE_CHECKING:
-    import control
-
 
 # States for held inputs: dense matrices of more take minutes each.
 MOST_HELD = 1_000
@@ -32,12 +28,10 @@ _SHORT = 0.4
 @overload
 def sampled(system: System, period: float, delay: float = ..., lag: ArrayLike | None = ...) -> System: ...
 @overload
+def sampled(system: StateSpace, period: float, delay: float = ..., lag: ArrayLike | None = ...) -> StateSpace: ...
 def sampled(
-    system: control.StateSpace, period: float, delay: float = ..., lag: ArrayLike | None = ...
-) -> control.StateSpace: ...
-def sampled(
-    system: control.StateSpace | System, period: float, delay: float = 0.0, lag: ArrayLike | None = None
-) -> control.StateSpace | System:
+    system: StateSpace | System, period: float, delay: float = 0.0, lag: ArrayLike | None = None
+) -> StateSpace | System:
     """Return the system as a sampled controller sees it: hold, delay, actuator lag, plant, sampler.
 
     ::

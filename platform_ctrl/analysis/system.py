@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,9 @@ from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
     import control
+
+# What users pass in and get back; python-control is loaded where one is made.
+StateSpace: TypeAlias = "control.StateSpace"
 
 ComplexArray = NDArray[np.complex128]
 # Which systems of a stack, or which inputs or outputs.

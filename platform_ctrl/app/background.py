@@ -14,14 +14,13 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import replaced, value
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job
 
 if TYPE_CHECKING:
-    import control
-
     from platform_ctrl.design.loop import Design
     from platform_ctrl.design.method import LoopProblem
     from platform_ctrl.simulation.closed_loop import Trajectory
@@ -327,7 +326,7 @@ class Simulating:
 
     job: Job
     manoeuvre: str
-    controllers: tuple[control.StateSpace, ...]
+    controllers: tuple[StateSpace, ...]
 
     def run(self, progress: Progress) -> Trajectory:
         """Return the run."""

@@ -6,14 +6,13 @@ import dataclasses
 from collections.abc import Hashable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.app.background import Background, Designing, DesignPending, DesignQueue, IsCancelled
 from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays, existing_designs, loop_names
 from platform_ctrl.app.loops import CachedMetrics, CagedCurves, CagedLoop, StabilisedCurves
@@ -30,9 +29,6 @@ from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
 from platform_ctrl.verification.coupled_plant import sensed_rates, with_resolvers
-
-if TYPE_CHECKING:
-    import control
 
 # Designs that are kept for settings that a page may return to.
 _ROOM = 64
@@ -257,7 +253,7 @@ class ClosedLoops:
         key = (loop.spec.name, loop.design, limits, self.plants_key(settings, loop.spec), _content(loop.delivered))
         return lambda make: self._measures.get(key, make)
 
-    def controllers(self, settings: Settings) -> list[control.StateSpace]:
+    def controllers(self, settings: Settings) -> list[StateSpace]:
         """Return the controller u = K y of every loop."""
         return [made.controller for made, _ in self.closed_designs(settings)]
 

@@ -6,10 +6,11 @@ import math
 import threading
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.loops import loop_metrics
 from platform_ctrl.app.plants import Bounded
@@ -22,10 +23,6 @@ from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.verification.budget import PreparedBudget
 from platform_ctrl.verification.budget_result import LineOfSightBudget, left_to_runs, unstable_results
 from platform_ctrl.verification.coupled import ALL_LOOPS, coupled_requirements
-
-if TYPE_CHECKING:
-    import control
-
 
 # Budgets that are kept: a few steps back and forth.
 _BUDGETS = 16
@@ -110,7 +107,7 @@ class SightBudgets:
             return prepared.first
 
 
-def _key(settings: Settings, controllers: Sequence[control.StateSpace]) -> Hashable:
+def _key(settings: Settings, controllers: Sequence[StateSpace]) -> Hashable:
     """Return the signals and the limits for which a budget is prepared."""
     return tuple(tuple(one.input_labels) for one in controllers), tuple(sorted(settings.limits.items()))
 

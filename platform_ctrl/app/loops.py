@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from platform_ctrl.analysis.norms import bandwidth_of_response, peak
 from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, following_grid, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.system import ComplexArray, Index, System
+from platform_ctrl.analysis.system import ComplexArray, Index, StateSpace, System
 from platform_ctrl.app import curves as drawn
 from platform_ctrl.app.excitation import SampledInput, caged_excitation, drive, settling, step_size
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Margins, Measured, TimeResponse
@@ -36,9 +36,6 @@ from platform_ctrl.job.quantities import quantity
 from platform_ctrl.job.requirements import WORST_CASE, of_readings
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.verification.coupled import CoupledCheck
-
-if TYPE_CHECKING:
-    import control
 
 # Groups that a band shows: failed parts are not among them.
 _BAND = WORST_CASE
@@ -246,7 +243,7 @@ class StabilisedCurves(drawn.LoopCurves):
         job: Job,
         settings: Settings,
         model: LinearModel,
-        controllers: Sequence[control.StateSpace],
+        controllers: Sequence[StateSpace],
         plants: FreePlants,
         shown: FreePlants,
         check: Callable[[], CoupledCheck],

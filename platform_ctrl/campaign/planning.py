@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.stats import qmc
 
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import known_name, one_of, positive, whole
 from platform_ctrl.common.values import FloatArray, read_only, value
 from platform_ctrl.errors import ArgumentError
@@ -19,9 +20,6 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.parameters import RunParameter, parameters, varied_scenario
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import Campaign, Points, Vary, campaign_misfits
-
-if TYPE_CHECKING:
-    import control
 
 # SciPy's Sobol points have 30 bits: this many runs differ, and this is half of the smallest step.
 MOST_RUNS = 2**30
@@ -140,7 +138,7 @@ class Plan:
     """
 
     job: Job
-    controllers: tuple[control.StateSpace, ...]
+    controllers: tuple[StateSpace, ...]
     runs: int
     seed: int
     sampling: Points
@@ -226,7 +224,7 @@ class Plan:
 
 def plan(
     job: Job,
-    controllers: Sequence[control.StateSpace],
+    controllers: Sequence[StateSpace],
     *,
     runs: int | None = None,
     seed: int | None = None,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.metrics import attenuation_db, over_limit, run_metrics, worst_value
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.campaign import store
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
@@ -19,8 +20,6 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.plant.mistakes import one_line
 
 if TYPE_CHECKING:
-    import control
-
     from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.job.scenario import Scenario
     from platform_ctrl.simulation.batch import BatchResult
@@ -211,9 +210,7 @@ def unlike(found: Rerun, row: Row) -> list[str]:
     return out
 
 
-def recorded_plan(
-    job: Job, controllers: Sequence[control.StateSpace], record: store.Record | None
-) -> tuple[Plan, list[str]]:
+def recorded_plan(job: Job, controllers: Sequence[StateSpace], record: store.Record | None) -> tuple[Plan, list[str]]:
     """Return the plan of a recorded campaign for the present job, and in words what has changed since."""
     from platform_ctrl.campaign.planning import plan
 

@@ -22,14 +22,13 @@ from numpy.typing import NDArray
 
 from platform_ctrl import __version__
 from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.files import remove_unfinished, replaced_file, write_json
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.reading import data_hash, job_data, job_hashes
 
 if TYPE_CHECKING:
-    import control
-
     from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.job.job import Job
 
@@ -152,7 +151,7 @@ def identity(plan: Plan) -> Identity:
     return out | run_versions()
 
 
-def source_hashes(job: Job, controllers: Sequence[control.StateSpace]) -> dict[str, str]:
+def source_hashes(job: Job, controllers: Sequence[StateSpace]) -> dict[str, str]:
     """Return hashes of the plant, of what else of a job its runs follow from, and of the controllers."""
     tables = {key: item for key, item in job_data(job).items() if key in _RUN_TABLES}
     tables["campaign"] = {key: item for key, item in tables.get("campaign", {}).items() if key not in _APART}

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import noted, print_json
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-
-    import control
 
     from platform_ctrl.job.job import Job
     from platform_ctrl.verification.budget_result import LineOfSightBudget, SimulatedBudget
@@ -81,7 +80,7 @@ def budget(
 
 
 def _simulated(
-    job: Job, controllers: Sequence[control.StateSpace], runs: int | None, seed: int | None, say: Callable[[str], None]
+    job: Job, controllers: Sequence[StateSpace], runs: int | None, seed: int | None, say: Callable[[str], None]
 ) -> SimulatedBudget | None:
     """Return the budget from simulated runs, as many as given or as the job has; None without any."""
     runs = runs if runs is not None or job.budget is None else job.budget.runs
@@ -103,8 +102,8 @@ def _simulated(
 
 def _others(
     job: Job,
-    closed: Sequence[control.StateSpace],
-    alternatives: Sequence[control.StateSpace],
+    closed: Sequence[StateSpace],
+    alternatives: Sequence[StateSpace],
     say: Callable[[str], None],
 ) -> dict[str, LineOfSightBudget | None]:
     """Return the budget with each alternative in the place of the design that sets the same; None: not stable."""
@@ -125,7 +124,7 @@ def _others(
 
 def _controllers(
     job: Job, path: Path, given: Path | None, quiet: bool, say: Callable[[str], None]
-) -> tuple[list[control.StateSpace], list[control.StateSpace], str]:
+) -> tuple[list[StateSpace], list[StateSpace], str]:
     """Return the controllers of a file as check finds it, or new ones, their alternatives, and a line about them."""
     from platform_ctrl.verification.controllers import read_controllers
 

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import failed, not_drawn, noted, print_json, reported
 from platform_ctrl.errors import InputError, PlatformCtrlError, began_with_interrupt
 
 if TYPE_CHECKING:
-    import control
-
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.job.job import Job
     from platform_ctrl.verification.comparison import Comparison
@@ -264,7 +263,7 @@ def _show_changes(compared: Comparison, name: str, as_json: bool) -> int:
     return 0 if compared.passed else 1
 
 
-def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
+def campaign_summary(job: Job, controllers: Sequence[StateSpace], folder: Path) -> Summary:
     """Return the statistics of the campaign of `job` in a folder, which has to be done."""
     from platform_ctrl.campaign.single_run import recorded_plan
     from platform_ctrl.campaign.store import RECORD, TABLE, read_campaign_record

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import not_drawn, noted, print_json
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    import control
-
     from platform_ctrl.common.progress import Progress
     from platform_ctrl.job.job import Job
     from platform_ctrl.job.manoeuvre import Manoeuvre
@@ -130,7 +129,7 @@ def _list(path: Path, as_json: bool) -> int:
 
 
 def _manoeuvre_run(
-    job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None, say: Progress
+    job: Job, manoeuvre: Manoeuvre, controllers: list[StateSpace], out: Path | None, say: Progress
 ) -> _Simulated:
     from platform_ctrl.verification.simulated import simulate_manoeuvre
 
@@ -143,9 +142,7 @@ def _manoeuvre_run(
     return _Simulated(job, result, all(one.passed for one in result.results), manoeuvre.name, figure)
 
 
-def _campaign_run(
-    job: Job, number: int, controllers: list[control.StateSpace], folder: Path, say: Progress
-) -> _Simulated:
+def _campaign_run(job: Job, number: int, controllers: list[StateSpace], folder: Path, say: Progress) -> _Simulated:
     """Simulate a run of the campaign in a folder if there is one, else of the job's."""
     from platform_ctrl.campaign.single_run import recorded_plan, recorded_row, rerun, unlike
     from platform_ctrl.campaign.store import RECORD, read_campaign_record

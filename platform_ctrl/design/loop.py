@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
-from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.values import value
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.sections import Section, gain
@@ -22,9 +21,6 @@ from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import LoopRequirement
 from platform_ctrl.plant.platform import OMEGA_NAMES
-
-if TYPE_CHECKING:
-    import control
 
 # A torque for 1 rad/s below this share of the limit counts as zero: that rate does not load the loop.
 _NO_LOAD = 1e-6
@@ -67,7 +63,7 @@ class Design:
     loop: str
     name: str
     method: str
-    controller: control.StateSpace
+    controller: StateSpace
     options: dict[str, float] = field(default_factory=dict)
     plants: PlantSet | None = None
     measures: LoopMetrics | None = None
@@ -78,7 +74,7 @@ class Design:
     directions: Channels | None = None
 
     @property
-    def plant(self) -> control.StateSpace | None:
+    def plant(self) -> StateSpace | None:
         """The nominal sampled plant, from torques and Omega1 to Omega3 to angles: see `PlantSet.system`.
 
         ``control.interconnect([design.plant, design.controller], inputs=["Omega1", "Omega2", "Omega3"], outputs=...)``
@@ -88,7 +84,7 @@ class Design:
         return None if self.plants is None else self.plants.system()
 
     @property
-    def own_controller(self) -> control.StateSpace:
+    def own_controller(self) -> StateSpace:
         """The controller from what the loop measures, without its commands and feedforward."""
         if self.plants is None:
             return self.controller
@@ -143,7 +139,7 @@ class LoopOutcome:
         return next((one for one in self.failed if one.name == self.spec.use), None)
 
 
-def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
+def sampled_plant(plants: PlantSet, k: int = 0) -> StateSpace:
     """Return the nominal sampled plant (or plant `k` of the set) with its signal names."""
     return plants.arrays.at(k).to_control(plants.torques, plants.angles, plants.states)
 
@@ -167,9 +163,7 @@ def filter_lag(hz: float) -> str:
     return f"behind the reference filter (filter_hz = {hz:g}), which alone is {1.0 / (math.pi * hz):.3g} s late"
 
 
-def measured(
-    spec: LoopSpec, name: str, method: str, controller: System | control.StateSpace, plants: PlantSet
-) -> Design:
+def measured(spec: LoopSpec, name: str, method: str, controller: System | StateSpace, plants: PlantSet) -> Design:
     """Return a controller of what the plants measure, perhaps of its commands behind it, as a design, measured."""
     K = controller if isinstance(controller, System) else with_commands(plants, controller)
     K = K._replace(dt=plants.period)
@@ -191,14 +185,14 @@ def _commands(plants: PlantSet) -> list[str]:
     return [f"{name}{COMMAND}" for name in plants.angles[: plants.kept]]
 
 
-def delivered(K: System, plants: PlantSet, name: str) -> control.StateSpace:
+def delivered(K: System, plants: PlantSet, name: str) -> StateSpace:
     """Return a controller of what the plants measure, perhaps of its commands behind it, with feedforward, by name."""
     commands = _commands(plants)[: K.B.shape[1] - len(plants.angles)]
     whole = K if plants.feedforward is None else plants.feedforward.joined_to(K)
     return whole.to_control(plants.named_inputs(commands), plants.torques, name=name)
 
 
-def with_commands(plants: PlantSet, controller: control.StateSpace) -> System:
+def with_commands(plants: PlantSet, controller: StateSpace) -> System:
     """Return a controller of what the plants measure and, if it takes their commands, of these behind it."""
     own = plants.joined(controller)
     given, names = plants.without_feedforward(controller)
@@ -235,7 +229,7 @@ def commanded(design: Design) -> Design:
     return dataclasses.replace(design, controller=controller, sections=sections)
 
 
-def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> ComplexArray:
+def closed_loop_poles(plants: PlantSet, controller: StateSpace) -> ComplexArray:
     """Return the poles of every plant's closed loop, complex (N, poles), in z."""
     K = System.of(controller, "closed_loop_poles")
     A = plants.arrays._replace(dt=K.dt).feedback(K).A

@@ -11,12 +11,12 @@ import re
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.files import write_json, write_whole
 from platform_ctrl.errors import ArgumentError, InputError
@@ -28,14 +28,11 @@ from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.source import MOST_OF_ANY, path_of, read_json
 from platform_ctrl.verification.result_file import MOST_STATES, SCHEMA, JSONTable
 
-if TYPE_CHECKING:
-    import control
-
 
 class ExportedSystem(NamedTuple):
     """A linear system, the time by which its outputs act later than by its matrices, s, and what it is, in a line."""
 
-    system: control.StateSpace
+    system: StateSpace
     delay: float = 0.0
     note: str = ""
 
@@ -85,7 +82,7 @@ def _entry(one: ExportedSystem, units: Mapping[str, str]) -> dict[str, Any]:
 
 
 def write_systems(
-    systems: Sequence[control.StateSpace], path: str | os.PathLike[str], *, platform: Platform | None = None
+    systems: Sequence[StateSpace], path: str | os.PathLike[str], *, platform: Platform | None = None
 ) -> Path:
     """Write systems as JSON, whole or not at all.
 
@@ -115,7 +112,7 @@ def write_systems(
     return write_entries([ExportedSystem(one) for one in systems], path, platform)
 
 
-def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.PathLike[str], *, delay: float) -> Path:
+def write_controllers(controllers: Sequence[StateSpace], path: str | os.PathLike[str], *, delay: float) -> Path:
     """Write controllers as ``check``, ``simulate`` and ``campaign`` read them, whole or not at all.
 
     Parameters
@@ -145,7 +142,7 @@ def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.
     return write_json({"schema": SCHEMA, "controllers": entries}, path)
 
 
-def read_systems(path: str | os.PathLike[str]) -> list[control.StateSpace]:
+def read_systems(path: str | os.PathLike[str]) -> list[StateSpace]:
     """Read systems from JSON: a file of `write_systems`, a ``result.json``, or one with its controllers alone.
 
     Parameters
@@ -172,7 +169,7 @@ def read_systems(path: str | os.PathLike[str]) -> list[control.StateSpace]:
 _PERIOD = fields.Expected("a finite number >= 0, s", fields.where(lambda dt: dt >= 0.0, fields.finite))
 
 
-def system_of(table: JSONTable) -> control.StateSpace:
+def system_of(table: JSONTable) -> StateSpace:
     """Return the system that a table of a file describes: ``A`` to ``D`` are lists of rows."""
     inputs, outputs = table.names("inputs"), table.names("outputs")
     arrays = table.arrays(len(inputs), len(outputs), table.value("dt", _PERIOD))
@@ -189,7 +186,7 @@ _NAMES = {"inputs": "InputName", "outputs": "OutputName", "states": "StateName"}
 _READABLE = "structs of A, B, C, D, Ts, InputName, OutputName and StateName, with -v7"
 
 
-def write_mat(systems: Sequence[control.StateSpace], path: str | os.PathLike[str]) -> Path:
+def write_mat(systems: Sequence[StateSpace], path: str | os.PathLike[str]) -> Path:
     """Write systems as a MATLAB 5 file, whole or not at all.
 
     Every system is a struct with ``A``, ``B``, ``C``, ``D``, ``Ts``, ``InputName``, ``OutputName`` and ``StateName``,
@@ -228,7 +225,7 @@ def write_mat(systems: Sequence[control.StateSpace], path: str | os.PathLike[str
     return write_whole(path, _HEAD + content.getvalue()[len(_HEAD) :])
 
 
-def read_mat(path: str | os.PathLike[str]) -> list[control.StateSpace]:
+def read_mat(path: str | os.PathLike[str]) -> list[StateSpace]:
     """Read systems from a MATLAB file: every struct with ``A``, ``B``, ``C`` and ``D``.
 
     Parameters
@@ -262,7 +259,7 @@ def read_mat(path: str | os.PathLike[str]) -> list[control.StateSpace]:
     return found
 
 
-def _system(where: str, name: str, item: np.ndarray[Any, Any]) -> control.StateSpace:
+def _system(where: str, name: str, item: np.ndarray[Any, Any]) -> StateSpace:
     fields = {key: item.ravel()[0][key] for key in item.dtype.names or ()} if item.size == 1 else {}
     texts = {key: fields.pop(field, np.zeros(0)) for key, field in _NAMES.items()}
     period = fields.pop("Ts", np.zeros((1, 1)))

@@ -8,7 +8,7 @@ a plant set and a controller (`LoopRequirement.check`), or on metrics that were 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -16,16 +16,13 @@ from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.arguments import known_name, nearest, one_of, positive
 from platform_ctrl.common.values import FloatArray, input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
 from platform_ctrl.plant.mistakes import Misfit, missing, wrong
 from platform_ctrl.plant.tables import unknown_key
-
-if TYPE_CHECKING:
-    import control
 
 __all__ = ["requirement"]
 
@@ -195,7 +192,7 @@ class LoopRequirement(Requirement):
                 words.append("with dry friction" if has else "without dry friction")
         return "".join(f"; {one}" for one in words)
 
-    def check(self, plants: PlantSet, controller: control.StateSpace | System) -> CheckResult:
+    def check(self, plants: PlantSet, controller: StateSpace | System) -> CheckResult:
         """Close `controller` around the plants and judge, peaks as norms: ``assert requirement.check(...).passed``.
 
         Parameters

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from platform_ctrl.analysis.hybrid_plant import Density, HybridPlant, RandomDist
 from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.poles import poles
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import at_angles
 from platform_ctrl.errors import ArgumentError, NotFoundError
@@ -32,9 +32,6 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.verification.budget_loop import BudgetLoop
 from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget, assumption, judged
-
-if TYPE_CHECKING:
-    import control
 
 # Relative errors of variances, and those for one controller after the other.
 _TOLERANCE, _QUICK = 1e-5, 1e-4
@@ -56,7 +53,7 @@ def expect_budget(job: Job) -> BudgetSpec:
     return job.budget
 
 
-def line_of_sight_budget(job: Job, controllers: Sequence[control.StateSpace]) -> LineOfSightBudget:
+def line_of_sight_budget(job: Job, controllers: Sequence[StateSpace]) -> LineOfSightBudget:
     """Return the budget of the line of sight with `controllers` closed around the coupled sampled model at rest.
 
     Parameters
@@ -106,7 +103,7 @@ class PreparedBudget:
         As `line_of_sight_budget`.
     """
 
-    def __init__(self, job: Job, controllers: Sequence[control.StateSpace], like: PreparedBudget | None = None) -> None:
+    def __init__(self, job: Job, controllers: Sequence[StateSpace], like: PreparedBudget | None = None) -> None:
         self._loop = loop = BudgetLoop(job, expect_budget(job), controllers)
         if like is None:
             nominal = balanced(loop, job.trims[0])
@@ -123,7 +120,7 @@ class PreparedBudget:
         """Zero gimbal angles, and those at which limits were worst."""
         return [self._balanced[k] for k in self._decided]
 
-    def of(self, controllers: Sequence[control.StateSpace]) -> LineOfSightBudget:
+    def of(self, controllers: Sequence[StateSpace]) -> LineOfSightBudget:
         """Return the budget with other controllers of the same signals.
 
         Parameters

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from platform_ctrl.analysis.hybrid_plant import (
 )
 from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates
 from platform_ctrl.analysis.jitter_budget import JitterBudget
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import BudgetSpec, Source
@@ -32,9 +31,6 @@ from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
 from platform_ctrl.plant.sensors import LOS_RATES
 from platform_ctrl.verification.coupled_plant import moves_freely, with_resolvers
-
-if TYPE_CHECKING:
-    import control
 
 # A recorded spectrum has at most so many points to an octave; below, its own.
 _PER_OCTAVE = 24
@@ -51,7 +47,7 @@ def _from_outside(angle: str) -> str:
 class BudgetLoop:
     """The loop of a job, for one damping of its bearings after the other."""
 
-    def __init__(self, job: Job, budget: BudgetSpec, controllers: Sequence[control.StateSpace]) -> None:
+    def __init__(self, job: Job, budget: BudgetSpec, controllers: Sequence[StateSpace]) -> None:
         self.job, self.budget = job, budget
         self.free, self.given = moves_freely(job, controllers), controllers
         self.dry = job.platform.dry_frictions
@@ -75,7 +71,7 @@ class BudgetLoop:
         self.names = [*(one.name for one in budget.sources), *(one.name for one in self.noise)]
         self.kinds = [*(one.kind for one in budget.sources), *("sensor" for _ in self.noise)]
 
-    def controllers_of(self, controllers: Sequence[control.StateSpace], q: FloatArray) -> MultiRate:
+    def controllers_of(self, controllers: Sequence[StateSpace], q: FloatArray) -> MultiRate:
         """Return controllers as one at gimbal angles (n,), from the loop's sensors to its torquers."""
         turned = with_resolvers(self.job, controllers, q)
         return interconnected_at_rates(turned, self.sensors, self.torquers, self.job.sampling.period)

@@ -10,9 +10,10 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.design.jobs import in_order, plants_of_designs, problems_of
 from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, measured, with_largest_rates
 from platform_ctrl.design.method import LoopProblem
@@ -28,16 +29,13 @@ from platform_ctrl.plant.platform import is_rate
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.result_file import JSONTable, resolve_record
 
-if TYPE_CHECKING:
-    import control
-
 _EXPECTED = "a JSON file with controllers"
 _SECONDS = fields.Expected("a finite number, s", fields.finite)
 
 
 def read_controllers(
     source: str | os.PathLike[str] | Mapping[str, Any], job: Job, key: str = "controllers"
-) -> list[control.StateSpace]:
+) -> list[StateSpace]:
     """Read controllers that exist already and check whether they can be closed around the job's plant.
 
     Parameters
@@ -131,7 +129,7 @@ def _designs(entries: object) -> list[tuple[object, object]]:
     return [(one.get("name"), one.get("design")) for one in found if isinstance(one, Mapping)]
 
 
-def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.StateSpace:
+def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> StateSpace:
     """Return one controller of a file, its inputs among `known`."""
     name, inputs, outputs = entry.value("name", fields.TEXT), entry.names("inputs"), entry.names("outputs")
     for one in inputs:
@@ -174,10 +172,10 @@ def _expect_resolved(entry: JSONTable, job: Job, inputs: Sequence[str]) -> None:
 
 
 def outcomes_from(
-    job: Job, controllers: Sequence[control.StateSpace], alternatives: Sequence[control.StateSpace] = ()
+    job: Job, controllers: Sequence[StateSpace], alternatives: Sequence[StateSpace] = ()
 ) -> tuple[LoopOutcome, ...]:
     """Return existing controllers as the outcome of the job's loops, measured again."""
-    placed: dict[str, list[control.StateSpace]] = {}
+    placed: dict[str, list[StateSpace]] = {}
     for K in controllers:
         spec = _loop_of(job, K)
         if spec.name in placed:
@@ -203,7 +201,7 @@ def outcomes_from(
 
 
 def _outcome(
-    job: Job, spec: LoopSpec, model: LinearModel, controllers: Sequence[control.StateSpace], inner: Design | None
+    job: Job, spec: LoopSpec, model: LinearModel, controllers: Sequence[StateSpace], inner: Design | None
 ) -> LoopOutcome:
     """Return the controllers of a loop, measured again, the closed one first."""
     names: list[str] = []
@@ -225,7 +223,7 @@ def _outcome(
     return LoopOutcome(spec=spec, designs=designs, use=designs[0].name, failed=failed)
 
 
-def _measured(problem: LoopProblem, name: str, K: control.StateSpace, closed: bool) -> Design:
+def _measured(problem: LoopProblem, name: str, K: StateSpace, closed: bool) -> Design:
     """Return a controller as a design of a loop, measured again."""
     spec, design, plants = problem.spec, problem.design, problem.plant_set
     if plants is None:
@@ -236,7 +234,7 @@ def _measured(problem: LoopProblem, name: str, K: control.StateSpace, closed: bo
     return with_largest_rates(made) if spec.kind == "caging" and closed else made
 
 
-def _name_of(spec: LoopSpec, K: control.StateSpace) -> str:
+def _name_of(spec: LoopSpec, K: StateSpace) -> str:
     return str(K.name).removeprefix(f"{spec.name}, ")
 
 
@@ -249,13 +247,13 @@ def _free_name(name: str, taken: Sequence[str]) -> str:
     return new
 
 
-def _taken(K: control.StateSpace) -> set[str]:
+def _taken(K: StateSpace) -> set[str]:
     """Return what a controller reads, without commands of what it reads."""
     names = set(K.input_labels)
     return {name for name in names if name.removesuffix(COMMAND) not in names or name.removesuffix(COMMAND) == name}
 
 
-def _design_of(job: Job, spec: LoopSpec, K: control.StateSpace) -> DesignSpec:
+def _design_of(job: Job, spec: LoopSpec, K: StateSpace) -> DesignSpec:
     """Return the design of the job that reads what a controller reads: the one of its name, if several do."""
     name, taken = _name_of(spec, K), _taken(K)
     fitting = [design for design in spec.designs if {*job.read_in(spec, design)} == taken]
@@ -264,7 +262,7 @@ def _design_of(job: Job, spec: LoopSpec, K: control.StateSpace) -> DesignSpec:
     return next(iter((*named, *fitting)), bare)
 
 
-def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
+def _loop_of(job: Job, K: StateSpace) -> LoopSpec:
     outputs = set(K.output_labels)
     for spec in job.loops:
         if outputs != set(job.channels_of(spec)):

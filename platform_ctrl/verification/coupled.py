@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
 from platform_ctrl.analysis.norms import drifting_rms, hinf_norm
 from platform_ctrl.analysis.periodic import PeriodicLoop
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, unseen_equilibria, without_drift
-from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.design.cases import at_angles, swung
@@ -45,9 +44,6 @@ from platform_ctrl.verification.coupled_plant import (
     used_signals,
     with_resolvers,
 )
-
-if TYPE_CHECKING:
-    import control
 
 ALL_LOOPS = "all loops closed"  # subject of what is required of the coupled system
 
@@ -94,8 +90,8 @@ class CoupledCheck:
     See docs/reference/job-file.md.
     """
 
-    plant: control.StateSpace
-    controller: control.StateSpace | None
+    plant: StateSpace
+    controller: StateSpace | None
     poles: ComplexArray
     period: float
     free: bool
@@ -121,7 +117,7 @@ class CoupledCheck:
         return self.stable and all(one.value > 0.0 for one in self.results if one.name == STABLE.name)
 
 
-def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledCheck:
+def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace]) -> CoupledCheck:
     """Close `controllers` around the coupled sampled model and compare it with the job's limits.
 
     Parameters
@@ -244,12 +240,12 @@ def _dry(job: Job) -> str:
 class _Together:
     """All controllers closed around a sampled plant, at every sample or each at its own rate."""
 
-    def __init__(self, job: Job, controllers: Sequence[control.StateSpace], whole: CoupledPlant) -> None:
+    def __init__(self, job: Job, controllers: Sequence[StateSpace], whole: CoupledPlant) -> None:
         self._job, self._whole = job, whole
         plant = self._plant = whole.system
         self._seen, torquers = used_signals(job, controllers, plant)
         self.channels, self.uncontrolled, self.conserved = tuple(torquers), whole.uncontrolled, whole.conserved
-        self.controller: control.StateSpace | None = None
+        self.controller: StateSpace | None = None
         self._periodic: PeriodicLoop | None = None
         by_sample = interconnected_by_sample(controllers, self._seen, torquers, job.sampling.period)
         at, seen = (
@@ -330,9 +326,7 @@ class _Together:
         return np.array([np.linalg.norm(drifting_rms(one, np.ones(one.B.shape[1]), DRIFT_TIME)) for one in parts])
 
 
-def one_controller(
-    job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
-) -> control.StateSpace:
+def one_controller(job: Job, controllers: Sequence[StateSpace], plant: StateSpace) -> StateSpace:
     """Return all controllers as one, from the sensors that `plant` shows to the torquers that are used."""
     seen, torquers = used_signals(job, controllers, plant)
     names = [name for K in controllers for name in K.state_labels]
@@ -340,9 +334,7 @@ def one_controller(
     return whole.to_control(seen, torquers, names, name="all loops")
 
 
-def _decoupled_margins(
-    job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], whole: _Together
-) -> FloatArray:
+def _decoupled_margins(job: Job, model: LinearModel, controllers: Sequence[StateSpace], whole: _Together) -> FloatArray:
     """Return the disk margin of each channel in the design models; `whole` are all loops on the coupled one."""
     channels = whole.channels
     gimbal_torquers = [t for t in job.platform.torquers if t.gimbal is not None and t.name in channels]

@@ -17,13 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.periodic import lifted
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.design.loop import Design
@@ -32,9 +32,6 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import STABLE, CheckResult, Requirement, Stage
 from platform_ctrl.verification.coupled import CoupledCheck
-
-if TYPE_CHECKING:
-    import control
 
 PROVED = Requirement(name="certified properties", limit=1.0, unit="", sense="at least")
 
@@ -154,7 +151,7 @@ def proofs_of(spec: LoopSpec, design: Design) -> Proofs:
     return Proofs(claims=tuple(claims))
 
 
-def coupled_proofs(check: CoupledCheck, controllers: Sequence[control.StateSpace]) -> Proofs:
+def coupled_proofs(check: CoupledCheck, controllers: Sequence[StateSpace]) -> Proofs:
     """Return the proof that the coupled system is stable with all `controllers`; empty where it is not stable."""
     if not check.stable or set(check.free_angles) & set(check.plant.state_labels):
         return Proofs()
@@ -278,7 +275,7 @@ def _no_positive_root(p: list[Balls]) -> bool:
     return False
 
 
-def _side_by_side(plant: control.StateSpace, controllers: Sequence[control.StateSpace]) -> tuple[System, System]:
+def _side_by_side(plant: StateSpace, controllers: Sequence[StateSpace]) -> tuple[System, System]:
     """Return plant and controllers such that closing them rounds nothing.
 
     Controllers are side by side. Signals that one takes from an earlier one are fed through the plant, whose

@@ -10,13 +10,13 @@ import os
 import platform as interpreter
 from collections.abc import Iterator, Mapping
 from importlib import metadata
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from platform_ctrl import __version__
 from platform_ctrl.analysis.dry_friction import FrictionBalance
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.files import plain_types, write_json
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Design
@@ -34,9 +34,6 @@ from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import Proofs
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
-
-if TYPE_CHECKING:
-    import control
 
 Record = dict[str, Any]
 SCHEMA = 1
@@ -206,7 +203,7 @@ def _content_hash(record: Mapping[str, Any]) -> str:
     return data_hash({**record, "sha256": hashes})
 
 
-def controller_record(K: control.StateSpace, job: Job) -> Record:
+def controller_record(K: StateSpace, job: Job) -> Record:
     """Return matrices, signals and times of a controller, and what turns its readings to joint axes."""
     matrices = {name: np.asarray(getattr(K, name), dtype=np.float64) for name in "ABCD"}
     signals: Record = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db, run_metrics, worst_value
+from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import SimulationError
@@ -38,8 +39,6 @@ from platform_ctrl.verification.budget_result import SimulatedBudget
 from platform_ctrl.verification.coupled_plant import moves_freely
 
 if TYPE_CHECKING:
-    import control
-
     from platform_ctrl.job.scenario import VibrationKind
 
 # Window over which a state is counted: fewest samples, and share of a run. Share of a run, up to its end, over which a
@@ -77,7 +76,7 @@ class Run:
     lost: str = ""
 
 
-def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
+def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[StateSpace]) -> Run:
     """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops."""
     scenario = job.scenario(manoeuvre)
     step = max(min(_STEP, longest_step(job.platform, manoeuvre.mode == "stabilised")), _SHORTEST)
@@ -266,7 +265,7 @@ _KINDS: dict[str, VibrationKind] = {"base-rate": "rate", "specific-force": "forc
 
 def simulated_budget(
     job: Job,
-    controllers: Sequence[control.StateSpace],
+    controllers: Sequence[StateSpace],
     runs: int,
     *,
     seed: int = 0,

@@ -6,13 +6,13 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from platform_ctrl.analysis.interconnection import back_calculation
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.text import at_most
@@ -25,9 +25,6 @@ from platform_ctrl.export.systems import signal_units
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.resolve import Resolver
-
-if TYPE_CHECKING:
-    import control
 
 # Relative change of the response by coefficients in single precision that causes a note, and an error.
 _NOTED, _REFUSED = 1e-3, 1e-2
@@ -45,7 +42,7 @@ class Written:
 
 def write_c(
     job: Job,
-    entries: Sequence[Mapping[str, Any] | control.StateSpace],
+    entries: Sequence[Mapping[str, Any] | StateSpace],
     folder: str | os.PathLike[str],
     *,
     number: Number = "double",

@@ -14,11 +14,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import Section, flattened
@@ -28,9 +28,6 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.plant.fields import TEXT, Expected, where
 from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.result_file import SCHEMA, JSONTable
-
-if TYPE_CHECKING:
-    import control
 
 # How far what sections multiply out to may be from the matrices of the controller: rounding of a few operations.
 _SAME = 1e-11
@@ -59,9 +56,7 @@ class WrittenController:
         return tuple(name for section in self.sections for name in section.states)
 
 
-def controllers_of(
-    job: Job, entries: Sequence[Mapping[str, Any] | control.StateSpace]
-) -> tuple[WrittenController, ...]:
+def controllers_of(job: Job, entries: Sequence[Mapping[str, Any] | StateSpace]) -> tuple[WrittenController, ...]:
     """Return the controllers of a job, checked against it, in order of evaluation.
 
     Each entry is one of ``controllers`` in ``result.json``, or a `control.StateSpace` with ``dt`` and signal names.
@@ -123,7 +118,7 @@ def _sections(
     return (whole,), f"{record['name']}: its sections are not its matrices, which are written instead"
 
 
-def _record(K: control.StateSpace, job: Job) -> dict[str, Any]:
+def _record(K: StateSpace, job: Job) -> dict[str, Any]:
     arrays = System.of(K, "controller")
     loop, _, design = str(K.name).partition(", ")
     matrices = {name: item.tolist() for name, item in zip("ABCD", arrays[:4], strict=True)}
