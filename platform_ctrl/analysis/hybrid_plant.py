@@ -342,13 +342,11 @@ class OpenLoop:
 
 def _unit(columns: FloatArray) -> FloatArray:
     size = np.linalg.norm(columns, axis=0)
-    out: FloatArray = columns / np.where(size > 0.0, size, 1.0)
-    return out
+    return np.asarray(columns / np.where(size > 0.0, size, 1.0))
 
 
 def _signed_response(system: System, omega: FloatArray) -> ComplexArray:
     """Return the response (..., p, m) at frequencies (...) of any sign, rad/s."""
     w, place = np.unique(np.abs(omega), return_inverse=True)
     found = frequency_response(system, w, -3)[place.reshape(omega.shape)]
-    out: ComplexArray = np.where((omega < 0.0)[..., None, None], found.conj(), found)
-    return out
+    return np.asarray(np.where((omega < 0.0)[..., None, None], found.conj(), found))

@@ -77,8 +77,7 @@ def joined(first: CostateStep, second: CostateStep) -> CostateStep:
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:
-    out: FloatArray = 0.5 * (matrix + matrix.T)
-    return out
+    return np.asarray(0.5 * (matrix + matrix.T))
 
 
 def lifted(systems: Sequence[System]) -> System:

@@ -264,8 +264,7 @@ def factor(square: FloatArray) -> FloatArray:
         return np.zeros((len(square), 0))
     values, vectors = np.linalg.eigh(square)
     kept = values > len(square) * np.finfo(float).eps * max(float(values[-1]), 0.0)
-    out: FloatArray = vectors[:, kept] * np.sqrt(values[kept])
-    return out
+    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
 
 def to_w_plane(system: System) -> System:

@@ -171,8 +171,7 @@ def hamiltonian_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatA
     hamiltonian[n:, :n], hamiltonian[n:, n:] = -(C.T @ C) - seen.T @ np.linalg.solve(R, seen), -F.T
     if not np.all(np.isfinite(hamiltonian)):
         return np.zeros(0)
-    out: FloatArray = np.unique(np.abs(np.linalg.eigvals(hamiltonian).imag))
-    return out
+    return np.asarray(np.unique(np.abs(np.linalg.eigvals(hamiltonian).imag)))
 
 
 def pencil_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> FloatArray:

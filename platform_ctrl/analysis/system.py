@@ -222,8 +222,7 @@ def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     if not np.all(np.isfinite(whole)):
         return np.ones(n)  # in these units inputs or outputs are beyond all numbers
     more = dgebal(whole, scale=1, permute=0)[3]
-    out: FloatArray = s * more[:n]
-    return out
+    return np.asarray(s * more[:n])
 
 
 def _resized(block: FloatArray, size: float) -> FloatArray:
@@ -233,8 +232,7 @@ def _resized(block: FloatArray, size: float) -> FloatArray:
 
 def _mean_magnitude(array: FloatArray) -> FloatArray:
     # Signs do not matter to what balances.
-    out: FloatArray = np.abs(array).reshape(-1, *array.shape[-2:]).mean(axis=0) if array.ndim > 2 else array
-    return out
+    return np.asarray(np.abs(array).reshape(-1, *array.shape[-2:]).mean(axis=0) if array.ndim > 2 else array)
 
 
 def scaled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

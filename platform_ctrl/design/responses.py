@@ -393,8 +393,7 @@ def _below(frequency: FloatArray, P: ComplexArray, L: ComplexArray, controller: 
 
 def _steps(Z: ComplexArray) -> FloatArray:
     """Phases of the eigenvalues of Z_k⁻¹ Z_{k+1}, (N − 1, n)."""
-    out: FloatArray = np.angle(np.linalg.eigvals(np.linalg.solve(Z[:-1], Z[1:])))
-    return out
+    return np.asarray(np.angle(np.linalg.eigvals(np.linalg.solve(Z[:-1], Z[1:]))))
 
 
 def _between(frequency: FloatArray, Z: ComplexArray) -> float:

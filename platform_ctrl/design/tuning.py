@@ -246,8 +246,7 @@ def _stable(measures: LoopMetrics, requirements: Sequence[LoopRequirement]) -> B
     """Return which plants have to be stable, (N,): those with a fault only where something is required of them."""
     if any("faults" in requirement.over for requirement in requirements):
         return np.ones(len(measures.groups), dtype=np.bool_)
-    out: BoolArray = np.logical_not(measures.of(("faults",)))
-    return out
+    return np.asarray(np.logical_not(measures.of(("faults",))))
 
 
 # Share of its value by which an option is moved to see what it does.

@@ -78,8 +78,7 @@ class Points:
         a, b = of.differential(responses, found.u, found.v)
         row = np.concatenate([row_of(a, self._left[found.at]), a], axis=1)
         column = np.concatenate([column_of(self._right[found.at], b), b], axis=1)
-        out: FloatArray = np.real(row[:, :, None] * column[:, None, :])
-        return out
+        return np.asarray(np.real(row[:, :, None] * column[:, None, :]))
 
 
 class LoopGradients:
@@ -307,8 +306,7 @@ class LoopGradients:
         poles = self.poles()
         scale = factor / (poles.z[plant, k] * self.plants.period)
         a, b = poles.left[plant, k], poles.right[plant, :, k]
-        out: FloatArray = np.real(scale[:, None, None] * a[:, :, None] * b[:, None, :])
-        return out
+        return np.asarray(np.real(scale[:, None, None] * a[:, :, None] * b[:, None, :]))
 
     def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return A of every closed loop, states [x, x_K], and L, R with dA = L dM R."""

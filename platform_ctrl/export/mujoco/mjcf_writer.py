@@ -448,8 +448,7 @@ def placed(platform: Platform) -> list[Placed]:
 
 def point_inertia(offset: FloatArray) -> FloatArray:
     """Return the inertia of a unit mass at `offset`, (3, 3)."""
-    out: FloatArray = float(offset @ offset) * np.eye(3) - np.outer(offset, offset)
-    return out
+    return np.asarray(float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
 
 
 def _radius(platform: Platform, body: int) -> float:
@@ -478,5 +477,4 @@ def quaternion_to(axis: FloatArray) -> FloatArray:
     half = np.array([1.0 + axis[2], -axis[1], axis[0], 0.0])
     if half[0] < 1e-9:
         return np.array([0.0, 1.0, 0.0, 0.0])
-    out: FloatArray = half / np.linalg.norm(half)
-    return out
+    return np.asarray(half / np.linalg.norm(half))
