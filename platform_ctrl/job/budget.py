@@ -17,19 +17,7 @@ from platform_ctrl.common.values import FloatArray, input_value, replaced, value
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.spectra import PROFILES, SPECTRA, Lines, LogSpectrum, SourceSpectrum
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.mistakes import (
-    Misfit,
-    Mistake,
-    Path,
-    at,
-    given,
-    missing,
-    of_length,
-    strange,
-    useless,
-    within,
-    wrong,
-)
+from platform_ctrl.plant import mistakes as mistake
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.tables import TABLE, Array, OneOf, Shape, record_value
 
@@ -69,7 +57,7 @@ SOURCE_KINDS: dict[str, SourceKind] = {
 UNITS = tuple(unit for kind in SOURCE_KINDS.values() for unit in kind.units)
 
 
-def too_large(key: str, numbers: ArrayLike, kind: str, unit: str | None = None) -> Iterator[Misfit]:
+def too_large(key: str, numbers: ArrayLike, kind: str, unit: str | None = None) -> Iterator[mistake.Misfit]:
     """Yield numbers in SI units of a kind of source that are larger than can be meant; `unit` is that of the file."""
     known = list(SOURCE_KINDS[kind].units)
     worst, most = float(np.abs(numbers).max(initial=0.0)), SOURCE_KINDS[kind].largest
@@ -78,14 +66,14 @@ def too_large(key: str, numbers: ArrayLike, kind: str, unit: str | None = None) 
         yield key, f"{key}: {worst:.4g} {known[0]} cannot be meant, at most {most:g} {known[0]}; {cure}"
 
 
-def misplaced(table: Mapping[str, Any], kind: str) -> Iterator[Misfit]:
+def misplaced(table: Mapping[str, Any], kind: str) -> Iterator[mistake.Misfit]:
     """Yield what is wrong with the place where a kind of source, which the table may call otherwise, acts."""
-    of, place = f"kind = {given(table['kind'])}", SOURCE_KINDS[kind].place
+    of, place = f"kind = {mistake.given(table['kind'])}", SOURCE_KINDS[kind].place
     for key, words in (("axis", "the root axis, 1 to 3"), ("gimbal", "the name of the gimbal")):
         if key == place and key not in table:
-            yield missing(key, f"{of} needs {words}")
+            yield mistake.missing(key, f"{of} needs {words}")
         elif key != place and key in table:
-            yield useless(table, key, f"with {of}, which takes {place}")
+            yield mistake.useless(table, key, f"with {of}, which takes {place}")
 
 
 def unit_mistake(kind: str, unit: str | None, column: str | None) -> str:
@@ -153,24 +141,27 @@ class Source:
     spectrum: Annotated[SourceSpectrum, OneOf(SPECTRA)]
 
     @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        kind, of, unit = SOURCE_KINDS[table["kind"]], f"kind = {given(table['kind'])}", table.get("unit")
+    def _misfits(table: Mapping[str, Any]) -> Iterator[mistake.Misfit]:
+        kind, of, unit = SOURCE_KINDS[table["kind"]], f"kind = {mistake.given(table['kind'])}", table.get("unit")
         yield from misplaced(table, table["kind"])
         if unit is not None and unit not in kind.units:
-            yield wrong(table, "unit", f"{' or '.join(map(given, kind.units))} with {of}")
+            yield mistake.wrong(table, "unit", f"{' or '.join(map(mistake.given, kind.units))} with {of}")
         elif contradiction := unit_mistake(table["kind"], unit, table.get("column")):
             yield "column", contradiction
         if "profile" in table:
             profile = PROFILES[table["profile"]]
             if profile.kind != table["kind"]:
-                words = f"profile {given(profile.name)} is of kind {given(profile.kind)}, got {of}"
-                fitting = ", ".join(given(one.name) for one in PROFILES.values() if one.kind == table["kind"]) or "none"
+                words = f"profile {mistake.given(profile.name)} is of kind {mistake.given(profile.kind)}, got {of}"
+                fitting = (
+                    ", ".join(mistake.given(one.name) for one in PROFILES.values() if one.kind == table["kind"])
+                    or "none"
+                )
                 yield "profile", f"{words}; profiles of this kind: {fitting}"
             if unit is not None:
-                yield useless(table, "unit", "with a profile, which is in SI units; use scale")
+                yield mistake.useless(table, "unit", "with a profile, which is in SI units; use scale")
         if "harmonics" in table and table["kind"] != "torque":
             yield "harmonics", 'harmonics: a turning motor is a torque: kind = "torque" and a gimbal'
-        yield from of_length(table, "densities", "frequencies_hz")
+        yield from mistake.of_length(table, "densities", "frequencies_hz")
 
     @property
     def factor(self) -> float:
@@ -276,9 +267,9 @@ class BudgetSpec:
     correlations: Annotated[tuple[Correlation, ...], Array("correlation")] = ()
 
     @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
+    def _misfits(table: Mapping[str, Any]) -> Iterator[mistake.Misfit]:
         if not table["from_hz"] < table["to_hz"]:
-            yield wrong(table, "to_hz", f"above from_hz = {given(table['from_hz'])}")
+            yield mistake.wrong(table, "to_hz", f"above from_hz = {mistake.given(table['from_hz'])}")
         for key in {"windowed_jitter", "smear"} & table.get("limits", {}).keys():
             if "exposure" not in table:
                 yield ("limits", key), f"{key} has no effect without exposure, the exposure times in s"
@@ -299,7 +290,7 @@ class BudgetSpec:
 NEAR_ONE = 0.05
 
 
-def with_logs(budget: BudgetSpec, folder: FilePath) -> tuple[BudgetSpec, list[Mistake]]:
+def with_logs(budget: BudgetSpec, folder: FilePath) -> tuple[BudgetSpec, list[mistake.Mistake]]:
     """Return a budget whose logs are read, and what is wrong with them."""
     sources, mistakes, logs = [], [], _logs(budget, folder)
     for k, source in enumerate(budget.sources):
@@ -312,10 +303,10 @@ def with_logs(budget: BudgetSpec, folder: FilePath) -> tuple[BudgetSpec, list[Mi
                     spectrum = source.spectrum.of(log, budget.from_hz)
                 source = replaced(source, {"spectrum": spectrum})
                 if words := _gravity_in_g(source, spectrum):
-                    mistakes.append(Mistake(("budget", "source", k, "unit"), words))
+                    mistakes.append(mistake.Mistake(("budget", "source", k, "unit"), words))
             except InputError as error:
                 key = "column" if "there is no column" in str(error) else "log"
-                mistakes.append(Mistake(("budget", "source", k, key), f"{key}: {error}"))
+                mistakes.append(mistake.Mistake(("budget", "source", k, key), f"{key}: {error}"))
         sources.append(source)
     return replaced(budget, {"sources": tuple(sources)}), mistakes
 
@@ -339,34 +330,34 @@ def _gravity_in_g(source: Source, spectrum: LogSpectrum) -> str:
     mean, unstated = spectrum.estimate.mean, source.unit is None and source.stated_unit is None
     if source.kind != "specific-force" or not unstated or abs(abs(mean) - 1.0) >= NEAR_ONE:
         return ""
-    words = f"unit: the mean of {given(spectrum.column)} is {mean:.4g}, which looks like gravity in g"
+    words = f"unit: the mean of {mistake.given(spectrum.column)} is {mean:.4g}, which looks like gravity in g"
     return f'{words}; write unit = "g", or unit = "m/s2" if it is meant'
 
 
-def value_mistakes(budget: BudgetSpec) -> Iterator[Mistake]:
+def value_mistakes(budget: BudgetSpec) -> Iterator[mistake.Mistake]:
     """Yield what the values show: sources outside of the band, coherences of no signals."""
     for k, source in enumerate(budget.sources):
-        path: Path = ("budget", "source", k)
+        path: mistake.Path = ("budget", "source", k)
         lead = next(key for key, kind in SPECTRA.items() if isinstance(source.spectrum, kind))
         edges = np.concatenate([source.spectrum.knots_hz, source.lines.frequencies_hz])
         shaken = (budget.from_hz <= source.lines.frequencies_hz) & (source.lines.frequencies_hz <= budget.to_hz)
         if not source.spectrum.within(budget.from_hz, budget.to_hz).size and not shaken.any():
             words = f"{lead}: nothing of it lies in the band of the budget, {budget.from_hz:g} to {budget.to_hz:g} Hz"
             range_words = f"{edges.min():.4g} to {edges.max():.4g} Hz"
-            yield Mistake((*path, lead), f"{words}, got {range_words}; widen the band or leave the source out")
+            yield mistake.Mistake((*path, lead), f"{words}, got {range_words}; widen the band or leave the source out")
         stated = source.stated_unit
         unit = source.unit or (stated.name if stated else next(iter(SOURCE_KINDS[source.kind].units)))
         size = source.rms(float(edges.min()), float(edges.max()))
         if isinstance(source.spectrum, LogSpectrum) and source.spectrum.estimate is not None:
             size = math.hypot(size, source.factor * source.spectrum.estimate.mean)
-        yield from at(path, too_large(lead, size, source.kind, unit))
+        yield from mistake.at(path, too_large(lead, size, source.kind, unit))
     smallest = float(np.linalg.eigvalsh(budget.coherences)[0]) if np.isfinite(budget.coherences).all() else 0.0
     if smallest < -1e-9:
         words = "no signals have these coherences together: their matrix has the negative eigenvalue"
-        yield Mistake(("budget", "correlation"), f"correlation: {words} {smallest:.4g}; lower a coherence")
+        yield mistake.Mistake(("budget", "correlation"), f"correlation: {words} {smallest:.4g}; lower a coherence")
 
 
-def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
+def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[mistake.Misfit]:
     """Yield what does not fit together in a budget, and with the plant."""
     if platform.line_of_sight is None:
         words = "the plant has no line of sight to be limited; state its body and direction in [line_of_sight]"
@@ -374,11 +365,13 @@ def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
             yield "limits", f"limits: {words}"
         limited = [k for k, source in enumerate(budget.sources) if source.limit is not None]
         yield from ((("source", k, "limit"), f"limit: {words}") for k in limited)
-    yield from strange("turning", budget.turning, "angle of a gimbal", platform.angle_names)
+    yield from mistake.strange("turning", budget.turning, "angle of a gimbal", platform.angle_names)
     moved = platform.weighs or any(one.base_force.any() for one in platform.modes)
     for k, source in enumerate(budget.sources):
         gimbals = platform.gimbal_names
-        yield from within(("source", k), strange("gimbal", [source.gimbal], "gimbal of the plant", gimbals))
+        yield from mistake.within(
+            ("source", k), mistake.strange("gimbal", [source.gimbal], "gimbal of the plant", gimbals)
+        )
         if source.kind == "specific-force" and not moved:
             words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]]"
             yield ("source", k, "kind"), f"kind: {words} to it, or the masses of its bodies"
@@ -387,10 +380,10 @@ def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[Misfit]:
     for k, one in enumerate(budget.correlations):
         pair = frozenset(one.between)
         if len(pair) != 2:
-            yield from within(("correlation", k), [wrong(one, "between", "the names of two sources")])
+            yield from mistake.within(("correlation", k), [mistake.wrong(one, "between", "the names of two sources")])
         elif not pair <= set(names):
-            misfits = strange("between", one.between, "[[budget.source]] of the job", names)
-            yield from within(("correlation", k), misfits)
+            misfits = mistake.strange("between", one.between, "[[budget.source]] of the job", names)
+            yield from mistake.within(("correlation", k), misfits)
         elif taken.setdefault(pair, k) != k:
             words = f"these two are in [[budget.correlation]] {taken[pair] + 1} already; leave one of them out"
             yield ("correlation", k, "between"), f"between: {words}"

@@ -12,24 +12,8 @@ from platform_ctrl.design.loop import Design, LoopOutcome
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import BOUND, compared, count, listed, percent, plain
+from platform_ctrl.report import blocks as page
 from platform_ctrl.report import tables
-from platform_ctrl.report.blocks import (
-    Block,
-    Cell,
-    Columns,
-    Distance,
-    Distances,
-    Group,
-    Paragraph,
-    Row,
-    Subsection,
-    Table,
-    Verdict,
-    columns,
-    drawn,
-    made,
-    sentence,
-)
 from platform_ctrl.report.campaign_tables import campaign_words
 from platform_ctrl.report.captions import sentences, tightest
 from platform_ctrl.report.figures.nichols import nichols_figure
@@ -44,41 +28,41 @@ _BEYOND, _MARK = 0.15, 0.0225
 _TICKS = (-1.0, -0.25, -0.05, 0.05, 0.25, 1.0)
 
 
-def first_screen(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
+def first_screen(result: JobResult, campaign: Summary | None) -> tuple[page.Block, ...]:
     """Return verdict, chain and distances, beside the Nichols plot of the tightest loop where there is one.
 
     Where a run of a campaign violates a limit, the verdict is no pass.
     """
     left = (
         _verdict(result, campaign),
-        *made("What limits each loop", lambda: chain_table(result)),
-        *made("Distances to the limits", lambda: _distance_blocks(result)),
+        *page.made("What limits each loop", lambda: chain_table(result)),
+        *page.made("Distances to the limits", lambda: _distance_blocks(result)),
     )
     picture = _nichols(result)
-    return (Columns(left=left, right=picture),) if picture else left
+    return (page.Columns(left=left, right=picture),) if picture else left
 
 
-def _distance_blocks(result: JobResult) -> tuple[Block, ...]:
+def _distance_blocks(result: JobResult) -> tuple[page.Block, ...]:
     shown = distances(result)
-    return () if shown is None else (Paragraph(text=sentences("distances"), tone="quiet"), shown)
+    return () if shown is None else (page.Paragraph(text=sentences("distances"), tone="quiet"), shown)
 
 
-def _verdict(result: JobResult, campaign: Summary | None) -> Verdict:
+def _verdict(result: JobResult, campaign: Summary | None) -> page.Verdict:
     goals = tables.goal_rows(result)
     missed = [row for row in tables.requirement_rows(result) if not row.checked.passed]
     reached = sum(goal.checked.passed for goal in goals)
     assumed = result.assumptions.removeprefix(", ")
-    asides = [sentence(f"{assumed}.")] if assumed else []
+    asides = [page.sentence(f"{assumed}.")] if assumed else []
     asides += [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
-    return Verdict(
+    return page.Verdict(
         passed=result.passed and (campaign is None or campaign.passed),
-        words="; ".join(filter(None, (sentence(tables.verdict(result)), campaign_words(campaign)))),
+        words="; ".join(filter(None, (page.sentence(tables.verdict(result)), campaign_words(campaign)))),
         lines=tuple(row.words for row in missed),
         aside=" ".join(asides),
     )
 
 
-def chain_table(result: JobResult) -> Table | None:
+def chain_table(result: JobResult) -> page.Table | None:
     """Return for each loop its tightest requirement, and the plant in which it is."""
     rows = []
     for outcome in result.loops:
@@ -88,15 +72,15 @@ def chain_table(result: JobResult) -> Table | None:
         number, limit = compared(nearest)
         where, tone = nearest.evidence.rpartition(";")[0], "" if nearest.passed else "bad"
         shown = (
-            Cell(text=outcome.spec.name, note=outcome.use),
-            Cell(text=nearest.name, note=f"with {where}" if where else ""),
-            Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=tone),
+            page.Cell(text=outcome.spec.name, note=outcome.use),
+            page.Cell(text=nearest.name, note=f"with {where}" if where else ""),
+            page.Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=tone),
         )
-        rows.append(Row(cells=shown, missed=not nearest.passed))
+        rows.append(page.Row(cells=shown, missed=not nearest.passed))
     if not rows:
         return None
-    titles = columns("loop|limited by|margin", numbers="margin")
-    return Table(columns=titles, groups=(Group(rows=tuple(rows)),), form="chain")
+    titles = page.columns("loop|limited by|margin", numbers="margin")
+    return page.Table(columns=titles, groups=(page.Group(rows=tuple(rows)),), form="chain")
 
 
 def own_results(result: JobResult, outcome: LoopOutcome) -> list[CheckResult]:
@@ -105,7 +89,7 @@ def own_results(result: JobResult, outcome: LoopOutcome) -> list[CheckResult]:
     return [one for one in result.requirements if one.subject == outcome.spec.name and (one.design or not of_design)]
 
 
-def distances(result: JobResult) -> Distances | None:
+def distances(result: JobResult) -> page.Distances | None:
     """Return a mark for each requirement at the root of its relative distance to the limit, missed ones at the left."""
     shown = tables.requirement_rows(result)
     if not shown:
@@ -116,7 +100,7 @@ def distances(result: JobResult) -> Distances | None:
     scaled = [(place - low) / (1.0 - low) for place in places]
     levels = dict(zip(order, _levels([scaled[k] for k in order]), strict=True))
     marks = tuple(
-        Distance(
+        page.Distance(
             at=round(scaled[k], 4),
             level=levels[k],
             words=row.words + (f", margin {row.margin}" if row.margin else ""),
@@ -132,7 +116,7 @@ def distances(result: JobResult) -> Distances | None:
     words = (
         f"{count(len(shown), 'requirement')} by their distance to the limit, relative to the limit; {missed} not met"
     )
-    return Distances(words=words, marks=marks, ticks=tuple(inside), limit=-low / (1.0 - low))
+    return page.Distances(words=words, marks=marks, ticks=tuple(inside), limit=-low / (1.0 - low))
 
 
 def _place(margin: float) -> float:
@@ -161,7 +145,7 @@ def tightest_loop(result: JobResult) -> LoopOutcome | None:
     return result.loops[min(found)[2]] if found else None
 
 
-def _nichols(result: JobResult) -> tuple[Block, ...]:
+def _nichols(result: JobResult) -> tuple[page.Block, ...]:
     outcome = tightest_loop(result)
     if outcome is None:
         return ()
@@ -178,7 +162,7 @@ def _nichols(result: JobResult) -> tuple[Block, ...]:
         margin=float(design.measures.disk_margin[k]),
         stable=bool(np.all(design.measures.decay[k] > 0.0)),
     )
-    return drawn("Tightest loop, worst plant", lambda: nichols_figure(outcome, k), caption)
+    return page.drawn("Tightest loop, worst plant", lambda: nichols_figure(outcome, k), caption)
 
 
 def worst_plant(design: Design) -> int:
@@ -201,7 +185,7 @@ def section_verdict(results: Sequence[CheckResult]) -> tuple[str, bool]:
     return f"{'all ' if len(hard) > 1 else ''}{len(hard)} met{least}", True
 
 
-def change_part(result: JobResult, rows: tuple[Change, ...]) -> tuple[Block, ...]:
+def change_part(result: JobResult, rows: tuple[Change, ...]) -> tuple[page.Block, ...]:
     """Return the rows under their heading; nothing for a job that meets its requirements."""
     missed = [one for one in result.requirements if not one.passed]
     if not missed:
@@ -214,20 +198,20 @@ def change_part(result: JobResult, rows: tuple[Change, ...]) -> tuple[Block, ...
         runs=sum(one.stage == "simulated" for one in missed),
         tuned=any((one.loop, one.design) in tuned for one in rows if one.kind == "option"),
     )
-    first, notes = (Paragraph(text=text, tone="quiet") for text in (words, more))
-    blocks: list[Block] = [first, _change_table(rows)] if rows else [first]
+    first, notes = (page.Paragraph(text=text, tone="quiet") for text in (words, more))
+    blocks: list[page.Block] = [first, _change_table(rows)] if rows else [first]
     if notes.text:
         blocks.append(notes)
-    return (Subsection(title="What to change", blocks=tuple(blocks)),)
+    return (page.Subsection(title="What to change", blocks=tuple(blocks)),)
 
 
-def _change_table(rows: tuple[Change, ...]) -> Table:
+def _change_table(rows: tuple[Change, ...]) -> page.Table:
     body = tuple(
-        Row(
+        page.Row(
             cells=(
-                Cell(text=one.target.before.name, note=one.target.before.subject),
+                page.Cell(text=one.target.before.name, note=one.target.before.subject),
                 _change(one),
-                Cell(
+                page.Cell(
                     text=_moved(one.target.before, one.target.after),
                     note=_margins(one.target.before, one.target.after),
                     tone="good" if one.target.after.passed and not one.target.before.passed else "",
@@ -238,35 +222,37 @@ def _change_table(rows: tuple[Change, ...]) -> Table:
         )
         for one in rows
     )
-    return Table(columns=columns("requirement|change|gain|cost"), groups=(Group(rows=body),), form="changes")
+    return page.Table(
+        columns=page.columns("requirement|change|gain|cost"), groups=(page.Group(rows=body),), form="changes"
+    )
 
 
-def _change(one: Change) -> Cell:
+def _change(one: Change) -> page.Cell:
     if one.kind == "design":
-        return Cell(text=f"close “{one.name}”", note=f"{one.loop}: a design of this job")
+        return page.Cell(text=f"close “{one.name}”", note=f"{one.loop}: a design of this job")
     where = f"{one.loop}, {one.design}"
     method = next((kind for kind in METHODS.values() if kind.instant and one.name in kind.options), None)
     unit = "" if method is None else f" {method.options[one.name].unit}"
-    return Cell(text=f"{one.name} {plain(one.before)} → {plain(one.after)}{unit}".rstrip(), note=where)
+    return page.Cell(text=f"{one.name} {plain(one.before)} → {plain(one.after)}{unit}".rstrip(), note=where)
 
 
-def _cost(one: Change) -> Cell:
+def _cost(one: Change) -> page.Cell:
     if one.violated:
         worst = one.violated[0]
         number, limit = compared(worst.after)
         way = "below" if worst.after.sense == "at least" else "above"
         others = len(one.violated) - 1
         more = f"; {others} more violated" if others else ""
-        return Cell(
+        return page.Cell(
             text=f"{worst.after.name} {compared(worst.before)[0]} → {number}: {way} {limit}",
             note=f"{_other_loop(one, worst.after)}{_margins(worst.before, worst.after)}{more}",
             tone="bad",
         )
     if one.loss is None:
-        return Cell(text="none", tone="quiet")
+        return page.Cell(text="none", tone="quiet")
     before, after = one.loss.before, one.loss.after
     note = f"{_other_loop(one, after)}{_margins(before, after)}: within its limit"
-    return Cell(text=f"{after.name} {_moved(before, after)}", note=note)
+    return page.Cell(text=f"{after.name} {_moved(before, after)}", note=note)
 
 
 def _other_loop(one: Change, result: CheckResult) -> str:

@@ -9,44 +9,14 @@ from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
+from bokeh import models
 from bokeh.core.properties import field, value
 from bokeh.events import DoubleTap
-from bokeh.models import (
-    AdaptiveTicker,
-    Column,
-    ColumnDataSource,
-    CrosshairTool,
-    HoverTool,
-    HSpan,
-    HStrip,
-    Line,
-    LinearAxis,
-    MultiLine,
-    Node,
-    Patches,
-    Scatter,
-    Text,
-    VSpan,
-)
 from bokeh.models.annotations.geometry import Span
 from bokeh.models.annotations.labels import Label
 
 from platform_ctrl.analysis.curves import Curve, Curves, Words
-from platform_ctrl.app.plots.views import (
-    FONT,
-    NORMAL,
-    SMALL,
-    Unit,
-    View,
-    assign,
-    column,
-    empty_figure,
-    extent,
-    finite,
-    inner_size,
-    joined,
-    put,
-)
+from platform_ctrl.app.plots import views
 from platform_ctrl.common.palette import PALETTE
 
 # Key of a curve: words, role of its colour, dashes, width.
@@ -75,20 +45,25 @@ _UPRIGHT: dict[str, tuple[Sequence[int], float]] = {"limit": (LIMIT_DASHES, 1.5)
 # the source, more columns, and how it looks in any case.
 _STROKE, _PLACE = ("line_color", "line_dash", "line_width"), ("x", "y")
 _GLYPHS: dict[str, tuple[Any, tuple[str, ...], tuple[str, ...], Row]] = {
-    "strips": (HStrip, ("y0", "y1", "fill_color"), (), {"line_alpha": 0.0}),
-    "bands": (Patches, ("xs", "ys", "fill_color", "fill_alpha", "line_color", "line_alpha"), (), {}),
-    "ground": (MultiLine, ("xs", "ys", *_STROKE), (), {}),
-    "levels": (HSpan, ("y", *_STROKE), (), {}),
-    "verticals": (VSpan, ("x", *_STROKE), (), {}),
-    "cloud": (Scatter, _PLACE, (), {"marker": "dot", "size": 8, "line_alpha": 0.0, "fill_alpha": 0.35}),
-    "lines": (MultiLine, ("xs", "ys", "line_alpha", *_STROKE), ("name", "unit"), {}),
-    "traced": (Line, _PLACE, ("at",), {}),
-    "points": (Scatter, (*_PLACE, "marker", "size", "line_width", "line_color", "fill_color"), ("name", "words"), {}),
+    "strips": (models.HStrip, ("y0", "y1", "fill_color"), (), {"line_alpha": 0.0}),
+    "bands": (models.Patches, ("xs", "ys", "fill_color", "fill_alpha", "line_color", "line_alpha"), (), {}),
+    "ground": (models.MultiLine, ("xs", "ys", *_STROKE), (), {}),
+    "levels": (models.HSpan, ("y", *_STROKE), (), {}),
+    "verticals": (models.VSpan, ("x", *_STROKE), (), {}),
+    "cloud": (models.Scatter, _PLACE, (), {"marker": "dot", "size": 8, "line_alpha": 0.0, "fill_alpha": 0.35}),
+    "lines": (models.MultiLine, ("xs", "ys", "line_alpha", *_STROKE), ("name", "unit"), {}),
+    "traced": (models.Line, _PLACE, ("at",), {}),
+    "points": (
+        models.Scatter,
+        (*_PLACE, "marker", "size", "line_width", "line_color", "fill_color"),
+        ("name", "words"),
+        {},
+    ),
     "words": (
-        Text,
+        models.Text,
         (*_PLACE, "text", "text_color", "text_align", "text_baseline", "x_offset", "y_offset"),
         (),
-        {"text_font_size": value("10px"), "text_font": value(FONT)},
+        {"text_font_size": value("10px"), "text_font": value(views.FONT)},
     ),
 }
 # How far a limit is shaded, in multiples of it.
@@ -98,7 +73,7 @@ _BEYOND = 1e4
 _TIP = f"""<style>
 :host {{ background-color: var(--page); color: var(--ink); border: 1px solid var(--frame); border-radius: 3px;
   padding: 4px 8px; opacity: 1; }}
-.tip {{ display: grid; grid-template-columns: auto auto; gap: 0 10px; font: {SMALL}/16px {FONT};
+.tip {{ display: grid; grid-template-columns: auto auto; gap: 0 10px; font: {views.SMALL}/16px {views.FONT};
   font-variant-numeric: tabular-nums; }}
 .word {{ color: var(--muted); }} .number {{ text-align: right; }}
 </style>"""
@@ -131,7 +106,7 @@ class Axis:
     mouse, through all figures with this axis.
     """
 
-    view: View
+    view: views.View
     label: str
     name: str
     number: str
@@ -161,9 +136,17 @@ class Figure:
     """
 
     def __init__(
-        self, panel: Panel, x: Axis, y: View, number: str, parts: str, *, last: bool = True, trace: Trace | None = None
+        self,
+        panel: Panel,
+        x: Axis,
+        y: views.View,
+        number: str,
+        parts: str,
+        *,
+        last: bool = True,
+        trace: Trace | None = None,
     ) -> None:
-        self.x, self.y, self._theme, self._unit, self._trace = x, y, panel.theme, Unit(), trace
+        self.x, self.y, self._theme, self._unit, self._trace = x, y, panel.theme, views.Unit(), trace
         self.keys: list[Key] = []
         self.message: Any = None
         self._labelled: bool | None = None
@@ -171,20 +154,20 @@ class Figure:
         # What was drawn of each of the curves: several stay the same from one picture to the next.
         self._drawn: dict[Curve, tuple[str, list[Row]]] = {}
         self._number = number
-        self.plot: Any = empty_figure(f"{panel.name}-figure-{len(panel.figures)}", x.view, y, last)
+        self.plot: Any = views.empty_figure(f"{panel.name}-figure-{len(panel.figures)}", x.view, y, last)
         self.xaxis, self.yaxis = self.plot.xaxis[0], self.plot.yaxis[0]
-        self.sources: dict[str, ColumnDataSource] = {}
+        self.sources: dict[str, models.ColumnDataSource] = {}
         for name in ("inner_width", "inner_height"):
             self.plot.on_change(name, lambda attr, old, new: self._resized())
         # Each model that comes later has Bokeh look through all of them.
         for name in parts.split():
             self._source(name)
 
-    def _source(self, name: str) -> ColumnDataSource:
+    def _source(self, name: str) -> models.ColumnDataSource:
         """Return the source of a name; the first time what it is drawn with is made."""
         if name not in self.sources:
             make, fields, more, look = _GLYPHS[name]
-            self.sources[name] = ColumnDataSource(
+            self.sources[name] = models.ColumnDataSource(
                 data={one: [] for one in (*fields, *more)}, name=f"{self.plot.name}-{name}"
             )
             glyph = make(**{one: field(one) for one in fields}, **look)
@@ -208,14 +191,14 @@ class Figure:
         cells = "".join(f'<span class="word">{escape(a)}</span><span class="number">{b}</span>' for a, b in every)
         more: Row = {"line_policy": "interp"} if snaps else {}
         tips = f'<div class="tip">{cells}{_TIP}</div>'
-        tool = HoverTool(renderers=[renderer], tooltips=tips, mode=mode, visible=False, show_arrow=False, **more)
+        tool = models.HoverTool(renderers=[renderer], tooltips=tips, mode=mode, visible=False, show_arrow=False, **more)
         self.plot.add_tools(tool)
 
     def show(self, shown: Curves) -> None:
         """Follow curves."""
         self._shown = shown
         own = [one for one in shown.curves if one.form in ("strong", "band")]
-        view = shown.view or extent([each for one in own for each in (one.y, one.top) if each is not None])
+        view = shown.view or views.extent([each for one in own for each in (one.y, one.top) if each is not None])
         before = self._unit.scale
         if shown.unit:
             self._unit.follow(shown.unit, math.nan if view is None else max(map(abs, view)))
@@ -223,7 +206,7 @@ class Figure:
         if view is not None and math.isfinite(view[0]):
             self.y.fit((scale * view[0], scale * view[1]))
         if self.x.fits:
-            self.x.view.fit(extent([column(one.x) for one in own if one.form == "strong"]))
+            self.x.view.fit(views.extent([views.column(one.x) for one in own if one.form == "strong"]))
         label = self._unit.name if shown.unit else shown.quantity
         if self.yaxis.axis_label != label:
             self.yaxis.axis_label = label
@@ -255,16 +238,18 @@ class Figure:
         rows["strips"] = [{"y0": y, "y1": y * _BEYOND or _BEYOND, "fill_color": colours["beyond"]} for y in far]
         for at, role, _ in shown.verticals:
             rows["verticals"].append({"x": at, **stroke(*_UPRIGHT.get(role, ((), 1.2)), role)})
-        height = inner_size(self.plot)[1]
+        height = views.inner_size(self.plot)[1]
         words = [one for one in shown.words if math.isfinite(one.y) and one.least <= height]
         rows["words"] = [_word(one, scale, colours[one.role]) for one in words]
         for name, each in rows.items():
             if each or name in self.sources:
                 source = self._source(name)
                 if name in ("cloud", "traced"):
-                    put(source, {key: column(joined(one[key] for one in each)) for key in source.data})
+                    views.put(
+                        source, {key: views.column(views.joined(one[key] for one in each)) for key in source.data}
+                    )
                 else:
-                    put(source, {key: [one[key] for one in each] for key in source.data})
+                    views.put(source, {key: [one[key] for one in each] for key in source.data})
 
     def _stroke(self, dashes: Sequence[int], width: float, role: str) -> Row:
         return {"line_dash": list(dashes), "line_width": width, "line_color": self._theme.colours[role]}
@@ -274,7 +259,7 @@ class Figure:
         colours, scale, role = self._theme.colours, self._unit.scale, _role(one)
         if one.kind in ("cloud", "traced"):
             return one.kind, [{"x": one.x, "y": scale * one.y, "at": one.along}]
-        x, y = column(one.x), column(one.y, scale)
+        x, y = views.column(one.x), views.column(one.y, scale)
         if one.form == "band":
             opaque = {"fill_alpha": 1.0 if one.role else _BAND, "line_alpha": float(bool(one.kind))}
             colour = {"fill_color": colours[role], "line_color": colours["reference" if one.kind == "region" else role]}
@@ -296,16 +281,16 @@ class Figure:
     def say(self, text: str, down: int) -> None:
         """Write a message at the top left, so many pixels below the edge; an empty one hides it."""
         if self.message is None and text:
-            corner = Node(target="frame", symbol="top_left")
+            corner = models.Node(target="frame", symbol="top_left")
             self.message = Label(
-                x=corner, y=corner, x_offset=8, y_offset=-down, text="", text_baseline="top", text_font=FONT,
-                text_font_size=NORMAL, level="annotation", background_fill_alpha=0.85,
+                x=corner, y=corner, x_offset=8, y_offset=-down, text="", text_baseline="top", text_font=views.FONT,
+                text_font_size=views.NORMAL, level="annotation", background_fill_alpha=0.85,
             )  # fmt: skip
             self.message.padding = 3
             self._theme.paint(self.message, text_color="limit", background_fill_color="page")
             self.plot.add_layout(self.message)
         if self.message is not None:
-            assign(self.message, text=text, visible=bool(text))
+            views.assign(self.message, text=text, visible=bool(text))
 
     def _resized(self) -> None:
         self._ticks()
@@ -314,14 +299,14 @@ class Figure:
 
     def _ticks(self) -> None:
         """Let the figure have as many ticks as there is room for on the screen."""
-        width, height = inner_size(self.plot)
+        width, height = views.inner_size(self.plot)
         # The unit of a low figure is longer than its axis.
         low = _LOW if len(self.yaxis.axis_label or "") <= _SHORT else _LOW_OF_LONG
-        assign(self.yaxis, axis_label_text_font_size=SMALL if height >= low else "9px")
+        views.assign(self.yaxis, axis_label_text_font_size=views.SMALL if height >= low else "9px")
         for axis, pixels, each in ((self.xaxis, width, 58.0), (self.yaxis, height, 24.0)):
-            if isinstance(axis, LinearAxis) and hasattr(axis.ticker, "desired_num_ticks"):
+            if isinstance(axis, models.LinearAxis) and hasattr(axis.ticker, "desired_num_ticks"):
                 # A single tick label gives no scale.
-                assign(axis.ticker, desired_num_ticks=max(3, min(9, round(pixels / each))))
+                views.assign(axis.ticker, desired_num_ticks=max(3, min(9, round(pixels / each))))
 
     def label_ticks(self, shown: bool) -> None:
         """Write numbers and a label below the figure, or leave them to the figure under it."""
@@ -329,17 +314,19 @@ class Figure:
             return
         self._labelled = shown
         # The exponents of powers of ten need a size above 0.
-        size, alpha, major, minor = (SMALL, 1.0, 4, 2) if shown else ("1px", 0.0, 0, 0)
+        size, alpha, major, minor = (views.SMALL, 1.0, 4, 2) if shown else ("1px", 0.0, 0, 0)
         ticks: Row = {"major_tick_out": major, "minor_tick_out": minor}
         numbers: Row = {"major_label_text_font_size": size, "major_label_text_alpha": alpha}
-        assign(self.xaxis, **ticks, **numbers, axis_label=self.x.label if shown else "")
+        views.assign(self.xaxis, **ticks, **numbers, axis_label=self.x.label if shown else "")
         # Room for half a number of the vertical axis.
-        assign(self.plot, min_border_bottom=0 if shown else 8)
+        views.assign(self.plot, min_border_bottom=0 if shown else 8)
 
     def rounded(self, axis: Any, unit: str) -> None:
         """Put the ticks of an axis at parts of a turn, or at round decibels."""
         base, mantissas = _STEPS[unit]
-        axis.ticker = AdaptiveTicker(base=base, mantissas=list(mantissas), desired_num_ticks=5, num_minor_ticks=0)
+        axis.ticker = models.AdaptiveTicker(
+            base=base, mantissas=list(mantissas), desired_num_ticks=5, num_minor_ticks=0
+        )
 
 
 def _role(one: Curve) -> str:
@@ -354,7 +341,7 @@ def _area(x: Any, y: Any, top: Any, scale: float) -> Row:
     """Return the closed outline of a band from y to `top`, or of the region around which x and y go."""
     if top is None:
         return {"xs": x, "ys": y}
-    x, y, top = finite(x, y, column(top, scale))
+    x, y, top = views.finite(x, y, views.column(top, scale))
     return {"xs": np.concatenate([x, x[::-1]]), "ys": np.concatenate([y, top[::-1]])}
 
 
@@ -384,7 +371,7 @@ class Panel:
         self.name, self.title, self.theme = name, title, theme
         self.detail, self.keys, self._said = "", list[Key](), ""
         self.figures: list[Figure] = []
-        self.layout: Any = Column(sizing_mode="stretch_both", margin=0, spacing=2, name=name)
+        self.layout: Any = models.Column(sizing_mode="stretch_both", margin=0, spacing=2, name=name)
 
     def show(self, picture: Any) -> None:
         """Follow a picture."""
@@ -399,7 +386,7 @@ class Panel:
         return "; ".join(filter(None, [self.detail, " over ".join(axes), curves, self._said]))
 
     @property
-    def views(self) -> set[View]:
+    def views(self) -> set[views.View]:
         """The views of its axes."""
         return {view for one in self.figures for view in (one.x.view, one.y)}
 
@@ -423,7 +410,7 @@ class Panel:
         across = Span(dimension="width", line_width=1, line_dash=[3, 3])
         self.theme.paint(across, line_color="reference")
         self.theme.paint(out.x.mouse, line_color="reference")
-        out.plot.add_tools(CrosshairTool(overlay=(across, out.x.mouse), visible=False))
+        out.plot.add_tools(models.CrosshairTool(overlay=(across, out.x.mouse), visible=False))
         out.plot.on_event(DoubleTap, lambda event: self.reset())
         self.layout.children = [*self.layout.children, out.plot]
         return out
@@ -432,7 +419,7 @@ class Panel:
         """Show curves in the figures with these numbers, and no others."""
         keys: dict[tuple[str, tuple[int, ...], float, str], str] = {}
         for k, one in enumerate(self.figures):
-            assign(one.plot, visible=k in shown)
+            views.assign(one.plot, visible=k in shown)
             if k not in shown:
                 continue
             one.show(shown[k])

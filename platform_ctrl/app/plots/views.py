@@ -7,18 +7,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from bokeh import models
 from bokeh.core.property.descriptors import UnsetValueError
-from bokeh.models import (
-    BasicTickFormatter,
-    LogAxis,
-    LogTicker,
-    LogTickFormatter,
-    NoOverlap,
-    PanTool,
-    Range1d,
-    ResetTool,
-    WheelZoomTool,
-)
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
@@ -190,7 +180,7 @@ class View:
     def __init__(
         self, low: float, high: float, bounds: Bounds = round_bounds, *, logarithmic: bool = False, name: str = ""
     ) -> None:
-        self.range = Range1d(start=low, end=high, reset_start=low, reset_end=high)
+        self.range = models.Range1d(start=low, end=high, reset_start=low, reset_end=high)
         self.rest = (low, high)
         self._bounds, self.logarithmic, self.name = bounds, logarithmic, name
         self.zoomed = self._setting = self._fitted = False
@@ -270,8 +260,8 @@ def empty_figure(name: str, x: View, y: View, last: bool) -> Any:
         # The frames of two figures are equally high, with or without a label below.
         styles={"flex-grow": "1", "flex-basis": f"{_BELOW}px" if last else "0"},
     )
-    pan, wheel = PanTool(), WheelZoomTool(zoom_on_axis=True)
-    out.add_tools(pan, wheel, ResetTool())
+    pan, wheel = models.PanTool(), models.WheelZoomTool(zoom_on_axis=True)
+    out.add_tools(pan, wheel, models.ResetTool())
     out.toolbar.active_drag, out.toolbar.active_scroll = pan, wheel
     # The page shows through: half of the outermost pixels would keep the colour of the theme before.
     out.background_fill_color = out.border_fill_color = out.outline_line_color = None
@@ -287,15 +277,15 @@ def _style(axis: Any) -> None:
     axis.major_label_text_font = axis.axis_label_text_font = FONT
     axis.major_label_text_font_size = axis.axis_label_text_font_size = SMALL
     axis.axis_label_text_font_style = "normal"
-    if isinstance(axis, LogAxis):
-        axis.ticker = LogTicker(desired_num_ticks=8, num_minor_ticks=9)
+    if isinstance(axis, models.LogAxis):
+        axis.ticker = models.LogTicker(desired_num_ticks=8, num_minor_ticks=9)
         axis.minor_tick_in, axis.minor_tick_out = 0, 2
-        axis.formatter = LogTickFormatter(ticker=axis.ticker, min_exponent=4)
+        axis.formatter = models.LogTickFormatter(ticker=axis.ticker, min_exponent=4)
         # Within a decade the numbers come closer and closer together.
-        axis.major_label_policy = NoOverlap(min_distance=_APART)
+        axis.major_label_policy = models.NoOverlap(min_distance=_APART)
     else:
         axis.ticker.desired_num_ticks = 5
         axis.minor_tick_in = axis.minor_tick_out = 0
-        axis.formatter = BasicTickFormatter(use_scientific=False)
+        axis.formatter = models.BasicTickFormatter(use_scientific=False)
         # A low figure has more ticks than numbers.
-        axis.major_label_policy = NoOverlap(min_distance=1)
+        axis.major_label_policy = models.NoOverlap(min_distance=1)

@@ -13,22 +13,10 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Topology, topology
 from platform_ctrl.mechanics.linearisation import Terms, connected
-from platform_ctrl.mechanics.symbolic.symbols import (
-    Array,
-    Expression,
-    NamedSymbol,
-    Polynomial,
-    Polynomials,
-    SymbolNames,
-    elements,
-    inertia_symbols,
-    mass_symbols,
-    motion_symbols,
-    rotor_symbols,
-)
+from platform_ctrl.mechanics.symbolic import symbols as symbolic
 from platform_ctrl.plant.platform import Platform
 
-RowTerms = tuple[tuple[Expression, Expression], ...]
+RowTerms = tuple[tuple[symbolic.Expression, symbolic.Expression], ...]
 
 # Trees whose exact trigonometric form can still be read.
 _MOST_GIMBALS, _DEEPEST = 5, 3
@@ -73,55 +61,55 @@ class Equations:
     platform: Platform
     order: int | None
     terms: Terms
-    symbols: tuple[NamedSymbol, ...]
-    q: Expression
-    rates: Expression
-    accelerations: Expression
-    Omega: Expression
-    Omega_dot: Expression
-    velocity: Expression
-    forces: Expression
-    L: Expression
-    A_R: Expression
-    B0: Expression
-    B_A: Expression
-    A: Expression
-    BtA_RB: Expression
-    A_star: Expression
-    G_A: Expression
-    G_R: Expression
-    G_root: Expression
+    symbols: tuple[symbolic.NamedSymbol, ...]
+    q: symbolic.Expression
+    rates: symbolic.Expression
+    accelerations: symbolic.Expression
+    Omega: symbolic.Expression
+    Omega_dot: symbolic.Expression
+    velocity: symbolic.Expression
+    forces: symbolic.Expression
+    L: symbolic.Expression
+    A_R: symbolic.Expression
+    B0: symbolic.Expression
+    B_A: symbolic.Expression
+    A: symbolic.Expression
+    BtA_RB: symbolic.Expression
+    A_star: symbolic.Expression
+    G_A: symbolic.Expression
+    G_R: symbolic.Expression
+    G_root: symbolic.Expression
     rows: Mapping[str, tuple[RowTerms, ...]]
     groups: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
 
     @property
-    def B(self) -> Expression:
+    def B(self) -> symbolic.Expression:
         """B0 + B_A, (m, 3 + n)."""
         return self.B0 + self.B_A
 
     @property
-    def partially_linear(self) -> tuple[Expression, ...]:
+    def partially_linear(self) -> tuple[symbolic.Expression, ...]:
         """(27): one `Eq` a gimbal, linear in the angles for any Omega(t); gimbal coordinates on the left."""
         return self._equations("partially_linear")
 
     @property
-    def linear(self) -> tuple[Expression, ...]:
+    def linear(self) -> tuple[symbolic.Expression, ...]:
         """(19): one `Eq` a gimbal, linear in Omega as well."""
         return self._equations("linear")
 
     @property
-    def precession(self) -> tuple[Expression, ...]:
+    def precession(self) -> tuple[symbolic.Expression, ...]:
         """(15): one `Eq` a gimbal, (27) with rotors' momenta and force elements alone."""
         return self._equations("precession")
 
-    def numbers(self) -> dict[Expression, float]:
+    def numbers(self) -> dict[symbolic.Expression, float]:
         """Return the platform's number of every symbol that has one: ``expression.subs(equations.numbers())``."""
         return {sympy.Symbol(s.name): s.value for s in self.symbols if s.value is not None}
 
     def evaluate(
         self,
-        expression: Expression,
+        expression: symbolic.Expression,
         q: ArrayLike | None = None,
         velocity: ArrayLike | None = None,
         velocity_dot: ArrayLike | None = None,
@@ -163,7 +151,7 @@ class Equations:
         found = sympy.lambdify(used, whole, "numpy")(*(float(point[s.name]) for s in used))
         return np.asarray(found, dtype=np.float64).reshape(getattr(whole, "shape", ()))
 
-    def _equations(self, name: str) -> tuple[Expression, ...]:
+    def _equations(self, name: str) -> tuple[symbolic.Expression, ...]:
         out = []
         for terms, torque in zip(self.rows[name], list(self.forces)[3:], strict=True):
             left = sympy.Add(*(c * v for c, v in terms if v != 1))
@@ -180,7 +168,7 @@ def derived(platform: Platform, order: int | None, terms: Terms) -> Equations:
 class _Core:
     """The matrices of a platform in polynomials: B (3), A without C, BᵀA_R B and BᵀL."""
 
-    def __init__(self, work: _Derivation, algebra: Polynomials, constant_A: bool) -> None:
+    def __init__(self, work: _Derivation, algebra: symbolic.Polynomials, constant_A: bool) -> None:
         tree, self.algebra = work.tree, algebra
         turned = [algebra.rotation(k, axis) for k, axis in enumerate(tree.axes)]
         axes, m, n = algebra.numbers(tree.axes), len(tree.carriers), len(tree.parents)
@@ -200,7 +188,9 @@ class _Core:
             self.A = algebra.at_zero(self.A)
         self.A_star = self.A + self.BtA_RB
 
-    def _direction(self, work: _Derivation, turned: list[Array], axes: Array, axis: Array, body: int) -> Array:
+    def _direction(
+        self, work: _Derivation, turned: list[symbolic.Array], axes: symbolic.Array, axis: symbolic.Array, body: int
+    ) -> symbolic.Array:
         """Return the rate of a body about an axis that is fixed in it, by [Omega, q̇]: a row of B (3)."""
         out, k = self.algebra.zeros(3 + len(axes)), int(body) - 1
         while k >= 0:
@@ -209,7 +199,7 @@ class _Core:
         out[:3] = axis
         return out
 
-    def _mass(self, work: _Derivation, turned: list[Array], axes: Array) -> Array:
+    def _mass(self, work: _Derivation, turned: list[symbolic.Array], axes: symbolic.Array) -> symbolic.Array:
         tree, algebra = work.tree, self.algebra
         n = len(tree.parents)
         forms, joints, moments = algebra.zeros(1 + n, 3, 3), algebra.zeros(n, 3), algebra.zeros(1 + n, 3)
@@ -258,12 +248,12 @@ class _Derivation:
         self.tree = tree = topology(platform)
         if order is None:
             _not_too_large(platform, tree)
-        names = SymbolNames()
-        self.motion = motion = motion_symbols(platform, names)
-        self.inertias = inertia_symbols(platform, tree, names)
-        self.masses = mass_symbols(platform, tree, names)
-        C, L = rotor_symbols(platform, names)
-        self._elements, self._notes = elements(platform, names)
+        names = symbolic.SymbolNames()
+        self.motion = motion = symbolic.motion_symbols(platform, names)
+        self.inertias = symbolic.inertia_symbols(platform, tree, names)
+        self.masses = symbolic.mass_symbols(platform, tree, names)
+        C, L = symbolic.rotor_symbols(platform, names)
+        self._elements, self._notes = symbolic.elements(platform, names)
         self.known = (
             [symbol for symbol, _ in (*self.inertias, *self.masses)] + [one for one in C if one is not None] + L
         )
@@ -274,8 +264,8 @@ class _Derivation:
         self._symbols = [sympy.Symbol(s.name) for s in (*self.known, *motion.moving)]
         self._n = len(platform.gimbals)
 
-    def _algebra(self, order: int | None) -> Polynomials:
-        return Polynomials(len(self.known), self._symbols, self._n, order)
+    def _algebra(self, order: int | None) -> symbolic.Polynomials:
+        return symbolic.Polynomials(len(self.known), self._symbols, self._n, order)
 
     def equations(self) -> Equations:
         """Return the equations."""
@@ -335,13 +325,13 @@ class _Derivation:
             **{key: algebra.matrix(array) for key, array in shown.items()},
         )
 
-    def _velocity(self, algebra: Polynomials) -> Array:
+    def _velocity(self, algebra: symbolic.Polynomials) -> symbolic.Array:
         """Return u = [Omega, q̇]."""
         first, n = len(self.known), self._n
         places = [*range(first, first + 3), *range(first + 6 + n, first + 6 + 2 * n)]
         return np.array([algebra.symbol(k) for k in places], dtype=object)
 
-    def _coriolis(self, core: _Core) -> Array:
+    def _coriolis(self, core: _Core) -> symbolic.Array:
         """N − ½ Nᵀ with N = ∂(A* u)/∂q (13), root columns of N zero."""
         # The paper differentiates the truncated (24); the exact derivative needs one order more.
         A_star = core.algebra.cut(core.A_star, self.order) if self.terms == "paper" else core.A_star
@@ -351,7 +341,7 @@ class _Derivation:
             N[:, 3 + j] = core.algebra.slope(momentum, j)
         return np.asarray(N - N.T * core.algebra.numbers(np.array(0.5)).item())
 
-    def _root_turning(self, core: _Core) -> Array:
+    def _root_turning(self, core: _Core) -> symbolic.Array:
         """−[∂T/∂Omega]× in the root's block; with the paper's terms of the rotors' momentum alone."""
         h = core.BtL[:3]
         if self.terms == "exact" or self.order is None:
@@ -362,7 +352,7 @@ class _Derivation:
             out[a, b], out[b, a] = h[c], -h[c]
         return out
 
-    def _row(self, core: _Core, j: int) -> dict[int | None, Polynomial]:
+    def _row(self, core: _Core, j: int) -> dict[int | None, symbolic.Polynomial]:
         """Return the left side of a gimbal row, linear in the angles and their derivatives, by their places."""
         algebra, n, first = core.algebra, self._n, len(self.known)
         u, rates = self._velocity(algebra), range(first + 6 + n, first + 6 + 2 * n)
@@ -392,16 +382,16 @@ class _Derivation:
         singular = "is singular, for it is skew and of odd order; without dampers (15) does not determine the rates"
         return [f"G_R of {'; of '.join(odd)} {singular}"] if odd and self.platform.rotors else []
 
-    def _written(self, core: _Core, row: dict[int | None, Polynomial]) -> RowTerms:
+    def _written(self, core: _Core, row: dict[int | None, symbolic.Polynomial]) -> RowTerms:
         variables = {None: sympy.S.One} | dict(enumerate(self._symbols))
         return tuple((core.algebra.written(p), variables[at]) for at, p in row.items() if p)
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: symbolic.Array, b: symbolic.Array) -> symbolic.Array:
     return np.array([a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))], dtype=object)
 
 
-def _gyroscopic(core: _Core, n: int) -> Array:
+def _gyroscopic(core: _Core, n: int) -> symbolic.Array:
     """N − Nᵀ with N = ∂(BᵀL)/∂q (14), root columns zero, for n gimbals."""
     N = core.algebra.zeros(3 + n, 3 + n)
     for j in range(n):
@@ -409,7 +399,7 @@ def _gyroscopic(core: _Core, n: int) -> Array:
     return np.asarray(N - N.T)
 
 
-def _column(symbols: tuple[NamedSymbol, ...]) -> Expression:
+def _column(symbols: tuple[symbolic.NamedSymbol, ...]) -> symbolic.Expression:
     return sympy.ImmutableDenseMatrix(len(symbols), 1, [sympy.Symbol(s.name) for s in symbols])
 
 
