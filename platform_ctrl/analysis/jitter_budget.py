@@ -21,32 +21,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis import budget_integrals as integrals
 from platform_ctrl.analysis import hybrid_plant as hybrid
-from platform_ctrl.analysis.budget_integrals import (
-    GAUSS,
-    KRONROD,
-    WIDE,
-    BudgetResult,
-    Contribution,
-    NodeResponses,
-    Panel,
-    aliased,
-    alike,
-    assembled,
-    between,
-    between_nodes,
-    edges_around,
-    exclusive,
-    halves,
-    joined,
-    moved_by_samples,
-    nodes,
-    outer,
-    packed,
-    thinned,
-    through,
-    window_shares,
-)
 from platform_ctrl.analysis.interconnection import Modulator, MultiRate
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.system import ComplexArray, System
@@ -110,12 +86,12 @@ class JitterBudget:
                 f"jitter budget: a source reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
                 f"at most {hybrid.MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
             )
-        self._known: dict[Panel, NodeResponses] = {}
+        self._known: dict[integrals.Panel, integrals.NodeResponses] = {}
         self._kept = 0
 
     def of(
         self, controller: System | MultiRate, tolerance: float = 1e-6, *, over_frequency: bool = True
-    ) -> BudgetResult:
+    ) -> integrals.BudgetResult:
         """Return the budget with a controller u = K y, all of it of the plant's sample period or a part of it slower.
 
         `tolerance` bounds the relative error of each variance. Without cumulative variances, `over_frequency`, it is
@@ -129,7 +105,7 @@ class JitterBudget:
             parts = self._lines(controller, over_frequency)
             random = self._random or self._noise
             found = self._integrated(controller, z, tolerance, over_frequency) if random else []
-            out = assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts, self._images)
+            out = integrals.assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts, self._images)
             if out.remaining <= tolerance or self._images >= max(_MOST_IMAGES, 2 * self.plant.cycle):
                 return out
             self._images *= 2
@@ -146,7 +122,7 @@ class JitterBudget:
         if not dense:
             # Resonances wider than the distance of images need no panels of their own.
             own = own[(np.abs(own.real) < turn) | (np.abs(own) < turn)]
-        found = np.concatenate([np.array(knots), edges_around(own)])
+        found = np.concatenate([np.array(knots), integrals.edges_around(own)])
         folded = np.abs(found - turn * np.round(found / turn))
         least = min([1e-4 * turn, *(k for k in knots if k > 0.0), *(0.1 * np.abs(own))])
         decades = math.log10(0.5 * turn / least)
@@ -155,32 +131,36 @@ class JitterBudget:
 
     def _integrated(
         self, controller: MultiRate, z: ComplexArray, tolerance: float, over_frequency: bool
-    ) -> list[Contribution]:
+    ) -> list[integrals.Contribution]:
         """Return the integrals over all panels, halved until their errors are below the tolerance."""
         half = 0.5 * self.plant.turn
         s = continuous_poles(z[np.abs(z) > 0.0], math.pi / half)
         s = s[np.abs(s) > _RESTING * self.plant.turn]
         fixed = self._edges(over_frequency)
-        base = between(fixed, 0.0, half)
+        base = integrals.between(fixed, 0.0, half)
         # Poles that a slider hardly moves stay within existing panels, whose responses are known.
         ends = np.array([high for _, high in base])
         width = np.array([high - low for low, high in base])[
             np.minimum(np.searchsorted(ends, np.abs(s.imag)), len(ends) - 1)
         ]
-        active = between(np.concatenate([fixed, edges_around(s[width > WIDE * np.abs(s.real)])]), 0.0, half)
-        done: list[Contribution] = []
+        active = integrals.between(
+            np.concatenate([fixed, integrals.edges_around(s[width > integrals.WIDE * np.abs(s.real)])]), 0.0, half
+        )
+        done: list[integrals.Contribution] = []
         for _ in range(_HALVINGS):
             # Some panels after the others: their densities are large.
             step = max(1, _MOST_AT_ONCE // (21 * self._size))
             every = range(0, len(active), step)
-            found = Contribution.joined(
+            found = integrals.Contribution.joined(
                 [self._contribution(active[k : k + step], controller, over_frequency) for k in every]
             )
             total = np.sum([one.variance.sum(axis=0) for one in [*done, found]], axis=0)
             least = tolerance * (total + _SMALL * total.sum(axis=1, keepdims=True)) / _ADDING
             good = np.all(found.error <= least, axis=(1, 2, 3))
             done.append(found.chosen(good))
-            active = [part for panel, right in zip(active, good, strict=True) if not right for part in halves(panel)]
+            active = [
+                part for panel, right in zip(active, good, strict=True) if not right for part in integrals.halves(panel)
+            ]
             if not active:
                 return done
         raise ArgumentError(
@@ -188,30 +168,32 @@ class JitterBudget:
             "give the lowest frequency that counts"
         )
 
-    def _contribution(self, panels: list[Panel], controller: MultiRate, over_frequency: bool) -> Contribution:
+    def _contribution(
+        self, panels: list[integrals.Panel], controller: MultiRate, over_frequency: bool
+    ) -> integrals.Contribution:
         prepared = self._prepared(panels)
         density, tail = self._densities(prepared, controller)
-        half, P = nodes(panels)[1], len(panels)
+        half, P = integrals.nodes(panels)[1], len(panels)
         by_panel, tail = (one.reshape(P, 21, *one.shape[1:]) for one in (density, tail))
         frequency = np.abs(prepared.frequency).reshape(P, 21, -1)
         weights = prepared.weights.reshape(-1, *frequency.shape)
         scale = (half / (2.0 * math.pi))[:, None, None]
         fine, coarse = (
             np.einsum("wpkf,pkfgi->pwgi", weights * rule[:, None], by_panel, optimize=False) * scale[:, None]
-            for rule in (KRONROD, GAUSS)
+            for rule in (integrals.KRONROD, integrals.GAUSS)
         )
         steps = []
         if over_frequency:
-            members = np.einsum("k,pkf,pkfgi->pfgi", KRONROD, weights[0], by_panel) * scale[:, None]
+            members = np.einsum("k,pkf,pkfgi->pfgi", integrals.KRONROD, weights[0], by_panel) * scale[:, None]
             for k, panel in enumerate(panels):
-                step = between_nodes(panel, frequency[k], by_panel[k], members[k], self.plant.turn)
+                step = integrals.between_nodes(panel, frequency[k], by_panel[k], members[k], self.plant.turn)
                 # Every image has the nodes that any of them needs.
-                steps.append(step if self.plant.cycle == 1 else thinned(*step, self.plant.turn))
-        return Contribution(
+                steps.append(step if self.plant.cycle == 1 else integrals.thinned(*step, self.plant.turn))
+        return integrals.Contribution(
             panels=np.array(panels),
             variance=fine,
             error=np.abs(fine - coarse),
-            remaining=np.einsum("k,pkgi->pgi", KRONROD, tail) * scale,
+            remaining=np.einsum("k,pkgi->pgi", integrals.KRONROD, tail) * scale,
             steps=steps,
         )
 
@@ -221,20 +203,20 @@ class JitterBudget:
         sources, packed = len(self._random) + len(self._noise), self.plant.controls**2
         return (2 * self._images + 1) * ((self.plant.outputs + packed) * (sources + packed) + self.open_loop.size)
 
-    def _prepared(self, panels: list[Panel]) -> NodeResponses:
+    def _prepared(self, panels: list[integrals.Panel]) -> integrals.NodeResponses:
         new = [one for one in panels if one not in self._known]
-        made: dict[Panel, NodeResponses] = {}
+        made: dict[integrals.Panel, integrals.NodeResponses] = {}
         if new:
-            block = self._evaluated(nodes(new)[0].ravel())
+            block = self._evaluated(integrals.nodes(new)[0].ravel())
             for k, one in enumerate(new):
                 made[one] = block.rows(slice(21 * k, 21 * (k + 1)))
             size = sum(item.size for item in block if isinstance(item, np.ndarray))
             if self._kept + size <= _MOST_KEPT // self.plant.cycle:
                 self._known |= made
                 self._kept += size
-        return joined([made[one] if one in made else self._known[one] for one in panels])
+        return integrals.joined([made[one] if one in made else self._known[one] for one in panels])
 
-    def _evaluated(self, theta: FloatArray) -> NodeResponses:
+    def _evaluated(self, theta: FloatArray) -> integrals.NodeResponses:
         plant, count = self.plant, self._images
         images = np.arange(-count, count + 1)
         family = self.open_loop.family(theta, images)
@@ -254,15 +236,15 @@ class JitterBudget:
         )
         columns = columns[:, list(inside)]
         measured, held = family.measured[:, list(inside)] @ columns, family.held * family.integral
-        return NodeResponses(
+        return integrals.NodeResponses(
             theta,
             family.frequency,
             inside,
             (family.direct * family.integral)[:, list(inside)] @ columns,
             measured,
             held[:, list(inside)],
-            outer(held.conj()),
-            packed(self.open_loop.remaining_images(theta, family.held)),
+            integrals.outer(held.conj()),
+            integrals.packed(self.open_loop.remaining_images(theta, family.held)),
             family.sampled,
             self._weights(family.frequency),
         )
@@ -272,11 +254,11 @@ class JitterBudget:
         above = np.abs(frequency) >= self.lowest
         out = [above.astype(np.float64)]
         for one in self.exposures:
-            shares = window_shares(frequency, one)
+            shares = integrals.window_shares(frequency, one)
             out += [shares.displacement * above, shares.smear, shares.jitter]
         return np.stack(out)
 
-    def _densities(self, at: NodeResponses, controller: MultiRate) -> tuple[FloatArray, FloatArray]:
+    def _densities(self, at: integrals.NodeResponses, controller: MultiRate) -> tuple[FloatArray, FloatArray]:
         """Return one-sided densities of the outputs (N, F, G, q) and what the images beyond add (N, G, q)."""
         M = self.open_loop.modulator(controller, at.theta, at.sampled)
         N, F, q, size = at.outer.shape
@@ -289,13 +271,15 @@ class JitterBudget:
         if count and inside.size:
             moved[..., :count], own = self._moved(at, M, component[inside])
         for j, one in enumerate(self._noise):
-            moved[..., count + j] = 2.0 * self.plant.period * one.rms**2 * moved_by_samples(M, one.measured)
-        density = aliased(at.outer, moved[:, :, component] if R > 1 else moved)
+            moved[..., count + j] = 2.0 * self.plant.period * one.rms**2 * integrals.moved_by_samples(M, one.measured)
+        density = integrals.aliased(at.outer, moved[:, :, component] if R > 1 else moved)
         density[:, inside, :count] = own
         rest = at.rest.swapaxes(1, 2).reshape(N, q, -1) @ moved.swapaxes(1, 2).reshape(N, R * size, -1)
         return density, rest.swapaxes(-1, -2)
 
-    def _moved(self, at: NodeResponses, M: Modulator, component: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    def _moved(
+        self, at: integrals.NodeResponses, M: Modulator, component: NDArray[np.intp]
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the effects of random sources on u (N, m², R, G), and the densities (N, I, G, q) at images inside.
 
         `component` (I,) are those of the images inside.
@@ -311,24 +295,24 @@ class JitterBudget:
         u = M.own[:, active, None] @ y
         signal = M.heard[:, active, None] @ y
         out = np.zeros((N, m * m, R, len(self._random)))
-        for place, some in alike(M):
+        for place, some in integrals.alike(M):
             seen = signal[..., place, :]
             alone = self._of_sources(seen[..., :, None, :] * seen[..., None, :, :].conj()).sum(axis=2)
             others = np.repeat(alone.sum(axis=1, keepdims=True), R, axis=1)
-            others[:, active] = exclusive(alone, 1)
-            out[:, :, some] = through(M.held[:, some], others[:, some])
+            others[:, active] = integrals.exclusive(alone, 1)
+            out[:, :, some] = integrals.through(M.held[:, some], others[:, some])
             here = np.isin(active, some)
             u[:, here] += M.held[:, active[here], None] @ seen[:, here]
-        each = self._of_sources(np.moveaxis(outer(u.swapaxes(-1, -2)), -1, 1))
+        each = self._of_sources(np.moveaxis(integrals.outer(u.swapaxes(-1, -2)), -1, 1))
         # Sums over the others, not the whole less its own: what feedback cancels would leave rounding.
-        others = out[:, :, active, None] + exclusive(each, 3)
+        others = out[:, :, active, None] + integrals.exclusive(each, 3)
         out[:, :, active] += each.sum(axis=3)
         rows, columns = np.nonzero(side >= 0)
         order = np.argsort(side[rows, columns])
         rows, columns = rows[order], columns[order]
         return out, self._where_sources_are(at, u[:, rows, columns], others[:, :, rows, columns])
 
-    def _where_sources_are(self, at: NodeResponses, u: ComplexArray, others: FloatArray) -> FloatArray:
+    def _where_sources_are(self, at: integrals.NodeResponses, u: ComplexArray, others: FloatArray) -> FloatArray:
         """Return the densities (N, I, G, q) at images that have sources of their own.
 
         Of controls u (N, I, m, c) that an image's own disturbance moves, and of what the `others` (N, m², I, G) move.
@@ -340,7 +324,7 @@ class JitterBudget:
         aliased = at.outer[:, list(at.inside)] @ others.transpose(0, 2, 1, 3)
         return np.asarray((power + aliased).swapaxes(-1, -2))
 
-    def _lines(self, controller: MultiRate, over_frequency: bool) -> list[Contribution]:
+    def _lines(self, controller: MultiRate, over_frequency: bool) -> list[integrals.Contribution]:
         """Return the lines of sines, those that add as they come together: of each alone, and last of all of them."""
         by_frequency: dict[object, list[hybrid.SineDisturbance]] = {}
         for one in self._sines:
@@ -355,7 +339,7 @@ class JitterBudget:
 
     def _lines_of(
         self, groups: list[list[hybrid.SineDisturbance]], controller: MultiRate, over_frequency: bool
-    ) -> list[Contribution]:
+    ) -> list[integrals.Contribution]:
         plant, omega = self.plant, np.array([group[0].frequency for group in groups])
         # A line at a multiple of the controller's rate has an image at zero, to the last bit.
         still = plant.turn * np.round(omega / plant.turn)
@@ -384,7 +368,7 @@ class JitterBudget:
             remaining = 0.5 * np.einsum("crg,cirs,csg->gi", u.conj(), rest[k], u).real
             variance = np.einsum("wf,fgi->wgi", weights[:, k], power)
             out.append(
-                Contribution(
+                integrals.Contribution(
                     panels=np.array([[omega[k], omega[k]]]),
                     variance=variance[None],
                     error=np.zeros((1, *variance.shape)),

@@ -12,21 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.campaign import statistics as counted
 from platform_ctrl.campaign import store
 from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.statistics import (
-    SIGNIFICANCE,
-    CampaignStatistics,
-    Limits,
-    Probability,
-    RequirementStatistics,
-    answer_columns,
-    clopper_pearson,
-    holm,
-    in_order,
-    over_limits,
-    statistics,
-)
 from platform_ctrl.common.files import plain_types
 from platform_ctrl.common.values import FloatArray, value
 
@@ -70,19 +58,19 @@ class Influence:
     correlation: float
     correlation_p: float
     level: Level
-    present: Probability
-    absent: Probability
+    present: counted.Probability
+    absent: counted.Probability
     p_value: float
 
     @property
     def driver(self) -> bool:
         """Whether the metric follows the input, and chance alone is no explanation."""
-        return bool(self.correlation_p < SIGNIFICANCE)
+        return bool(self.correlation_p < counted.SIGNIFICANCE)
 
     @property
     def cause(self) -> bool:
         """Whether the counts show that the value sets violating runs apart: of one run nothing does."""
-        return bool(self.p_value < SIGNIFICANCE) and self.present.events + self.absent.events > 1
+        return bool(self.p_value < counted.SIGNIFICANCE) and self.present.events + self.absent.events > 1
 
     @property
     def in_every_violation(self) -> bool:
@@ -90,7 +78,9 @@ class Influence:
         return self.present.events > 0 and self.absent.events == 0
 
 
-def influences(table: store.Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Influence, ...]:
+def influences(
+    table: store.Table, limits: counted.Limits, *, inputs: Sequence[str] | None = None
+) -> tuple[Influence, ...]:
     """Return the influence of every input on every requirement, the largest first.
 
     Every requirement over all manoeuvres comes first, then within each manoeuvre. An input that is the same in all runs
@@ -98,16 +88,16 @@ def influences(table: store.Table, limits: Limits, *, inputs: Sequence[str] | No
     are no outcome.
     """
     names = tuple(store.input_names(table) if inputs is None else inputs)
-    answers = answer_columns(table)
+    answers = counted.answer_columns(table)
     metrics = [name for name in answers if name != store.PASSED]
     wanted = tuple(dict.fromkeys((store.MANOEUVRE, *names, *metrics, *answers.values(), store.ENDED)))
     data = store.read_columns(table, wanted)
     data = {name: column[store.was_simulated(data)] for name, column in data.items()}
     manoeuvres = np.unique(data[store.MANOEUVRE].astype(str)).tolist()
-    ratios = dict(zip(metrics, over_limits(data, metrics, limits)[:, 2], strict=True))
+    ratios = dict(zip(metrics, counted.over_limits(data, metrics, limits)[:, 2], strict=True))
     ratios[store.PASSED] = np.max([*ratios.values()], axis=0) if ratios else np.zeros(len(data[store.MANOEUVRE]))
     out: list[Influence] = []
-    for manoeuvre in (None, *(in_order(manoeuvres, limits) if len(manoeuvres) > 1 else ())):
+    for manoeuvre in (None, *(counted.in_order(manoeuvres, limits) if len(manoeuvres) > 1 else ())):
         here = (
             np.ones(len(data[store.MANOEUVRE]), dtype=bool) if manoeuvre is None else data[store.MANOEUVRE] == manoeuvre
         )
@@ -130,19 +120,19 @@ def _of_one(
     from scipy import stats
 
     whole = np.array([violated.sum(), len(violated)])
-    tests: list[tuple[str, Level, Sequence[Probability], float]] = []
+    tests: list[tuple[str, Level, Sequence[counted.Probability], float]] = []
     ranked: dict[str, tuple[float, float]] = {}
     for name, column in inputs.items():
         for level, rows in _levels(column):
             own = np.array([violated[rows].sum(), rows.sum()])
-            sides = [clopper_pearson(int(events), int(runs)) for events, runs in (own, whole - own)]
+            sides = [counted.clopper_pearson(int(events), int(runs)) for events, runs in (own, whole - own)]
             p = float(stats.fisher_exact([(side.events, side.runs - side.events) for side in sides])[1])
             tests.append((name, level, sides, p))
         x, y = column[:_RANKED], ratio[:_RANKED]
         if column.dtype.kind in "if" and _varies(x) and _varies(y):
             correlation, p = stats.spearmanr(x, y)
             ranked[name] = (float(correlation), float(p))
-    corrected = holm([*(p for *_, p in tests), *(p for _, p in ranked.values())])
+    corrected = counted.holm([*(p for *_, p in tests), *(p for _, p in ranked.values())])
     correlated = zip(ranked.items(), corrected[len(tests) :].tolist(), strict=True)
     correlations = {name: (r, p) for (name, (r, _)), p in correlated}
     found: dict[str, Influence] = {}
@@ -203,7 +193,7 @@ class Summary:
     """
 
     plan: Plan
-    statistics: CampaignStatistics
+    statistics: counted.CampaignStatistics
     influences: tuple[Influence, ...]
 
     @property
@@ -240,7 +230,9 @@ def summarise(plan: Plan, table: store.Table) -> Summary:
     """
     limits = {manoeuvre.name: manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres}
     return Summary(
-        plan=plan, statistics=statistics(table, limits), influences=influences(table, limits, inputs=plan.input_names)
+        plan=plan,
+        statistics=counted.statistics(table, limits),
+        influences=influences(table, limits, inputs=plan.input_names),
     )
 
 
@@ -265,7 +257,7 @@ def summary_record(summary: Summary) -> Record:
     return out
 
 
-def _requirement(one: RequirementStatistics) -> Record:
+def _requirement(one: counted.RequirementStatistics) -> Record:
     return {
         "requirement": one.requirement,
         "manoeuvre": one.manoeuvre,
@@ -294,5 +286,5 @@ def _influence(one: Influence) -> Record:
     }
 
 
-def _probability(one: Probability) -> Record:
+def _probability(one: counted.Probability) -> Record:
     return {"violations": one.events, "runs": one.runs, "probability": one.estimate, "low": one.low, "high": one.high}

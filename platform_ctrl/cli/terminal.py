@@ -18,17 +18,8 @@ from typing import TYPE_CHECKING
 from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
 from platform_ctrl.cli.exits import interruptible, noted
 from platform_ctrl.common.progress import run_words, shown_runs, spinner
+from platform_ctrl.job import quantities
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.quantities import (
-    added_words,
-    compared,
-    count,
-    listed,
-    met_words,
-    percent,
-    pessimistic_rounding,
-    quantity,
-)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -89,7 +80,7 @@ def show_result(result: JobResult, campaign: Summary | None = None) -> None:
     goals = [goal for outcome in result.loops for goal in outcome.closed.goals]
     show_requirements(console, [*result.requirements, *goals], result)
     _show_alternatives(console, result)
-    words = summary_words(result.requirements, added_words(result.job.platform) + result.assumptions)
+    words = summary_words(result.requirements, quantities.added_words(result.job.platform) + result.assumptions)
     if campaign is not None:
         from platform_ctrl.report.campaign_tables import campaign_words
 
@@ -114,7 +105,7 @@ def show_run(run: Run) -> None:
 
 
 def _measured(key: str, number: float, signal: str) -> str:
-    return f"{quantity(number, RUN_METRICS[key].unit)} ({signal})"
+    return f"{quantities.quantity(number, RUN_METRICS[key].unit)} ({signal})"
 
 
 def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
@@ -265,12 +256,12 @@ def tells_nothing(one: CheckResult) -> bool:
 
 def summary_words(results: Sequence[CheckResult], more: str = "") -> str:
     """Return how many requirements are met, `more`, and which one is the worst or the tightest."""
-    words = met_words(results) + more
+    words = quantities.met_words(results) + more
     telling = [one for one in results if not tells_nothing(one)]
     if telling:
         worst = min(telling, key=severity)
         words += f"; {'tightest' if worst.passed else 'worst'}: {subject_of(worst)}, {worst.name}"
-        words += f" ({percent(worst.margin)})" if abs(worst.margin) < 10.0 else ""
+        words += f" ({quantities.percent(worst.margin)})" if abs(worst.margin) < 10.0 else ""
     return words
 
 
@@ -289,10 +280,12 @@ def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requ
         return ""
     rows = [("", "value", "limit", "margin", "")]
     for one in missed:
-        shown = compared(one)
+        shown = quantities.compared(one)
         where = f"{one.subject}, {one.design}" if one.design else one.subject
-        rows.append((f"{where}: {one.name}", shown[0], f"{one.sense} {shown[1]}", percent(one.margin), one.evidence))
-    head = f"{title}: {len(missed)} of {count(len(requirements), of)} not met"
+        rows.append(
+            (f"{where}: {one.name}", shown[0], f"{one.sense} {shown[1]}", quantities.percent(one.margin), one.evidence)
+        )
+    head = f"{title}: {len(missed)} of {quantities.count(len(requirements), of)} not met"
     return "\n".join([head, *_table(rows)])
 
 
@@ -309,7 +302,7 @@ def changed(comparison: Comparison, name: str) -> tuple[str, list[tuple[str, ...
     """
     worse = sorted(comparison.of("worse"), key=lambda change: -abs(change.share))
     notes = _others("not measured any more", comparison.of("missing"))
-    notes += [f"  made with {listed(comparison.differing)}"] if comparison.differing else []
+    notes += [f"  made with {quantities.listed(comparison.differing)}"] if comparison.differing else []
     notes += _others("better by more than its tolerance", comparison.of("better"))
     notes += _others("not in the accepted result", comparison.of("new"))
     heads = ("", "before", "now", "change", "tolerance", "limit")
@@ -320,24 +313,24 @@ def _head(comparison: Comparison, name: str) -> str:
     worse, missing = len(comparison.of("worse")), len(comparison.of("missing"))
     compared = len(comparison.changes) - len(comparison.of("new"))
     if not worse and not missing:
-        return f"{name}: none of {count(compared, 'value')} is worse by more than its tolerance"
+        return f"{name}: none of {quantities.count(compared, 'value')} is worse by more than its tolerance"
     parts = [f"{worse} worse by more than {'its' if worse == 1 else 'their'} tolerance"] if worse else []
     parts += [f"{missing} not measured any more"] if missing else []
-    return f"{name}: of {count(compared, 'value')} {listed(parts)}"
+    return f"{name}: of {quantities.count(compared, 'value')} {quantities.listed(parts)}"
 
 
 def _row(change: Compared) -> tuple[str, ...]:
     before, now, allowed, limit = _numbers(change, change.before, change.now, change.allowed, change.limit)
     limit = f"{change.sense} {limit}" if change.limit is not None else ""
-    return _named(change), before, now, percent(change.share), allowed, limit
+    return _named(change), before, now, quantities.percent(change.share), allowed, limit
 
 
 def _numbers(change: Compared, *numbers: float | None) -> list[str]:
     """Return numbers in one unit, rounded to the worse side, with digits enough to tell the first two apart."""
     size = max((abs(x) for x in numbers if x is not None and math.isfinite(x)), default=1.0)
-    rounding, texts = pessimistic_rounding(change.sense), [""]
+    rounding, texts = quantities.pessimistic_rounding(change.sense), [""]
     for digits in (4, 6, 9):
-        texts = ["" if x is None else quantity(x, change.unit, digits, size, rounding) for x in numbers]
+        texts = ["" if x is None else quantities.quantity(x, change.unit, digits, size, rounding) for x in numbers]
         if numbers[0] == numbers[1] or texts[0] != texts[1]:
             break
     return texts

@@ -23,16 +23,7 @@ from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.values import value
-from platform_ctrl.design.partition import (
-    Partition,
-    closed_loop,
-    closed_loop_system,
-    controller_system,
-    in_w_plane,
-    out_of_w_plane,
-    partition,
-    require_stabilisable,
-)
+from platform_ctrl.design import partition as parts
 from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError, UnscalableError
 
 if TYPE_CHECKING:
@@ -176,10 +167,10 @@ def hinf(
         one_of("hinf: method", method, ("lmi", "riccati"))
     backoff = positive("hinf: backoff", backoff)
     time_limit = positive("hinf: time_limit", time_limit)
-    plant = partition(P, nmeas, ncon, sampled=True)
-    require_stabilisable(plant, P, "hinf")
+    plant = parts.partition(P, nmeas, ncon, sampled=True)
+    parts.require_stabilisable(plant, P, "hinf")
     try:
-        flat = in_w_plane(plant)
+        flat = parts.in_w_plane(plant)
     except ArgumentError:
         raise IllPosedError(
             "hinf: the plant has a pole at z = -1, which the bilinear map sends to infinity; "
@@ -197,7 +188,7 @@ def hinf(
                 from platform_ctrl.design.riccati import hinf_riccati
 
                 made, least = hinf_riccati(flat, backoff, P)
-            made = out_of_w_plane(made, plant.dt)
+            made = parts.out_of_w_plane(made, plant.dt)
         except (ArgumentError, np.linalg.LinAlgError) as error:
             raise UnscalableError(f"hinf, {route}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
         name = f"hinf, {route}"
@@ -248,15 +239,15 @@ def h2(P: StateSpace, nmeas: int, ncon: int, *, direct: bool = True) -> Synthesi
     """
     from platform_ctrl.design.riccati import H2, h2_riccati
 
-    plant = partition(P, nmeas, ncon, sampled=True)
-    require_stabilisable(plant, P, "h2")
+    plant = parts.partition(P, nmeas, ncon, sampled=True)
+    parts.require_stabilisable(plant, P, "h2")
     made, least = h2_riccati(plant, direct, P)
     return certify(P, plant, made, least=least, backoff=0.0, method=H2, norm="h2")
 
 
 def certify(
     P: StateSpace,
-    plant: Partition,
+    plant: parts.Partition,
     controller: System,
     *,
     least: float,
@@ -271,7 +262,7 @@ def certify(
     if not all(np.all(np.isfinite(matrix)) for matrix in controller[:4]):
         raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
     try:
-        loop = closed_loop(plant, controller)
+        loop = parts.closed_loop(plant, controller)
     except ArgumentError:
         raise NotCertifiedError(f"{method}: I − D_K D22 is singular: the loop is not well posed; {CURE}", P) from None
     poles = np.asarray(np.linalg.eigvals(loop.A), dtype=np.complex128)
@@ -297,8 +288,8 @@ def certify(
         )
     return Synthesis(
         plant=P,
-        controller=controller_system(P, controller),
-        closed_loop=closed_loop_system(P, loop),
+        controller=parts.controller_system(P, controller),
+        closed_loop=parts.closed_loop_system(P, loop),
         gamma=gamma,
         frequency=frequency,
         gamma_optimal=float(min(least, gamma)),
@@ -310,7 +301,7 @@ def certify(
     )
 
 
-def _h2_norm(loop: System, plant: Partition, controller: System) -> float:
+def _h2_norm(loop: System, plant: parts.Partition, controller: System) -> float:
     """Return the norm of a closed loop, whose direct term a controller may have cancelled but for rounding."""
     through = np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(plant.D21)
     if not plant.dt and np.linalg.norm(loop.D) <= DIRECT_ROUNDING * (np.linalg.norm(plant.D11) + through):

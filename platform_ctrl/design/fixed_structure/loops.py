@@ -20,21 +20,7 @@ from platform_ctrl.analysis.poles import SPLIT, continuous_poles
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.fixed_structure.maps import (
-    Map,
-    Numbers,
-    Pieces,
-    Responses,
-    Singular,
-    at_least,
-    column_of,
-    joined,
-    map_of,
-    reaching,
-    row_of,
-    singular,
-    tops,
-)
+from platform_ctrl.design.fixed_structure import maps
 
 # Share of the grid's spacing at which a top is looked at again.
 _CLOSER = 0.2
@@ -58,26 +44,28 @@ _HIDDEN = 0.02
 class Points:
     """A loop at single frequencies (k,) of single plants (k,)."""
 
-    def __init__(self, loops: LoopGradients, plant: Numbers, frequency: FloatArray, disturbed: bool = False) -> None:
+    def __init__(
+        self, loops: LoopGradients, plant: maps.Numbers, frequency: FloatArray, disturbed: bool = False
+    ) -> None:
         plants = loops.plants
         z = np.exp(1j * frequency * plants.period)
         P = response_at(plants.arrays, frequency, plant)
         K, self._left, self._right = loops.controller_response(z)
         found = plants.disturbed_at(frequency, plant) if disturbed else _UNDISTURBED
-        self.responses = Responses(P, K, *sensitivities_of_plants(P, K), loops.fed(frequency), *found)
+        self.responses = maps.Responses(P, K, *sensitivities_of_plants(P, K), loops.fed(frequency), *found)
 
-    def singular(self, of: Map, only: int | None = None) -> Singular:
+    def singular(self, of: maps.Map, only: int | None = None) -> maps.Singular:
         """Return the largest singular value of a map at every point as smooth pieces; with `only`, of one point."""
         X = of.response(self.responses)
-        found = singular(X if only is None else X[only : only + 1])
+        found = maps.singular(X if only is None else X[only : only + 1])
         return found._replace(at=found.at + (only or 0))
 
-    def differential(self, of: Map, found: Singular) -> FloatArray:
+    def differential(self, of: maps.Map, found: maps.Singular) -> FloatArray:
         """Return the gradients of `found`."""
-        responses = Responses(*(item[found.at] if len(item) else item for item in self.responses))
+        responses = maps.Responses(*(item[found.at] if len(item) else item for item in self.responses))
         a, b = of.differential(responses, found.u, found.v)
-        row = np.concatenate([row_of(a, self._left[found.at]), a], axis=1)
-        column = np.concatenate([column_of(self._right[found.at], b), b], axis=1)
+        row = np.concatenate([maps.row_of(a, self._left[found.at]), a], axis=1)
+        column = np.concatenate([maps.column_of(self._right[found.at], b), b], axis=1)
         return np.asarray(np.real(row[:, :, None] * column[:, None, :]))
 
 
@@ -113,7 +101,7 @@ class LoopGradients:
         """The same at their inputs, (N, F, m, m)."""
         return self._sensitivities[1]
 
-    def unstable(self) -> Numbers:
+    def unstable(self) -> maps.Numbers:
         """Return the plants whose loops are not stable, the fastest growing first."""
         largest = np.abs(np.linalg.eigvals(self._stacked()[0])).max(axis=-1, initial=0.0)
         return np.argsort(-largest, kind="stable")[: int(np.sum(largest >= 1.0))]
@@ -131,19 +119,24 @@ class LoopGradients:
             return np.zeros((len(frequency), self.m, 3), dtype=np.complex128)
         return fed.response(frequency)
 
-    def none(self) -> Pieces:
+    def none(self) -> maps.Pieces:
         """Return no pieces."""
         return self.constant()
 
-    def constant(self, *ratios: float) -> Pieces:
+    def constant(self, *ratios: float) -> maps.Pieces:
         """Return pieces of the nominal plant that the controller does not change."""
         k = len(ratios)
         gradient = np.zeros((k, self.order + self.m, self.order + self.p))
-        return Pieces(ratio=np.array(ratios), gradient=gradient, plant=np.zeros(k, dtype=np.intp))
+        return maps.Pieces(ratio=np.array(ratios), gradient=gradient, plant=np.zeros(k, dtype=np.intp))
 
     def peaks(
-        self, of: Map, floor: float, members: Numbers, band: tuple[float, float] = (0.0, np.inf), ends: bool = True
-    ) -> Pieces:
+        self,
+        of: maps.Map,
+        floor: float,
+        members: maps.Numbers,
+        band: tuple[float, float] = (0.0, np.inf),
+        ends: bool = True,
+    ) -> maps.Pieces:
         """Return the tops of a map's largest singular value that reach `floor`.
 
         With `ends` the ends of the band count as tops, and the highest top is there even below the floor.
@@ -153,7 +146,7 @@ class LoopGradients:
         if not len(inside):
             return self.none()
         cut = slice(int(inside[0]), int(inside[-1]) + 1)
-        response = Responses(
+        response = maps.Responses(
             self.plants.response[members, cut],
             np.broadcast_to(self.K[cut], (len(members), len(inside), self.m, self.p)),
             self.S_output[members, cut],
@@ -170,7 +163,7 @@ class LoopGradients:
         row, k = np.nonzero(chosen)
         if not len(k):
             return hidden
-        x, step = tops(np.log(w[cut]), np.log(np.maximum(sizes, _NOTHING)), row, k)
+        x, step = maps.tops(np.log(w[cut]), np.log(np.maximum(sizes, _NOTHING)), row, k)
         # Once more, from three points close to the top.
         close = x + np.multiply.outer(np.array([-_CLOSER, 0.0, _CLOSER]), step)
         near = Points(self, np.tile(members[row], 3), np.exp(close.ravel()), of.disturbed)
@@ -182,9 +175,9 @@ class LoopGradients:
         beside = sizes[row, k] > _SPIKE * np.maximum(middle, np.maximum(left, right))
         x = np.where(beside, np.log(w[cut])[k], x)
         found = self._pieces(of, members[row], np.exp(x))
-        return joined([found, hidden]) if len(hidden.ratio) else found
+        return maps.joined([found, hidden]) if len(hidden.ratio) else found
 
-    def _hidden(self, of: Map, floor: float, members: Numbers, band: tuple[float, float]) -> Pieces:
+    def _hidden(self, of: maps.Map, floor: float, members: maps.Numbers, band: tuple[float, float]) -> maps.Pieces:
         """Return a map's largest singular value at resonances narrower than the grid or below it, from `floor` on."""
         s = self.poles().s[members]
         narrow = (
@@ -198,19 +191,19 @@ class LoopGradients:
             return self.none()
         found = self._pieces(of, members[row], s.imag[row, k])
         high = found.ratio >= floor
-        return Pieces(ratio=found.ratio[high], gradient=found.gradient[high], plant=found.plant[high])
+        return maps.Pieces(ratio=found.ratio[high], gradient=found.gradient[high], plant=found.plant[high])
 
-    def _pieces(self, of: Map, plant: Numbers, frequency: FloatArray) -> Pieces:
+    def _pieces(self, of: maps.Map, plant: maps.Numbers, frequency: FloatArray) -> maps.Pieces:
         at = Points(self, plant, frequency, of.disturbed)
         found = at.singular(of)
-        return Pieces(ratio=found.size, gradient=at.differential(of, found), plant=plant[found.at])
+        return maps.Pieces(ratio=found.size, gradient=at.differential(of, found), plant=plant[found.at])
 
-    def edge(self, of: Map, frequency: float, members: Numbers) -> Pieces:
+    def edge(self, of: maps.Map, frequency: float, members: maps.Numbers) -> maps.Pieces:
         """Return a map's largest singular value at one frequency."""
         at = np.full(len(members), min(frequency, float(self.plants.frequency[-1])))
         return self._pieces(of, members, at)
 
-    def level(self, frequency: float, floor: float) -> tuple[Pieces, FloatArray]:
+    def level(self, frequency: float, floor: float) -> tuple[maps.Pieces, FloatArray]:
         """Return the largest singular value of the nominal S up to `frequency`, over the level of the bandwidth.
 
         At most 1 up to the bandwidth. The second result is the derivative of each piece with respect to log(frequency).
@@ -220,30 +213,32 @@ class LoopGradients:
         around = w * np.exp(_SLOPE_STEP * np.array([0.0, 1.0, -1.0]))
         at = Points(self, np.zeros(3, dtype=np.intp), around)
         parts, slopes = [], []
-        for of in (map_of(part, self.plants) for part in SENSITIVITIES):
+        for of in (maps.map_of(part, self.plants) for part in SENSITIVITIES):
             tops = self.peaks(of, floor * LEVEL, nominal, (0.0, w), ends=False)
             found = at.singular(of, only=0)
             X = of.response(at.responses)
             change = (X[1] - X[2]) / (2.0 * _SLOPE_STEP)
-            edge = Pieces(ratio=found.size, gradient=at.differential(of, found), plant=np.zeros_like(found.at))
+            edge = maps.Pieces(ratio=found.size, gradient=at.differential(of, found), plant=np.zeros_like(found.at))
             parts += [tops, edge]
             slopes += [np.zeros(len(tops.ratio)), np.real(np.einsum("ki,ij,kj->k", found.u, change, found.v))]
-        return joined(parts).times(1.0 / LEVEL), np.concatenate(slopes) / LEVEL
+        return maps.joined(parts).times(1.0 / LEVEL), np.concatenate(slopes) / LEVEL
 
-    def damping(self, floor: float, limit: float, members: Numbers) -> Pieces:
+    def damping(self, floor: float, limit: float, members: maps.Numbers) -> maps.Pieces:
         """Return limit/damping of the poles."""
         s = self.poles().s[members]
         finite = np.isfinite(s)
         size = np.where(finite, np.abs(s), 1.0)
-        ratio, slope = at_least(np.where(finite, -s.real / size, 1.0), limit)
+        ratio, slope = maps.at_least(np.where(finite, -s.real / size, 1.0), limit)
         counts = finite & (s.imag >= 0.0) & ((size * self.plants.period > SPLIT) | (s.real > 0.0))
-        row, k = reaching(ratio, counts, floor)
+        row, k = maps.reaching(ratio, counts, floor)
         s, size = s[row, k], size[row, k]
         # d(−Re s/|s|) = Re((Re s conj(s)/|s|³ − 1/|s|) ds).
         factor = slope[row, k] * (s.real * s.conj() / size**3 - 1.0 / size)
-        return Pieces(ratio=ratio[row, k], gradient=self._pole_gradient(factor, members[row], k), plant=members[row])
+        return maps.Pieces(
+            ratio=ratio[row, k], gradient=self._pole_gradient(factor, members[row], k), plant=members[row]
+        )
 
-    def decay(self, limit: float, members: Numbers) -> Pieces:
+    def decay(self, limit: float, members: maps.Numbers) -> maps.Pieces:
         """Return 1 + (limit − decay)/unit of the slow poles: at most 1 where limit is kept; see `_DECAY_UNIT`.
 
         The ratio limit/decay would be hardly visible until it is too late.
@@ -254,27 +249,27 @@ class LoopGradients:
             # No decay at all has to be worse than most other things.
             unit = min(unit, limit / _NO_DECAY)
         ratio = np.where(np.isfinite(s), 1.0 + (limit + s.real) / unit, -np.inf)
-        row, k = reaching(ratio, (s.imag >= 0.0) & ~self._artificial(s), 1.0 - _SLOW)
+        row, k = maps.reaching(ratio, (s.imag >= 0.0) & ~self._artificial(s), 1.0 - _SLOW)
         gradient = self._pole_gradient(np.full(len(k), 1.0 / unit), members[row], k)
-        return Pieces(ratio=ratio[row, k], gradient=gradient, plant=members[row])
+        return maps.Pieces(ratio=ratio[row, k], gradient=gradient, plant=members[row])
 
     def _artificial(self, s: ComplexArray) -> NDArray[np.bool_]:
         """Return which poles are those of angles that decay slowly in regular plants alone."""
         return np.asarray(np.abs(s + REGULAR) < _NEARLY * REGULAR) & self.regular
 
-    def fastest(self, floor: float, limit: float, members: Numbers) -> Pieces:
+    def fastest(self, floor: float, limit: float, members: maps.Numbers) -> maps.Pieces:
         """Return |w|/limit of the closed-loop poles in the w-plane, w = (2/T) (z − 1)/(z + 1)."""
         z = self.poles().z[members]
         two = 2.0 / self.plants.period
         w = two * (z - 1.0) / (z + 1.0)
-        row, k = reaching(np.abs(w) / limit, z.imag >= 0.0, floor)
+        row, k = maps.reaching(np.abs(w) / limit, z.imag >= 0.0, floor)
         z, w = z[row, k], w[row, k]
         # dw = 2 two dz/(z + 1)² and dz = z T ds.
         factor = w.conj() / np.abs(w) * 2.0 * two / (z + 1.0) ** 2 * z * self.plants.period / limit
         gradient = self._pole_gradient(factor, members[row], k)
-        return Pieces(ratio=np.abs(w) / limit, gradient=gradient, plant=members[row])
+        return maps.Pieces(ratio=np.abs(w) / limit, gradient=gradient, plant=members[row])
 
-    def controller_poles(self, floor: float, limit: float) -> Pieces:
+    def controller_poles(self, floor: float, limit: float) -> maps.Pieces:
         """Return |w|/limit of the controller's poles in the w-plane."""
         if not self.order:
             return self.none()
@@ -282,12 +277,12 @@ class LoopGradients:
         y = left_vectors(x)
         two = 2.0 / self.plants.period
         w = two * (z - 1.0) / (z + 1.0)
-        _, k = reaching(np.abs(w)[None] / limit, (z.imag >= 0.0)[None], floor)
+        _, k = maps.reaching(np.abs(w)[None] / limit, (z.imag >= 0.0)[None], floor)
         z, w = z[k], w[k]
         factor = w.conj() / np.maximum(np.abs(w), 1e-12) * 2.0 * two / (z + 1.0) ** 2 / limit
         gradient = np.zeros((len(k), *self.M.shape))
         gradient[:, : self.order, : self.order] = np.real(factor[:, None, None] * y[k][:, :, None] * x.T[k][:, None, :])
-        return Pieces(ratio=np.abs(w) / limit, gradient=gradient, plant=np.zeros(len(k), dtype=np.intp))
+        return maps.Pieces(ratio=np.abs(w) / limit, gradient=gradient, plant=np.zeros(len(k), dtype=np.intp))
 
     def poles(self) -> Poles:
         """Return the poles of every closed loop."""
@@ -301,7 +296,7 @@ class LoopGradients:
             self._poles = Poles(np.asarray(z, dtype=np.complex128), s, left, right)
         return self._poles
 
-    def _pole_gradient(self, factor: ComplexArray, plant: Numbers, k: Numbers) -> FloatArray:
+    def _pole_gradient(self, factor: ComplexArray, plant: maps.Numbers, k: maps.Numbers) -> FloatArray:
         """Return the gradient of Re(factor ds) for pole `k` of `plant`."""
         poles = self.poles()
         scale = factor / (poles.z[plant, k] * self.plants.period)
@@ -334,13 +329,13 @@ class LoopGradients:
             np.linalg.inv(np.eye(n_K + self.m) - self.M @ whole),
         )
 
-    def noise(self, limit: float, members: Numbers) -> Pieces:
+    def noise(self, limit: float, members: maps.Numbers) -> maps.Pieces:
         """Return rms/limit of the torques from pick-off noise, a piece for each torquer; nothing for unstable loops."""
         stacked = self._stacked()
         stable = [k for k in members if np.all(self.poles().s[k].real < 0.0)]
-        return joined([self.none(), *(self._noise(limit, int(k), *(item[k] for item in stacked)) for k in stable)])
+        return maps.joined([self.none(), *(self._noise(limit, int(k), *(item[k] for item in stacked)) for k in stable)])
 
-    def _noise(self, limit: float, plant: int, A: FloatArray, L: FloatArray, R: FloatArray) -> Pieces:
+    def _noise(self, limit: float, plant: int, A: FloatArray, L: FloatArray, R: FloatArray) -> maps.Pieces:
         before, after = self._direct(self.plants.D[plant])
         n_K = self.order
         # The noise enters with the measurement: ȳ = R x + F n, u = M_u ȳ.
@@ -355,7 +350,7 @@ class LoopGradients:
         own = shown[:, :, None] * (C @ X @ R.T + direct @ F.T)[:, None, :]
         inner = L.T @ adjoint @ (A @ X @ R.T + B @ variance @ F.T)
         scale = 1.0 / np.maximum(rms * limit, 1e-300)
-        return Pieces(
+        return maps.Pieces(
             ratio=rms / limit,
             gradient=(own + inner) * scale[:, None, None],
             plant=np.full(self.m, plant, dtype=np.intp),

@@ -19,21 +19,10 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import whole as whole_number
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design import partition as partitions
 from platform_ctrl.design.fixed_structure.minimax import Effort, Minimum, minimise
 from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm, augmented
 from platform_ctrl.design.fixed_structure.structures import Parametrised, Structure, Units
-from platform_ctrl.design.partition import (
-    Partition,
-    autoscale,
-    closed_loop,
-    closed_loop_system,
-    controller_system,
-    in_w_plane,
-    out_of_w_plane,
-    partition,
-    require_stabilisable,
-    whole,
-)
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import ArgumentError, DesignError, NotCertifiedError, NotFoundError
 
@@ -130,9 +119,9 @@ def structured(
     whole_number("structured: seed", seed, 0)
     parts = _partitions(given, nmeas, ncon)
     for P, part in zip(given, parts, strict=True):
-        require_stabilisable(part, P, "structured")
-    flat = [in_w_plane(part) for part in parts]
-    scaled = [autoscale(one) for one in flat]
+        partitions.require_stabilisable(part, P, "structured")
+    flat = [partitions.in_w_plane(part) for part in parts]
+    scaled = [partitions.autoscale(one) for one in flat]
     # Units by the first plant: the others are its neighbours.
     gain = np.outer(np.linalg.norm(scaled[0].control, axis=1), np.linalg.norm(scaled[0].measurement, axis=0))
     family = Parametrised(structure, nmeas, ncon, Units(gain=gain, rate=scaled[0].rate))
@@ -172,10 +161,10 @@ def structured(
     )
 
 
-def _partitions(given: tuple[StateSpace, ...], nmeas: int, ncon: int) -> list[Partition]:
+def _partitions(given: tuple[StateSpace, ...], nmeas: int, ncon: int) -> list[partitions.Partition]:
     if not given:
         raise ArgumentError("structured: there must be at least one plant, got no plants")
-    parts = [partition(P, nmeas, ncon, sampled=True) for P in given]
+    parts = [partitions.partition(P, nmeas, ncon, sampled=True) for P in given]
     for k, one in enumerate(parts[1:], 2):
         if one.dt != parts[0].dt:
             raise ArgumentError(
@@ -234,14 +223,14 @@ class StructuredDesign:
         return self.gamma / self.gamma_optimal if self.gamma_optimal > 0.0 else float("inf")
 
 
-def full_order(plant: Partition) -> tuple[float, list[System]]:
+def full_order(plant: partitions.Partition) -> tuple[float, list[System]]:
     """Return the least norm of a continuous plant, 0 where none is found, and controllers of several back-offs.
 
     By matrix inequalities where the Riccati equations have no solution.
     """
     import control
 
-    A, B, C, D, _ = whole(plant)
+    A, B, C, D, _ = partitions.whole(plant)
     P = control.StateSpace(A, B, C, D, remove_useless_states=False)
     nmeas, ncon = plant.C2.shape[0], plant.B2.shape[1]
     least, controllers = 0.0, list[System]()
@@ -257,27 +246,29 @@ def full_order(plant: Partition) -> tuple[float, list[System]]:
     return least, controllers
 
 
-def controller_of(M: FloatArray, P: StateSpace, part: Partition) -> StateSpace:
+def controller_of(M: FloatArray, P: StateSpace, part: partitions.Partition) -> StateSpace:
     """Return M = [A_K, B_K; C_K, D_K], in the w-plane where the plant is sampled, as a controller of the plant."""
     k = len(M) - part.B2.shape[1]
-    return controller_system(P, out_of_w_plane(System(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:]), part.dt))
+    return partitions.controller_system(
+        P, partitions.out_of_w_plane(System(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:]), part.dt)
+    )
 
 
-def abscissa(part: Partition, K: StateSpace) -> float:
+def abscissa(part: partitions.Partition, K: StateSpace) -> float:
     """Return the largest real part, rad/s, of a loop's continuous(-equivalent) poles."""
-    loop = closed_loop(part, System.of(K, "controller"))
+    loop = partitions.closed_loop(part, System.of(K, "controller"))
     return float(spectral_abscissa(continuous_poles(poles(loop.A), part.dt)))
 
 
 def measured(
-    given: Sequence[StateSpace], parts: Sequence[Partition], controller: StateSpace, promised: float
+    given: Sequence[StateSpace], parts: Sequence[partitions.Partition], controller: StateSpace, promised: float
 ) -> tuple[list[StateSpace], FloatArray]:
     """Return the loops closed with the plants as given, and their norms, which must be what the search promised."""
-    loops = [closed_loop(part, System.of(controller, "controller")) for part in parts]
+    loops = [partitions.closed_loop(part, System.of(controller, "controller")) for part in parts]
     for k, part in enumerate(parts, 1):
         if not abscissa(part, controller) < 0.0:
             raise NotCertifiedError(f"structured: the closed loop of plant {k} is not stable; give other starts", given)
-    systems = [closed_loop_system(P, loop) for P, loop in zip(given, loops, strict=True)]
+    systems = [partitions.closed_loop_system(P, loop) for P, loop in zip(given, loops, strict=True)]
     gammas = np.array([float(hinf_norm(one)[0]) for one in systems])
     if not gammas.max() <= (1.0 + _AGREEMENT) * promised + 1e-9:
         raise NotCertifiedError(
@@ -289,7 +280,7 @@ def measured(
 
 
 def starting_points(
-    structured: Parametrised, plants: Sequence[Partition], known: Sequence[System], count: int, seed: int
+    structured: Parametrised, plants: Sequence[partitions.Partition], known: Sequence[System], count: int, seed: int
 ) -> list[FloatArray]:
     """Return `count` starts: the structure's own, fits to controllers `known` of single `plants`, and random ones."""
     rng = np.random.default_rng(seed)
@@ -321,7 +312,7 @@ class Fit:
     that difference over frequency.
     """
 
-    def __init__(self, plant: Partition, full: System, structured: Parametrised) -> None:
+    def __init__(self, plant: partitions.Partition, full: System, structured: Parametrised) -> None:
         self.structured = structured
         order = len(full.A)
         loop = AugmentedLoop(augmented(plant, order), np.block([[full.A, full.B], [full.C, full.D]]))
@@ -379,7 +370,7 @@ def rank(found: Minimum) -> tuple[bool, float]:
 
 
 def searched(
-    plants: Sequence[Partition],
+    plants: Sequence[partitions.Partition],
     family: Parametrised,
     points: Sequence[FloatArray],
     evaluations: int,

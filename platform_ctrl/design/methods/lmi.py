@@ -35,16 +35,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Method, Option, number, tuned
-from platform_ctrl.design.methods.hinf import (
-    BACKOFF,
-    WEIGHTS,
-    by_direction,
-    default_weights,
-    error_weight,
-    mixed_sensitivity,
-    signal_names,
-    torque_units,
-)
+from platform_ctrl.design.methods import hinf as mixed
 from platform_ctrl.design.partition import Partition, autoscale, balance, closed_loop, split, unscale, whole
 from platform_ctrl.design.sections import between, side_by_side
 from platform_ctrl.design.synthesis import hinf
@@ -69,8 +60,8 @@ CURE = "try a lower bandwidth_hz, a smaller share or pole_decay, or a larger bac
 
 
 OPTIONS: dict[str, Option] = (
-    WEIGHTS
-    | {"backoff": BACKOFF}
+    mixed.WEIGHTS
+    | {"backoff": mixed.BACKOFF}
     | {
         "share": number("share", "part of a limit that its inequality must prove", 0.1, 1.0),
         "pole_decay": number("pole decay", "decay rate that all poles must have", 1e-2, 1e4, unit="1/s"),
@@ -89,14 +80,14 @@ class LMI(Method):
     key = "lmi"
     options = OPTIONS
     advice = "a lower bandwidth_hz, or a larger backoff"
-    tunable = tuple(WEIGHTS)
+    tunable = tuple(mixed.WEIGHTS)
     tunes = True
     libraries = ("cvxpy",)
     families: ClassVar = {"speed": {"bandwidth_hz": 1.0, "inertial_bandwidth_hz": 1.0}}
 
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
         """Return all options, those not given from rules of thumb; `pole_damping` is there only if it is given."""
-        weights = default_weights(channel, nutation)
+        weights = mixed.default_weights(channel, nutation)
         slowest = min(design.options.get(name, x) for name, x in weights.items() if name.endswith("bandwidth_hz"))
         decay = _DECAY * 2.0 * np.pi * slowest
         optional = {name: x for name, x in design.options.items() if name in ("pole_damping", "rejection_share")}
@@ -132,7 +123,7 @@ def _synthesis(
     problem: LoopProblem, options: dict[str, float], channel: Channels, plants: PlantSet
 ) -> tuple[System, dict[str, float]]:
     """Return the sampled controller of the plants, and claims."""
-    unit = torque_units(channel, plants.nutation)
+    unit = mixed.torque_units(channel, plants.nutation)
     A, B, C, D, period = plants.of_torques()
     into = channel.basis.T * unit
     B, D = np.hstack([B @ into, plants.B_Omega[0, : len(A)]]), np.hstack([D @ into, plants.D_Omega[0]])
@@ -143,11 +134,11 @@ def _synthesis(
             "the least torque noise is asked for, but no sensor of the loop has noise: give noise_rms of its"
             " [[pickoff]] or noise_density of its [[rate_sensor]], or take another method"
         )
-    weights = by_direction(options, channel)
+    weights = mixed.by_direction(options, channel)
     parts = [_weighted(flat, group, weights, options["complementary"], noise) for group in _uncoupled(flat, len(unit))]
     found = [_designed(problem, part, options) for part in parts]
     back = np.argsort([k for part in parts for k in part.channels])
-    K = error_weight(*weights[:2]).series(side_by_side(*(K for K, _, _ in found)).part(back, back))
+    K = mixed.error_weight(*weights[:2]).series(side_by_side(*(K for K, _, _ in found)).part(back, back))
     claims = {
         "gamma": max(_gamma(part, made) for part, (made, _, _) in zip(parts, found, strict=True)),
         "gamma_optimal": max(gamma for _, gamma, _ in found),
@@ -212,7 +203,7 @@ def _weighted(flat: System, rows: list[int], weights: FloatArray, complementary:
         B=np.hstack([own.B[:, rows] * disturbance, own.B[:, size:]]),
         D=np.hstack([own.D[:, rows] * disturbance, own.D[:, size:]]),
     )
-    A, B, C, D, _ = mixed_sensitivity(
+    A, B, C, D, _ = mixed.mixed_sensitivity(
         own.part(slice(None), rows), disturbed, gains, rates, (np.eye(k), np.diag(torque))
     )
     unit = float(np.linalg.norm(noise[:, rows], 2) / torque.min())
@@ -311,7 +302,7 @@ def _performance(part: _Weighted) -> Partition:
 def _least(part: _Weighted) -> float:
     """Return the least γ of the performance alone, by Riccati equations."""
     k = len(part.channels)
-    return hinf(whole(_performance(part)).to_control(*signal_names(k)), k, k, method="riccati").gamma_optimal
+    return hinf(whole(_performance(part)).to_control(*mixed.signal_names(k)), k, k, method="riccati").gamma_optimal
 
 
 def _gamma(part: _Weighted, controller: System) -> float:
