@@ -79,9 +79,9 @@ def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root =
     _add_drives(top, platform)
     controls = _add_actuators(top, platform, root)
     _add_sensors(top, platform, root)
-    still, place = root == "fixed", [0.0, 0.0, 0.0] if floating else []
-    qpos = [*([] if still else [*place, 1.0, 0.0, 0.0, 0.0]), *(0.0 for _ in hinges)]
-    qvel = [*([] if still else [*place, 0.0, 0.0, 0.0]), *hinges]
+    place = [0.0, 0.0, 0.0] if floating else []
+    turned, turning = ([], []) if root == "fixed" else ([*place, 1.0, 0.0, 0.0, 0.0], [*place, 0.0, 0.0, 0.0])
+    qpos, qvel = [*turned, *(0.0 for _ in hinges)], [*turning, *hinges]
     key = SubElement(SubElement(top, "keyframe"), "key", name="running", qpos=text(qpos), qvel=text(qvel))
     if controls:
         key.set("ctrl", text(controls))
@@ -96,23 +96,20 @@ def _check_names(platform: Platform) -> None:
     for names, reserved in ((bodies, "world"), (joints, "")):
         for k, name in enumerate(names):
             if name == reserved or name in names[:k]:
-                raise ArgumentError(
-                    f"write_mjcf: {short(name)} is used twice or reserved in MuJoCo; choose another name"
-                )
+                words = f"{short(name)} is used twice or reserved in MuJoCo; choose another name"
+                raise ArgumentError(f"write_mjcf: {words}")
 
 
 def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Root) -> list[float]:
     """Add all bodies; return the rates of the hinges as the model begins, in MuJoCo's order."""
     element = SubElement(world, "body", name=_line(platform.root_name))
     if root != "fixed":
-        kind = "free" if platform.mode == "floating" else "ball"
-        joint = SubElement(element, "joint", name="root", type=kind)
+        joint = SubElement(element, "joint", name="root", type="free" if platform.mode == "floating" else "ball")
         if root == "prescribed":
             joint.set("armature", repr(PRESCRIBED * _whole(platform)))
     _add_inertia(element, bodies[0])
     SubElement(element, "site", name="root", pos="0 0 0", size="0.001", group="4")
-    radius = bodies[0].radius
-    size, below = text([0.95 * radius, 0.03 * radius]), text([0.0, 0.0, -1.12 * radius])
+    size, below = (text(bodies[0].radius * np.array(one)) for one in ([0.95, 0.03], [0.0, 0.0, -1.12]))
     SubElement(element, "geom", type="cylinder", rgba=_ROOT, size=size, pos=below)
     return _add_carried(element, platform, bodies, 0, 0)
 
@@ -125,13 +122,15 @@ def _add_carried(element: Element, platform: Platform, bodies: list[Placed], bod
         gimbal = platform.gimbals[child - 1]
         place = {"pos": text(gimbal.origin)} if gimbal.origin.any() else {}
         inner = SubElement(element, "body", {"name": _line(gimbal.name)} | place)
-        joint = SubElement(inner, "joint", name=_line(gimbal.angle), type="hinge", axis=text(gimbal.axis))
-        for key, item in _joint(platform, child - 1).items():
-            joint.set(key, item)
+        about = {"name": _line(gimbal.angle), "type": "hinge", "axis": text(gimbal.axis)}
+        SubElement(inner, "joint", about | _joint(platform, child - 1))
         _add_inertia(inner, bodies[child])
         if gimbal.name in inertial_bodies(platform):
             SubElement(inner, "site", name=_line(gimbal.name), pos="0 0 0", size="0.001", group="4")
-        add_gimbal(inner, gimbal.axis, bodies[child].radius, depth + 1)
+        # Drawn as a shaft along its axis.
+        reach = bodies[child].radius * gimbal.axis
+        look = {"rgba": _GIMBALS[depth % len(_GIMBALS)], "size": repr(0.045 * bodies[child].radius)}
+        SubElement(inner, "geom", look, type="capsule", fromto=text([*-reach, *reach]))
         rates += [0.0, *_add_carried(inner, platform, bodies, child, depth + 1)]
     return rates
 
@@ -196,16 +195,13 @@ def _add_rotor(element: Element, rotor: Rotor, carrier: Placed) -> float:
     share = carrier.rotor_mass or _LIGHT * 2.0 * C / ROTOR_RADIUS**2
     if rotor.mass or carrier.rotor_mass:
         body.set("pos", text(rotor.origin if rotor.mass else carrier.centre))
-    SubElement(
-        body,
-        "inertial",
-        pos="0 0 0",
-        mass=repr(rotor.mass or share),
-        diaginertia=text([A, A, C]),
-        quat=text(quaternion_to(rotor.axis)),
-    )
-    ends = text([*(-0.2 * ROTOR_RADIUS * rotor.axis), *(0.2 * ROTOR_RADIUS * rotor.axis)])
-    SubElement(body, "geom", type="cylinder", rgba=_ROTOR, size=repr(0.82 * ROTOR_RADIUS), fromto=ends)
+    # What turns the third axis to the rotor's: w, x, y, z.
+    half = np.array([1.0 + rotor.axis[2], -rotor.axis[1], rotor.axis[0], 0.0])
+    turn = half / np.linalg.norm(half) if half[0] >= 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])
+    numbers = {"mass": repr(rotor.mass or share), "diaginertia": text([A, A, C]), "quat": text(turn)}
+    SubElement(body, "inertial", numbers, pos="0 0 0")
+    half, size = 0.2 * ROTOR_RADIUS * rotor.axis, repr(0.82 * ROTOR_RADIUS)
+    SubElement(body, "geom", type="cylinder", rgba=_ROTOR, size=size, fromto=text([*-half, *half]))
     return rotor.spin
 
 
@@ -217,8 +213,8 @@ def _add_inertia(element: Element, one: Placed) -> None:
     # MuJoCo's own way to the principal axes is less exact.
     moments, axes = np.linalg.eigh(one.inertia)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
-    inertial.set("diaginertia", text(moments))
-    inertial.set("quat", text(Rotation.from_matrix(axes).as_quat(scalar_first=True)))
+    turn = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    inertial.attrib.update(diaginertia=text(moments), quat=text(turn))
 
 
 def _whole(platform: Platform) -> float:
@@ -239,9 +235,8 @@ def _add_actuators(top: Element, platform: Platform, root: Root) -> list[float]:
             controls.append(0.0)
     if root == "prescribed":
         for name, gear in zip(OMEGA_NAMES, np.eye(3), strict=True):
-            SubElement(
-                group, "motor", name=f"{name}_dot", joint="root", gear=text(PRESCRIBED * _whole(platform) * gear)
-            )
+            turning = text(PRESCRIBED * _whole(platform) * gear)
+            SubElement(group, "motor", name=f"{name}_dot", joint="root", gear=turning)
             controls.append(0.0)
     for gimbal in platform.gimbals:
         stiffness, torque, _ = _spring(platform, gimbal.name)
@@ -387,7 +382,7 @@ def _notes_of_inertial(platform: Platform, root: Root) -> dict[str, list[str]]:
     sight = platform.line_of_sight
     if sight is not None and not (root == "fixed" and sight.body == platform.root_name):
         own = "" if sight.body == platform.root_name else f"{sight.body}_"
-        out["line of sight of {}: " + f"from the sensors {own}Omega and {own}attitude"] = [sight.body]
+        out[f"line of sight of {{}}: from the sensors {own}Omega and {own}attitude"] = [sight.body]
     return out
 
 
@@ -438,17 +433,12 @@ def placed(platform: Platform) -> list[Placed]:
             spread = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
             mass = max(mass, float(4.0 * (moment @ moment) / max(spread[0], _FLAT * spread[-1])))
         centre = moment / mass
-        inertia = inertia - mass * point_inertia(centre)
+        inertia = inertia - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
         light = sum(rotor.carrier == name and not rotor.mass for rotor in platform.rotors)
         share = _LIGHT * own
         mass -= light * share
         out.append(Placed(radius=radius, mass=mass, centre=centre, inertia=inertia, rotor_mass=share))
     return out
-
-
-def point_inertia(offset: FloatArray) -> FloatArray:
-    """Return the inertia of a unit mass at `offset`, (3, 3)."""
-    return np.asarray(float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
 
 
 def _radius(platform: Platform, body: int) -> float:
@@ -463,18 +453,3 @@ def children(platform: Platform, body: int) -> list[int]:
 def text(numbers: FloatArray | tuple[float, ...] | list[float]) -> str:
     """Return numbers as an attribute, with all their digits."""
     return " ".join(repr(float(number)) for number in numbers)
-
-
-def add_gimbal(element: Element, axis: FloatArray, radius: float, depth: int) -> None:
-    """Draw a gimbal: a shaft along its axis."""
-    ends = text([*(-radius * axis), *(radius * axis)])
-    colour = _GIMBALS[(depth - 1) % len(_GIMBALS)]
-    SubElement(element, "geom", type="capsule", rgba=colour, size=repr(0.045 * radius), fromto=ends)
-
-
-def quaternion_to(axis: FloatArray) -> FloatArray:
-    """Return the unit quaternion w, x, y, z that turns the third axis to `axis`."""
-    half = np.array([1.0 + axis[2], -axis[1], axis[0], 0.0])
-    if half[0] < 1e-9:
-        return np.array([0.0, 1.0, 0.0, 0.0])
-    return np.asarray(half / np.linalg.norm(half))
