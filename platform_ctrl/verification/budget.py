@@ -141,7 +141,7 @@ class PreparedBudget:
         return self._found(controllers, self._decided, _QUICK)[0]
 
     def _found(
-        self, controllers: Sequence[control.StateSpace], places: Sequence[int], tolerance: float
+        self, controllers: Sequence[StateSpace], places: Sequence[int], tolerance: float
     ) -> tuple[LineOfSightBudget, list[int]]:
         """Return the budget at the first of some angles, and the place of those at which each limit is worst."""
         found: list[LineOfSightBudget] = []
