@@ -7,6 +7,7 @@ what must fit together: bodies and the names of them, sensing axes, signals.
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path as FilePath
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.common.values import replaced
+from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES, Servo
 from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
 from platform_ctrl.plant.flexible import Compliance
@@ -38,6 +39,11 @@ _SIGNALS = {
 }
 # Cosine below which two axes count as normal to each other, and sine below which they count as parallel.
 _NORMAL = 1e-6
+# Density of the ball that has a body's mass and inertia, kg/m³: osmium has 2e4, the largest structures in space 1e-3.
+_THINNEST, _DENSEST = 1e-6, 1e8
+# Distance from a body's centre of mass to its joints over its radius of gyration: a boom of a thousandth of the mass
+# reaches 110.
+_FARTHEST = 300.0
 
 
 # The whole file.
@@ -110,6 +116,7 @@ def judge_plant(document: InputData) -> tuple[Platform | None, list[Mistake]]:
     platform = Platform(**_with_inertias(parts))
     mistakes = [
         *_masses(platform, data),
+        *_other_units(platform),
         *_relative_rates(platform),
         *_line_of_sight(platform),
         *_signals(platform),
@@ -224,6 +231,35 @@ def _circles(root: str, gimbals: tuple[Gimbal, ...]) -> Iterator[Mistake]:
             cycle = " -> ".join(given(name) for name in [*chain, above])
             words = f"parent = {given(one.parent)} closes a ring of parents, {cycle}; let the chain end at the root"
             yield Mistake(("gimbal", k, "parent"), words)
+
+
+def _other_units(platform: Platform) -> Iterator[Mistake]:
+    """Yield masses, inertias and lengths that no body has together: they are in other units than kg, kg m² and m.
+
+    Of all bodies of a density a ball has the least inertia for its mass. A root that is held may have any numbers.
+    """
+    for b, body in enumerate(platform.bodies):
+        if not body.mass or (b == 0 and platform.mode != "floating"):
+            continue
+        name = (platform.root_name, *platform.gimbal_names)[b]
+        path: Path = ("gimbal", b - 1) if b else ("root",)
+        spun = [r for r in platform.rotors if r.carrier == name and not r.mass]  # the carrier's mass has theirs
+        moments = np.trace(body.inertia) + sum(r.axial_inertia + 2.0 * r.transverse_inertia for r in spun)
+        gyration = math.sqrt(0.5 * moments / body.mass)
+        density = body.mass / (4.0 / 3.0 * math.pi * (math.sqrt(5.0 / 3.0) * gyration) ** 3)
+        units = "masses are in kg, lengths in m, inertias in kg m2 about the centre of mass"
+        if not _THINNEST <= density <= _DENSEST:
+            words = f"{body.mass:.4g} kg with this inertia are a ball of {density:.1g} kg/m3, as no body is"
+            yield Mistake((*path, "mass"), f"mass: {words}; {units}")
+            continue
+        carried = [k for k, one in enumerate(platform.gimbals) if one.parent == name]
+        joints: dict[Path, FloatArray] = {(*path, "centre"): np.zeros(3)}
+        joints |= {("gimbal", k, "origin"): platform.gimbals[k].origin for k in carried}
+        for place, joint in joints.items() if b else ():
+            far = float(np.linalg.norm(joint - body.centre))
+            if far > _FARTHEST * gyration:
+                words = f"{far:.4g} m from the centre of mass of {name!r} are {far / gyration:.0f} radii of gyration"
+                yield Mistake(place, f"{place[-1]}: {words}, {gyration:.2g} m; {units}")
 
 
 def _masses(platform: Platform, data: Mapping[str, Any]) -> Iterator[Mistake]:
