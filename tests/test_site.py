@@ -60,6 +60,7 @@ def inventory(site: Path) -> set[str]:
     return {line.split(" py:")[0] for line in lines if " py:" in line}
 
 
+@pytest.mark.slow
 def test_nothing_that_a_page_needs_comes_from_elsewhere(site: Path) -> None:
     loads = re.compile(
         r"<(?:script|img|iframe|source|video|object|image|use)\b[^>]*?(?:src|data|href)=\"(?:https?:)?//[^\"]*"
@@ -72,6 +73,7 @@ def test_nothing_that_a_page_needs_comes_from_elsewhere(site: Path) -> None:
         assert loads.findall(path.read_text(encoding="utf-8")) == [], path.name
 
 
+@pytest.mark.slow
 def test_every_public_name_is_in_the_reference(site: Path) -> None:
     reference = "".join(path.read_text(encoding="utf-8") for path in (site / "reference" / "python").glob("*.html"))
     listed = inventory(site)
@@ -82,6 +84,7 @@ def test_every_public_name_is_in_the_reference(site: Path) -> None:
         assert entry in listed, entry
 
 
+@pytest.mark.slow
 def test_every_plot_for_scripts_is_in_the_gallery(site: Path) -> None:
     page = (site / "start" / "gallery.html").read_text(encoding="utf-8")
     scripts = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "examples" / "gallery").glob("*.py")}

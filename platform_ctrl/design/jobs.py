@@ -113,10 +113,10 @@ def attempted_loops(
 
 def _known(problem: LoopProblem, key: str | None, kept: Mapping[str, reuse.Kept]) -> LoopProblem:
     """Return a problem with the design that is kept for it."""
-    if key is None or key not in kept:
-        return problem
-    problem.progress(f"{problem.spec.name}: {problem.design.name}, unchanged")
-    return dataclasses.replace(problem, known=reuse.taken_over(problem, kept[key]))
+    known = None if key is None or key not in kept else reuse.taken_over(problem, kept[key])
+    if known is not None:
+        problem.progress(f"{problem.spec.name}: {problem.design.name}, unchanged")
+    return dataclasses.replace(problem, known=known)
 
 
 def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, Design | Exception]]) -> LoopOutcome:

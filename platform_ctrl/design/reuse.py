@@ -62,18 +62,22 @@ def key_of(problem: LoopProblem, code: str) -> str | None:
     return hashlib.sha256(pickle.dumps(parts)).hexdigest()
 
 
-def taken_over(problem: LoopProblem, kept: Kept) -> Design:
-    """Return a design that is kept, not measured yet."""
-    A, B, C, D = (np.array(kept[name], dtype=np.float64).reshape(kept["shapes"][name]) for name in "ABCD")
+def taken_over(problem: LoopProblem, kept: Kept) -> Design | None:
+    """Return a design that is kept, not measured yet; None where what is kept is no whole design."""
     name = f"{problem.spec.name}, {problem.design.name}"
-    K = System(A, B, C, D, kept["dt"]).to_control(kept["inputs"], kept["outputs"], name=name)
+    try:
+        A, B, C, D = (np.array(kept[name], dtype=np.float64).reshape(kept["shapes"][name]) for name in "ABCD")
+        K = System(A, B, C, D, kept["dt"]).to_control(kept["inputs"], kept["outputs"], name=name)
+        options, claims = dict(kept["options"]), dict(kept["claims"])
+    except (LookupError, TypeError, ValueError):
+        return None
     return Design(
         loop=problem.spec.name,
         name=problem.design.name,
         method=problem.design.method,
         controller=K,
-        options=kept["options"],
-        claims=kept["claims"],
+        options=options,
+        claims=claims,
         plants=problem.plant_set,
         directions=problem.channel,
     )

@@ -8,7 +8,7 @@ import pytest
 from platform_ctrl.design import reuse
 from platform_ctrl.design.jobs import attempted_loops
 from platform_ctrl.design.methods import read_job
-from platform_ctrl.job.reading import job_data
+from platform_ctrl.job.reading import data_hash, job_data
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.result_file import result_record
 
@@ -60,11 +60,13 @@ def test_a_damaged_file_counts_as_none(data, tmp_path):
     file = tmp_path / reuse.FILE
     whole = file.read_text()
     digit = whole.index('"B": [') + 8
+    partial = {key: {} for key in json.loads(whole)["designs"]}
     for damaged in (
         "",
         whole[:100],
         "[]",
         "{}",
+        json.dumps({"designs": partial, "hash": data_hash({"designs": partial})}),
         whole[:digit] + str((int(whole[digit]) + 1) % 10) + whole[digit + 1 :],
     ):
         file.write_text(damaged)
