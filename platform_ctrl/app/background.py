@@ -241,12 +241,9 @@ class DesignQueue:
         except TaskCancelled:
             if not cancelled():  # it gave way
                 self._tasks.add(str(name), (name, key, make))
-                return
-            line = "cancelled"
-        except PlatformCtrlError as error:
-            line = str(error)
+            return
         except Exception as error:
-            line = f"{name[1]}: could not be designed: {error}"
+            line = str(error) if isinstance(error, PlatformCtrlError) else f"{name[1]}: could not be designed: {error}"
         with self._lock:
             if not cancelled():
                 del self._requested[name]

@@ -1,33 +1,49 @@
 """The loops of a job: every design of every loop, made by its method and certified.
 
-Designs are made side by side in processes: one that fails, or whose process is killed, says so.
+Designs are made side by side in processes: one that fails, or whose process is killed, says so. Those of an earlier
+command in the same folder are taken over where nothing that they depend on has changed. Only controllers with their
+options and claims are kept, the newest of each design of the job; what is said about their loops is computed again.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import os
+import pickle
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, as_completed
-from importlib import import_module
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from platform_ctrl import __version__
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.system import System
+from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.processes import processes as pool
 from platform_ctrl.common.progress import Local, Progress, shown
-from platform_ctrl.design import reuse
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, commanded, with_commands, with_largest_rates
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import METHODS, LoopProblem, evaluated, instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.plants import plants_of, tracking_plants
-from platform_ctrl.errors import DesignError, began_with_interrupt
+from platform_ctrl.errors import DesignError, InputError, began_with_interrupt
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
+from platform_ctrl.job.reading import data_hash
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+
+# Of designs that are kept, and what they are computed with.
+FILE = "designs.json"
+_PACKAGES = ("numpy", "scipy", "cvxpy", "clarabel", "control")
+
+Kept = dict[str, Any]
 
 Made = Design | Exception
 
@@ -86,8 +102,8 @@ def attempted_loops(
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plants_of_all = {spec.name: plants_of_designs(job, spec) for spec in job.loops}
     specs, made = {spec.name: spec for spec in job.loops}, dict[str, LoopOutcome]()
-    kept, newest = reuse.kept_in(folder), dict[str, Design]()
-    code = "" if folder is None else reuse.code_hash()
+    kept, newest = {} if folder is None else kept_in(folder), dict[str, Design]()
+    code = "" if folder is None else code_hash()
     with shown(progress) as say:
         # A tracking loop has the rate loop that it commands in its plants.
         for tracking in (False, True):
@@ -100,23 +116,20 @@ def attempted_loops(
                     around = None if inner is None else inner.closed
                     problems[name] = problems_of(job, spec, model, plants_of_all[name], around, say)
             every = [one for own in problems.values() for one in own]
-            keys = [None if folder is None else reuse.key_of(one, code) for one in every]
-            all_made = _made_of([_known(one, key, kept) for one, key in zip(every, keys, strict=True)], processes, say)
+            keys = [None if folder is None else key_of(one, code) for one in every]
+            for k, key in enumerate(keys):
+                known = None if key is None or key not in kept else taken_over(every[k], kept[key])
+                if known is not None:
+                    say(f"{known.loop}: {known.name}, unchanged")
+                    every[k] = dataclasses.replace(every[k], known=known)
+            all_made = _made_of(every, processes, say)
             newest |= {key: one for key, one in zip(keys, all_made, strict=True) if key and isinstance(one, Design)}
             found = iter(all_made)
             for name, own in problems.items():
                 made[name] = _outcome(specs[name], [(problem.design, next(found)) for problem in own])
     if folder is not None:
-        reuse.keep(folder, newest.items())
+        keep(folder, newest.items())
     return in_order(job, list(map(made.__getitem__, specs)))
-
-
-def _known(problem: LoopProblem, key: str | None, kept: Mapping[str, reuse.Kept]) -> LoopProblem:
-    """Return a problem with the design that is kept for it."""
-    known = None if key is None or key not in kept else reuse.taken_over(problem, kept[key])
-    if known is not None:
-        problem.progress(f"{problem.spec.name}: {problem.design.name}, unchanged")
-    return dataclasses.replace(problem, known=known)
 
 
 def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, Design | Exception]]) -> LoopOutcome:
@@ -245,7 +258,8 @@ def plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
         read = spec.read_by(design)
         if read.sensors not in bare:
             bare[read.sensors] = plants_of(job, read)
-        out.append(design_plants(job, spec, design, bare[read.sensors]))
+        own = bare[read.sensors]
+        out.append(own if design.feedforward is None else design_plants(job, spec, design, own))
     return out
 
 
@@ -269,3 +283,81 @@ def in_order(job: Job, outcomes: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ..
         k = next(i for i, one in enumerate(out) if one.spec.name == tracking.spec.around)
         out.insert(k, tracking)
     return tuple(out)
+
+
+def kept_in(folder: Path) -> Mapping[str, Kept]:
+    """Return what is kept in a folder by `key_of`; nothing where there is no such file, or it is damaged."""
+    try:
+        found = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        return {str(key): one for key, one in found["designs"].items()} if found["hash"] == _hash(found) else {}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return {}
+
+
+def keep(folder: Path, designs: Iterable[tuple[str, Design]]) -> None:
+    """Write designs, each with its key, to a folder in place of those that it holds; without them if that fails."""
+    kept = {key: _kept(design) for key, design in designs}
+    try:
+        write_whole(folder / FILE, json.dumps({"designs": kept, "hash": _hash({"designs": kept})}))
+    except InputError:
+        return
+
+
+def key_of(problem: LoopProblem, code: str) -> str | None:
+    """Return a hash of all that a design depends on, `code` that makes it among it; None where it is made at once."""
+    if problem.plant_set is None:
+        return None
+    # Whether it is the design that is closed decides on some of its claims.
+    spec = dataclasses.replace(problem.spec, designs=(problem.design,), use=problem.design.name)
+    closed, sampling = problem.spec.use == problem.design.name, problem.job.sampling
+    parts = (code, spec, closed, sampling, problem.model, problem.directions, problem.plant_set)
+    return hashlib.sha256(pickle.dumps(parts)).hexdigest()
+
+
+def taken_over(problem: LoopProblem, kept: Kept) -> Design | None:
+    """Return a design that is kept, not measured yet; None where what is kept is no whole design."""
+    name = f"{problem.spec.name}, {problem.design.name}"
+    try:
+        A, B, C, D = (np.array(kept[name], dtype=np.float64).reshape(kept["shapes"][name]) for name in "ABCD")
+        K = System(A, B, C, D, kept["dt"]).to_control(kept["inputs"], kept["outputs"], name=name)
+        options, claims = dict(kept["options"]), dict(kept["claims"])
+    except (LookupError, TypeError, ValueError):
+        return None
+    return Design(
+        loop=problem.spec.name,
+        name=problem.design.name,
+        method=problem.design.method,
+        controller=K,
+        options=options,
+        claims=claims,
+        plants=problem.plant_set,
+        directions=problem.channel,
+    )
+
+
+def _kept(design: Design) -> Kept:
+    K = design.controller
+    matrices = {name: np.asarray(getattr(K, name)) for name in "ABCD"}
+    return {
+        **{name: matrix.ravel().tolist() for name, matrix in matrices.items()},
+        "shapes": {name: list(matrix.shape) for name, matrix in matrices.items()},
+        "dt": float(K.dt),
+        "inputs": list(K.input_labels),
+        "outputs": list(K.output_labels),
+        "options": dict(design.options),
+        "claims": dict(design.claims),
+    }
+
+
+def _hash(found: Mapping[str, Any]) -> str:
+    return data_hash({"designs": found["designs"]})
+
+
+def code_hash() -> str:
+    """Return a hash of the package's own code and the versions of what it computes with."""
+    found = hashlib.sha256(repr([__version__, *(metadata.version(name) for name in _PACKAGES)]).encode())
+    root = Path(__file__).parents[1]
+    for layer in ("design", "job", "analysis", "mechanics", "plant", "common"):
+        for file in sorted((root / layer).rglob("*.py")):
+            found.update(file.read_bytes())
+    return found.hexdigest()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from platform_ctrl.design import reuse
+from platform_ctrl.design import jobs
 from platform_ctrl.design.jobs import attempted_loops
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.job.reading import data_hash, job_data
@@ -50,14 +50,14 @@ def test_what_a_design_depends_on_makes_it_again(data, tmp_path, monkeypatch, ch
     elif change == "uncertainty":
         data["uncertainty"] = {"inertia": 0.01}
     else:
-        monkeypatch.setattr(reuse, "code_hash", lambda: "another")
+        monkeypatch.setattr(jobs, "code_hash", lambda: "another")
     assert not designed(data, tmp_path)[1]
     assert designed(data, tmp_path)[1]
 
 
 def test_a_damaged_file_counts_as_none(data, tmp_path):
     designed(data, tmp_path)
-    file = tmp_path / reuse.FILE
+    file = tmp_path / jobs.FILE
     whole = file.read_text()
     digit = whole.index('"B": [') + 8
     partial = {key: {} for key in json.loads(whole)["designs"]}
