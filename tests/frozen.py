@@ -206,7 +206,10 @@ def run(*arguments: str) -> tuple[int, str]:
 def answer(*arguments: str) -> dict[str, Any]:
     """What a command prints with --json, and its exit code."""
     code, out = run(*arguments, "--json")
-    return {"exit code": code, "json": json.loads(out)}
+    found = json.loads(out)
+    for one in found.get("controllers", ()) if isinstance(found, dict) else ():
+        one.pop("bounds", None)  # of a search that ends at a share of 1e-3
+    return {"exit code": code, "json": found}
 
 
 @contextlib.contextmanager

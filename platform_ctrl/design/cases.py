@@ -195,16 +195,21 @@ def _varied(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str], root: b
     yield from (_moved(widths, place) for place in _samples(job, len(widths)))
 
 
+def modes_of(job: Job, gimbals: Sequence[str], torquers: Sequence[str]) -> list[str]:
+    """Return the names of modes that torquers, joints or the base excite, and of gimbals whose drives give way."""
+    platform = job.platform
+    drives = (one.gimbal for one in platform.compliances if {one.gimbal, one.motor_side} & {*gimbals})
+    return [*(m.name for m in platform.modes if m.excited(list(torquers), gimbals)), *drives]
+
+
 def _of_modes(job: Job, gimbals: Sequence[str], torquers: Sequence[str]) -> list[_Width]:
-    """Return the widths of the modes that torquers or the base excite, and of the drives of gimbals."""
-    platform, of_mode = job.platform, job.uncertainty.of_mode
-    excited = [m.name for m in platform.modes if m.excited(list(torquers), gimbals)]
-    names = [*excited, *(one.gimbal for one in platform.compliances if {one.gimbal, one.motor_side} & {*gimbals})]
+    """Return the widths of what is uncertain of these modes and drives."""
+    modes = [mode.name for mode in job.platform.modes]
     return [
         _Width(what, name, size)
-        for name in names
-        for what, size in of_mode(name).items()
-        if size > 0.0 and (name in excited or what != "participation")
+        for name in modes_of(job, gimbals, torquers)
+        for what, size in job.uncertainty.of_mode(name).items()
+        if size > 0.0 and (name in modes or what != "participation")
     ]
 
 

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from platform_ctrl.campaign.store import identity
 from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.files import write_whole
@@ -27,6 +29,7 @@ from platform_ctrl.report.figures.panels import paint
 from platform_ctrl.report.figures.plant import axes_picture
 from platform_ctrl.report.figures.runs import time_run
 from platform_ctrl.report.first_screen import change_part, first_screen, own_results, section_verdict
+from platform_ctrl.verification.bounds import loop_bounds
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
 from platform_ctrl.verification.simulated import Run
@@ -227,6 +230,9 @@ def _loop_tables(result: JobResult, outcome: LoopOutcome) -> list[page.Block]:
     if groups:
         title = f"Plants that “{outcome.use}” must work with"
         blocks.append(page.Subsection(title=title, blocks=(tables.group_table(groups),)))
+    if (found := loop_bounds(result.job, outcome)) is not None:
+        says = page.Paragraph(text=sentences("bounds", found=found, hertz=found.bandwidth / (2.0 * np.pi)))
+        blocks.append(page.Subsection(title="What bounds the bandwidth", blocks=(says, tables.bound_table(found))))
     return blocks
 
 

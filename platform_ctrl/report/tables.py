@@ -22,6 +22,7 @@ from platform_ctrl.plant.sensors import PickOff
 from platform_ctrl.report import comparison
 from platform_ctrl.report.blocks import Cell, Group, Listing, Paragraph, Row, Subsection, Table, cells, columns, table
 from platform_ctrl.verification import result_file
+from platform_ctrl.verification.bounds import LoopBounds
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import PROVED
 from platform_ctrl.verification.verdict import JobResult
@@ -186,6 +187,13 @@ def group_table(rows: Sequence[tuple[str, ...]]) -> Table:
     lowest = (METRICS[kind].name for kind in ("stability", "damping", "disk margin"))
     numbers = "|".join(["plants", *lowest])
     return table(f"group|{numbers}|with", list(rows), numbers=numbers, form="narrow")
+
+
+def bound_table(found: LoopBounds) -> Table:
+    """Return how the largest bandwidth of a loop changes with what bounds it."""
+    rows = [(one.parameter, quantities.plain(one.sensitivity, 2)) for one in found.bounds]
+    slope = "d ln(bandwidth)/d ln(parameter)"
+    return table(f"parameter|{slope}", rows, numbers=slope, form="narrow")
 
 
 def margin_table(check: CoupledCheck) -> Table:

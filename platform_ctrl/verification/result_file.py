@@ -19,7 +19,7 @@ from platform_ctrl.analysis.dry_friction import FrictionBalance
 from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.files import plain_types, write_json
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import Design
+from platform_ctrl.design.loop import Design, LoopOutcome
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
@@ -29,6 +29,7 @@ from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Unfit, finite_number
 from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.source import read_json
+from platform_ctrl.verification.bounds import loop_bounds
 from platform_ctrl.verification.budget_result import LineOfSightBudget, SimulatedBudget
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.proofs import Proofs
@@ -58,7 +59,7 @@ def result_record(result: JobResult) -> Record:
         "sha256": job_hashes(job),
         "versions": versions(),
         "subsystems": result.subsystems,
-        "controllers": [_controller(result, outcome.closed) for outcome in result.loops],
+        "controllers": [_controller(result, outcome.closed) | _bounds(result, outcome) for outcome in result.loops],
         "alternatives": [_controller(result, design) for outcome in result.loops for design in outcome.alternatives],
         "requirements": [_requirement(one) for one in result.requirements],
         "coupled": {"stable": None} if result.coupled is None else _coupled(result, result.coupled),
@@ -228,6 +229,15 @@ def _controller(result: JobResult, design: Design) -> Record:
         "sections": [section.record() for section in design.sections],
         "goals": [_requirement(one) for one in design.goals],
     }
+
+
+def _bounds(result: JobResult, outcome: LoopOutcome) -> Record:
+    """Return what bounds the bandwidth of a loop; nothing where that is not known."""
+    found = loop_bounds(result.job, outcome)
+    if found is None:
+        return {}
+    of = [_fields(one, "parameter", "sensitivity") for one in found.bounds]
+    return {"bounds": {**_fields(found, "gain", "bandwidth", "requirement"), "of": of}}
 
 
 def resolve_record(law: Resolver) -> Record:
