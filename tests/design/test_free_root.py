@@ -141,6 +141,17 @@ def test_a_run_of_the_non_linear_satellite_is_what_the_linear_one_does(outcome):
     assert run.q[-1, 1] == pytest.approx(M[0] * 40.0 / 9.0, rel=0.01)
 
 
+def test_gyros_inside_and_a_star_sensor_around_turn_the_satellite_too():
+    """The rate loop does not see the attitude, which the tracking loop around it holds; both are judged together."""
+    rates = {"name": "rates", "kind": "rate", "sensors": ["gyro1", "gyro3", "gyro2"], "use": "PI"}
+    inner = JOB["loop"][0] | rates | {"design": [{"name": "PI", "method": "pi", "crossover_hz": 0.3}]}
+    outer = {"name": "star", "kind": "tracking", "around": "rates", "sensors": READINGS, "use": "PI"}
+    outer |= {"design": [{"name": "PI", "method": "pi"}], "limits": {"disk_margin_worst_case": 0.5}}
+    job = pc.read_job(JOB | {"loop": [inner, outer], "coupled": {"disk_margin": 0.5}})
+    result = pc.verification.check_job(job, design.loops(job))
+    assert [(r.subject, r.name, r.value) for r in result.requirements if not r.passed] == []
+
+
 def edited(**loop):
     return JOB | {"loop": [JOB["loop"][0] | loop]}
 
