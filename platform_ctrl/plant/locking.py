@@ -68,6 +68,21 @@ def _on_its_drive(platform: Platform, drive: Compliance) -> Platform:
     return replaced(platform, changes)
 
 
+def with_stuck_bristles(platform: Platform) -> Platform:
+    """Return the platform about rest where bristles of bearings stick: they are springs with damping there."""
+    stuck = [one for one in platform.frictions if one.bristle_stiffness]
+    if not stuck:
+        return platform
+    frictions = [
+        replaced(one, {"viscous": one.viscous + one.bristle_damping, "coulomb": (0.0, 0.0), "breakaway": (0.0, 0.0)})
+        if one in stuck
+        else one
+        for one in platform.frictions
+    ]
+    springs = (*platform.springs, *(Spring(gimbal=one.gimbal, stiffness=one.bristle_stiffness) for one in stuck))
+    return replaced(platform, {"frictions": tuple(frictions), "springs": springs})
+
+
 def with_rigid_drives(platform: Platform) -> Platform:
     """Return the platform with drives that do not give way: what is on their motor sides is on their loads."""
     sides = {one.motor_side: one for one in platform.compliances}
