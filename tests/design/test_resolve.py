@@ -10,7 +10,7 @@ import control
 import numpy as np
 import pytest
 
-from driven_gimbal import RATE_HZ, driven_job, resolved_job
+from driven_gimbal import RATE_HZ, driven_job, resolved_job, skew_job
 from platform_ctrl import read_job
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.measuring import torque_noise
@@ -113,6 +113,19 @@ def test_what_a_loop_reads_in_a_run_is_the_map_of_the_sampled_readings(rate_hz: 
             expected = law.matrix(np.array([0.0, pitch])) @ read
             np.testing.assert_allclose(run.reading[k, -2:], expected, rtol=1e-12, atol=1e-15)
             np.testing.assert_allclose(run.command[k : k + n], np.tile(-0.3 * expected, (n, 1))[: len(run.t) - k])
+
+
+def test_about_oblique_axes_too() -> None:
+    job = read_job(skew_job())
+    [law] = job.resolvers
+    rows = [name for one in (law.names, law.sensors) for name in one]
+    for q in ([0.3, 0.7, -1.2], [-1.0, -2.0, 0.4]):
+        run = simulate(
+            dataclasses.replace(job.scenario(job.manoeuvres[0]), q=np.array(q), duration=0.05), [], period=1e-3
+        )
+        resolved, read = np.split(run.reading[:, [run.pickoff_names.index(name) for name in rows]], 2, axis=1)
+        expected = [law.matrix(at) @ y for at, y in zip(run.q, read, strict=True)]
+        np.testing.assert_allclose(resolved, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_a_run_that_comes_near_the_keyhole_says_so() -> None:

@@ -62,6 +62,23 @@ def resolved_job(*drives: dict[str, Any], **changed: Any) -> dict[str, Any]:
     return data
 
 
+def skew_job() -> dict[str, Any]:
+    """Return a job of three gimbals about oblique axes, with turned readings of gyros on two of them."""
+    axes = {"a": [0.48, 0.6, 0.64], "b": [0.6, -0.8, 0], "c": [0, 0.28, 0.96]}
+    parents = {"a": "base", "b": "a", "c": "b"}
+    data = driven_job()
+    plant, loop = data["plant"], data["loop"][0]
+    plant["gimbal"] = [{"name": n, "parent": parents[n], "axis": axes[n], "inertia": _SPHERE} for n in axes]
+    plant["torquer"] = plant["pickoff"] = [{"gimbal": name} for name in axes]
+    sensing = [("c", [1, 0, 0]), ("b", [0, 0.8, 0.6]), ("c", [0, 0, 1])]
+    plant["rate_sensor"] = [
+        {"name": f"gyro{k}", "body": body, "axis": axis, "noise_rms": 1e-3} for k, (body, axis) in enumerate(sensing)
+    ]
+    del plant["friction"], plant["line_of_sight"]
+    loop |= {"gimbals": ["b", "a", "c"], "sensors": ["gyro0", "gyro1", "gyro2"], "resolve": True}
+    return data
+
+
 def driven_job(*drives: dict[str, Any], **changed: Any) -> dict[str, Any]:
     """Return a job of a rate loop on both gimbals with these drives."""
     return copy.deepcopy(_JOB | {"plant": _PLANT} | ({"drive": list(drives)} if drives else {}) | changed)
