@@ -41,14 +41,14 @@ T = TypeVar("T")
 class LatestTasks(Generic[T]):
     """Tasks that a thread works off; a newer task takes the place of one of the same key that still waits.
 
-    The thread ends when nothing waits.
+    The thread ends when nothing waits; `working` says whether a task is being done or waits.
     """
 
     def __init__(self, work: Callable[[list[T]], None]) -> None:
         self._work = work
         self._lock = threading.Lock()
         self._waiting: dict[str, T] = {}
-        self._working = False
+        self.working = False
         self._closed = False
 
     def add(self, key: str, task: T) -> None:
@@ -58,15 +58,10 @@ class LatestTasks(Generic[T]):
                 return
             self._waiting.pop(key, None)
             self._waiting[key] = task
-            if self._working:
+            if self.working:
                 return
-            self._working = True
+            self.working = True
         threading.Thread(target=self._run, name="page", daemon=True).start()
-
-    @property
-    def working(self) -> bool:
-        """Whether a task is being done or waits."""
-        return self._working
 
     def close(self) -> None:
         """Drop what waits; nothing more is taken."""
@@ -78,7 +73,7 @@ class LatestTasks(Generic[T]):
         while True:
             with self._lock:
                 if not self._waiting:
-                    self._working = False
+                    self.working = False
                     return
                 tasks = list(self._waiting.values())
                 self._waiting.clear()

@@ -249,8 +249,15 @@ class ClosedLoops:
 
     def cached_metrics(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
         """Return the cache of a caging loop's metrics."""
-        limits = tuple(sorted(of_loop(settings.limits, loop.spec.name).items()))
-        key = (loop.spec.name, loop.design, limits, self.plants_key(settings, loop.spec), _content(loop.delivered))
+        limits, K = tuple(sorted(of_loop(settings.limits, loop.spec.name).items())), loop.delivered
+        key = (
+            loop.spec.name,
+            loop.design,
+            limits,
+            self.plants_key(settings, loop.spec),
+            K.A.shape,
+            *(item.tobytes() for item in K[:4]),
+        )
         return lambda make: self._measures.get(key, make)
 
     def controllers(self, settings: Settings) -> list[StateSpace]:
@@ -326,8 +333,3 @@ class ClosedLoops:
         if made is None:
             raise DesignError(f"{spec.name}, {design.name}: is not designed yet; wait until it is")
         return System.of(made.controller, made.name)
-
-
-def _content(K: System) -> tuple[object, ...]:
-    """Return the numbers of a controller as part of a key."""
-    return (K.A.shape, *(item.tobytes() for item in K[:4]))

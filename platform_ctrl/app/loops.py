@@ -312,11 +312,7 @@ class StabilisedCurves(drawn.LoopCurves):
         """Return the closed loops from the torque on the platform to torques, sensors and attitude."""
         sensors = range(len(self.readings))
         whole = plants.turned.feedback(self.controller, self.used, sensors)
-        return whole.part(outputs, [self._torque_column])
-
-    @property
-    def _torque_column(self) -> int:
-        return len(self.shown.torquers) + self.axis - 1
+        return whole.part(outputs, [len(self.shown.torquers) + self.axis - 1])
 
     def _torque(self) -> tuple[float, str, float | None]:
         """Return the torque step of the job's stabilised manoeuvre about the axis, or one that the torquer can hold."""
@@ -330,7 +326,7 @@ class StabilisedCurves(drawn.LoopCurves):
 
     def disturbance_gain(self) -> FrequencyGain:
         """Return the gain from a torque on the platform to its attitude."""
-        column, p, k, band = self._torque_column, len(self.readings), len(self.used), None
+        column, p, k, band = len(self.shown.torquers) + self.axis - 1, len(self.readings), len(self.used), None
         if self.banded:
             w, whole = self.plants.frequency, self.plants.response
             # The disturbance moves the sensors, these the torques, and both the attitude.

@@ -145,11 +145,6 @@ def sector(damping: float) -> tuple[FloatArray, FloatArray]:
     return np.zeros((2, 2)), np.array([[sine, damping], [-damping, sine]])
 
 
-def half_plane(decay: float) -> tuple[FloatArray, FloatArray]:
-    """Return L and M of (8) for poles that decay at least so fast."""
-    return np.array([[2.0 * decay]]), np.eye(1)
-
-
 def balancing(X: FloatArray, Y: FloatArray) -> FloatArray:
     """Return states T, x = T x', in which X and Y are equal and diagonal: there the solver is most accurate."""
     values, vectors = np.linalg.eigh(X)

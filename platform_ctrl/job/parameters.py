@@ -82,11 +82,6 @@ class RunParameter:
         """Name of the field that is or has the number."""
         return next(step for step in reversed(self.place) if isinstance(step, str))
 
-    @property
-    def is_gain(self) -> bool:
-        """Whether it is the gain of a torquer, which is no field of it: another one is a fault."""
-        return self.place[1:2] == ("torquers",) and self.key == "gain"
-
 
 def _numbers(record: type) -> dict[str, Expected]:
     """Return the numbers of a record that may be varied, and what is expected of a drawn one."""
@@ -289,7 +284,7 @@ def varied_scenario(
             densities = [replaced(one, {"densities": one.densities * number**2}) for one in scenario.vibrations]
             sines = [replaced(one, {"amplitude": one.amplitude * number}) for one in scenario.sines]
             own |= {"vibrations": tuple(densities), "sines": tuple(sines)}
-        elif parameter.is_gain:
+        elif parameter.place[1:2] == ("torquers",) and parameter.key == "gain":  # no field: another one is a fault
             part = part_of(parameter, scenario).name
             weak.insert(0, Fault(name=parameter.path, kind="torquer weak", part=part, at=0.0, share=number))
         elif place is None and "unbalances" in parameter.place:

@@ -50,7 +50,7 @@ def design_table(result: JobResult, outcome: LoopOutcome) -> Table:
         "goals, not part of the verdict": _goal_rows(outcome),
         "measured, without a limit": measured_rows(outcome),
         "proved in interval arithmetic": proof_rows(designs, result.proofs),
-        "claimed by the method": _by_name([_claims(design) for design in designs]),
+        "claimed by the method": _by_name([dict(claimed(*one) for one in design.claims.items()) for design in designs]),
     }
     return _table_of_designs(outcome, sections)
 
@@ -209,10 +209,6 @@ def signals(design: Design) -> dict[str, str]:
         "outputs": ", ".join(K.output_labels),
         "order and sample period": f"{count(K.nstates, 'state')}, {plain(1e3 * float(K.dt or 0.0))} ms",
     }
-
-
-def _claims(design: Design) -> dict[str, str]:
-    return dict(claimed(name, number) for name, number in design.claims.items())
 
 
 def _options(design: Design) -> dict[str, str]:

@@ -257,14 +257,12 @@ def svg(figure: Figure, description: str) -> str:
     # Markers of one look have it once.
     text = _MARKERS.sub(lambda found: f"<g{found[1]} {found[3]}>\n{found[2].replace(f' {found[3]}', '')}</g>", text)
     # Numbers between tags are what the reader reads.
-    text = _TAG.sub(lambda found: _COLOUR.sub(_themed, _NEEDLESS.sub("", found[0])), text)
+    text = _TAG.sub(
+        lambda found: _COLOUR.sub(lambda one: f"var(--{_VARIABLES[one[0]]})", _NEEDLESS.sub("", found[0])), text
+    )
     escaped = description.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
     head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escaped}"{_scales(figure)}>'
     return head + text[text.index(">") + 1 :].strip()
-
-
-def _themed(colour: re.Match[str]) -> str:
-    return f"var(--{_VARIABLES[colour[0]]})"
 
 
 def _scales(figure: Figure) -> str:

@@ -96,7 +96,10 @@ def open_loop(picture: Drawing) -> list[Curves]:
     upright = [(bode.nyquist * HZ, "reference", "")] if math.isfinite(bode.nyquist) else []
     limits = [(required, "limit", "required bandwidth")] if required is not None else []
     crossover = [(at * HZ, "series-1", "")] if at is not None and math.isfinite(at) else []
-    levels, phases = (_over_frequency(picture, lambda one: decibels(one.response)), _over_frequency(picture, _phase))
+    levels, phases = (
+        _over_frequency(picture, lambda one: decibels(one.response)),
+        _over_frequency(picture, lambda one: one.phase),
+    )
     words: list[list[Words]] = [[], []]
     for f, start, end, diagram in _margins(bode) if picture.stable else ():
         curves, k = (phases, 1) if diagram == "phase" else (levels, 0)
@@ -115,10 +118,6 @@ def open_loop(picture: Drawing) -> list[Curves]:
     phase = Curves(curves=tuple(phases), title="L", quantity="phase, °", references={-180.0: ""},
                    verticals=(*upright, *limits), words=tuple(words[1]), view=extent([phases[0].y]))  # fmt: skip
     return [gain, phase]
-
-
-def _phase(bode: Bode) -> FloatArray:
-    return bode.phase
 
 
 def _over_frequency(picture: Drawing, of: Callable[[Bode], FloatArray]) -> list[Curve]:
@@ -300,10 +299,6 @@ def _ray(damping: float, end: float) -> tuple[FloatArray, FloatArray]:
     return np.array([left, 0.0, left]), np.array([end, 0.0, -end])
 
 
-def _exactly(low: float, high: float) -> tuple[float, float]:
-    return low, high
-
-
 class LocusPanel(Panel):
     """The root locus."""
 
@@ -314,7 +309,7 @@ class LocusPanel(Panel):
         super().__init__("locus", "Root locus", theme)
         real, imaginary = (
             Axis(View(-1.0, 0.3), "Re s, rad/s", "Re s, rad/s", "{0.0}", "mouse", False),
-            View(-0.1, 1.0, _exactly),
+            View(-0.1, 1.0, lambda low, high: (low, high)),
         )
         imaginary.name, parts = "Im s, rad/s", "bands ground levels verticals cloud lines traced points words"
         self._plane = self.add(real, imaginary, "{0.0}", parts, trace=Trace("gain", "{0.00}", "series-3", 1.2))

@@ -247,12 +247,13 @@ def _norms(
 
 def _designed(problem: LoopProblem, part: _Weighted, options: dict[str, float]) -> tuple[System, float, float]:
     """Return the controller of a weighted plant, the least γ, and the bound ν, N m."""
-    from platform_ctrl.design.inequalities import LinearLoop, cp, half_plane, in_states, sector, solve
+    from platform_ctrl.design.inequalities import LinearLoop, cp, in_states, sector, solve
 
     where, scaled = f"{problem.spec.name}, {problem.design.name}", autoscale(part.plant)
     p, gamma = in_states(scaled.plant, _first_states(scaled.plant, part)), _least(part)
     norms = _norms(p, part, options, problem.spec.limits, gamma)
-    regions = [half_plane(options["pole_decay"] / scaled.rate)]
+    # Poles to the left of −decay, or within an angle about the real axis.
+    regions = [(np.array([[2.0 * options["pole_decay"] / scaled.rate]]), np.eye(1))]
     if "pole_damping" in options:
         regions.append(sector(options["pole_damping"]))
 
