@@ -222,14 +222,11 @@ def _heat(job: Job, subject: str, trajectory: Trajectory) -> Iterator[CheckResul
         if motor.continuous_current is not None:
             torque = trajectory.torque[:, trajectory.torquer_names.index(motor.name)]
             rms = float(np.sqrt(np.mean(torque**2))) / motor.per_ampere
-            yield warm.judge(
-                rms / motor.continuous_current,
-                subject=subject,
-                stage="simulated",
-                evidence=f"motor {motor.name}: {rms:.3g} A rms over the run, it "
-                f"bears {motor.continuous_current:.3g} A; where it is more take a larger motor or gear, or let it cool",
-                method="simulated",
+            words = f"motor {motor.name}: {rms:.3g} A rms over the run, it bears {motor.continuous_current:.3g} A"
+            found = warm.judge(
+                rms / motor.continuous_current, subject=subject, stage="simulated", evidence=words, method="simulated"
             )
+            yield found if found.passed else found.because("take a larger motor or gear, or let it cool")
 
 
 def _filter_words(job: Job, reading: str) -> str:
