@@ -19,10 +19,10 @@ from platform_ctrl.job.resolve import Resolver, resolver
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.mechanics.outputs import observed, observed_system
-from platform_ctrl.mechanics.state_space import NamedMatrices, free_system, linear_system, state_space
+from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS, NamedMatrices, free_system, linear_system, state_space
 from platform_ctrl.plant.drives import Torquer
 from platform_ctrl.plant.locking import with_rigid_drives
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import LOS_RATES, Sensor
 
 # Share of their effect at zero angles below which torquers are near a keyhole: 1/cos of the elevation is 10 there.
@@ -331,6 +331,11 @@ def shows_each(effect: FloatArray) -> bool:
 
 def unseen(platform: Platform, sensors: Sequence[Sensor], effect: FloatArray) -> str:
     """Return in words why readings, rows of `effect`, do not show what each input does; empty where it is not plain."""
+    own = {*OMEGA_NAMES, *ROOT_ROTATIONS}
+    shown = [one.name for one in sensors if set(one.signals(platform)) <= own]
+    if shown and platform.mode != "floating":
+        words = f": {', '.join(shown)} show {platform.root_name!r}, which what turns on it moves"
+        return f'{words} only with mode = "floating" in [root], or "pivot" without gravity'
     sizes = np.linalg.norm(effect, axis=1)
     still = [one.name for one, size in zip(sensors, sizes, strict=True) if size <= _SEEN * sizes.max(initial=0.0)]
     if still:

@@ -150,9 +150,11 @@ class LoopSpec:
         return self.kind != "stabilisation"
 
     def moves_root(self, platform: Platform) -> bool:
-        """Return whether the loop reads the motion of a floating root: its torquers move it then."""
+        """Return whether the loop reads the motion of a root on which nothing acts: its torquers move it then."""
         read = {name for one in platform.sensors if one.name in self.sensors for name in one.signals(platform)}
-        return platform.mode == "floating" and bool(read & {*OMEGA_NAMES, *body_rotations(platform, 0)})
+        weightless = platform.mode == "pivot" and not (platform.gravity.any() or platform.specific_force.any())
+        own = {*OMEGA_NAMES, *body_rotations(platform, 0)}
+        return (platform.mode == "floating" or weightless) and bool(read & own)
 
     @property
     def closed(self) -> DesignSpec:

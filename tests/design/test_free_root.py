@@ -152,6 +152,36 @@ def test_gyros_inside_and_a_star_sensor_around_turn_the_satellite_too():
     assert [(r.subject, r.name, r.value) for r in result.requirements if not r.passed] == []
 
 
+WHEEL = {"inertia": [0.004, 0.004, 0.004]}
+RIG = {
+    "schema": 1,
+    "name": "rig",
+    "source": "assumed",
+    "root": {"name": "table", "mode": "pivot", "inertia": [8.0, 9.0, 12.0]},
+    "gimbal": [{"name": n, "parent": "table", "axis": list(np.eye(3)[k])} | WHEEL for k, n in enumerate("xyz")],
+    "torquer": [{"gimbal": n} for n in "xyz"],
+    "attitude_sensor": [{"name": f"a{n}", "body": "table", "axis": list(np.eye(3)[k])} for k, n in enumerate("xyz")],
+}
+LOOP = JOB["loop"][0] | {"gimbals": list("xyz"), "sensors": ["ax", "ay", "az"], "limits": {}}
+RIG_JOB = JOB | {"operation": {"Omega": [0.0, 0.0, 0.0]}, "plant": RIG, "loop": [LOOP]}
+
+
+def test_reaction_wheels_turn_a_table_on_an_air_bearing():
+    """A torque on a wheel accelerates the table about its axis the other way: all inertia but the wheel's."""
+    closed = design.loops(RIG_JOB)[0].closed
+    w = np.array([0.05])
+    found = closed.plants.on(w).response[0, 0] * (1j * w) ** 2
+    inertias = np.array([8.0, 9.0, 12.0]) + 2 * 0.004
+    assert found.real == pytest.approx(np.diag(-1.0 / inertias), rel=1e-3, abs=1e-9)
+    assert closed.measures.decay.min() > 0.0
+
+
+@pytest.mark.parametrize("root", [{"mode": "held"}, {"mode": "pivot", "gravity": [0.0, 0.0, -9.81]}])
+def test_a_root_that_does_not_move_freely_is_named(root):
+    with pytest.raises(InputError, match=r"ax, ay, az show 'table', which what turns on it moves only with mode"):
+        design.loops(RIG_JOB | {"plant": RIG | {"root": RIG["root"] | root}})
+
+
 def edited(**loop):
     return JOB | {"loop": [JOB["loop"][0] | loop]}
 
