@@ -52,7 +52,7 @@ class Export:
         if driven:
             self.notes.append(f"{target}: without the [[drive]] of {driven}, which is not linear; the C source has it")
         if turned := ", ".join(name for law in self.job.resolvers for name in law.names):
-            self.notes.append(f"{target}: {turned} are turned by measured angles, which is not linear; the C source does it")
+            self.notes.append(f"{target}: {turned} are turned by measured angles; the C source does that")
         return [*controller_systems(self.job, self.controllers), *model_systems(self.job)]
 
 
