@@ -9,16 +9,8 @@ from itertools import product
 from typing import Annotated, Any, Literal, get_args
 
 from platform_ctrl.common.values import input_value, replaced
+from platform_ctrl.job import parameters as places
 from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.parameters import (
-    RunParameter,
-    allowed,
-    drawn_value,
-    nominal,
-    parameters,
-    part_of,
-    unknown_parameter,
-)
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.drives import Rotor
@@ -228,13 +220,13 @@ def campaign_misfits(
         The number of the entry of `varied`, its key that is wrong, and a line that says why.
     """
     scenarios = [replaced(one, {"faults": tuple(faults)}) for one in scenarios]
-    known, rules = parameters(scenarios, faults), allowed(scenarios, faults)
+    known, rules = places.parameters(scenarios, faults), places.allowed(scenarios, faults)
     drawn: set[str] = set()
     place: dict[str, int] = {}
     for k, vary in enumerate(varied):
         path = vary.parameter
         if path not in known:
-            yield k, "parameter", f'parameter = "{path}": does not exist; {unknown_parameter(path, known)}'
+            yield k, "parameter", f'parameter = "{path}": does not exist; {places.unknown_parameter(path, known)}'
         elif path in place:
             yield k, "parameter", f'parameter = "{path}": is varied already, in [[campaign.vary]] {place[path] + 1}'
         else:
@@ -248,14 +240,14 @@ def campaign_misfits(
 
 
 def _misfit(
-    vary: Vary, parameter: RunParameter, expected: Expected, scenarios: Sequence[Scenario], drawn: set[str]
+    vary: Vary, parameter: places.RunParameter, expected: Expected, scenarios: Sequence[Scenario], drawn: set[str]
 ) -> str | None:
     low, high = vary.support
     if parameter.factor:
         if not vary.relative and parameter.key.endswith("inertia"):
             return f'relative must be true: "{vary.parameter}" is a matrix that is scaled as a whole'
     elif vary.relative:
-        present = [x for one in scenarios if (x := nominal(parameter, one)) is not None]
+        present = [x for one in scenarios if (x := places.nominal(parameter, one)) is not None]
         if not any(present):
             having = "is 0 as it stands" if present else "has no value as it stands"
             return f'relative must be false, with the number itself: "{vary.parameter}" {having}'
@@ -284,14 +276,14 @@ def _fits(expected: Expected, low: float, high: float, continuous: bool) -> bool
 
 
 def _misfits_together(
-    varied: dict[str, Vary], known: dict[str, RunParameter], scenario: Scenario
+    varied: dict[str, Vary], known: dict[str, places.RunParameter], scenario: Scenario
 ) -> Iterator[tuple[str, str]]:
     """Yield numbers of one part that could be drawn so that its record would refuse them together, by their path."""
     parts: dict[tuple[object, ...], dict[str, str]] = {}
     for path in varied:
         parts.setdefault(known[path].place[:-1], {})[known[path].key] = path
     for paths in parts.values():
-        part = part_of(known[next(iter(paths.values()))], scenario)
+        part = places.part_of(known[next(iter(paths.values()))], scenario)
         if not isinstance(part, Rotor | Friction | Fault):
             continue
         if {"spin", "angular_momentum"} <= paths.keys():
@@ -301,7 +293,7 @@ def _misfits_together(
         usual = {key for key, _ in judge(table)}
         for ends in product(*(varied[path].support for path in paths.values())):
             drawn = (
-                (key, drawn_value(getattr(part, key), end, varied[path].relative))
+                (key, places.drawn_value(getattr(part, key), end, varied[path].relative))
                 for (key, path), end in zip(paths.items(), ends, strict=True)
             )
             changed = table | {key: list(x) if isinstance(x, tuple) else x for key, x in drawn}

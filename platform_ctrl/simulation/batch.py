@@ -24,16 +24,9 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.simulation import run_plan as plans
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.packing import sight_of
-from platform_ctrl.simulation.run_plan import (
-    Batch,
-    ControllerRows,
-    PreparedRun,
-    batch,
-    controller_rows,
-    prepared_run,
-)
 from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, reading_units, steps
 
 if TYPE_CHECKING:
@@ -160,7 +153,7 @@ def simulate_batch(
     threads = whole("threads", threads, 1)
     expect_several("scenarios", scenarios, Scenario)
     expect_several("controllers", controllers)
-    members = [prepared_run(scenario, period, longest) for scenario in scenarios]
+    members = [plans.prepared_run(scenario, period, longest) for scenario in scenarios]
     if len({_kind(one.scenario.platform) for one in {member.skeleton: member for member in members}.values()}) > 1:
         raise ArgumentError(
             "scenarios: their plants differ in gimbals, torquers or sensors; simulate them one kind at a time"
@@ -203,15 +196,15 @@ def simulate_batch(
 
 
 def _batches(
-    members: Sequence[PreparedRun], controllers: Sequence[control.StateSpace], period: float, noise: bool
-) -> list[tuple[list[int], Batch]]:
+    members: Sequence[plans.PreparedRun], controllers: Sequence[control.StateSpace], period: float, noise: bool
+) -> list[tuple[list[int], plans.Batch]]:
     """Return the batches of scenarios that are computed side by side, each with the places of its scenarios."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for place, member in enumerate(members):
         groups.setdefault(member.key, []).append(place)
-    modes: dict[tuple[object, ...], ControllerRows] = {}
+    modes: dict[tuple[object, ...], plans.ControllerRows] = {}
 
-    def put_together(places: list[int]) -> Batch:
+    def put_together(places: list[int]) -> plans.Batch:
         own = [members[place] for place in places]
         scenario = own[0].scenario
         commanded = commanded_readings(scenario)
@@ -220,7 +213,7 @@ def _batches(
         kind = scenario.mode, commanded, limited, weights, (*reading_units(scenario),)
         if kind not in modes:
             modes[kind] = merged_controller(scenario, controllers, period)
-        return batch(own, modes[kind], period, noise)
+        return plans.batch(own, modes[kind], period, noise)
 
     return [(places, put_together(places)) for places in groups.values()]
 
@@ -235,7 +228,9 @@ def _kind(platform: Platform) -> tuple[object, ...]:
     )
 
 
-def merged_controller(scenario: Scenario, controllers: Sequence[control.StateSpace], period: float) -> ControllerRows:
+def merged_controller(
+    scenario: Scenario, controllers: Sequence[control.StateSpace], period: float
+) -> plans.ControllerRows:
     """Return one state space from all readings, and commands of some, to all torquers, in the kernel's form.
 
     Where Omega is prescribed controllers that act on the root are left out. Behind it are the rates of drives. The last
@@ -259,10 +254,10 @@ def merged_controller(scenario: Scenario, controllers: Sequence[control.StateSpa
     rates = np.zeros((len(scenario.drives), by_sample[0].B.shape[1]))
     for row, one in zip(rates, scenario.drives, strict=True):
         row[: len(readings)] = [one.weights.get(name, 0.0) for name in readings]
-    return controller_rows(by_sample, rates)
+    return plans.controller_rows(by_sample, rates)
 
 
-def batch_metrics(batched: Batch, threads: int = 1, record: FloatArray = _NO_RECORD) -> FloatArray:
+def batch_metrics(batched: plans.Batch, threads: int = 1, record: FloatArray = _NO_RECORD) -> FloatArray:
     """Return the metrics (N, slots) of a batch; of a single run its samples are written into the rows of `record`."""
     from platform_ctrl.common.simd import LANES, memory
     from platform_ctrl.simulation.kernel.loop import simulate_groups
@@ -309,10 +304,10 @@ def batch_metrics(batched: Batch, threads: int = 1, record: FloatArray = _NO_REC
 
 
 def recorded(
-    member: PreparedRun, controller: ControllerRows, period: float, noise: bool
+    member: plans.PreparedRun, controller: plans.ControllerRows, period: float, noise: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate one scenario alone; return its record, a row a sample, and its metrics (slots,)."""
-    batched = batch([member], controller, period, noise)
+    batched = plans.batch([member], controller, period, noise)
     at, shared = batched.packed.at, batched.shared
     # q, rates, Omega, p, attitude, readings, commands, torques, servo rotors' spins and torques, line of sight.
     resolved = batched.layout.readings - batched.layout.sensors

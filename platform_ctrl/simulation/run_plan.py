@@ -14,31 +14,10 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.scenario import Scenario
+from platform_ctrl.simulation import scenarios as scenario_arrays
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import Layout, Shared, widths_of_metrics
 from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
-from platform_ctrl.simulation.scenarios import (
-    FaultKey,
-    commanded_readings,
-    component,
-    courses_of,
-    distinct_plants,
-    expect_scenario,
-    part_of,
-    put_drives,
-    put_equilibrium,
-    put_faults,
-    put_lines,
-    put_lowpasses,
-    put_rotors,
-    put_sensors,
-    put_stops,
-    put_torquers,
-    rate,
-    reading_units,
-    rows_of_sensors,
-    states,
-)
 from platform_ctrl.simulation.step_limit import check_steps
 
 # Which random numbers an action draws: the upper digits of its channel.
@@ -75,7 +54,7 @@ class PreparedRun(NamedTuple):
     scenario: Scenario
     skeleton: Skeleton
     timing: Timing
-    faults: dict[FaultKey, Fault]
+    faults: dict[scenario_arrays.FaultKey, Fault]
     key: tuple[object, ...]
 
 
@@ -123,11 +102,11 @@ def timing(duration: float, period: float, delay: float, longest: float) -> Timi
 
 def prepared_run(scenario: Scenario, period: float, longest: float) -> PreparedRun:
     """Check a scenario, but for the length of its steps, which is checked for a batch at a time."""
-    expect_scenario(scenario, period)
+    scenario_arrays.expect_scenario(scenario, period)
     platform, free = scenario.platform, scenario.mode == "stabilised"
     when = timing(scenario.duration, period, scenario.delay, min(longest, scenario.longest_step))
     shape = skeleton(platform)
-    faults: dict[FaultKey, Fault] = {}
+    faults: dict[scenario_arrays.FaultKey, Fault] = {}
     for fault in scenario.faults:
         action, part = arrays.ACTIONS[FAULT_KINDS[fault.kind].action], fault.part or ""
         again = sum(key[:2] == (action, part) for key in faults)
@@ -147,7 +126,7 @@ def prepared_run(scenario: Scenario, period: float, longest: float) -> PreparedR
         tuple(dataclasses.astuple(command) for command in scenario.commands),
         tuple(sorted(scenario.filters.items())),
         tuple((one.torquer, tuple(one.weights.items())) for one in scenario.drives),
-        (*_resolving(scenario), *reading_units(scenario)),
+        (*_resolving(scenario), *scenario_arrays.reading_units(scenario)),
     )
     return PreparedRun(scenario, shape, when, faults, key)
 
@@ -169,7 +148,7 @@ def batch(members: Sequence[PreparedRun], controller: ControllerRows, period: fl
     one = members[0]
     shape, free = one.skeleton, one.scenario.mode == "stabilised"
     scenarios = [member.scenario for member in members]
-    plants = distinct_plants(scenarios)
+    plants = scenario_arrays.distinct_plants(scenarios)
     lengths = np.array([member.timing.steps for member in members])
     longest = np.zeros(len(plants.made))
     np.maximum.at(longest, plants.which, lengths.max(axis=1))
@@ -186,29 +165,31 @@ def batch(members: Sequence[PreparedRun], controller: ControllerRows, period: fl
         begin = slot - shape.at.end
         return given[:, begin : begin + count * size].reshape(len(given), count, size)
 
-    part(layout.start, 1, shape.at.size)[:, 0] = states(scenarios, packed)
+    part(layout.start, 1, shape.at.size)[:, 0] = scenario_arrays.states(scenarios, packed)
     steady = part(layout.steady, 1, shape.at.block)[:, 0]
     steady[:] = around[plants.which]
     steady[:, :3] = [scenario.torque for scenario in scenarios]
-    part(layout.rate, 1, arrays.PROFILE)[:, 0] = [rate(scenario) for scenario in scenarios]
+    part(layout.rate, 1, arrays.PROFILE)[:, 0] = [scenario_arrays.rate(scenario) for scenario in scenarios]
     part(layout.segments, 1, 2)[:, 0] = lengths
     part(layout.settle, 1, 1)[:, 0, 0] = [math.ceil(scenario.settle / period - 1e-9) for scenario in scenarios]
-    put_sensors(plants, part(layout.sensor, layout.sensors, arrays.SENSOR), period, noise)
-    put_lowpasses(plants, part(layout.lowpass, _filtered(shared), arrays.LOWPASS), period)
-    put_torquers(plants, part(layout.torquer, len(shared.targets), arrays.TORQUER), 0.5 * lengths)
-    put_equilibrium(scenarios, part(layout.torquer, len(shared.targets), arrays.TORQUER))
-    put_drives(scenarios, part(layout.drive, layout.drives, arrays.DRIVEN))
-    put_stops(plants, part(layout.stop, shape.at.n, arrays.STOP))
-    put_faults([member.faults for member in members], order, part(layout.fault, len(order), arrays.FAULT))
-    put_rotors(shape, plants, rotors, part(layout.rotor, len(rotors), arrays.ROTOR))
-    put_lines(scenarios, part(layout.line, len(shared.lines), arrays.LINE), 0.5 * lengths)
+    scenario_arrays.put_sensors(plants, part(layout.sensor, layout.sensors, arrays.SENSOR), period, noise)
+    scenario_arrays.put_lowpasses(plants, part(layout.lowpass, _filtered(shared), arrays.LOWPASS), period)
+    scenario_arrays.put_torquers(plants, part(layout.torquer, len(shared.targets), arrays.TORQUER), 0.5 * lengths)
+    scenario_arrays.put_equilibrium(scenarios, part(layout.torquer, len(shared.targets), arrays.TORQUER))
+    scenario_arrays.put_drives(scenarios, part(layout.drive, layout.drives, arrays.DRIVEN))
+    scenario_arrays.put_stops(plants, part(layout.stop, shape.at.n, arrays.STOP))
+    scenario_arrays.put_faults(
+        [member.faults for member in members], order, part(layout.fault, len(order), arrays.FAULT)
+    )
+    scenario_arrays.put_rotors(shape, plants, rotors, part(layout.rotor, len(rotors), arrays.ROTOR))
+    scenario_arrays.put_lines(scenarios, part(layout.line, len(shared.lines), arrays.LINE), 0.5 * lengths)
     keys = np.array([(scenario.seed & (2**64 - 1), scenario.run) for scenario in scenarios], dtype=np.uint64)
     return Batch(packed, shared, layout, free, constants[plants.which], given, keys.reshape(-1, 2))
 
 
 def _shared(
     one: PreparedRun,
-    order: list[FaultKey],
+    order: list[scenario_arrays.FaultKey],
     members: Sequence[PreparedRun],
     controller: ControllerRows,
     period: float,
@@ -223,10 +204,10 @@ def _shared(
     for key in order:
         action, part, again = key
         fault = next(member.faults[key] for member in members if key in member.faults)
-        place = rotors.index(part) if action <= arrays.RIPPLE else part_of(platform, fault)
+        place = rotors.index(part) if action <= arrays.RIPPLE else scenario_arrays.part_of(platform, fault)
         faults.append((action, place, 64 * place + 8 * _STREAM.get(action, 0) + again))
-    lines = [component(platform, v) for v in scenario.vibrations for _ in range(v.lines)]
-    lines += [len(platform.gimbals) + 6 + component(platform, sine) for sine in scenario.sines]
+    lines = [scenario_arrays.component(platform, v) for v in scenario.vibrations for _ in range(v.lines)]
+    lines += [len(platform.gimbals) + 6 + scenario_arrays.component(platform, sine) for sine in scenario.sines]
     table = scenario.torque_table if free else scenario.Omega_table
     knots, pieces = np.zeros(0), np.zeros((0, 3, 4))
     if table is not None:
@@ -240,14 +221,14 @@ def _shared(
     terms = [term for one in sums for term in one]
     ends = np.cumsum([len(one) for one in sums], dtype=np.int64)
     bounds = np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64)
-    readings, torquers = [*reading_units(scenario)], [torquer.name for torquer in platform.torquers]
+    readings, torquers = [*scenario_arrays.reading_units(scenario)], [torquer.name for torquer in platform.torquers]
     of_resolvers, numbers_of_resolvers = _resolving(scenario)
-    parts = [readings.index(name) for name in commanded_readings(scenario)]
+    parts = [readings.index(name) for name in scenario_arrays.commanded_readings(scenario)]
     parts += [torquers.index(law.torquer) for law in scenario.drives]
     parts += of_resolvers
-    courses = courses_of(scenario, period * np.arange(one.timing.samples, dtype=np.float64))
+    courses = scenario_arrays.courses_of(scenario, period * np.arange(one.timing.samples, dtype=np.float64))
     shared = Shared(
-        sensors=np.concatenate([bounds, rows_of_sensors(platform, len(bounds), period)], axis=1),
+        sensors=np.concatenate([bounds, scenario_arrays.rows_of_sensors(platform, len(bounds), period)], axis=1),
         signals=np.array([signal for signal, _ in terms], dtype=np.int64),
         weights=np.array([*(weight for _, weight in terms), *numbers_of_resolvers], dtype=np.float64),
         targets=np.array(shape.targets, dtype=np.int64),
@@ -314,8 +295,8 @@ def _bounds(controller: ControllerRows, parts: NDArray[np.int64]) -> NDArray[np.
 def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: ControllerRows) -> Layout:
     at = packed.at
     n, nu, ny, sight = at.n, len(shared.targets), len(one.skeleton.sensors), len(one.skeleton.sight)
-    commands, drives = len(commanded_readings(one.scenario)), len(one.scenario.drives)
-    readings, resolvers = len(reading_units(one.scenario)), len(one.scenario.resolvers)
+    commands, drives = len(scenario_arrays.commanded_readings(one.scenario)), len(one.scenario.drives)
+    readings, resolvers = len(scenario_arrays.reading_units(one.scenario)), len(one.scenario.resolvers)
     place = at.end
 
     def take(count: int) -> int:

@@ -35,16 +35,8 @@ from platform_ctrl.mechanics.forces import resting_forces, specific_force_at, tw
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.plant.locking import with_stuck_bristles
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.verification import coupled_plant as models
 from platform_ctrl.verification.backlash import limit_cycle_results
-from platform_ctrl.verification.coupled_plant import (
-    CoupledPlant,
-    coupled_plant,
-    moves_freely,
-    one_way_plant,
-    sensed_rates,
-    used_signals,
-    with_resolvers,
-)
 
 ALL_LOOPS = "all loops closed"  # subject of what is required of the coupled system
 
@@ -148,8 +140,8 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
 
     See docs/reference/job-file.md.
     """
-    made, controllers = controllers, with_resolvers(job, controllers, model.q0)
-    plant = coupled_plant(job, model, controllers)
+    made, controllers = controllers, models.with_resolvers(job, controllers, model.q0)
+    plant = models.coupled_plant(job, model, controllers)
     together = _Together(job, controllers, plant)
     channels, coupled = together.channels, together.loop_margins
     decoupled = _decoupled_margins(job, model, controllers, together)
@@ -162,8 +154,8 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
         of = replaced(job, {"platform": platform})
         for q in job.trims if label else job.trims[1:]:
             at.append("".join(f", {words}" for words in (label, at_angles(platform, q)) if words))
-            there = with_resolvers(job, made, q)
-            trims.append(_Together(of, there, coupled_plant(of, linearise(platform, q=q), there)))
+            there = models.with_resolvers(job, made, q)
+            trims.append(_Together(of, there, models.coupled_plant(of, linearise(platform, q=q), there)))
     margins = [one.simultaneous for one in trims]
     slowest = min(range(len(trims)), key=lambda k: trims[k].decay)
     least = min(range(len(trims)), key=lambda k: margins[k].guaranteed)
@@ -198,8 +190,8 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
     results += holding_results(job, channels, ALL_LOOPS)
 
     def weakest(platform: Platform, q: FloatArray) -> tuple[complex, ComplexArray]:
-        changed, there = replaced(job, {"platform": platform}), with_resolvers(job, made, q)
-        return _Together(changed, there, coupled_plant(changed, linearise(platform, q=q), there)).slowest
+        changed, there = replaced(job, {"platform": platform}), models.with_resolvers(job, made, q)
+        return _Together(changed, there, models.coupled_plant(changed, linearise(platform, q=q), there)).slowest
 
     results += limit_cycle_results(job, weakest, ALL_LOOPS)
     return CoupledCheck(
@@ -207,7 +199,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
         controller=together.controller,
         poles=together.poles,
         period=together.period,
-        free=moves_freely(job, controllers),
+        free=models.moves_freely(job, controllers),
         free_angles=together.free_angles,
         uncontrolled=together.uncontrolled,
         growing=bool(together.growing),
@@ -242,10 +234,10 @@ def _dry(job: Job) -> str:
 class _Together:
     """All controllers closed around a sampled plant, at every sample or each at its own rate."""
 
-    def __init__(self, job: Job, controllers: Sequence[StateSpace], whole: CoupledPlant) -> None:
+    def __init__(self, job: Job, controllers: Sequence[StateSpace], whole: models.CoupledPlant) -> None:
         self._job, self._whole = job, whole
         plant = self._plant = whole.system
-        self._seen, torquers = used_signals(job, controllers, plant)
+        self._seen, torquers = models.used_signals(job, controllers, plant)
         self.channels, self.uncontrolled, self.conserved = tuple(torquers), whole.uncontrolled, whole.conserved
         self.controller: StateSpace | None = None
         self._periodic: PeriodicLoop | None = None
@@ -330,7 +322,7 @@ class _Together:
 
 def one_controller(job: Job, controllers: Sequence[StateSpace], plant: StateSpace) -> StateSpace:
     """Return all controllers as one, from the sensors that `plant` shows to the torquers that are used."""
-    seen, torquers = used_signals(job, controllers, plant)
+    seen, torquers = models.used_signals(job, controllers, plant)
     names = [name for K in controllers for name in K.state_labels]
     whole = interconnected(controllers, seen, torquers, job.sampling.period)
     return whole.to_control(seen, torquers, names, name="all loops")
@@ -347,11 +339,11 @@ def _decoupled_margins(job: Job, model: LinearModel, controllers: Sequence[State
         return whole.loop_margins
     margins: dict[str, float] = {}
     if caging:
-        plant = coupled_plant(job, model, caging)
+        plant = models.coupled_plant(job, model, caging)
         together = _Together(job, caging, plant)
         margins |= dict(zip(together.channels, together.loop_margins, strict=True))
     if len(margins) < len(channels):
-        plant = one_way_plant(job, model, sensed_rates(job, controllers))
+        plant = models.one_way_plant(job, model, models.sensed_rates(job, controllers))
         together = _Together(job, controllers, plant)
         margins = dict(zip(together.channels, together.loop_margins, strict=True)) | margins
     return np.array([margins[name] for name in channels])

@@ -39,16 +39,8 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import tuning_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.fixed_structure import maps as transfers
 from platform_ctrl.design.fixed_structure.loops import LoopGradients
-from platform_ctrl.design.fixed_structure.maps import (
-    CONTROLLER,
-    Map,
-    Pieces,
-    helping_maps,
-    joined,
-    map_of,
-    torque_per_Omega,
-)
 from platform_ctrl.design.fixed_structure.minimax import Effort, Evaluation, Minimum, minimise
 from platform_ctrl.design.fixed_structure.structures import Parametrised
 from platform_ctrl.job.requirements import LoopRequirement
@@ -105,7 +97,7 @@ class _Part(NamedTuple):
     """The pieces of a requirement."""
 
     number: int  # of the requirement, or what else it is: below
-    pieces: Pieces
+    pieces: transfers.Pieces
     hard: bool
     slope: FloatArray | float = 0.0  # along log(bandwidth)
 
@@ -316,7 +308,7 @@ class Search:
         found, slope = loops.level(frequency, floor)
         # Far above the bandwidth S is hardly larger than its level: what is beyond it counts several times.
         steep = np.where(found.ratio > 1.0, 1.0 if self._soft else _STEEP, 1.0)
-        level = Pieces(
+        level = transfers.Pieces(
             ratio=1.0 + steep * (found.ratio - 1.0) + _TIGHT,
             gradient=steep[:, None, None] * found.gradient,
             plant=found.plant,
@@ -369,7 +361,7 @@ def finer(plants: PlantSet) -> PlantSet:
     return plants.on(tuning_grid(plants.nutation, plants.period, fine=True))
 
 
-def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.8) -> Pieces:
+def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.8) -> transfers.Pieces:
     """Return the pieces of a requirement whose ratio is at least `floor`, and the worst.
 
     A requirement is met where all its pieces are at most 1. Most are its ratios; "bandwidth" requires S at most 1/√2 up
@@ -388,12 +380,12 @@ def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.
         maps = [of for transfer in measure.transfers for of in _maps(transfer, plants)]
         found = [loops.peaks(of, below, members, band) for of in maps]
         found += [loops.edge(of, edge, members) for of in maps for edge in edges]
-        return joined([loops.none(), *found]).times(factor)
+        return transfers.joined([loops.none(), *found]).times(factor)
     if isinstance(measure, ControllerGain):
         nominal = np.zeros(1, dtype=np.intp)
         low = 0.1 * plants.nutation if requirement.frequency is None else requirement.frequency
-        inside = loops.peaks(CONTROLLER, floor * limit, nominal, (low, np.inf))
-        return joined([inside, loops.edge(CONTROLLER, low, nominal)]).times(1.0 / limit)
+        inside = loops.peaks(transfers.CONTROLLER, floor * limit, nominal, (low, np.inf))
+        return transfers.joined([inside, loops.edge(transfers.CONTROLLER, low, nominal)]).times(1.0 / limit)
     match requirement.kind:
         case "stability":
             return loops.decay(limit, members)
@@ -410,12 +402,12 @@ def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.
     return loops.none()
 
 
-def _maps(transfer: Transfer, plants: PlantSet) -> Iterator[Map]:
+def _maps(transfer: Transfer, plants: PlantSet) -> Iterator[transfers.Map]:
     if transfer.target == "helping":
-        yield from helping_maps(transfer.direct, plants)
+        yield from transfers.helping_maps(transfer.direct, plants)
         return
     if not transfer.of_limit:
-        yield map_of(transfer, plants)
+        yield transfers.map_of(transfer, plants)
         return
     for k in np.flatnonzero(np.isfinite(plants.torque_limit)):
-        yield torque_per_Omega(int(k), plants)
+        yield transfers.torque_per_Omega(int(k), plants)
