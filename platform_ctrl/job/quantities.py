@@ -221,7 +221,7 @@ def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tup
         words.append(f"no loop acts on gimbal{'' if len(uncontrolled) == 1 else 's'} {listed(uncontrolled)}")
     kinds = {spec.kind for spec in job.loops}
     if any(spec.moves_root(job.platform) for spec in job.loops) and "stabilisation" not in kinds:
-        words.append("no torque from outside takes off the momentum that others leave in what the loops turn")
+        words.append("the momentum that torques from outside bring in is unloaded outside of this job")
     if not kinds & {"rate", "pointing"}:
         return _assuming(words)
     rate = float(max(job.Omega))

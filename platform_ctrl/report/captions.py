@@ -134,15 +134,20 @@ def run(one: Run, platform: Platform) -> str:
     trajectory = one.trajectory
     limits = {torquer.name: torquer.limit for torquer in platform.torquers if torquer.limit is not None}
     largest = dict(zip(trajectory.torquer_names, np.abs(trajectory.command).max(axis=0), strict=True))
+    stopped = [k for k, gimbal in enumerate(platform.gimbals) if gimbal.stops is not None]
+    some = bool(stopped) and len(stopped) < len(platform.gimbals)  # the others may turn on, as wheels
+    angles = np.abs(trajectory.q[:, stopped] if some else trajectory.q)
     pushed = max(((largest[name] / limit, name) for name, limit in limits.items()), default=None)
     return sentences(
         "run",
         trajectory=trajectory,
         lost=one.lost,
-        worst=1e3 * float(np.abs(trajectory.q).max(initial=0.0)),
+        worst=1e3 * float(angles.max(initial=0.0)),
+        some=some,
         saturated=int(trajectory.saturated.sum()),
         contacts=int(trajectory.stop_contacts.sum()),
         pushed=pushed,
+        servo=bool(platform.root_torquers),
         spinning=any(rotor.angular_momentum != 0.0 for rotor in platform.rotors),
     )
 
