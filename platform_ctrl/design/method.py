@@ -31,6 +31,8 @@ OptionGroup = Literal["gains", "lead", "notch", "lag", "design"]
 Family = Literal["speed", "robustness"]
 # Of the reference filter: it answers a step without overshoot.
 _DAMPING = 1.0
+# A tuner's start with a notch at a resonance, and the damping ratio below which a motion is one.
+_NOTCH, _SWING = {"notch_depth": 0.1, "notch_width": 0.4}, 0.2
 
 
 @value
@@ -296,13 +298,21 @@ class TunedMethod(Method):
         return [name for name in self.tunable if name in options]
 
     def starts(self, problem: LoopProblem, options: dict[str, float]) -> list[dict[str, float]]:
-        """Return other starts of the tuner: the options as given and by rules of thumb, at crossovers over decades."""
+        """Return other starts of the tuner: the options as given and by rules of thumb, at crossovers over decades.
+
+        A notch that moves is besides at each resonance of the nominal plant.
+        """
         design, plants, channel = problem.design, problem.plants, problem.channel
         movable = self.movable(options, channel)
         fixed = {name: x for name, x in design.options.items() if name not in movable}
         kept = {name: x for name, x in design.options.items() if name not in self.rates} | fixed
         by_rule = self.defaults(replace(design, options=kept), channel, plants.nutation, plants.period)
         bases = [options, options | {name: by_rule[name] for name in options if name in by_rule and name not in fixed}]
+        if "notch_hz" in movable:
+            z = np.linalg.eigvals(plants.A[0])
+            s = np.log(z[(z.imag > 0.0) & (np.abs(z) > 0.5)]) / plants.period
+            swings = np.abs(s[-s.real < _SWING * np.abs(s)]) / (2.0 * np.pi)
+            bases += [options | _NOTCH | {"notch_hz": float(hertz)} for hertz in np.sort(swings)]
         together = [name for name in self.rates if name in options and name not in fixed]
         return [one for base in bases for one in over_decades(base, together, plants.period)]
 

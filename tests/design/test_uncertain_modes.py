@@ -12,7 +12,7 @@ J, OMEGA, ZETA, PERIOD = 0.07, 150.0, 0.02, 1e-3
 SHARES = {"Q": 1.5, "gyro": -1.2}
 
 
-def job(uncertainty, mode=None, **more):
+def job(uncertainty, mode=None, own=None, **more):
     """A rate loop on one gimbal with a mode that its gyro sees with the other sign."""
     gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, J], "angle": "q"}
     plant = {
@@ -33,6 +33,7 @@ def job(uncertainty, mode=None, **more):
         "limits": {"disk_margin": 0.3, "disk_margin_worst_case": 0.3},
         "design": [{"name": "pi", "method": "pi", "crossover_hz": 1.0, "integral_hz": 0.1, "rolloff_hz": 300.0}],
     }
+    loop |= own or {}
     data = {"schema": 2, "name": "one axis", "plant": plant, "operation": {"Omega": [0, 0, 0]}, "loop": [loop]}
     sampling = {"rate_hz": 1 / PERIOD, "delay": 0.0}
     return pc.read_job(
@@ -72,6 +73,14 @@ def test_a_loop_that_only_the_nominal_mode_lets_be_stable_does_not_pass():
     assert passed.passed
     assert not failed.passed
     assert "ζ_arm-90%" in failed.evidence
+
+
+def test_a_tuner_takes_its_notch_to_the_mode():
+    # With a notch at three times the crossover, as by rules of thumb, the search alone does not find the mode.
+    start = {"name": "pi", "method": "pi", "tune": True, "crossover_hz": 1.0, "notch_depth": 0.3}
+    [outcome] = design.loops(job({}, own={"design": [start], "limits": {"disk_margin": 0.5, "bandwidth_hz": 5.0}}))
+    assert outcome.closed.passed
+    assert outcome.closed.options["notch_hz"] == pytest.approx(OMEGA / (2.0 * np.pi), rel=0.2)
 
 
 def test_the_coupled_check_sees_both_ends_of_the_frequency():
