@@ -6,6 +6,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import design, simulation
 from platform_ctrl.errors import InputError
+from platform_ctrl.mechanics.state_space import free_system
 
 JOB = {
     "schema": 2,
@@ -150,6 +151,20 @@ def test_gyros_inside_and_a_star_sensor_around_turn_the_satellite_too():
     job = pc.read_job(JOB | {"loop": [inner, outer], "coupled": {"disk_margin": 0.5}})
     result = pc.verification.check_job(job, design.loops(job))
     assert [(r.subject, r.name, r.value) for r in result.requirements if not r.passed] == []
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.00106, 0.05])
+def test_without_torques_from_outside_the_poles_are_all_but_those_of_the_momentum(rate):
+    """In the satellite, which turns at `rate`, a momentum that is constant in space has the poles 0 and ± j rate."""
+    model = pc.linearise(pc.read_platform(JOB["plant"]), (0.0, rate, 0.0))
+    whole = pc.state_space(model, root="free")
+    turn = np.cross(np.eye(3), [0.0, rate, 0.0])  # Omega0 × θ = turn θ
+    A = np.block([[whole.A, np.zeros((9, 3))], [whole.C[3:], -turn]])
+    every = np.polynomial.polynomial.polyfromroots(np.linalg.eigvals(A))
+    alone = np.linalg.eigvals(free_system(model, isolated=True).A)
+    momentum = [0.0, 1j * rate, -1j * rate]
+    expected = np.polynomial.polynomial.polyfromroots([*alone, *momentum])
+    assert np.abs(every - expected).max() < 1e-9 * np.abs(every).max()
 
 
 WHEEL = {"inertia": [0.004, 0.004, 0.004]}
