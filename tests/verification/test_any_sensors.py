@@ -20,7 +20,7 @@ from platform_ctrl.verification.verdict import check_job
 DATA = Path(__file__).parents[1] / "data" / "state_feedback"
 JOB = tomllib.loads((DATA / "job.toml").read_text(encoding="utf-8"))
 J, VISCOUS, LAG, T = 0.039, 0.3, 0.002, 0.001
-STATE_SPACE = {"method": "structured", "structure": "state-space", "order": 4}
+STATE_SPACE = {"method": "structured", "structure": "state-space", "order": 4, "evaluations": 1500}
 
 
 def with_design(method, **changes):
