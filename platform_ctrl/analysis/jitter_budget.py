@@ -70,18 +70,18 @@ class JitterBudget:
         self.exposures = tuple(exposures)
         if len({one.name for one in self.sources}) < len(self.sources):
             raise ArgumentError("jitter budget: sources must have names that differ")
-        self._random = [one for one in self.sources if isinstance(one, hybrid.RandomDisturbance)]
-        self._noise = [one for one in self.sources if isinstance(one, hybrid.SampleNoise)]
-        self._sines = [one for one in self.sources if isinstance(one, hybrid.SineDisturbance)]
-        starts = np.cumsum([0, *(len(one.inputs) for one in self._random)])[:-1]
+        self.random = [one for one in self.sources if isinstance(one, hybrid.RandomDisturbance)]
+        self.noise = [one for one in self.sources if isinstance(one, hybrid.SampleNoise)]
+        self.sines = [one for one in self.sources if isinstance(one, hybrid.SineDisturbance)]
+        starts = np.cumsum([0, *(len(one.inputs) for one in self.random)])[:-1]
         # Sums over the last axis, the columns of all random sources, for each source.
         self._of_sources = partial(np.add.reduceat, indices=starts, axis=-1)
-        ends = [s.knots[-1] for one in self._random for s in one.spectra]
-        highest = max([*ends, *(one.frequency for one in self._sines)], default=0.0)
+        ends = [s.knots[-1] for one in self.random for s in one.spectra]
+        highest = max([*ends, *(one.frequency for one in self.sines)], default=0.0)
         # Every frequency of a source is the image of one below half of what the controller takes for one, and every
         # component has an image.
-        self._images = max(_IMAGES, math.ceil(0.5 * plant.cycle), math.ceil(highest / plant.turn))
-        if self._images > hybrid.MOST_OF_SOURCES:
+        self.images = max(_IMAGES, math.ceil(0.5 * plant.cycle), math.ceil(highest / plant.turn))
+        if self.images > hybrid.MOST_OF_SOURCES:
             raise ArgumentError(
                 f"jitter budget: a source reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
                 f"at most {hybrid.MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
@@ -103,20 +103,20 @@ class JitterBudget:
         z = self.open_loop.closed_poles(controller)
         while True:
             parts = self._lines(controller, over_frequency)
-            random = self._random or self._noise
+            random = self.random or self.noise
             found = self._integrated(controller, z, tolerance, over_frequency) if random else []
-            out = integrals.assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts, self._images)
-            if out.remaining <= tolerance or self._images >= max(_MOST_IMAGES, 2 * self.plant.cycle):
+            out = integrals.assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts, self.images)
+            if out.remaining <= tolerance or self.images >= max(_MOST_IMAGES, 2 * self.plant.cycle):
                 return out
-            self._images *= 2
+            self.images *= 2
             # The prepared responses have too few images.
             self._known, self._kept = {}, 0
 
-    def _edges(self, over_frequency: bool) -> FloatArray:
+    def edges(self, over_frequency: bool) -> FloatArray:
         """Return the edges of panels that no controller changes, of a cycle more of them for curves over frequency."""
         plant, turn = self.plant, self.plant.turn
         dense = plant.cycle == 1 or (over_frequency and plant.cycle <= _MANY_SAMPLES)
-        knots = [self.lowest, *(k for one in self._random for s in one.spectra for k in s.knots)]
+        knots = [self.lowest, *(k for one in self.random for s in one.spectra for k in s.knots)]
         own = poles(plant.plant.A)
         own = own[np.abs(own) > _RESTING * turn]
         if not dense:
@@ -136,7 +136,7 @@ class JitterBudget:
         half = 0.5 * self.plant.turn
         s = continuous_poles(z[np.abs(z) > 0.0], math.pi / half)
         s = s[np.abs(s) > _RESTING * self.plant.turn]
-        fixed = self._edges(over_frequency)
+        fixed = self.edges(over_frequency)
         base = integrals.between(fixed, 0.0, half)
         # Poles that a slider hardly moves stay within existing panels, whose responses are known.
         ends = np.array([high for _, high in base])
@@ -200,8 +200,8 @@ class JitterBudget:
     @property
     def _size(self) -> int:
         """Numbers at one node."""
-        sources, packed = len(self._random) + len(self._noise), self.plant.controls**2
-        return (2 * self._images + 1) * ((self.plant.outputs + packed) * (sources + packed) + self.open_loop.size)
+        sources, packed = len(self.random) + len(self.noise), self.plant.controls**2
+        return (2 * self.images + 1) * ((self.plant.outputs + packed) * (sources + packed) + self.open_loop.size)
 
     def _prepared(self, panels: list[integrals.Panel]) -> integrals.NodeResponses:
         new = [one for one in panels if one not in self._known]
@@ -217,18 +217,18 @@ class JitterBudget:
         return integrals.joined([made[one] if one in made else self._known[one] for one in panels])
 
     def _evaluated(self, theta: FloatArray) -> integrals.NodeResponses:
-        plant, count = self.plant, self._images
+        plant, count = self.plant, self.images
         images = np.arange(-count, count + 1)
         family = self.open_loop.family(theta, images)
         columns = np.concatenate(
             [
                 np.zeros((*family.frequency.shape, plant.disturbances, 0)),
-                *(one.columns(family.frequency, plant.disturbances) for one in self._random),
+                *(one.columns(family.frequency, plant.disturbances) for one in self.random),
             ],
             axis=-1,
         )
         ends = np.sort(np.abs(np.add.outer(images, [0.0, 0.5])), axis=1) * plant.turn
-        spectra = [one for source in self._random for one in source.spectra]
+        spectra = [one for source in self.random for one in source.spectra]
         inside = tuple(
             k
             for k, (low, high) in enumerate(ends)
@@ -246,10 +246,10 @@ class JitterBudget:
             integrals.outer(held.conj()),
             integrals.packed(self.open_loop.remaining_images(theta, family.held)),
             family.sampled,
-            self._weights(family.frequency),
+            self.weights(family.frequency),
         )
 
-    def _weights(self, frequency: FloatArray) -> FloatArray:
+    def weights(self, frequency: FloatArray) -> FloatArray:
         """Return the counted parts (W, ...): all, then displacement, smear and jitter for each exposure."""
         above = np.abs(frequency) >= self.lowest
         out = [above.astype(np.float64)]
@@ -262,15 +262,15 @@ class JitterBudget:
         """Return one-sided densities of the outputs (N, F, G, q) and what the images beyond add (N, G, q)."""
         M = self.open_loop.modulator(controller, at.theta, at.sampled)
         N, F, q, size = at.outer.shape
-        R, count = self.plant.cycle, len(self._random)
+        R, count = self.plant.cycle, len(self.random)
         # The controls of each component, and all its images.
-        moved = np.zeros((N, size, R, count + len(self._noise)))
+        moved = np.zeros((N, size, R, count + len(self.noise)))
         component = (np.arange(F) - F // 2) % R
         inside = np.array(at.inside, dtype=np.intp)
         own = np.zeros((N, 0, count, q))
         if count and inside.size:
             moved[..., :count], own = self._moved(at, M, component[inside])
-        for j, one in enumerate(self._noise):
+        for j, one in enumerate(self.noise):
             moved[..., count + j] = 2.0 * self.plant.period * one.rms**2 * integrals.moved_by_samples(M, one.measured)
         density = integrals.aliased(at.outer, moved[:, :, component] if R > 1 else moved)
         density[:, inside, :count] = own
@@ -294,7 +294,7 @@ class JitterBudget:
         y = at.measured[:, side] * (side >= 0)[:, :, None, None]
         u = M.own[:, active, None] @ y
         signal = M.heard[:, active, None] @ y
-        out = np.zeros((N, m * m, R, len(self._random)))
+        out = np.zeros((N, m * m, R, len(self.random)))
         for place, some in integrals.alike(M):
             seen = signal[..., place, :]
             alone = self._of_sources(seen[..., :, None, :] * seen[..., None, :, :].conj()).sum(axis=2)
@@ -327,10 +327,10 @@ class JitterBudget:
     def _lines(self, controller: MultiRate, over_frequency: bool) -> list[integrals.Contribution]:
         """Return the lines of sines, those that add as they come together: of each alone, and last of all of them."""
         by_frequency: dict[object, list[hybrid.SineDisturbance]] = {}
-        for one in self._sines:
+        for one in self.sines:
             by_frequency.setdefault(one.frequency if one.phase is not None else id(one), []).append(one)
         groups = list(by_frequency.values())
-        step = max(1, _MOST_AT_ONCE // ((2 * self._images + 1) * self.open_loop.size))
+        step = max(1, _MOST_AT_ONCE // ((2 * self.images + 1) * self.open_loop.size))
         return [
             line
             for k in range(0, len(groups), step)
@@ -344,19 +344,19 @@ class JitterBudget:
         # A line at a multiple of the controller's rate has an image at zero, to the last bit.
         still = plant.turn * np.round(omega / plant.turn)
         omega = np.where(np.abs(omega - still) <= _SAME * omega, still, omega)
-        family = self.open_loop.family(omega, np.arange(-self._images, self._images + 1))
+        family = self.open_loop.family(omega, np.arange(-self.images, self.images + 1))
         M = self.open_loop.modulator(controller, omega, family.sampled)
-        weights = self._weights(family.frequency)
+        weights = self.weights(family.frequency)
         rest = self.open_loop.remaining_images(omega, family.held)
         hidden = (family.frequency == 0.0) & (self.lowest > 0.0)
-        of_image = np.arange(-self._images, self._images + 1) % plant.cycle
+        of_image = np.arange(-self.images, self.images + 1) % plant.cycle
         out = []
         for k, sines in enumerate(groups):
             amplitude = np.stack([one.vector(plant.disturbances) for one in sines], axis=-1)
-            u = M.of(k, 0, family.measured[k, self._images] @ amplitude)
+            u = M.of(k, 0, family.measured[k, self.images] @ amplitude)
             with np.errstate(invalid="ignore"):
                 z = family.held[k] @ u[of_image]
-                z[self._images] += family.direct[k, self._images] @ amplitude
+                z[self.images] += family.direct[k, self.images] @ amplitude
                 z = np.where(hidden[k, :, None, None], 0.0, z * family.integral[k])
             if not np.isfinite(z).all():
                 raise ArgumentError(

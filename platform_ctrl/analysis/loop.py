@@ -15,7 +15,7 @@ grid's spacing (`Loop.grid_peaks`): quick enough for a search. Over all frequenc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -156,6 +156,14 @@ class Loop:
     def poles(self) -> ComplexArray:
         """Poles of the closed loops in z, (N, poles)."""
         return pole.poles(np.array([one.system.A for one in self.drifts]) if self.drifts else self.own_arrays.A)
+
+    @cached_property
+    def sight(self) -> Mapping[str, float]:
+        """Values of limits on the line of sight by the budget, rad; none of an unstable loop."""
+        budget = self.plants.sight_budget
+        if budget is None:
+            raise ArgumentError("line-of-sight jitter and smear: the plants are those of a job without a [budget]")
+        return budget.exact(self.controller) if self.decay[0] > 0.0 else {}
 
     @cached_property
     def decay(self) -> FloatArray:

@@ -155,6 +155,24 @@ class ControllerGain(Measure):
         return loops.slow if request.frequency is None else request.frequency
 
 
+@value
+class Sight(Measure):
+    """Rms of the line of sight in the budget of the loop's job, rad; infinite of an unstable loop."""
+
+    key: str  # of the budget's limit
+
+    def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
+        """Return the value with the friction of another controller, (1,); of plants without forms the exact one."""
+        forms = loops.plants.sight_forms
+        if forms is None or not loops.decay[0] > 0.0:
+            return np.array([self.exact(loops, request, 0)])
+        return np.array([max(one.at(loops.controller) for one in forms[self.key])])
+
+    def exact(self, loops: Loop, request: RequestedMetric, k: int) -> float:
+        """Return the value of the budget itself."""
+        return loops.sight.get(self.key, np.inf)
+
+
 # Time after which the noise of a loop that drifts counts, s: a random walk has no rms.
 DRIFT_TIME = 3600.0
 

@@ -38,7 +38,7 @@ class Metric(Quantity):
 
     scale: float = 1.0  # the unit in SI units
     decibels: bool = False  # whether the unit is dB: of a ratio of amplitudes
-    measure: measuring.Direct | measuring.Peak | measuring.Bandwidth | measuring.ControllerGain  # how it is measured
+    measure: measuring.Measure  # how it is measured
     # which limits a job file may set: ``""``: of the nominal plant; ``"worst_case"`` and ``"faults"``: with the key's
     # ending ``_worst_case`` or ``_faults``
     scopes: tuple[str, ...] = ("",)
@@ -72,6 +72,11 @@ class Metric(Quantity):
         """Whether it is about what continuous disturbances do, between samples too."""
         parts = self.measure.transfers if isinstance(self.measure, measuring.Peak) else ()
         return any(one.source == "Omega" or (one.source, one.target) == ("torque", "angle") for one in parts)
+
+    @property
+    def of_sight(self) -> bool:
+        """Whether it is about the budget of the line of sight."""
+        return isinstance(self.measure, measuring.Sight)
 
     @property
     def searched(self) -> bool:
@@ -323,6 +328,13 @@ BUDGET_METRICS: dict[str, Quantity] = {
             meaning="rms of both axes across the line of sight from one source alone",
         ),
     )
+}
+
+
+METRICS |= {
+    one.name: Metric(name=one.name, key=key, unit=one.unit, meaning=one.meaning, measure=measuring.Sight(key=key))
+    for key, one in BUDGET_METRICS.items()
+    if key != "limit"
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from platform_ctrl.analysis.between_samples import (
 )
 from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.sight import MeanSquare, SightBudget
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.values import FloatArray, replaced, value
@@ -82,6 +83,9 @@ class PlantSet:
     held: tuple[str, ...] = ()
     dry_friction: bool = False
     limited: tuple[str, ...] = ()  # angles, in words, at which the gain of resolved readings is limited: a keyhole
+    # The budget of the line of sight, where the loop has limits on it, and its forms for a search: see `with_sight`.
+    sight_budget: SightBudget | None = None
+    sight_forms: Mapping[str, tuple[MeanSquare, ...]] | None = None
     # Feedforward of the platform's rate in the plants, or None: see `fed_forward`.
     feedforward: RateFeedforward | None = None
 
@@ -193,6 +197,12 @@ class PlantSet:
         """
         return disturbed(self.disturbances.at(frequency, plants), len(self.angles), self.kept)
 
+    def with_sight(self, controller: System) -> PlantSet:
+        """Return the set with the forms of its budget, friction balanced for this stable controller; itself without."""
+        if self.sight_budget is None:
+            return self
+        return replaced(self, {"sight_forms": self.sight_budget.forms(controller)})
+
     def regular(self) -> PlantSet:
         """Return the set for a synthesis: angles that drift decay slowly, else nothing would hold the loop together."""
         if not self.drifting:
@@ -279,6 +289,8 @@ class PlantSet:
             turning=None if self.turning is None else sense @ self.turning,
             response=sense @ self.response,
             feedforward=None if self.feedforward is None else self.feedforward.in_directions(sense),
+            sight_budget=None if self.sight_budget is None else self.sight_budget.in_directions(sense),
+            sight_forms=None,
         )
 
     def resolved(self, turning: FloatArray, names: Sequence[str]) -> PlantSet:

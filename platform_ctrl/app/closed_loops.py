@@ -20,6 +20,7 @@ from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.settings import Settings, of_loop, with_limits
 from platform_ctrl.common.arguments import known_name
+from platform_ctrl.design.budget_loop import with_resolvers
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, designed, shaped
@@ -28,7 +29,7 @@ from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
-from platform_ctrl.verification.coupled_plant import sensed_rates, with_resolvers
+from platform_ctrl.verification.coupled_plant import sensed_rates
 
 # Designs that are kept for settings that a page may return to.
 _ROOM = 64

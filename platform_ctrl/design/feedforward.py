@@ -27,6 +27,7 @@ from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.loop_signals import LoopSignals, loop_signals, without_sensors
 from platform_ctrl.design.plants import plants_of
+from platform_ctrl.design.sight import LoopSight
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.drive import Feedforward
 from platform_ctrl.job.job import Job, LoopSpec
@@ -52,9 +53,11 @@ def design_plants(job: Job, spec: LoopSpec, design: DesignSpec, known: PlantSet 
     """
     read = spec.read_by(design)
     plants = plants_of(job, read) if known is None else known
-    if plants is None or design.feedforward is None:
+    if plants is not None and design.feedforward is not None:
+        plants = plants.fed_forward(rate_feedforward(job, read, design))
+    if plants is None or not any(one.metric.of_sight for one in spec.requests):
         return plants
-    return plants.fed_forward(rate_feedforward(job, read, design))
+    return replaced(plants, {"sight_budget": LoopSight(job=job, plants=plants)})
 
 
 def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedforward:

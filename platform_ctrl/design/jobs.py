@@ -259,7 +259,7 @@ def plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
         if read.sensors not in bare:
             bare[read.sensors] = plants_of(job, read)
         own = bare[read.sensors]
-        out.append(own if design.feedforward is None else design_plants(job, spec, design, own))
+        out.append(None if own is None else design_plants(job, spec, design, own))
     return out
 
 

@@ -13,8 +13,8 @@ from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System
-from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.common.values import FloatArray, replaced, value
+from platform_ctrl.errors import DesignError, PlatformCtrlError, reason
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import compared
 from platform_ctrl.job.requirements import LoopRequirement
@@ -83,6 +83,23 @@ def limiting(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[Loo
     return f"limited by {one.name}: {found}, {one.sense} {limit}"
 
 
+def of_sight(requirements: Iterable[LoopRequirement]) -> bool:
+    """Return whether any of some requirements is about the budget of the line of sight."""
+    return any(one.metric.of_sight for one in requirements)
+
+
+def with_sight(plants: PlantSet, controller: System, other: Callable[[], System]) -> PlantSet:
+    """Return plants with the forms of their budget for a controller or, where it is not stable, for another one."""
+    try:
+        return plants.with_sight(plants.feedback(controller))
+    except PlatformCtrlError:
+        pass
+    try:
+        return plants.with_sight(plants.feedback(other()))
+    except PlatformCtrlError as error:
+        raise DesignError(f"the budget of the line of sight has no start: {reason(error)}") from error
+
+
 @value
 class Tuner:
     """A search for options with which the worst ratio of all requirements is at most 1 − reserve, or least.
@@ -124,6 +141,14 @@ class Tuner:
 
         Where limits are not met, the search is repeated from the best of the other `starts`.
         """
+        if of_sight(self.requirements) and self.plants.sight_budget and self.plants.sight_forms is None:
+
+            def without_budget() -> System:
+                rest = [one for one in self.requirements if not one.metric.of_sight]
+                return self.build(replaced(self, {"requirements": rest}).run(start, starts))
+
+            plants = with_sight(self.plants, self.build(start), without_budget)
+            return replaced(self, {"plants": plants}).run(start, starts)
         plants, told = self.plants, np.inf
         if any(one.metric.of_disturbances for one in self.requirements):
             plants = plants.with_disturbances()

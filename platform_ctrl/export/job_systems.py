@@ -20,6 +20,7 @@ from platform_ctrl.analysis.poles import continuous_poles, following_grid, poles
 from platform_ctrl.common.arguments import one_of, short
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.budget_loop import with_resolvers
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
@@ -30,7 +31,7 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.verification.controllers import outcomes_from
 from platform_ctrl.verification.coupled import one_controller
-from platform_ctrl.verification.coupled_plant import coupled_plant, with_resolvers
+from platform_ctrl.verification.coupled_plant import coupled_plant
 
 if TYPE_CHECKING:
     import control

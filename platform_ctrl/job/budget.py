@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import field
 from pathlib import Path as FilePath
 from typing import Annotated, Any
@@ -355,6 +355,23 @@ def value_mistakes(budget: BudgetSpec) -> Iterator[mistake.Mistake]:
     if smallest < -1e-9:
         words = "no signals have these coherences together: their matrix has the negative eigenvalue"
         yield mistake.Mistake(("budget", "correlation"), f"correlation: {words} {smallest:.4g}; lower a coherence")
+
+
+def sight_misfits(
+    limits: Iterable[str], budget: BudgetSpec | None, platform: Platform, alone: bool
+) -> Iterator[mistake.Misfit]:
+    """Yield limits or goals of a loop on the budget of the line of sight that the job does not have.
+
+    `alone`: whether the job has this loop alone, which is computed at every sample.
+    """
+    for key in sorted({"jitter", "jitter_per_axis", "windowed_jitter", "smear"} & {*limits}):
+        if budget is None or platform.line_of_sight is None:
+            yield key, f"{key} needs a budget of the line of sight; add [budget], and [line_of_sight] to the plant"
+        elif key in ("windowed_jitter", "smear") and not budget.exposure:
+            yield key, f"{key} has no effect without exposure of [budget], the exposure times in s"
+        elif not alone:
+            words = f"{key} is a limit of a loop where the job has one loop, computed at every sample"
+            yield key, f"{words}; else several loops together decide: use [budget.limits]"
 
 
 def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[mistake.Misfit]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.budget import budget_misfits, too_large
+from platform_ctrl.job.budget import budget_misfits, sight_misfits, too_large
 from platform_ctrl.job.drive import Drive, Feedforward, drive_law
 from platform_ctrl.job.faults import FAULT_KINDS, PART_WORDS, Fault, part_names
 from platform_ctrl.job.job import OWN_RATES, Job, LoopSpec
@@ -169,6 +169,8 @@ def _loop(job: Job, k: int) -> Iterator[Misfit]:
 
 def _limits(job: Job, loop: LoopSpec, limits: Mapping[str, float]) -> Iterator[Misfit]:
     """Yield limits or goals of a loop that the plant or the kind of the loop does not have."""
+    alone = len(job.loops) == 1 and job.every(loop) == 1 and loop.has_plants
+    yield from sight_misfits(limits, job.budget, job.platform, alone)
     known = limit_keys()
     faulty = job.faults.slow_rotor is not None or job.faults.weak_torquer is not None
     for key in sorted(limits):

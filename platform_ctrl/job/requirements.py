@@ -147,12 +147,15 @@ class LoopRequirement(Requirement):
             where = "nominal plant"
         # Of the nominal plant and of the controller there is one.
         number = len(values) if self.beyond_nominal else 1
+        evidence = "linear budget at the worst of the job's gimbal angles, with dry friction where the plant has it"
         return self.judge(
             float(values[worst]),
             subject=subject,
             design=design,
             stage="decoupled",
-            evidence=f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag"
+            evidence=evidence
+            if self.metric.of_sight
+            else f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag"
             + ("; exact H-infinity norm" if exact and self.kind == "disk margin" else "")
             + self._conditions(plants, free)
             + self._unbounded(float(values[worst])),

@@ -3,38 +3,29 @@
 The coupled linear model, sampled exactly, follows `analysis.jitter_budget`. The sources are those of ``[budget]`` and
 the noise and quantisation of the sensors that the controllers read; dry friction is replaced by its describing function
 at the rates that the budget itself finds, and by the noise of what is not in proportion to the rate.
-
-In the loop that is balanced each drive has a hold of its own, whose output is the rate w that it finds, as it acts on
-the bearing: read, held, late and lagging as its torque is. Times the equivalent gain it is the drive's torque.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from platform_ctrl.analysis.budget_integrals import BudgetResult, motion_transfer
-from platform_ctrl.analysis.dry_friction import FedFriction, FrictionBalance, about_mean, friction_balance
-from platform_ctrl.analysis.friction_noise import FoundRate, friction_noise
-from platform_ctrl.analysis.hybrid_plant import Density, HybridPlant, RandomDisturbance
-from platform_ctrl.analysis.interconnection import MultiRate
-from platform_ctrl.analysis.jitter_budget import JitterBudget
-from platform_ctrl.analysis.poles import poles
-from platform_ctrl.analysis.system import StateSpace, System
-from platform_ctrl.common.values import FloatArray, replaced
+from platform_ctrl.analysis.system import StateSpace
+from platform_ctrl.common.values import replaced
+from platform_ctrl.design.budget_friction import TOLERANCE, Balanced, balanced, prepared
+from platform_ctrl.design.budget_loop import BudgetLoop
 from platform_ctrl.design.cases import at_angles
-from platform_ctrl.errors import ArgumentError, NotFoundError
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.job import Job
-from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
-from platform_ctrl.verification.budget_loop import BudgetLoop
+from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget, assumption, judged
 
-# Relative errors of variances, and those for one controller after the other.
-_TOLERANCE, _QUICK = 1e-5, 1e-4
+# Relative error of variances for one controller after the other.
+_QUICK = 1e-4
 # The fitted line's extent from end to end over its root mean square.
 _EXTENT = math.sqrt(12.0)
 
@@ -108,10 +99,10 @@ class PreparedBudget:
         if like is None:
             nominal = balanced(loop, job.trims[0])
             self._balanced = [nominal, *(balanced(loop, q, nominal.friction) for q in job.trims[1:])]
-            tolerance = _TOLERANCE
+            tolerance = TOLERANCE
         else:
             self._balanced, tolerance = like.deciding, _QUICK
-        self._prepared = [_prepared(loop, one) for one in self._balanced]
+        self._prepared = [prepared(loop, one) for one in self._balanced]
         self.first, decided = self._found(controllers, range(len(self._balanced)), tolerance)
         self._decided = sorted({0, *decided})
 
@@ -158,15 +149,6 @@ class PreparedBudget:
         return replaced(found[0], {"results": results}), [places[k] for k in worst]
 
 
-def _prepared(loop: BudgetLoop, at: Balanced) -> tuple[JitterBudget, JitterBudget]:
-    """Return the budgets of the sources as if independent and as they are, one where that is the same."""
-    plant = loop.damped(at.friction.viscous, at.q)
-    together = loop.prepared(plant, [*loop.together, *at.rest], loop.budget.exposure)
-    if loop.together is loop.apart:
-        return together, together
-    return loop.prepared(plant, [*loop.apart, *at.rest], loop.budget.exposure), together
-
-
 def _result(loop: BudgetLoop, at: Balanced, apart: BudgetResult, together: BudgetResult) -> LineOfSightBudget:
     """Return the result: sines of one source added up, and the limits judged."""
     budget = loop.budget
@@ -205,158 +187,4 @@ def _result(loop: BudgetLoop, at: Balanced, apart: BudgetResult, together: Budge
         ),
         friction=at.friction,
         results=judged(budget, rms, together.total[:3], windows, linear, bool(at.friction.valid.all())),
-    )
-
-
-# Relative error of the rates that friction is balanced with.
-_FRICTION_TOLERANCE = 1e-4
-# Share of dry friction below which its noise is none.
-_NO_REMAINDER = 1e-9
-# Noise of dry friction in a cycle of several samples counts up to so many sample frequencies, or of the fastest mode.
-_SAMPLING, _MODES = 1.0, 4.0
-# Outputs of a drive where spectra are wanted: the rate that it finds, with the bearing's, with that behind a low-pass.
-_WITH_SPECTRA = 3
-
-
-class Balanced(NamedTuple):
-    """Gimbal angles (n,), and the replacement of dry friction there: damping, feedforward, noise of the rest."""
-
-    q: FloatArray
-    friction: FrictionBalance
-    rest: tuple[RandomDisturbance, ...]
-
-
-def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = None) -> Balanced:
-    """Return the replacement of dry friction at gimbal angles (n,); `near` is the balance at others."""
-    if not loop.dry:
-        return Balanced(q, friction_balance((), lambda gains: gains), ())
-    bearings = [len(LOS_RATES) + loop.job.platform.gimbal(one.gimbal) for one in loop.dry]
-    driven = [k for k, law in enumerate(loop.laws) if law is not None]
-    first = len(LOS_RATES) + len(loop.job.platform.gimbals)
-    # Between what the budget counts and what the loop samples.
-    corner = 2.0 * math.pi * math.sqrt(loop.budget.from_hz * 0.5 / loop.job.sampling.period)
-    controller = _with_finders(loop, q)
-
-    def found(gains: FloatArray, spectra: bool) -> BudgetResult:
-        plant = _balancing_plant(loop, gains, q, corner if spectra else None)
-        return loop.prepared(plant, loop.together, ()).of(controller, _TOLERANCE, over_frequency=spectra)
-
-    def rates(gains: FloatArray) -> FloatArray:
-        try:
-            total = found(gains, False).total
-        except ArgumentError as error:
-            if not gains.any():
-                raise
-            raise NotFoundError(
-                "budget: with the damping that dry friction has at these rates the loop is not stable: bearings stick "
-                "and slip; say in [budget.turning] how fast they turn, or limit the line of sight in a manoeuvre"
-            ) from error
-        return np.asarray(total[[*bearings, *range(first, first + len(driven))]])
-
-    drives = tuple(
-        None if law is None else FedFriction(friction=law.friction, friction_rate=law.friction_rate)
-        for law in loop.laws
-    )
-    start = None if near is None else np.concatenate([near.rate, near.measured[driven]])
-    balance = friction_balance(loop.dry, rates, start, _FRICTION_TOLERANCE, drives, loop.turning)
-    moved = found(np.concatenate([balance.viscous, balance.fed[driven]]), True)
-    lowest = 2.0 * math.pi * loop.budget.from_hz
-    left, rest, highest = np.zeros(len(drives)), [], _highest(loop, balance, q)
-    for k, (one, drive, at) in enumerate(zip(loop.dry, drives, bearings, strict=True)):
-        of_drive = None
-        if drive is not None:
-            place = first + _WITH_SPECTRA * driven.index(k)
-            spectra = moved.total_cumulative[place : place + _WITH_SPECTRA]
-            of_drive = FoundRate(
-                drive=drive,
-                rms=float(balance.measured[k]),
-                alone=spectra[0],
-                together=spectra[1],
-                filtered=spectra[2],
-                corner=corner,
-            )
-        if balance.remainder[k] <= _NO_REMAINDER * max(one.breakaway):
-            continue  # it turns all the time
-        bearing = about_mean(one, float(loop.turning[k]))
-        noise = friction_noise(
-            bearing, float(balance.rate[k]), moved.edges, moved.total_cumulative[at], lowest, of_drive
-        )
-        if noise is not None:
-            left[k] = noise.rms
-            at_gimbal, spectrum = (loop.torque_on(one.gimbal),), _within(noise.spectrum, highest)
-            rest.append(RandomDisturbance(name=f"dry friction of {one.gimbal}", inputs=at_gimbal, spectra=(spectrum,)))
-    return Balanced(q, replaced(balance, {"remainder": left}), tuple(rest))
-
-
-def _highest(loop: BudgetLoop, balance: FrictionBalance, q: FloatArray) -> float:
-    """Return the frequency, rad/s, up to which the noise of dry friction counts.
-
-    In a long cycle each harmonic of the bearing has many images. Beyond the sampler's reach and above all modes inertia
-    leaves nothing of them.
-    """
-    if loop.cycle == 1:
-        return math.inf
-    plant = loop.damped(balance.viscous, q)
-    modes = np.abs(poles(plant.plant.A)).max(initial=0.0)
-    return min(max(_SAMPLING * plant.sample_frequency, _MODES * float(modes)), plant.highest)
-
-
-def _within(spectrum: Density, highest: float) -> Density:
-    """Return a smooth spectrum up to a frequency, in a long cycle, whose images lie on one another, as a whole."""
-    if math.isinf(highest):
-        return spectrum
-    ends = spectrum.knots[[0, -1]]
-    return replaced(spectrum, {"knots": np.minimum(ends, [0.5 * highest, highest])})
-
-
-def _with_finders(loop: BudgetLoop, q: FloatArray) -> MultiRate:
-    """Return the loop's controllers with the rates that drives find behind the torques."""
-    weights = np.array([loop.weights(law) for law in loop.laws if law is not None]).reshape(-1, len(loop.sensors))
-    controller = loop.controllers_of(loop.given, q)
-    A, B, C, D, dt = controller.fast
-    m = len(loop.torquers)
-    C = np.insert(C, m, np.zeros((len(weights), len(A))), axis=0)
-    D = np.insert(D, m, np.pad(weights, ((0, 0), (0, controller.held))), axis=0)
-    return controller._replace(fast=System(A, B, C, D, dt))
-
-
-def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner: float | None) -> HybridPlant:
-    """Return the model with a further control for each drive, whose input is the rate that it finds.
-
-    `gains` are the damping (J,) in the place of dry friction, then those of the drives. Further outputs: the rate that
-    each drive finds, as it acts on the bearing; with a `corner` also its sums with the bearing's own rate, and with
-    that behind a low-pass.
-    """
-    J = len(loop.dry)
-    base = loop.damped(gains[:J], q)
-    A, B, C, D, _ = base.plant
-    n, m = len(A), base.controls
-    laws = [(law, one) for law, one in zip(loop.laws, loop.dry, strict=True) if law is not None]
-    lags = [base.lag[loop.torquers.index(law.torquer)] for law, _ in laws]
-    columns = [gain * B[:, m + loop.torque_on(one.gimbal)] for gain, (_, one) in zip(gains[J:], laws, strict=True)]
-    B = np.insert(B, m, np.array(columns).reshape(-1, n), axis=1)
-    D = np.insert(D, m, np.zeros((len(laws), len(D))), axis=1)
-    own = np.eye(len(laws), B.shape[1], m)
-    if corner is None:
-        C, D = np.vstack([C, np.zeros((len(laws), n))]), np.vstack([D, own])
-    else:
-        for row, (_, one) in zip(own, laws, strict=True):
-            rate = loop.job.platform.gimbal(one.gimbal)
-            seen, direct = A[rate], B[rate]
-            size = len(A)
-            behind = np.eye(1, size + 1, size)
-            C = np.vstack([np.pad(C, ((0, 0), (0, 1))), np.zeros(size + 1), np.append(seen, 0.0), behind])
-            A = np.vstack([np.pad(A, ((0, 0), (0, 1))), np.append(corner * seen, -corner)])
-            B = np.vstack([B, corner * direct])
-            D = np.vstack([D, row, row + direct, row])
-    return HybridPlant(
-        plant=System(A, B, C, D),
-        controls=m + len(laws),
-        measured=base.measured,
-        period=base.period,
-        delay=base.delay,
-        lag=np.append(base.lag, lags),
-        reading_delay=base.reading_delay,
-        integrated=(*base.integrated, *(False for _ in range(len(C) - base.measured - base.outputs))),
-        cycle=base.cycle,
     )

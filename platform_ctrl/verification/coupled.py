@@ -28,6 +28,7 @@ from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_absci
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, replaced, value
+from platform_ctrl.design.budget_loop import moves_freely, with_resolvers
 from platform_ctrl.design.cases import at_angles, swung
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
@@ -140,7 +141,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
 
     See docs/reference/job-file.md.
     """
-    made, controllers = controllers, models.with_resolvers(job, controllers, model.q0)
+    made, controllers = controllers, with_resolvers(job, controllers, model.q0)
     plant = models.coupled_plant(job, model, controllers)
     together = _Together(job, controllers, plant)
     channels, coupled = together.channels, together.loop_margins
@@ -154,7 +155,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
         of = replaced(job, {"platform": platform})
         for q in job.trims if label else job.trims[1:]:
             at.append("".join(f", {words}" for words in (label, at_angles(platform, q)) if words))
-            there = models.with_resolvers(job, made, q)
+            there = with_resolvers(job, made, q)
             trims.append(_Together(of, there, models.coupled_plant(of, linearise(platform, q=q), there)))
     margins = [one.simultaneous for one in trims]
     slowest = min(range(len(trims)), key=lambda k: trims[k].decay)
@@ -190,7 +191,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
     results += holding_results(job, channels, ALL_LOOPS)
 
     def weakest(platform: Platform, q: FloatArray) -> tuple[complex, ComplexArray]:
-        changed, there = replaced(job, {"platform": platform}), models.with_resolvers(job, made, q)
+        changed, there = replaced(job, {"platform": platform}), with_resolvers(job, made, q)
         return _Together(changed, there, models.coupled_plant(changed, linearise(platform, q=q), there)).slowest
 
     results += limit_cycle_results(job, weakest, ALL_LOOPS)
@@ -199,7 +200,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
         controller=together.controller,
         poles=together.poles,
         period=together.period,
-        free=models.moves_freely(job, controllers),
+        free=moves_freely(job, controllers),
         free_angles=together.free_angles,
         uncontrolled=together.uncontrolled,
         growing=bool(together.growing),

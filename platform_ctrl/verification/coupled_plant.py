@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.analysis.system import System, seen_states, state_scaling
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.sections import gain
+from platform_ctrl.design.budget_loop import moves_freely
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.outputs import observed
@@ -74,15 +74,6 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         name for name in model.angle_names if (k := states.index(name)) not in kept and not whole.A[:, k].any()
     )
     return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth, conserved)
-
-
-def with_resolvers(job: Job, controllers: Sequence[control.StateSpace], q: FloatArray) -> list[control.StateSpace]:
-    """Return controllers behind what turns readings to joint axes at gimbal angles (n,), a constant matrix each."""
-    read = {name for K in controllers for name in K.input_labels}
-    laws = [law for law in job.resolvers if not read.isdisjoint(law.names)]
-    period = job.sampling.period
-    static = [gain(law.matrix(q))._replace(dt=period).to_control(law.sensors, law.names) for law in laws]
-    return [*static, *controllers]
 
 
 def _sets(controllers: Sequence[control.StateSpace], torquer: str) -> bool:
@@ -149,13 +140,6 @@ def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[st
     """Return what a sensor measures beside the angles, such as rates, and one of the controllers takes in."""
     used = {name for K in controllers for name in K.input_labels} - set(job.platform.angle_names)
     return [s.name for s in job.platform.sensors if s.name in used]
-
-
-def moves_freely(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
-    """Return whether the platform is free: the plant says how it moves, or a controller sets a torque on the root."""
-    if job.platform.mode is not None:
-        return job.platform.mode != "held"
-    return any(set(job.platform.root_torquers) & set(K.output_labels) for K in controllers)
 
 
 def used_signals(

@@ -22,6 +22,7 @@ from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db, run_metr
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.budget_loop import moves_freely
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.budget import BudgetLimits, BudgetSpec, Source
 from platform_ctrl.job.job import Job
@@ -36,7 +37,6 @@ from platform_ctrl.simulation.scenarios import equilibrium_torques
 from platform_ctrl.simulation.step_limit import longest_step
 from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
 from platform_ctrl.verification.budget_result import SimulatedBudget
-from platform_ctrl.verification.coupled_plant import moves_freely
 
 if TYPE_CHECKING:
     from platform_ctrl.job.scenario import VibrationKind

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.values import replaced, value
+from platform_ctrl.design.budget_loop import with_resolvers
 from platform_ctrl.design.cases import subsystems_over
 from platform_ctrl.design.loop import FailedDesign, LoopOutcome
 from platform_ctrl.errors import NotFoundError, reason
@@ -18,7 +19,6 @@ from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification import budget_result as budgets
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
-from platform_ctrl.verification.coupled_plant import with_resolvers
 from platform_ctrl.verification.proofs import Proofs, coupled_proofs, flint, proofs_of, with_proofs
 from platform_ctrl.verification.simulated import Run, simulate_manoeuvre, simulated_budget
 

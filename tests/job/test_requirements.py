@@ -31,7 +31,7 @@ from platform_ctrl.job.uncertainty import Faults
 
 KINDS = tuple(METRICS)
 # The plants here have no line of sight.
-MEASURED = tuple(kind for kind in KINDS if kind != "attenuation")
+MEASURED = tuple(kind for kind in KINDS if kind != "attenuation" and not METRICS[kind].of_sight)
 ALL = get_args(Group)
 PERIOD = 5e-4
 L, LIMIT = 0.15, 0.25

@@ -22,7 +22,11 @@ from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.requirements import of_readings, requirement
 
 BAND_HZ, FROM_HZ = 8.0, 0.1
-KINDS = [kind for kind, metric in METRICS.items() if metric.of != "controller" and kind != "fastest pole"]
+KINDS = [
+    kind
+    for kind, metric in METRICS.items()
+    if metric.of != "controller" and kind != "fastest pole" and not metric.of_sight  # tests/design/test_sight.py
+]
 COUNT = 26
 
 

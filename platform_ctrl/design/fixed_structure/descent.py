@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.loop import Loop, Transfer
 from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.analysis.measuring import ControllerGain, Peak
+from platform_ctrl.analysis.measuring import ControllerGain, Peak, Sight
 from platform_ctrl.analysis.norms import LEVEL
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import tuning_grid
@@ -386,6 +386,9 @@ def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.
         low = 0.1 * plants.nutation if requirement.frequency is None else requirement.frequency
         inside = loops.peaks(transfers.CONTROLLER, floor * limit, nominal, (low, np.inf))
         return transfers.joined([inside, loops.edge(transfers.CONTROLLER, low, nominal)]).times(1.0 / limit)
+    if isinstance(measure, Sight):
+        forms = (plants.sight_forms or {}).get(measure.key, ())
+        return loops.sight(forms, limit) if forms else loops.none()
     match requirement.kind:
         case "stability":
             return loops.decay(limit, members)

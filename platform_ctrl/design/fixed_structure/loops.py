@@ -5,6 +5,7 @@ The formulas are in `descent`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from platform_ctrl.analysis.loop import SENSITIVITIES
 from platform_ctrl.analysis.norms import LEVEL, stationary_covariance
 from platform_ctrl.analysis.plant_set import REGULAR, PlantSet
 from platform_ctrl.analysis.poles import SPLIT, continuous_poles
+from platform_ctrl.analysis.sight import MeanSquare
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray
@@ -197,6 +199,20 @@ class LoopGradients:
         at = Points(self, plant, frequency, of.disturbed)
         found = at.singular(of)
         return maps.Pieces(ratio=found.size, gradient=at.differential(of, found), plant=plant[found.at])
+
+    def sight(self, forms: Sequence[MeanSquare], limit: float) -> maps.Pieces:
+        """Return root mean squares of the line of sight over a limit, of the nominal plant."""
+        ratios, gradients = [], []
+        for one in forms:
+            K, left, right = self.controller_response(np.exp(1j * one.theta * one.period))
+            size, G = one.root(K)
+            eye_m, eye_p = (np.broadcast_to(np.eye(k), (len(K), k, k)) for k in (self.m, self.p))
+            into, out = np.concatenate([right, eye_p], axis=1), np.concatenate([left, eye_m], axis=2)
+            gradients.append(np.einsum("nbp,npm,nma->ab", into, G, out, optimize=True).real / limit)
+            ratios.append(size / limit)
+        return maps.Pieces(
+            ratio=np.array(ratios), gradient=np.array(gradients), plant=np.zeros(len(ratios), dtype=np.intp)
+        )
 
     def edge(self, of: maps.Map, frequency: float, members: maps.Numbers) -> maps.Pieces:
         """Return a map's largest singular value at one frequency."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from functools import reduce
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from platform_ctrl.design.methods.classical import Classical
 from platform_ctrl.design.methods.hinf import hinf_controller
 from platform_ctrl.design.methods.pi import PI
 from platform_ctrl.design.sections import between, first_order, gain, side_by_side
+from platform_ctrl.design.tuning import of_sight, with_sight
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.judging import STABLE
 from platform_ctrl.job.methods import DesignSpec, Structure
@@ -138,10 +140,15 @@ def tuned_controller(
     integral = 2.0 * np.pi * options["integral_hz"]
     # A rate loop against a spring leaves the angle free, which integrals do not change.
     kept = _INTEGRAL_KEPT * integral if channel.order == 2 else STABLE.limit
-    requested = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
-    if not any(r.kind == "stability" for r in requested):
-        requested.append(requirement("stability", kept))
-    shown = channel.shown(plants)
+    requested = _with_decay(requirements, kept)
+    alone, shown, sight = structure == "cross-axis", channel.shown(plants), of_sight(requested)
+    if sight:
+        rest = Search(plants, [one for one in requested if not one.metric.of_sight], options["reserve"], progress)
+        plants = with_sight(
+            plants,
+            cross_axis.block(cross_axis.start),
+            lambda: cross_axis.block(rest.run(cross_axis, int(options["evaluations"])).x),
+        )
     searches, spent = Search(plants, requested, options["reserve"], progress), 0
 
     def search(family: Parametrised, share: float, sketch: bool = False) -> Found:
@@ -150,32 +157,32 @@ def tuned_controller(
         spent += found.evaluations
         return found
 
-    alone = structure == "cross-axis"
     first = search(cross_axis, 1.0 if alone else _SHARES["cross-axis"], sketch=not alone)
-    best: tuple[Found, Parametrised] = first, cross_axis
-    starts: list[Callable[[], System]] = [lambda: cross_axis.block(first.x), *others]
-    starts = [] if alone else starts[: int(options["starts"])]
+    tried: list[tuple[Found, Parametrised]] = [(first, cross_axis)]
+    starts = [] if alone else [lambda: cross_axis.block(first.x), *others][: int(options["starts"])]
+    rolloff = min(2.0 * np.pi * options.get("rolloff_hz", np.inf), 0.8 * np.pi / plants.period)
     for start in starts:
         try:
             block = start()
         except DesignError:
             # Another method that finds nothing is no reason to give up the first start.
             continue
-        rolloff = min(2.0 * np.pi * options["rolloff_hz"], 0.8 * np.pi / plants.period)
         pid = pid_structure(block, channel, plants.period, plants.nutation, integral, rolloff, shown)
         found = search(pid, _SHARES["pid"] if structure == "state-space" else 1.0 - _SHARES["cross-axis"])
-        if found.better_than(best[0], options["reserve"]):
-            best = found, pid
+        tried.append((found, pid))
         if structure == "state-space":
             inner = without_integrators(pid.block(found.x), channel, integral, plants.period)
             if inner is None:
                 continue
             inner = of_order(inner, int(options["order"]), plants.nutation * plants.period)
             free = free_structure(inner, channel, plants.period, plants.nutation, integral, shown)
-            found = search(free, 1.0 - sum(_SHARES.values()))
-            if found.better_than(best[0], options["reserve"]):
-                best = found, free
-    found, family = best
+            tried.append((search(free, 1.0 - sum(_SHARES.values())), free))
+    found, family = reduce(lambda a, b: b if b[0].better_than(a[0], options["reserve"]) else a, tried)
+    if sight and found.hard < 1.0:
+        # Dry friction is that with this controller now.
+        family.start, plants = found.x, plants.with_sight(family.block(found.x))
+        searches = Search(plants, requested, options["reserve"], progress)
+        found = search(family, _SHARES["pid"])
     controller = family.block(found.x)
     claims = {
         "parameters": float(len(family.start)),
@@ -186,6 +193,12 @@ def tuned_controller(
     if structure == "cross-axis":
         options = options | cross_axis.named(found.x)
     return controller, options, claims
+
+
+def _with_decay(requirements: Sequence[LoopRequirement], kept: float) -> list[LoopRequirement]:
+    """Return requirements of which stability is a decay rate of at least `kept`, 1/s."""
+    out = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
+    return out if any(r.kind == "stability" for r in out) else [*out, requirement("stability", kept)]
 
 
 def cross_axis_structure(integral_hz: float, channel: Channels, plants: PlantSet) -> Parametrised:

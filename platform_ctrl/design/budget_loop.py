@@ -21,6 +21,7 @@ from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.sections import gain
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import BudgetSpec, Source
 from platform_ctrl.job.drive import DriveLaw
@@ -30,7 +31,6 @@ from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
 from platform_ctrl.plant.sensors import LOS_RATES
-from platform_ctrl.verification.coupled_plant import moves_freely, with_resolvers
 
 # A recorded spectrum has at most so many points to an octave; below, its own.
 _PER_OCTAVE = 24
@@ -79,9 +79,9 @@ class BudgetLoop:
     def with_drives(self, controller: MultiRate, fed: FloatArray) -> MultiRate:
         """Return a controller with what drives add in proportion to readings, `fed` (J,), N m s."""
         D = np.array(controller.fast.D)
-        for law, gain in zip(self.laws, fed, strict=True):
+        for law, each in zip(self.laws, fed, strict=True):
             if law is not None:
-                D[self.torquers.index(law.torquer), : len(self.sensors)] += gain * self.weights(law)
+                D[self.torquers.index(law.torquer), : len(self.sensors)] += each * self.weights(law)
         return controller._replace(fast=controller.fast._replace(D=D))
 
     def weights(self, law: DriveLaw) -> FloatArray:
@@ -276,3 +276,19 @@ def _thinned(knots: FloatArray) -> FloatArray:
             kept.append(float(one))
     kept[-1] = float(knots[-1])
     return np.array(kept)
+
+
+def moves_freely(job: Job, controllers: Sequence[StateSpace]) -> bool:
+    """Return whether the platform is free: the plant says how it moves, or a controller sets a torque on the root."""
+    if job.platform.mode is not None:
+        return job.platform.mode != "held"
+    return any(set(job.platform.root_torquers) & set(K.output_labels) for K in controllers)
+
+
+def with_resolvers(job: Job, controllers: Sequence[StateSpace], q: FloatArray) -> list[StateSpace]:
+    """Return controllers behind what turns readings to joint axes at gimbal angles (n,), a constant matrix each."""
+    read = {name for K in controllers for name in K.input_labels}
+    laws = [law for law in job.resolvers if not read.isdisjoint(law.names)]
+    period = job.sampling.period
+    static = [gain(law.matrix(q))._replace(dt=period).to_control(law.sensors, law.names) for law in laws]
+    return [*static, *controllers]

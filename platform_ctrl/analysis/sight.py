@@ -1,0 +1,69 @@
+"""Mean squares of the line of sight as a function of the controller, with derivatives, for designs.
+
+Where all loops are computed at every sample, the mean square of a budget (see `jitter_budget`) is a quadratic form in
+X = K (I − P K)⁻¹ at nodes of frequency: with the rows h of the controls and d of the disturbances in an image, and what
+they do to the readings there, y,
+
+    Σ |d + h X y|²  over an image's own disturbance  +  Σ |h X y|²  over what is aliased into it
+        = c + 2 Re tr(L X) + tr(Q X Y X'),        L = Σ y d' h,  Q = Σ h' h,  Y = Σ y y' + noise.
+
+The nodes are those of Kronrod's rule in panels of the plant alone: sharp resonances of the loop may lie between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.common.values import FloatArray, value
+
+
+class SightBudget(Protocol):
+    """The budget of the line of sight of a loop's job."""
+
+    def exact(self, controller: System) -> Mapping[str, float]:
+        """Return the limits' values, rad, with u = K y, by their keys; infinite where there is no budget."""
+
+    def forms(self, controller: System) -> Mapping[str, tuple[MeanSquare, ...]]:
+        """Return the same as forms, friction balanced for this controller: the largest root counts."""
+
+    def in_directions(self, sense: FloatArray) -> SightBudget:
+        """Return the same for controllers of combinations of the readings."""
+
+
+@value
+class MeanSquare:
+    """A mean square as a form in the controller at N nodes; the controller of all sensors is K E + F there."""
+
+    theta: FloatArray  # (N,): rad/s
+    period: float  # s
+    factor: float  # of the root
+    P: ComplexArray  # (N, p, m): sampled plant with the sensors' delays
+    E: ComplexArray  # (N, q, p): from sensors to what K reads
+    F: ComplexArray  # (N, m, p): what else acts
+    rows: tuple[int, ...]  # the controls that K sets
+    constant: float
+    L: ComplexArray  # (N, p, m)
+    Q: ComplexArray  # (N, m, m)
+    Y: ComplexArray  # (N, p, p)
+
+    def root(self, K: ComplexArray) -> tuple[float, ComplexArray]:
+        """Return the root mean square, rad, with a response K (N, k, q), and G (N, q, k): its change, Re Σ tr(G dK)."""
+        whole = self.F.copy()
+        whole[:, self.rows] += K @ self.E
+        S = np.linalg.inv(np.eye(self.P.shape[1]) - self.P @ whole)
+        X = whole @ S
+        back = self.Y @ np.swapaxes(X.conj(), -1, -2) @ self.Q
+        mean = self.constant + float(np.einsum("nij,nji->", X, 2.0 * self.L + back).real)
+        size = self.factor * np.sqrt(max(mean, 0.0))
+        G = S @ (self.L + back) @ (np.eye(len(self.Q[0])) + X @ self.P)
+        slope = self.factor**2 / size if size > 0.0 else 0.0
+        return float(size), slope * (self.E @ G[:, :, self.rows])
+
+    def at(self, controller: System) -> float:
+        """Return the root mean square with a controller, rad."""
+        return self.root(frequency_response(controller, self.theta, -3))[0]
