@@ -351,8 +351,8 @@ def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[Misfit]:
     except ArgumentError as error:
         yield "sensors", f"sensors: {error}"
         return
-    if not law.feedback and any(loop.kind == "stabilisation" for loop in job.loops):
-        words = f"{', '.join(law.weights)} turn with {platform.root_name!r}, which a stabilisation loop moves"
+    if not law.feedback and any(one.kind == "stabilisation" or one.moves_root(platform) for one in job.loops):
+        words = f"{', '.join(law.weights)} turn with {platform.root_name!r}, which a loop of the job moves"
         yield "sensors", f"sensors: {words}; use a sensor of the gimbal's rate against its parent"
 
 

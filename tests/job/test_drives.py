@@ -56,7 +56,7 @@ def test_a_base_that_a_loop_moves_gives_no_feedforward() -> None:
             "design": [{"name": "own", "method": "platform-servo"}],
         }
     )
-    with pytest.raises(InputError, match="base_yaw turn with 'base', which a stabilisation loop moves"):
+    with pytest.raises(InputError, match="base_yaw turn with 'base', which a loop of the job moves"):
         read_job(job)
 
 
