@@ -12,7 +12,7 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.fields import NUMBER, Refers, default_torquer
+from platform_ctrl.plant.fields import NUMBER, POSITIVE, Refers, default_torquer
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.gimbals import Body, mass_misfits
 from platform_ctrl.plant.mistakes import Misfit, given, missing, useless, wrong
@@ -25,6 +25,7 @@ _PER_BANDWIDTH = 10.0
 # Torques about the root's axes.
 ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 
+_PER_VOLT = Instead("kv", POSITIVE, lambda rpm, _: 60.0 / (2.0 * math.pi * rpm))
 _SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
 
 
@@ -260,7 +261,7 @@ class Motor:
     gimbal: Annotated[fields.Text, Refers()]
     rotor_inertia: fields.NotNegative = 0.0
     gear: fields.NotZero = 1.0
-    torque_constant: fields.Positive | None = None
+    torque_constant: Annotated[fields.Positive | None, _PER_VOLT] = None
     resistance: fields.Positive | None = None
     inductance: fields.Positive | None = None
     supply: fields.Positive | None = None
@@ -280,8 +281,9 @@ class Motor:
         loop, needed = table.get("current_loop"), ["torque_constant", "resistance", "supply"]
         if loop is not None:
             needed += ["inductance"] if "rate_hz" in loop else []
-            yield from (missing(key, "a current loop needs it") for key in needed if key not in table)
-            if all(key in table for key in needed) and {"proportional", "integral", "rate_hz"} <= loop.keys():
+            lacking = [key for key in needed if key not in table and (key, "kv" in table) != ("torque_constant", True)]
+            yield from (missing(key, "a current loop needs it") for key in lacking)
+            if not lacking and {"proportional", "integral", "rate_hz"} <= loop.keys():
                 winding = _winding(CurrentLoop(**loop), table["resistance"], table["inductance"], 1.0, 0.0, 1.0)
                 if np.linalg.eigvals(winding.matrices[0]).real.max() > 0.0:
                     yield "current_loop", "current_loop is not stable: take smaller gains, or a higher rate_hz"

@@ -135,6 +135,12 @@ def test_a_job_with_a_winding_passes_and_says_what_current_its_motor_bears():
     assert found == pytest.approx([np.sqrt(np.mean(torque**2)) / (N * K)] * 2)
 
 
+def test_a_speed_constant_stands_for_the_torque_constant():
+    data = drive(kv=60.0 / (2.0 * np.pi * K))
+    del data["motor"][0]["torque_constant"]
+    assert pc.read_platform(data).torquers[0].stall == pytest.approx(N * K * SUPPLY / R, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("motor", "words"),
     [
@@ -148,6 +154,7 @@ def test_a_job_with_a_winding_passes_and_says_what_current_its_motor_bears():
         ),
         ({"loop": {"proportional": 1.0, "integral": 1.0}}, 'the key "rate_hz" is missing; gains need the rate'),
         ({"loop": {"proportional": 99.0, "integral": 1e3, "rate_hz": 2e4}}, "current_loop is not stable: take smaller"),
+        ({"kv": 190.0}, 'give either "torque_constant" or "kv", not both'),
         ({"gear": 0.0}, "gear must be a number other than 0"),
         ({"cogging": [[7.0, -1.0, 0.0]]}, "cogging must be rows"),
     ],
