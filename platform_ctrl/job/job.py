@@ -19,7 +19,7 @@ from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.methods import DesignSpec, LoopKind, kind_misfits
 from platform_ctrl.job.requirements import LoopRequirement, limit_misfits, loop_goals, loop_requirements, out_of_reach
-from platform_ctrl.job.resolve import Resolver, resolver
+from platform_ctrl.job.resolve import Resolver, reading_units, resolve_misfits, resolver
 from platform_ctrl.job.scenario import HalfCosine, Scenario
 from platform_ctrl.job.uncertainty import Faults, Uncertainty
 from platform_ctrl.job.variation import Campaign
@@ -78,8 +78,7 @@ class LoopSpec:
     sensors, torquers
         What a rate, pointing or tracking loop reads (see `kept`) and sets; no torquers: the first one on each gimbal.
     resolve, resolve_limit
-        Whether what the loop keeps is turned to the axes of its gimbals, or of those of the loop inside, by measured
-        angles, and the largest gain of that against the angles zero, >= 1: see `platform_ctrl.job.resolve`.
+        Whether what the loop keeps is turned to the axes of gimbals, and the largest gain: `platform_ctrl.job.resolve`.
     around
         The rate loop that a tracking loop commands.
     rate_hz
@@ -126,12 +125,8 @@ class LoopSpec:
         if "rate_hz" in table and kind not in OWN_RATES:
             slower = f"{', '.join(OWN_RATES)} loops alone may be slower than [sampling]"
             yield useless(table, "rate_hz", f"in a {kind} loop; leave it out: {slower}")
-        if "resolve_limit" in table and not table.get("resolve"):
-            yield useless(table, "resolve_limit", "without resolve = true; add it, or leave the key out")
+        yield from resolve_misfits(table)
         for k, design in enumerate(designs):
-            if table.get("resolve") and "sensors" in design:
-                words = "a loop with resolve = true turns the readings of its own sensors; leave the key out"
-                yield ("design", k, "sensors"), f"sensors: {words}"
             yield from ((("design", k, key), text) for key, text in kind_misfits(design, kind))
         for key in ("limits", "soft"):
             yield from within((key,), limit_misfits(table.get(key, {})))
@@ -331,8 +326,7 @@ class Job:
     @property
     def units(self) -> dict[str, str]:
         """Units of all that controllers may read, by names: sensors in the plant's order, then resolved readings."""
-        out = {sensor.name: sensor.unit for sensor in self.platform.sensors}
-        return out | {name: out[law.sensors[0]] for law in self.resolvers for name in law.names}
+        return reading_units(self.platform, self.resolvers)
 
     def read_in(self, spec: LoopSpec, design: DesignSpec) -> tuple[str, ...]:
         """Return the names of what a design of a loop reads, the sensors of its feedforward too."""

@@ -12,13 +12,14 @@ J is singular; what they show well stays (damped least squares: Y. Nakamura, H. 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, read_only, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.mistakes import Misfit, useless
 from platform_ctrl.plant.platform import Platform
 
 # Gimbals of a loop at most, and the least |det J| at zero angles that does not count as singular.
@@ -166,6 +167,24 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
             "two axes are parallel, or one is across all others; choose other sensors"
         )
     return Resolver(**{name: getattr(made, name) for name in made._fields} | {"least": det / limit})  # type: ignore[attr-defined]
+
+
+def reading_units(platform: Platform, laws: Iterable[Resolver]) -> dict[str, str]:
+    """Return the units of all readings by their names: sensors in the plant's order, then resolved ones."""
+    out = {sensor.name: sensor.unit for sensor in platform.sensors}
+    return out | {name: out[law.sensors[0]] for law in laws for name in law.names}
+
+
+def resolve_misfits(loop: Mapping[str, Any]) -> Iterator[Misfit]:
+    """Yield what is wrong with the keys of a loop that turns its readings, or does not."""
+    if not loop.get("resolve"):
+        if "resolve_limit" in loop:
+            yield useless(loop, "resolve_limit", "without resolve = true; add it, or leave the key out")
+        return
+    for k, design in enumerate(loop["design"]):
+        if "sensors" in design:
+            words = "a loop with resolve = true turns the readings of its own sensors; leave the key out"
+            yield ("design", k, "sensors"), f"sensors: {words}"
 
 
 def _path(platform: Platform, name: str, body: str | None, frame: str) -> list[int]:

@@ -18,7 +18,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.budget import misplaced, too_large
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.resolve import Resolver
+from platform_ctrl.job.resolve import Resolver, reading_units
 from platform_ctrl.job.spectra import interpolated
 from platform_ctrl.mechanics.forces import specific_force_at, twisted
 from platform_ctrl.plant import fields
@@ -417,6 +417,11 @@ class Scenario:
     settle: float = 0.0
     fade: float = 0.0
     limits: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of all readings by their names: sensors in the plant's order, then resolved ones."""
+        return reading_units(self.platform, self.resolvers)
 
     @property
     def longest_step(self) -> float:

@@ -27,7 +27,7 @@ from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation import run_plan as plans
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.packing import sight_of
-from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, reading_units, steps
+from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, steps
 
 if TYPE_CHECKING:
     import control
@@ -165,7 +165,7 @@ def simulate_batch(
     batches = _batches(members, controllers, period, noise)
     units: dict[str, str] = {}
     for places, _ in batches:
-        units |= reading_units(members[places[0]].scenario)
+        units |= members[places[0]].scenario.units
     rows, errors, names = np.empty((len(members), sum(widths))), np.zeros((len(members), len(units))), [*units]
     for places, batched in batches:
         found = batch_metrics(batched, threads)
@@ -210,7 +210,7 @@ def _batches(
         commanded = commanded_readings(scenario)
         limited = tuple(torquer.limit is None for torquer in scenario.platform.torquers)
         weights = tuple(tuple(one.weights.items()) for one in scenario.drives)
-        kind = scenario.mode, commanded, limited, weights, (*reading_units(scenario),)
+        kind = scenario.mode, commanded, limited, weights, (*scenario.units,)
         if kind not in modes:
             modes[kind] = merged_controller(scenario, controllers, period)
         return plans.batch(own, modes[kind], period, noise)
@@ -240,7 +240,7 @@ def merged_controller(
     roots = set(platform.root_torquers) if scenario.mode != "stabilised" else set()
     # Anything that is no controller stays: `interconnected_by_sample` refuses it.
     active = [K for K in controllers if not roots & set(getattr(K, "output_labels", ()))]
-    readings, torquers = [*reading_units(scenario)], [t.name for t in platform.torquers]
+    readings, torquers = [*scenario.units], [t.name for t in platform.torquers]
     commands = [f"{name}{COMMAND}" for name in commanded_readings(scenario)]
     taken = {name for system in active for name in system.input_labels}
     useless = [name.removesuffix(COMMAND) for name in commands if name not in taken]

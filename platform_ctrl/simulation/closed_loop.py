@@ -17,7 +17,6 @@ from platform_ctrl.simulation.run_plan import prepared_run
 from platform_ctrl.simulation.scenarios import (
     commanded_readings,
     expect_several,
-    reading_units,
     sampled_commands,
     steps,
 )
@@ -177,7 +176,7 @@ def simulate(
     period, step = steps(period, step)
     expect_several("controllers", controllers)
     member = prepared_run(scenario, period, step)
-    commanded, readings = commanded_readings(scenario), reading_units(scenario)
+    commanded, readings = commanded_readings(scenario), scenario.units
     controller = merged_controller(scenario, controllers, period)
     record, metrics = recorded(member, controller, period, noise)
     platform = scenario.platform

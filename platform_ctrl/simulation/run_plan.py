@@ -126,7 +126,7 @@ def prepared_run(scenario: Scenario, period: float, longest: float) -> PreparedR
         tuple(dataclasses.astuple(command) for command in scenario.commands),
         tuple(sorted(scenario.filters.items())),
         tuple((one.torquer, tuple(one.weights.items())) for one in scenario.drives),
-        (*_resolving(scenario), *scenario_arrays.reading_units(scenario)),
+        (*_resolving(scenario), *scenario.units),
     )
     return PreparedRun(scenario, shape, when, faults, key)
 
@@ -221,7 +221,7 @@ def _shared(
     terms = [term for one in sums for term in one]
     ends = np.cumsum([len(one) for one in sums], dtype=np.int64)
     bounds = np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64)
-    readings, torquers = [*scenario_arrays.reading_units(scenario)], [torquer.name for torquer in platform.torquers]
+    readings, torquers = [*scenario.units], [torquer.name for torquer in platform.torquers]
     of_resolvers, numbers_of_resolvers = _resolving(scenario)
     parts = [readings.index(name) for name in scenario_arrays.commanded_readings(scenario)]
     parts += [torquers.index(law.torquer) for law in scenario.drives]
@@ -296,7 +296,7 @@ def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: Contro
     at = packed.at
     n, nu, ny, sight = at.n, len(shared.targets), len(one.skeleton.sensors), len(one.skeleton.sight)
     commands, drives = len(scenario_arrays.commanded_readings(one.scenario)), len(one.scenario.drives)
-    readings, resolvers = len(scenario_arrays.reading_units(one.scenario)), len(one.scenario.resolvers)
+    readings, resolvers = len(one.scenario.units), len(one.scenario.resolvers)
     place = at.end
 
     def take(count: int) -> int:

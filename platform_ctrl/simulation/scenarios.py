@@ -99,15 +99,9 @@ def _motion(scenario: Scenario) -> None:
 
 
 def commanded_readings(scenario: Scenario) -> tuple[str, ...]:
-    """Return the names of the readings that are commanded, in the order of `reading_units`."""
+    """Return the names of the readings that are commanded, in the order of `Scenario.units`."""
     commanded = {command.reading for command in scenario.commands}
-    return tuple(name for name in reading_units(scenario) if name in commanded)
-
-
-def reading_units(scenario: Scenario) -> dict[str, str]:
-    """Return the units of all readings by their names: sensors in the plant's order, then resolved ones."""
-    out = {sensor.name: sensor.unit for sensor in scenario.platform.sensors}
-    return out | {name: out[law.sensors[0]] for law in scenario.resolvers for name in law.names}
+    return tuple(name for name in scenario.units if name in commanded)
 
 
 def sampled_commands(scenario: Scenario, t: FloatArray) -> FloatArray:
@@ -162,7 +156,7 @@ def _path(command: Command, t: FloatArray) -> FloatArray:
 
 
 def _commands(scenario: Scenario) -> None:
-    known = reading_units(scenario)
+    known = scenario.units
     for command in scenario.commands:
         if command.reading not in known:
             raise ArgumentError(f"commands: there is no sensor {command.reading!r}, only {', '.join(known) or 'none'}")
