@@ -2,38 +2,36 @@
 
 from __future__ import annotations
 
-from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from platform_ctrl import Platform
+from platform_ctrl.common.compiling import _stamp, compiled
+from platform_ctrl.common.simd import memory
+from platform_ctrl.simulation.kernel import dynamics
 from platform_ctrl.simulation.kernel.arrays import LOCKED, MOMENT, WORK
 from platform_ctrl.simulation.packing import Packed, pack
 
 
-@cache
-def entries() -> tuple[Any, Any]:
-    """Return the entries for `derivative` and `joint_momenta`, compiled at the first call."""
-    import numba
+@compiled
+def _derivative(links, mem, lane, at, free, locking, bare, y, around, dy):
+    dynamics.derivative(links, mem, lane, at, free, locking, bare, y, around, dy)
 
-    from platform_ctrl.simulation.kernel import dynamics
 
-    @numba.njit
-    def derivative(links, mem, lane, at, free, locking, bare, y, around, dy):
-        dynamics.derivative(links, mem, lane, at, free, locking, bare, y, around, dy)
+@compiled
+def _joint_momenta(links, mem, lane, at, y, around, result):
+    dynamics.joint_momenta(links, mem, lane, at, y, around, result)
 
-    @numba.njit
-    def joint_momenta(links, mem, lane, at, y, around, result):
-        dynamics.joint_momenta(links, mem, lane, at, y, around, result)
 
-    return derivative, joint_momenta
+# They are compiled anew when the kernel has changed.
+for _entry in (_derivative, _joint_momenta):
+    _entry._cache._cache_file._version += str(_stamp(Path(dynamics.__file__)))
 
 
 def space(plant: Packed) -> np.ndarray:
     """Return a memory that holds the plant and what is around it."""
-    from platform_ctrl.common.simd import memory
-
     mem = memory(plant.at.end)
     mem[: len(plant.constants)] = plant.constants[:, None]
     mem[plant.at.surroundings : plant.at.surroundings + 3 * plant.at.block] = np.tile(plant.around, 3)[:, None]
@@ -67,7 +65,7 @@ def derivatives(
     for k in held:
         mem[at.work + (k + 1) * WORK + LOCKED] = 1.0
     locking = len(tuple(held)) > 0
-    entries()[0](plant.links, mem, None, at, free, locking, False, at.state, at.surroundings, at.stages)
+    _derivative(plant.links, mem, None, at, free, locking, False, at.state, at.surroundings, at.stages)
     return mem[at.stages : at.stages + at.size].T[: len(np.atleast_2d(states))].copy()
 
 
@@ -76,7 +74,7 @@ def momenta(platform: Platform, states: np.ndarray) -> np.ndarray:
     plant = pack(platform)
     at, mem = plant.at, space(plant)
     put(mem, at.state, states)
-    entries()[1](plant.links, mem, None, at, at.state, at.surroundings, at.stages)
+    _joint_momenta(plant.links, mem, None, at, at.state, at.surroundings, at.stages)
     root = at.work + MOMENT
     out = np.concatenate([mem[root : root + 3], mem[at.stages : at.stages + at.n]])
     return out.T[: len(np.atleast_2d(states))].copy()
