@@ -101,10 +101,7 @@ def _simulated(
 
 
 def _others(
-    job: Job,
-    closed: Sequence[StateSpace],
-    alternatives: Sequence[StateSpace],
-    say: Callable[[str], None],
+    job: Job, closed: Sequence[StateSpace], alternatives: Sequence[StateSpace], say: Callable[[str], None]
 ) -> dict[str, LineOfSightBudget | None]:
     """Return the budget with each alternative in the place of the design that sets the same; None: not stable."""
     from platform_ctrl.errors import ArgumentError

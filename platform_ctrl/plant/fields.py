@@ -365,14 +365,10 @@ Numbers = Annotated[tuple[float, ...], NUMBERS]
 Frequencies = Annotated[
     FloatArray,
     Expected(
-        "two or more frequencies > 0 that increase, Hz",
-        _list(2, lambda found: found[0] > 0 and _increasing(found)),
+        "two or more frequencies > 0 that increase, Hz", _list(2, lambda found: found[0] > 0 and _increasing(found))
     ),
 ]
-Densities = Annotated[
-    FloatArray,
-    Expected("a density > 0 for each frequency", _list(1, lambda found: min(found) > 0)),
-]
+Densities = Annotated[FloatArray, Expected("a density > 0 for each frequency", _list(1, lambda found: min(found) > 0))]
 Positives = Annotated[tuple[float, ...], POSITIVES]
 OneOrRange = Annotated[
     tuple[float, float],

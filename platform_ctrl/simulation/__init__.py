@@ -9,14 +9,4 @@ from platform_ctrl.simulation.batch import simulate_batch
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.simulation.free_motion import rollout
 
-__all__ = [
-    "Fault",
-    "HalfCosine",
-    "Scenario",
-    "Sine",
-    "TimeTable",
-    "Vibration",
-    "rollout",
-    "simulate",
-    "simulate_batch",
-]
+__all__ = ["Fault", "HalfCosine", "Scenario", "Sine", "TimeTable", "Vibration", "rollout", "simulate", "simulate_batch"]
