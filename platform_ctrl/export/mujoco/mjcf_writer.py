@@ -61,13 +61,11 @@ def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root =
     floating = platform.mode == "floating"
     if floating and root == "prescribed":
         raise ArgumentError("write_mjcf: root: a floating root is free or fixed, its rates are not prescribed")
-    if platform.mode == "held" and root == "free":
-        root = "fixed"
+    root = "fixed" if platform.mode == "held" and root == "free" else root
     notes = _notes(platform, root)
     top = Element("mujoco", model=_line(platform.name))
-    for line in (platform.source, *notes):
-        if line:
-            top.append(Comment(f" {re.sub('-(?=-)', '- ', _line(line))} "))
+    for line in filter(None, (platform.source, *notes)):
+        top.append(Comment(f" {re.sub('-(?=-)', '- ', _line(line))} "))
     SubElement(top, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     field = text(platform.gravity - platform.specific_force if not floating else np.zeros(3))
     option = SubElement(top, "option", timestep=repr(_STEP), integrator="RK4", gravity=field)
@@ -116,8 +114,7 @@ def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Ro
 
 def _add_carried(element: Element, platform: Platform, bodies: list[Placed], body: int, depth: int) -> list[float]:
     carriers = zip(platform.rotors, platform.carriers, strict=True)
-    own = bodies[body]
-    rates = [_add_rotor(element, rotor, own) for rotor, carrier in carriers if carrier == body - 1]
+    rates = [_add_rotor(element, rotor, bodies[body]) for rotor, carrier in carriers if carrier == body - 1]
     for child in children(platform, body):
         gimbal = platform.gimbals[child - 1]
         place = {"pos": text(gimbal.origin)} if gimbal.origin.any() else {}
@@ -251,8 +248,7 @@ def _add_actuators(top: Element, platform: Platform, root: Root) -> list[float]:
             SubElement(group, "velocity", joint, name=_line(f"speed {rotor.name}"), kv=repr(rotor.speed_gain))
             controls.append(rotor.spin)
             if rotor.speed_integral:
-                gain = repr(rotor.speed_integral)
-                rng = {"actrange": "-1e12 1e12"}
+                gain, rng = repr(rotor.speed_integral), {"actrange": "-1e12 1e12"}
                 SubElement(group, "intvelocity", joint | rng, name=_line(f"speed integral {rotor.name}"), kp=gain)
                 controls.append(rotor.spin)
     if controls:
@@ -434,9 +430,8 @@ def placed(platform: Platform) -> list[Placed]:
             mass = max(mass, float(4.0 * (moment @ moment) / max(spread[0], _FLAT * spread[-1])))
         centre = moment / mass
         inertia = inertia - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-        light = sum(rotor.carrier == name and not rotor.mass for rotor in platform.rotors)
         share = _LIGHT * own
-        mass -= light * share
+        mass -= share * sum(rotor.carrier == name and not rotor.mass for rotor in platform.rotors)
         out.append(Placed(radius=radius, mass=mass, centre=centre, inertia=inertia, rotor_mass=share))
     return out
 
