@@ -157,10 +157,7 @@ class LoopSpec:
         return next(design for design in self.designs if design.name == self.use)
 
     def kept(self, platform: Platform) -> tuple[str, ...]:
-        """Return the sensors that the loop keeps at zero or commands: the first of its unit, one for each torquer.
-
-        The others of `sensors` help: rates beside angles, encoders of a motor's side beside those of its load.
-        """
+        """Return the sensors that the loop keeps at zero or commands: the first of its unit, one for each torquer."""
         units = {sensor.name: sensor.unit for sensor in platform.sensors}
         own = [name for name in self.sensors if units.get(name) == ("rad/s" if self.kind == "rate" else "rad")]
         return tuple(own if self.kind == "tracking" else own[: len(self.torquers or self.gimbals)])

@@ -98,21 +98,24 @@ def test_check_takes_such_a_controller_from_a_file_and_runs_it(tmp_path, monkeyp
     assert found["largest error behind a commanded angle"]["stage"] == "simulated"
 
 
+DRIVE = {
+    "schema": 1,
+    "name": "drive",
+    "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
+    "gimbal": [{"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, 0.05], "angle": "q"}],
+    "torquer": [{"gimbal": "g"}],
+    "pickoff": [{"gimbal": "g"}],
+    "angle_sensor": [{"name": "encoder", "gimbal": "g_motor"}],
+    "rate_sensor": [{"name": "motor", "gimbal": "g_motor"}],
+    "compliance": [{"gimbal": "g", "stiffness": 300.0, "damping": 0.04, "inertia": 0.02}],
+}
+
+
 def test_a_cascade_of_the_encoders_on_both_sides_of_a_drive_is_that_of_two_inertias_on_a_shaft():
     """u = −Kd (rate of the motor's side + Kp angle of the load)."""
     J1, J2, k, c, Kd, Kp = 0.02, 0.05, 300.0, 0.04, 1.5, 8.0
-    plant = {
-        "schema": 1,
-        "name": "drive",
-        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
-        "gimbal": [{"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J2, J2, J2], "angle": "q"}],
-        "torquer": [{"gimbal": "g"}],
-        "pickoff": [{"gimbal": "g"}],
-        "rate_sensor": [{"name": "motor", "gimbal": "g_motor"}],
-        "compliance": [{"gimbal": "g", "stiffness": k, "damping": c, "inertia": J1}],
-    }
     loop = {"gimbals": ["g_motor"], "sensors": ["motor", "q"]}
-    job = pc.read_job(with_design("lqg", **loop) | {"plant": plant})
+    job = pc.read_job(with_design("lqg", **loop) | {"plant": DRIVE})
     given = {"name": "yaw", "dt": T, "delay": T, "inputs": ["motor", "q"], "outputs": ["Qg"]}
     given |= {"A": [], "B": [], "C": [[]], "D": [[-Kd, -Kd * Kp]]}
     [outcome] = outcomes_from(job, read_controllers({"schema": 1, "controllers": [given]}, job))
@@ -129,6 +132,19 @@ def test_a_cascade_of_the_encoders_on_both_sides_of_a_drive_is_that_of_two_inert
     # The load is kept, so a step is one of its angle, which the shaft turns behind the motor.
     assert outcome.closed.plants.angles == ("q", "motor")
     assert outcome.closed.plants.kept == 1
+
+
+def test_a_command_of_the_load_is_one_of_the_other_encoder_and_not_of_rates():
+    run = {"name": "step", "mode": "caged", "duration": 3.0, "settle": 2.5}
+    run |= {"command": [{"reading": "q", "at": 0.1, "step": 0.01}], "limits": {"angle_following_error": 1e-5}}
+    loop = {"gimbals": ["g_motor"], "sensors": ["q", "motor", "encoder"], "limits": {"steady_error": 1e-9}}
+    job = pc.read_job(with_design("lqg", **loop) | {"plant": DRIVE, "manoeuvre": [run]})
+    outcomes = design.loops(job)
+    assert outcomes[0].closed.controller.input_labels == ["q", "motor", "encoder", "q_command"]
+    np.testing.assert_allclose(outcomes[0].closed.plants.commanded, [[1.0], [0.0], [1.0]], atol=1e-9)
+    result = check_job(job, outcomes)
+    assert result.passed
+    assert {one.stage for one in result.requirements} == {"decoupled", "coupled", "simulated"}
 
 
 def test_an_lqg_loop_reads_both_and_its_verdict_follows_from_plant_and_controller_by_hand():
