@@ -10,11 +10,11 @@ and its small rotation θ_b by the integral of that, a state that is added where
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import distinct, real_array
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -23,17 +23,20 @@ from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS, NamedMatrices
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, gimbal_rate
 
+if TYPE_CHECKING:
+    import control
+
 # A direction of rotation whose share is smaller belongs to those that are integrated already.
 _SAME = 1e-9
 
 
 def observed(
-    system: StateSpace,
+    system: control.StateSpace,
     platform: Platform,
     names: Sequence[str],
     q: ArrayLike | None = None,
     Omega: ArrayLike | None = None,
-) -> StateSpace:
+) -> control.StateSpace:
     """Return a linear model of the platform with `names` as its outputs.
 
     Parameters
@@ -65,7 +68,7 @@ def observed(
 
 
 def observed_system(
-    system: StateSpace | NamedMatrices,
+    system: control.StateSpace | NamedMatrices,
     platform: Platform,
     names: Sequence[str],
     q: ArrayLike | None = None,
@@ -93,7 +96,7 @@ class _Signals:
     """Rows [C, D] of a linear model's signals, (states + inputs,) each, by name."""
 
     def __init__(
-        self, system: StateSpace | NamedMatrices, platform: Platform, q: FloatArray, Omega: FloatArray
+        self, system: control.StateSpace | NamedMatrices, platform: Platform, q: FloatArray, Omega: FloatArray
     ) -> None:
         self.system, self.platform, self.Omega = system, platform, Omega
         n, m = system.nstates, system.ninputs
@@ -159,7 +162,7 @@ class _Signals:
 
 
 def _with_filters(
-    system: StateSpace | NamedMatrices,
+    system: control.StateSpace | NamedMatrices,
     rows: FloatArray,
     integrals: FloatArray,
     sensors: Sequence[Sensor | None],

@@ -5,12 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import known_names, one_of, real_array, short, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -28,6 +27,9 @@ from platform_ctrl.mechanics.polynomials import (
     total,
 )
 from platform_ctrl.plant.platform import Platform
+
+if TYPE_CHECKING:
+    import control
 
 __all__ = [
     "AffineModel",
@@ -108,7 +110,7 @@ class ParameterVaryingModel:
         forcing = self.M_Omega @ change + self.Q0.at(rate)
         return FrozenRows(M=self.M, G=self.G.at(rate), K=self.K.at(rate, change), forcing=forcing)
 
-    def state_space(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> StateSpace:
+    def state_space(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> control.StateSpace:
         """Return the system frozen at a rate, rad/s, and its derivative, rad/s²; signals as in `affine`."""
         return self.affine.system(monomial_values(self.affine.parameters, Omega, Omega_dot))
 
