@@ -172,9 +172,3 @@ def test_an_infimum_at_infinite_gain_is_approached() -> None:
     P = control.ss([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [1, 0, 0], [0, 0, 0]])
     found = design.structured(P, 1, 1, structure=design.Static(), starts=2)
     assert 1.0 <= found.gamma < 1.0 + 1e-6
-
-
-def test_a_controller_of_many_states_has_a_name_for_each_of_its_numbers():
-    structure, units = design.StateSpaceOrder(states=12), Units(gain=np.ones((1, 1)), rate=1.0)
-    names = [one.name for one in structure.parameters(1, 1, units)]
-    assert len(set(names)) == len(names) == 12 * 12 + 12 + 12 + 1

@@ -83,6 +83,17 @@ def test_a_tuner_takes_its_notch_to_the_mode():
     assert outcome.closed.options["notch_hz"] == pytest.approx(OMEGA / (2.0 * np.pi), rel=0.2)
 
 
+def test_a_controller_of_fixed_order_works_with_a_mode_that_is_off():
+    one = {"name": "pi", "method": "structured", "structure": "state-space", "order": 5, "evaluations": 60}
+    uncertain, limits = {"mode_frequency": 0.1}, {"disk_margin_worst_case": 0.4, "bandwidth_hz": 6.0}
+    [outcome] = design.loops(job(uncertain, own={"design": [one], "limits": limits}))
+    assert outcome.closed.passed
+    # Out of reach: the search goes on with all of its states.
+    more, far = one | {"order": 12, "evaluations": 30}, {"disk_margin_worst_case": 0.95, "bandwidth_hz": 90.0}
+    [outcome] = design.loops(job(uncertain, own={"design": [more], "limits": far}))
+    assert outcome.closed.controller.nstates == 12 + 1  # and the integrator
+
+
 def test_the_coupled_check_sees_both_ends_of_the_frequency():
     one = job({"mode_frequency": 0.3})
     loops = design.loops(one)

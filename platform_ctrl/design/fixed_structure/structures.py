@@ -214,10 +214,13 @@ def mask_of(name: str, given: ArrayLike | str, shape: tuple[int, int]) -> Mask:
 
 def gains_of(name: str, mask: Mask, size: FloatArray) -> list[Parameter]:
     """Return the entries of a matrix of gains in `mask` as parameters, row by row."""
-    # With ten rows or columns, 111 may be 1, 11 or 11, 1.
-    apart = "_" if max(mask.shape) > 9 else ""
     places = np.argwhere(mask)
-    return [Parameter(name=f"{name}{i + 1}{apart}{j + 1}", start=0.0, size=float(size[i, j])) for i, j in places]
+    return [Parameter(name=entry(name, mask.shape, i, j), start=0.0, size=float(size[i, j])) for i, j in places]
+
+
+def entry(name: str, shape: tuple[int, ...], i: int, j: int) -> str:
+    """Return the name of an entry of a matrix: with ten rows or columns, 111 would be 1, 11 or 11, 1."""
+    return f"{name}{i + 1}{'_' if max(shape) > 9 else ''}{j + 1}"
 
 
 def filled(mask: Mask, p: FloatArray) -> FloatArray:
@@ -286,8 +289,7 @@ class StateSpaceOrder(Structure):
         }
         everything = [one for name, size in sizes.items() for one in gains_of(name, np.ones(size.shape, bool), size)]
         # Distinct stable modes to begin with.
-        apart = "_" if k > 9 else ""
-        starts = {f"a{i + 1}{apart}{i + 1}": -rate * 2.0 ** (i - 0.5 * (k - 1)) for i in range(k)}
+        starts = {entry("a", (k, k), i, i): -rate * 2.0 ** (i - 0.5 * (k - 1)) for i in range(k)}
         return tuple(Parameter(name=one.name, start=starts.get(one.name, 0.0), size=one.size) for one in everything)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:

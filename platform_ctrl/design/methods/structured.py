@@ -21,7 +21,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.descent import Found, Search
 from platform_ctrl.design.fixed_structure.sections import PID, Named, Sampled, Series
-from platform_ctrl.design.fixed_structure.structures import Parametrised, StateSpaceOrder, Units
+from platform_ctrl.design.fixed_structure.structures import Parametrised, StateSpaceOrder, Units, entry
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Method, Option, SectionedMethod, hertz, number
@@ -294,7 +294,7 @@ def free_structure(
     # States in units in which they are as large in B, in units of the rate, as in C, in units of the gain.
     scale = float(np.sqrt(np.linalg.norm(C) * rate / (np.linalg.norm(B) * unit))) if len(A) else 1.0
     entries = (("a", A), ("b", B * scale), ("c", C / scale), ("d", D))
-    start = {f"{name}{i + 1}{j + 1}": float(K[i, j]) for name, K in entries for i, j in np.ndindex(*K.shape)}
+    start = {entry(name, K.shape, i, j): float(K[i, j]) for name, K in entries for i, j in np.ndindex(*K.shape)}
     # 1 + integral/s by Tustin's rule.
     gains = {f"kp{k + 1}{k + 1}": 1.0 + 0.5 * integral * period * (k < n) for k in range(read)}
     gains |= {f"ki{k + 1}{k + 1}": integral for k in range(n)}
