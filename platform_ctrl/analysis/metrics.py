@@ -286,10 +286,7 @@ COUPLED_METRICS: dict[str, Quantity] = {
         meaning="largest relative loss of a loop-by-loop disk margin against the decoupled design",
     ),
     "limit cycle": Quantity(
-        name="limit cycle from play",
-        key="limit_cycle",
-        unit="rad",
-        meaning="amplitude of the load's oscillation that the play of its drive sustains; without a limit none may be",
+        name="limit cycle from play", key="limit_cycle", unit="rad", meaning="amplitude of a load whose drive has play"
     ),
 }
 

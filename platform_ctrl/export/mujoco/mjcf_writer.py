@@ -341,20 +341,15 @@ def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
         "motor of {}: its inertia is the joint's armature, which lacks N J of the parent's rate in the gimbal's row": [
             one.gimbal for one in platform.motors
         ],
-        "drive of {}: a tendon between load and motor side, the motor side's inertia as armature": [
+        "drive of {}: a tendon between load and motor side, the motor side's inertia as armature, damped in play too": [
             one.gimbal for one in platform.compliances
-        ],
-        "drive of {}: its damping acts within its play too": [
-            one.gimbal for one in platform.compliances if one.play and one.damping
         ],
         "mode of the structure {}: left out, the bodies are rigid": [mode.name for mode in platform.modes],
         "voltage of {}: left out, the torque limit is that at rest": [
             torquer.name for torquer in platform.torquers if torquer.stall is not None
         ],
-        "current loop and cogging of {}: left out": [
-            one.name or one.gimbal
-            for one in platform.motors
-            if one.cogging is not None or (one.drive is not None and one.drive.winding is not None)
+        "current loop or cogging of {}: left out": [
+            one.name or one.gimbal for one in platform.motors if one.cogging is not None or platform.windings
         ],
         "specific force {}: gravity, which keeps its direction in the world when the root turns": [
             text(platform.specific_force) for _ in range(bool(moved))
