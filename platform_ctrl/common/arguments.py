@@ -59,6 +59,18 @@ def real_array(
     return array
 
 
+def unit_quaternions(given: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return unit quaternions w, x, y, z of `shape`, the identity if `given` is None."""
+    if given is None:
+        return np.array(np.broadcast_to([1.0, 0.0, 0.0, 0.0], shape))
+    attitude = real_array("attitude", given, shape)
+    norm = np.linalg.norm(attitude, axis=-1, keepdims=True)
+    if np.abs(norm - 1.0).max(initial=0.0) > 1e-6:
+        worst = norm.flat[np.abs(norm - 1.0).argmax()]
+        raise ArgumentError(f"attitude must be a unit quaternion w, x, y, z, got a norm of {worst:.6g}")
+    return np.asarray(attitude / norm)
+
+
 def real_numbers(name: str, given: object, more: str = "") -> NDArray[np.float64]:
     """Return `given` as a float64 array of any shape, `given` itself if it is one; finite or not."""
     return _numbers(name, given, "iuf", f"real numbers{more}").astype(np.float64, copy=False)

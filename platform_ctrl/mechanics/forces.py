@@ -8,15 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import real_array
+from platform_ctrl.common.arguments import real_array, unit_quaternions
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Kinematics, configuration, cross_matrix, topology
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.platform import Platform
-
-# How far the square of a quaternion's length may be from 1.
-_UNIT = 1e-6
 
 
 @value
@@ -63,9 +59,7 @@ def specific_force_at(
         g = real_array("gravity", gravity, (3,), 0.0)
     if attitude is None:
         return np.asarray(f - g)
-    w, *v = real_array("attitude", attitude, (4,))
-    if abs(w * w + np.dot(v, v) - 1.0) > _UNIT:
-        raise ArgumentError(f"attitude: must be a quaternion of length 1, w, x, y, z, got {[w, *v]}")
+    w, *v = unit_quaternions(attitude, (4,))
     # Rᵀ g by Rodrigues' formula.
     return np.asarray(f - (g - 2.0 * w * np.cross(v, g) + 2.0 * np.cross(v, np.cross(v, g))))
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.scenario import Mode, Scenario
+from platform_ctrl.simulation.added_states import servo_rotors
 from platform_ctrl.simulation.batch import merged_controller, recorded
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
-from platform_ctrl.simulation.rotor_states import servo_rotors
 from platform_ctrl.simulation.run_plan import prepared_run
 from platform_ctrl.simulation.scenarios import (
     commanded_readings,

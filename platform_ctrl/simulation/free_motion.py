@@ -8,14 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import instance, positive, real_array, whole
+from platform_ctrl.common.arguments import instance, positive, real_array, unit_quaternions, whole
 from platform_ctrl.common.processes import processors
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.simulation.added_states import initial_spins, servo_rotors, spins_of, with_added_states
 from platform_ctrl.simulation.packing import pack
-from platform_ctrl.simulation.rotor_states import initial_spins, servo_rotors, spins_of, with_rotor_states
-from platform_ctrl.simulation.scenarios import unit_quaternions
 from platform_ctrl.simulation.step_limit import check_steps
 
 
@@ -142,7 +141,7 @@ def rollout(  # noqa: PLR0913 - options by keyword
     from platform_ctrl.simulation.kernel.advance import advance
 
     plant = pack(platform)
-    states = with_rotor_states(plant, np.concatenate([angles, rates, turned], axis=1), spins)
+    states = with_added_states(plant, np.concatenate([angles, rates, turned], axis=1), spins)
     marks = [steps] if every is None else [*range(0, steps, every), steps]
     along = np.empty((runs, len(marks), states.shape[1]))
     # A thread takes whole groups of scenarios that the kernel moves side by side.

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from platform_ctrl.common.arguments import positive, real_array, short, whole
+from platform_ctrl.common.arguments import positive, real_array, short, unit_quaternions, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
@@ -17,9 +17,9 @@ from platform_ctrl.job.scenario import Command, Scenario, Sine, Vibration
 from platform_ctrl.mechanics.forces import resting_forces, specific_force_at
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import Sensor
+from platform_ctrl.simulation.added_states import initial_spins, servo_rotors, with_added_states
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.packing import Packed, Skeleton
-from platform_ctrl.simulation.rotor_states import initial_spins, servo_rotors, with_rotor_states
 
 # Limits of memory and time of a run.
 _SAMPLES, _PERIODS, _SUBSTEPS = 1e8, 1e3, 1e8
@@ -182,18 +182,6 @@ def part_of(platform: Platform, fault: Fault) -> int:
     return names.index(fault.part)
 
 
-def unit_quaternions(given: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
-    """Return unit quaternions w, x, y, z of `shape`, the identity if `given` is None."""
-    if given is None:
-        return np.array(np.broadcast_to([1.0, 0.0, 0.0, 0.0], shape))
-    attitude = real_array("attitude", given, shape)
-    norm = np.linalg.norm(attitude, axis=-1, keepdims=True)
-    if np.abs(norm - 1.0).max(initial=0.0) > 1e-6:
-        worst = norm.flat[np.abs(norm - 1.0).argmax()]
-        raise ArgumentError(f"attitude must be a unit quaternion w, x, y, z, got a norm of {worst:.6g}")
-    return np.asarray(attitude / norm)
-
-
 # Action of the kernel, part, and which fault of these it is.
 FaultKey = tuple[int, str, int]
 
@@ -231,7 +219,7 @@ def states(scenarios: Sequence[Scenario], packed: Packed) -> FloatArray:
     spins = [[r.spin for r in servo_rotors(s.platform)] if s.spin is None else s.spin for s in scenarios]
     inertias = [[r.axial_inertia for r in servo_rotors(s.platform)] for s in scenarios]
     shape = (len(states), packed.at.servos)
-    return with_rotor_states(packed, states, np.array(spins).reshape(shape), np.array(inertias).reshape(shape))
+    return with_added_states(packed, states, np.array(spins).reshape(shape), np.array(inertias).reshape(shape))
 
 
 def rate(scenario: Scenario) -> list[float]:

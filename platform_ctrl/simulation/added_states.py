@@ -1,4 +1,4 @@
-"""States of servo rotors, behind those of the bodies.
+"""States behind those of the bodies: of servo rotors, of modes, and of frictions whose joints stick or slide.
 
 Of m servo rotors these are the axial momenta P = C (φ̇ + B u), eq. (4), and the integrals x = ∫(φ̇ − spin) dt.
 P' = τ = clamp(−speed_gain (φ̇ − spin) − speed_integral x, ± torque_limit) and x' = φ̇ − spin, but x' = 0 while the torque
@@ -37,18 +37,18 @@ def spins_of(plant: Packed, states: FloatArray) -> FloatArray:
     return np.asarray(momenta / _axial_inertias(plant) - _carrier_rates(plant, states))
 
 
-def with_rotor_states(
+def with_added_states(
     plant: Packed, states: FloatArray, spins: FloatArray, inertias: FloatArray | None = None
 ) -> FloatArray:
-    """Return `states` (N, 2 n + 7), whose v holds the rates, with those of servo rotors at `spins` (N, m) behind.
+    """Return `states` (N, 2 n + 7), whose v holds the rates, with the added states behind.
 
-    Behind these are the frictions' states, of joints that slide as they turn.
+    Servo rotors are at `spins` (N, m), modes at rest in a platform that turns, and joints slide as they turn.
 
     `inertias` (N, m) are C of the servo rotors where the states are of different plants.
     """
     at, first = plant.at, states.shape[1]
     out = np.concatenate([states, np.zeros((len(states), at.size - first))], axis=1)
-    if at.modes:  # at rest in a platform that turns
+    if at.modes:
         modes = plant.constants[at.mode : at.gravity].reshape(at.modes, -1)
         momenta = states[:, at.n : 2 * at.n + 3] @ modes[:, arrays.INERTIAL : at.shape].T
         out[:, at.swings + 1 : at.swings + 2 * at.modes : 2] = momenta
