@@ -28,8 +28,9 @@ from platform_ctrl.plant.platform import Platform
 Slowest = Callable[[Platform, FloatArray], tuple[complex, ComplexArray]]
 
 _APPROXIMATION = "by describing function, other gears closed, without dry friction"
-# Shares of the stiffness from which instability is looked for: with the last one, teeth hardly touch.
-_SHARES = np.geomspace(1.0, 1e-3, 25)
+# Shares of the stiffness at which instability is looked for. A stiff gear lets its load swing as slowly as the loop
+# crosses over only with a very small one: its teeth then hardly touch.
+_SHARES = np.geomspace(1.0, 1e-8, 60)
 # Amplitudes of a twist in half plays, and phases, at which the describing function is computed.
 _AMPLITUDES, _PHASES = np.geomspace(1e-2, 1e4, 600), np.pi * (np.arange(400) + 0.5) / 200
 

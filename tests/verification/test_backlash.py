@@ -13,7 +13,7 @@ J1, J2, K, C, PLAY = 0.02, 0.05, 300.0, 0.04, 2e-3
 PERIOD, DELAY, SECONDS = 5e-4, 2e-4, 30.0
 
 
-def checked(sensor, crossover, weight=0.0, play=PLAY, **coupled):
+def checked(sensor, crossover, weight=0.0, play=PLAY, stiffness=K, **coupled):
     """A motor and a load on a shaft with play, a lead and integral on one side's encoder; the coupled check."""
     gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J2] * 3, "angle": "q"}
     plant = {
@@ -26,7 +26,7 @@ def checked(sensor, crossover, weight=0.0, play=PLAY, **coupled):
         "angle_sensor": [{"name": "motor", "gimbal": "g_motor"}],
         "friction": [{"gimbal": "g", "viscous": 0.02}],
         "unbalance": [{"body": "g", "moment": [weight / 9.81, 0, 0]}],
-        "compliance": [{"gimbal": "g", "stiffness": K, "damping": C, "inertia": J1, "play": play}],
+        "compliance": [{"gimbal": "g", "stiffness": stiffness, "damping": C, "inertia": J1, "play": play}],
     }
     loop = {"name": "L", "kind": "pointing", "gimbals": ["g_motor"], "sensors": [sensor], "use": "d"}
     job = {"schema": 2, "name": "drive", "plant": plant, "operation": {"Omega": [0.1, 0.1, 0.1]}, "coupled": coupled}
@@ -41,11 +41,11 @@ def checked(sensor, crossover, weight=0.0, play=PLAY, **coupled):
     return read, controller, check, found
 
 
-def oscillation(read, controller, start):
+def oscillation(read, controller, start, step=1e-4):
     """Return amplitude and frequency (Hz) of the fundamental of the load at the end of a run."""
     q, begin = [start, 0.0], "equilibrium" if start == 0.0 else "rest"
     at = simulation.Scenario(platform=read.platform, mode="caged", duration=SECONDS, delay=DELAY, q=q, start=begin)
-    run = simulation.simulate(at, [controller], period=PERIOD, step=1e-4, noise=False)
+    run = simulation.simulate(at, [controller], period=PERIOD, step=step, noise=False)
     y = run.q[len(run.t) // 2 :, 0] - run.q[len(run.t) // 2 :, 0].mean()
     up = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
     if np.abs(y).max() < 0.01 * PLAY or len(up) < 2:
@@ -65,6 +65,16 @@ def test_a_limit_cycle_has_the_amplitude_and_the_frequency_of_the_run(sensor, cr
     assert float(found.evidence.split("limit cycle of ")[1].split(" Hz")[0]) == pytest.approx(hertz, rel=0.1)
     assert "play 2 mrad of the drive of gimbal g" in found.evidence
     assert "preload the gear" in found.evidence
+
+
+def test_a_gear_whose_stiffness_is_far_above_the_loops_has_a_limit_cycle_too():
+    # With its motor locked the load swings at 320 Hz, at the loop's 9 Hz with less than a thousandth of the stiffness.
+    read, controller, check, found = checked("q", 8.0, stiffness=2e5)
+    assert check.stable
+    assert not found.passed
+    amplitude, hertz = oscillation(read, controller, start=4e-3, step=5e-5)
+    assert amplitude < found.value < 1.25 * amplitude  # its peaks are higher than its fundamental
+    assert float(found.evidence.split("limit cycle of ")[1].split(" Hz")[0]) == pytest.approx(hertz, rel=0.2)
 
 
 @pytest.mark.parametrize(("sensor", "crossover", "weight"), [("motor", 30.0, 0.0), ("q", 20.0, 3.0)])
