@@ -38,6 +38,8 @@ class Resolver:
         Names of p sensors, of p gimbals, and of the e sensors of the angles on which J depends.
     turned
         Indices of the gimbals (e,) whose angles the encoders measure.
+    bias, scale : (e,)
+        The encoders' constant errors, rad, and scale factors.
     limit, least
         Largest gain against that at the angles zero, and the |det J| at which it is reached; dimensionless.
     paths
@@ -50,6 +52,8 @@ class Resolver:
     gimbals: tuple[str, ...]
     encoders: tuple[str, ...]
     turned: tuple[int, ...]
+    bias: FloatArray
+    scale: FloatArray
     limit: float
     least: float
     paths: tuple[tuple[FloatArray, tuple[tuple[FloatArray, int, int], ...]], ...]
@@ -73,11 +77,11 @@ class Resolver:
         return tuple(turned.get(name, name) for name in names)
 
     def _jacobian_at(self, q: FloatArray) -> FloatArray:
-        angles = q[list(self.turned)]
+        angles = self.scale * q[list(self.turned)] + self.bias
         return np.asarray(self.jacobian(np.cos(angles), np.sin(angles)), dtype=np.float64)
 
     def matrix(self, q: FloatArray) -> FloatArray:
-        """Return what turns readings to joint axes (p, p), dimensionless, at gimbal angles q (n,), rad."""
+        """Return what turns readings to joint axes (p, p), dimensionless, where gimbals are at angles q (n,), rad."""
         J = self._jacobian_at(q)
         damping = max(self.least**2 - float(np.linalg.det(J)) ** 2, 0.0)
         return np.asarray(np.linalg.solve(J.T @ J + damping * np.eye(len(J)), J.T))
@@ -155,6 +159,8 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
         gimbals=names,
         encoders=tuple(encoders),
         turned=tuple(turned),
+        bias=read_only([known[name].bias for name in encoders]),
+        scale=read_only([1.0 + known[name].scale_error for name in encoders]),
         limit=limit,
         least=0.0,
         paths=tuple(paths),

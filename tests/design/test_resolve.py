@@ -45,6 +45,15 @@ def test_a_loop_at_any_elevation_is_that_at_zero_where_the_inner_inertia_is_a_sp
     )
 
 
+def test_an_encoder_that_reads_too_much_turns_the_readings_too_far() -> None:
+    data = resolved_job(operation=ANGLES | {"angles": {"pitch": [1.0]}})
+    data["plant"]["pickoff"][1] |= {"bias": 0.1, "scale_error": 0.05}
+    plants = plants_of(read := read_job(data), read.loops[0])
+    zero = plants_of(read := read_job(resolved_job()), read.loops[0]).response[0, :, 0, 0]
+    for label, factor in (("nominal", 1.0 / np.cos(0.1)), ("pitch = 1 rad", np.cos(1.0) / np.cos(1.15))):
+        np.testing.assert_allclose(plants.response[plants.labels.index(label), :, 0, 0], factor * zero, rtol=1e-9)
+
+
 def test_noise_is_turned_like_the_readings() -> None:
     """At a pitch of 60 degrees the yaw gyro's noise counts twice."""
     data = resolved_job(operation=ANGLES | {"angles": {"pitch": [np.pi / 3]}})
@@ -119,7 +128,9 @@ def test_what_a_loop_reads_in_a_run_is_the_map_of_the_sampled_readings(rate_hz: 
 
 
 def test_about_oblique_axes_too() -> None:
-    job = read_job(skew_job())
+    data = skew_job()
+    data["plant"]["pickoff"] = [{"gimbal": n, "bias": 0.1, "scale_error": -0.05} for n in "abc"]
+    job = read_job(data)
     [law] = job.resolvers
     rows = [name for one in (law.names, law.sensors) for name in one]
     for q in ([0.3, 0.7, -1.2], [-1.0, -2.0, 0.4]):
