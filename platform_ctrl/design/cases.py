@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
-from itertools import product
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -192,6 +192,7 @@ def _varied(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str], root: b
         at = dict(zip(corners, signs, strict=True))
         yield _moved(widths, [at[one.corner] for one in widths], "+.0%")
     yield from _swept(widths)
+    yield from _meeting(job, gimbals, torquers, widths)
     yield from (_moved(widths, place) for place in _samples(job, len(widths)))
 
 
@@ -220,6 +221,35 @@ def _swept(widths: Sequence[_Width], step: float = _STEP) -> Iterator[tuple[str,
         for place in np.linspace(-1.0, 1.0, 2 * max(math.ceil(mode.size / step), 1) + 1):
             if place:
                 yield _moved(widths, [float(place) if one is mode else others.get(one.of, 0.0) for one in widths])
+
+
+def _meeting(
+    job: Job, gimbals: Sequence[str], torquers: Sequence[str], widths: Sequence[_Width]
+) -> Iterator[tuple[str, Changes]]:
+    """Yield the changes with which two modes stand side by side, at both ends of what their ranges have in common.
+
+    Two modes of opposite sign that a loop makes grow together do so when their frequencies differ by the sum of their
+    damping ratios: with frequency shifts ±a of each alone, a² = ζ₁ζ₂ω² at the onset, 2 a apart.
+    """
+    swinging, names = job.uncertainty.of_mode, modes_of(job, gimbals, torquers)
+    found = [(one, swinging(one.name)) for one in job.platform.modes if one.name in names]
+    for pair in combinations(found, 2):
+        low, high = (
+            limit(one.frequency * (1.0 + sign * of["frequency"]) for one, of in pair)
+            for limit, sign in ((max, -1.0), (min, 1.0))
+        )
+        if low > high or not any(of["frequency"] for _, of in pair):
+            continue
+        apart = max(sum(one.damping * (1.0 - of["damping"]) for one, of in pair), 1e-3)
+        ends = ((low, low * (1.0 + apart)), (high, high * (1.0 - apart)))
+        for at in (place for end in ends for place in (end, end[::-1])):
+            places = {"damping": -1.0, "participation": 1.0}
+            for (one, of), hertz in zip(pair, at, strict=True):
+                share = (hertz / one.frequency - 1.0) / (of["frequency"] or math.inf)
+                places[one.name] = min(max(share, -1.0), 1.0)
+            yield _moved(
+                widths, [places.get(one.name if one.of == "frequency" else one.of, 0.0) for one in widths], "+.2%"
+            )
 
 
 def _moved(widths: Sequence[_Width], places: Sequence[float], digits: str = "+.1%") -> tuple[str, Changes]:

@@ -12,7 +12,7 @@ J, OMEGA, ZETA, PERIOD = 0.07, 150.0, 0.02, 1e-3
 SHARES = {"Q": 1.5, "gyro": -1.2}
 
 
-def job(uncertainty, mode=None, own=None, **more):
+def job(uncertainty, mode=None, own=None, others=(), **more):
     """A rate loop on one gimbal with a mode that its gyro sees with the other sign."""
     gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, J], "angle": "q"}
     plant = {
@@ -22,7 +22,7 @@ def job(uncertainty, mode=None, own=None, **more):
         "gimbal": [gimbal],
         "torquer": [{"gimbal": "g", "name": "Q"}],
         "rate_sensor": [{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
-        "mode": [{"name": "arm", "frequency": OMEGA, "damping": ZETA, "participation": SHARES} | (mode or {})],
+        "mode": [{"name": "arm", "frequency": OMEGA, "damping": ZETA, "participation": SHARES} | (mode or {}), *others],
     }
     loop = {
         "name": "rate",
@@ -73,6 +73,22 @@ def test_a_loop_that_only_the_nominal_mode_lets_be_stable_does_not_pass():
     assert passed.passed
     assert not failed.passed
     assert "ζ_arm-90%" in failed.evidence
+
+
+def test_two_modes_that_excite_each_other_only_side_by_side_do_not_pass():
+    # Each alone, and both where they are, decay; 0.5 % apart, at 185.4 and 186.1 rad/s, they grow.
+    zeta, b = 0.002, {"name": "b", "frequency": 206.0, "damping": 0.002, "participation": {"Q": 1.0, "gyro": -1.0}}
+    own = {"design": [{"name": "pi", "method": "pi", "crossover_hz": 3.0, "integral_hz": 0.3, "rolloff_hz": 20.0}]}
+    a = b | {"name": "a", "frequency": 200.0, "participation": {"Q": 1.0, "gyro": 1.0}}
+    one = job({"mode_frequency": 0.1}, a, own | {"limits": {"disk_margin": 0.3, "disk_margin_worst_case": 0.1}}, (b,))
+    plants = plants_of(one, one.loops[0])
+    frequency = sorted(np.abs(np.log(np.linalg.eigvals(plants.A[-4]))) / PERIOD)[-4::2]
+    assert frequency == pytest.approx([185.4, 185.4 * (1.0 + 2 * zeta)])
+    [outcome] = design.loops(one)
+    results = {r.name: r for r in outcome.closed.results}
+    assert results["disk margin"].passed
+    assert not results["disk margin, worst case"].passed
+    assert "f_a-7.30% f_b-9.64%" in results["disk margin, worst case"].evidence
 
 
 def test_a_tuner_takes_its_notch_to_the_mode():
