@@ -193,7 +193,7 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         between=times,
         disturbances=responses,
         drifting=linear.drifting,
-        held=linear.held,
+        held=(*linear.held, *([job.platform.root_name] if signals.held and not signals.free and _reacts(job) else [])),
         dry_friction=bool(linear.cases[0].platform.dry_frictions),
     )
     if signals.resolvers:
@@ -345,6 +345,12 @@ def job_signals(job: Job, spec: LoopSpec) -> LoopSignals:
     read = {name for law in laws for name in law.weights}
     fed = tuple(one for one in platform.sensors if one.name in read)
     return dataclasses.replace(signals, fed=fed, passive=passive)
+
+
+def _reacts(job: Job) -> bool:
+    """Return whether torques on gimbals move the root."""
+    mode = job.platform.mode
+    return any(spec.kind == "stabilisation" for spec in job.loops) if mode is None else mode != "held"
 
 
 def _passive(job: Job, signals: LoopSignals) -> tuple[str, ...]:

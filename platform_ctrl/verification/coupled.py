@@ -3,8 +3,9 @@
 Every gimbal takes part, those too that no loop turns. A motion that no controller sees, and that does not act on what
 they see, cannot be stabilised: it must not grow by itself.
 
-The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under
-the torques M alone and the gyros, caged, only measure. In the coupled model the gyros react on the platform.
+The design models are decoupled: for the caging loops Omega is given; in rate and pointing loops gimbals of other loops
+are held, and the root whose motion they do not read; for the platform servo the platform turns under the torques M
+alone and the gyros, caged, only measure. In the coupled model all react on the platform.
 In a job without a loop on the root the vehicle carries the platform: a sensor of its rate measures the given Omega, to
 which no loop is closed.
 """
@@ -335,12 +336,25 @@ def _decoupled_margins(job: Job, model: LinearModel, controllers: Sequence[State
     gimbal_torquers = [t for t in job.platform.torquers if t.gimbal is not None and t.name in channels]
     own = {t.name for t in gimbal_torquers} | {name for K in controllers for name in K.input_labels}
     caging = [K for K in controllers if set(K.output_labels) <= own]
-    if len(caging) == len(controllers):
-        # All loops cage gyros or turn gimbals: the design models are the coupled one.
+    loops = [spec for spec in job.loops if spec.kind != "tracking"]
+    turning = [spec for spec in loops if spec.kind in ("rate", "pointing")]
+    reacts = moves_freely(job, controllers) and not loops[0].moves_root(job.platform)
+    if len(caging) == len(controllers) and (not turning or len(loops) == 1) and not reacts:
+        # All loops cage gyros, or one turns gimbals: the design models are the coupled one.
         return whole.loop_margins
     margins: dict[str, float] = {}
+    for spec in turning:
+        # The gimbals of other loops are held, and the root where the loop does not read its motion.
+        group = [spec, *(one for one in job.loops if one.around == spec.name)]
+        names = {name for one in group for name in (*job.channels_of(one), *job.readings_of(one))}
+        mine = [K for K in caging if set(K.output_labels) <= names]
+        caging = [K for K in caging if not set(K.output_labels) <= names]
+        gimbals = [name for name in model.gimbal_names if name in (*spec.gimbals, *job.passive_gimbals)]
+        plant = models.coupled_plant(job, model, mine, gimbals, spec.moves_root(job.platform))
+        together = _Together(job, mine, plant)
+        margins |= dict(zip(together.channels, together.loop_margins, strict=True))
     if caging:
-        plant = models.coupled_plant(job, model, caging)
+        plant = models.coupled_plant(job, model, caging, free=False)
         together = _Together(job, caging, plant)
         margins |= dict(zip(together.channels, together.loop_margins, strict=True))
     if len(margins) < len(channels):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -41,15 +41,24 @@ class CoupledPlant(NamedTuple):
     conserved: tuple[str, ...] = ()
 
 
-def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledPlant:
+def coupled_plant(
+    job: Job,
+    model: LinearModel,
+    controllers: Sequence[control.StateSpace],
+    gimbals: Sequence[str] | None = None,
+    free: bool | None = None,
+) -> CoupledPlant:
     """Return the sampled model in which all `controllers` work, from torquers (in the file's order) to what they read.
 
-    With a controller that acts on the root, and where the plant says so, the platform is free and reacts. Otherwise
-    nothing would hold it: it counts as carried by the vehicle, Omega given.
+    With a controller that acts on the root, and where the plant says so, the platform is free and reacts, unless `free`
+    says otherwise. Otherwise nothing would hold it: it counts as carried by the vehicle, Omega given. Other gimbals
+    than those named are held; default: none.
     """
-    platform, free = job.platform, moves_freely(job, controllers)
-    system = state_space(model, root="free" if free else "prescribed", currents=True)
-    torquers = [t for t in platform.torquers if free or t.gimbal is not None]
+    platform, turned = job.platform, model.gimbal_names if gimbals is None else gimbals
+    free = moves_freely(job, controllers) if free is None else free
+    others: Literal["coupled", "held"] = "coupled" if gimbals is None else "held"
+    system = state_space(model, root="free" if free else "prescribed", gimbals=gimbals, others=others, currents=True)
+    torquers = [t for t in platform.torquers if (free if t.gimbal is None else t.gimbal in turned)]
     read = {name for K in controllers for name in K.input_labels}
     outputs = [*(name for name in model.angle_names if name in read), *sensed_rates(job, controllers)]
     whole = observed(system, platform, outputs, model.q0, model.Omega0)
@@ -71,7 +80,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     named = arrays.to_control([t.name for t in torquers], outputs, [states[k] for k in kept])
     at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
     left_out = tuple(
-        name for name in model.angle_names if (k := states.index(name)) not in kept and not whole.A[:, k].any()
+        name for k, name in enumerate(states) if name in model.angle_names and k not in kept and not whole.A[:, k].any()
     )
     return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth, conserved)
 

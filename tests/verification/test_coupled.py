@@ -61,3 +61,42 @@ def test_without_a_platform_loop_the_platform_is_carried(job, controllers):
     assert lone.stable
     assert lone.plant.output_labels == ["alpha9", "beta10"]
     np.testing.assert_allclose(lone.coupled, both.coupled[3:], rtol=1e-7)
+
+
+@pytest.mark.parametrize("mode", ["floating", "pivot"])
+def test_a_light_root_that_reacts_on_an_encoders_loop_is_a_cost_and_said_to_be_held(mode):
+    """Between payload J and root J0 a torque shows 1 + J/J0 times: the margin is that of so much more gain, held."""
+    J, J0 = 1.0, 0.5
+    body = {"mass": 10.0, "centre": [0.0, 0.0, 0.0]}
+    plant = {
+        "schema": 1,
+        "name": "bus",
+        "root": {"name": "bus", "mode": mode, "inertia": [J0] * 3, **body},
+        "gimbal": [{"name": "g", "angle": "angle", "parent": "bus", "axis": [0, 0, 1], "inertia": [J] * 3, **body}],
+        "torquer": [{"gimbal": "g"}],
+        "pickoff": [{"gimbal": "g"}],
+    }
+    loop = {"name": "antenna", "kind": "pointing", "gimbals": ["g"], "sensors": ["angle"], "use": "c"}
+    data = {
+        "schema": 2,
+        "name": "antenna",
+        "plant": plant,
+        "operation": {"Omega": [0.0, 0.0, 0.0]},
+        "sampling": {"rate_hz": 100, "delay": 0.0},
+        "loop": [loop | {"design": [{"name": "c", "method": "classical", "crossover_hz": 4}]}],
+        "coupled": {"coupling_cost": 0.1},
+    }
+    job = read_job(data)
+    [outcome] = design.loops(job)
+    assert all("; held: bus" in one.evidence for one in outcome.closed.results)
+    K = outcome.closed.controller
+    found = coupled_check(job, linearise(job.platform), [K])
+    margins = []
+    for gain in (1.0, 1.0 + J / J0):
+        P = control.ss([[1.0, 0.01], [0.0, 1.0]], [[5e-5], [0.01]], [[gain / J, 0.0]], 0.0, 0.01)
+        margins.append(control.disk_margins(-control.ss(K.A, K.B, K.C, K.D, K.dt) * P, np.geomspace(0.1, 314.0, 20000)))
+    (held, *_), (real, *_) = margins
+    assert [found.decoupled[0], found.coupled[0]] == pytest.approx([held, real], rel=1e-3)
+    [cost] = [one for one in found.results if one.name == "disk margin lost by coupling"]
+    assert cost.value == pytest.approx(1.0 - real / held, rel=1e-3)
+    assert not cost.passed
