@@ -62,7 +62,7 @@ def loop_bounds(job: Job, outcome: LoopOutcome) -> LoopBounds | None:
         again = moved()
         end = None if again is None else _reached(outcome, again.only(chosen))
         if end is not None:
-            bounds.append(Bound(parameter=name, sensitivity=math.log(end[1] / bandwidth) / math.log(eased)))
+            bounds.append(Bound(parameter=name, sensitivity=math.log(end[1] / bandwidth) / math.log(eased) + 0.0))
     bounds.sort(key=lambda bound: -abs(bound.sensitivity))
     return LoopBounds(gain=gain, bandwidth=bandwidth, requirement=one.name, bounds=tuple(bounds))
 
