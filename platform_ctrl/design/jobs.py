@@ -191,7 +191,12 @@ def _made_of(problems: Sequence[LoopProblem], workers: int, progress: Progress) 
         # All that was under way is lost with a process: each by itself shows which one it was.
         if found[k] is None:
             found[k] = _in_processes([problem], 1, progress)[0]
-    return [_killed(problem) if one is None else one for problem, one in zip(problems, found, strict=True)]
+    killed = "the process that designed it was killed, perhaps because memory ran out"
+    killed += "; try fewer plants (uncertainty, angles) or a design of lower order"
+    return [
+        DesignError(f"{problem.spec.name}, {problem.design.name}: {killed}") if one is None else one
+        for problem, one in zip(problems, found, strict=True)
+    ]
 
 
 def _in_processes(problems: Sequence[LoopProblem], workers: int, progress: Progress) -> list[Made | None]:
@@ -241,13 +246,6 @@ def _made(problem: LoopProblem) -> Made:
         if not isinstance(error, DesignError) or problem.plant_set is None or str(error).startswith(f"{spec.name}, "):
             return error
         return type(error)(f"{spec.name}, {design.name}: {error}", error.problem)
-
-
-def _killed(problem: LoopProblem) -> DesignError:
-    return DesignError(
-        f"{problem.spec.name}, {problem.design.name}: the process that designed it was killed, perhaps because memory "
-        "ran out; try fewer plants (uncertainty, angles) or a design of lower order"
-    )
 
 
 def plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:

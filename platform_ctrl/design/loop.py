@@ -24,7 +24,7 @@ from platform_ctrl.plant.platform import OMEGA_NAMES
 
 # A torque for 1 rad/s below this share of the limit counts as zero: that rate does not load the loop.
 _NO_LOAD = 1e-6
-# Metrics in which its lag counts.
+# Metrics in which the lag of a reference filter counts, on a path that is not known ahead.
 _LATE = ("ramp error", "tracking error")
 
 
@@ -152,15 +152,13 @@ def limits_and_goals(
 
     def result(requirement: LoopRequirement) -> CheckResult:
         found = requirement.result(plants, measures, subject=spec.name, design=design)
-        late = shaping is not None and requirement.kind in _LATE
-        return found.because(filter_lag(shaping.filter_hz)) if late and shaping is not None else found
+        if shaping is None or requirement.kind not in _LATE:
+            return found
+        hz = shaping.filter_hz
+        late = f"{1.0 / (math.pi * hz):.3g} s late"
+        return found.because(f"behind the reference filter (filter_hz = {hz:g}), which alone is {late}")
 
     return tuple(map(result, spec.requirements)), tuple(map(result, spec.goals))
-
-
-def filter_lag(hz: float) -> str:
-    """Return words about the lag of a reference filter on a path that is not known ahead."""
-    return f"behind the reference filter (filter_hz = {hz:g}), which alone is {1.0 / (math.pi * hz):.3g} s late"
 
 
 def measured(spec: LoopSpec, name: str, method: str, controller: System | StateSpace, plants: PlantSet) -> Design:

@@ -187,7 +187,8 @@ def channels(model: LinearModel, rows: list[int]) -> Channels:
             pairs.append((abs(h), *_oriented(h, vectors[:, k], vectors[:, k + 1])))
             k += 2
         else:
-            single.append(_upright(vectors[:, k]))
+            own = vectors[:, k]
+            single.append(own if own[np.abs(own).argmax()] > 0.0 else -own)
             k += 1
     pairs.sort(key=lambda pair: -pair[0])
     basis = np.array([direction for _, first, second in pairs for direction in (first, second)] + single)
@@ -209,10 +210,6 @@ def _oriented(h: float, first: FloatArray, second: FloatArray) -> tuple[FloatArr
     rotated = np.array([plane @ first_new])
     second_new = np.array([-rotated[0, 1], rotated[0, 0]]) @ plane
     return (first_new, second_new) if h > 0.0 else (first_new, -second_new)
-
-
-def _upright(direction: FloatArray) -> FloatArray:
-    return direction if direction[np.argmax(np.abs(direction))] > 0.0 else -direction
 
 
 def loop_channels(model: LinearModel, signals: LoopSignals, period: float, any_sensors: bool = True) -> Channels:

@@ -161,7 +161,13 @@ def _loop(job: Job, k: int) -> Iterator[Misfit]:
             found = _tracking(job, k)
         case "stabilisation":
             found = _stabilising(job, k)
-    yield from list(found) or _resolved(job, loop)
+    mistakes = list(found)
+    yield from mistakes
+    if not mistakes:
+        try:
+            job.resolver(loop)
+        except ArgumentError as error:
+            yield "resolve", str(error)
     rate = loop.rate_hz or 1.0 / job.sampling.period
     for i, design in enumerate(loop.designs):
         yield from within(("design", i), _design(job, loop, design, rate))
@@ -256,14 +262,6 @@ def _signals(platform: Platform, loop: LoopSpec) -> Iterator[Misfit]:
     for name in loop.torquers:
         if torquers.get(name) not in loop.gimbals:
             yield unknown("torquers", name, "torquer on a gimbal of the loop", torquers)
-
-
-def _resolved(job: Job, loop: LoopSpec) -> Iterator[Misfit]:
-    """Yield why the readings of a loop cannot be turned to the axes of its gimbals."""
-    try:
-        job.resolver(loop)
-    except ArgumentError as error:
-        yield "resolve", str(error)
 
 
 def _sensors(platform: Platform, kind: str, names: tuple[str, ...]) -> Iterator[Misfit]:

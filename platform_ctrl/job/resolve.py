@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.common.values import FloatArray, read_only, value
+from platform_ctrl.common.values import FloatArray, read_only, replaced, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.mistakes import Misfit, useless
 from platform_ctrl.plant.platform import Platform
@@ -172,7 +172,7 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
             f"at the angles zero {', '.join(sensors)} do not show the rate of each of the gimbals {', '.join(names)}: "
             "two axes are parallel, or one is across all others; choose other sensors"
         )
-    return Resolver(**{name: getattr(made, name) for name in made._fields} | {"least": det / limit})  # type: ignore[attr-defined]
+    return replaced(made, {"least": det / limit})
 
 
 def reading_units(platform: Platform, laws: Iterable[Resolver]) -> dict[str, str]:

@@ -243,7 +243,8 @@ def _inertia_curvature(at: Kinematics, inertias: FloatArray, Omega: FloatArray) 
                 # In body axes Omega changes by −a_j × Omega, and twice by a_j × (a_i × Omega), i above j.
                 second = np.cross(at.axes[j], np.cross(at.axes[i], Omega))
                 out[i, j] += turned[i] @ inertias[body] @ turned[j] + momentum @ second
-    return _mirrored(out)
+    # Only pairs with i above j are set.
+    return np.asarray(out + out.T - np.diag(np.diag(out)))
 
 
 def _motion_curvature(at: Kinematics, Omega: FloatArray) -> FloatArray:
@@ -262,12 +263,6 @@ def _motion_curvature(at: Kinematics, Omega: FloatArray) -> FloatArray:
         out -= first_moment.T @ first_moment / tree.mass
         out -= np.einsum("b,ijba,a->ij", tree.masses, second @ turn.T, turn @ at.moment) / tree.mass
     return np.asarray(out)
-
-
-def _mirrored(upper: FloatArray) -> FloatArray:
-    """Fill in [j, i] from [i, j]: only pairs with i above j were set."""
-    out: FloatArray = upper + upper.T - np.diag(np.diag(upper))
-    return out
 
 
 # Rounding of a sum over the tree, relative to the sum of the sizes of its terms.

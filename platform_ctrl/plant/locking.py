@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -90,7 +90,9 @@ def with_rigid_drives(platform: Platform) -> Platform:
         return platform
     changes: dict[str, Any] = {"compliances": ()}
     for kind in (key.field for key in shape(Platform).keys.values() if key.array is not None):
-        changes.setdefault(kind, tuple(_on_load(part, sides) for part in getattr(platform, kind)))
+        moved = ((part, sides.get(getattr(part, "gimbal", None) or "")) for part in getattr(platform, kind))
+        parts = tuple(part if side is None else replaced(part, {"gimbal": side.gimbal}) for part, side in moved)
+        changes.setdefault(kind, parts)
     added = {one.gimbal: one.inertia for one in sides.values()}
     changes["gimbals"] = tuple(
         replaced(one, {"inertia": one.inertia + added.get(one.name, 0.0) * np.outer(one.axis, one.axis)})
@@ -98,11 +100,6 @@ def with_rigid_drives(platform: Platform) -> Platform:
         if one.name not in sides
     )
     return replaced(platform, changes)
-
-
-def _on_load(part: Any, sides: Mapping[str, Compliance]) -> Any:
-    side = sides.get(getattr(part, "gimbal", None) or "")
-    return part if side is None else replaced(part, {"gimbal": side.gimbal})
 
 
 def carried_inertia(platform: Platform, name: str) -> float:

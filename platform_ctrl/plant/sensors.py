@@ -88,7 +88,8 @@ class Sensor:
         """Kind, name and place: what sensors of plants that differ in numbers alone have in common."""
         kind: type = type(self)
         lags = (self.bandwidth_hz is not None, self.delay)
-        return (kind, *lags, *(_hashable(item) for item in _placed(kind)(self)))
+        items = _placed(kind)(self)
+        return (kind, *lags, *(item.tobytes() if isinstance(item, np.ndarray) else item for item in items))
 
     def signals(self, platform: GimbalTree) -> Mapping[str, float]:
         """Return the reading without its errors as a sum: weights of signals of the plant."""
@@ -433,10 +434,6 @@ def body_rotations(platform: GimbalTree, body: int) -> tuple[str, ...]:
 @cache
 def _placed(kind: type) -> Callable[[Sensor], tuple[object, ...]]:
     return attrgetter(*(field.name for field in dataclasses.fields(kind) if field.name not in ERRORS))
-
-
-def _hashable(item: Any) -> object:
-    return item.tobytes() if isinstance(item, np.ndarray) else item
 
 
 def gimbal_rate(angle: str) -> str:

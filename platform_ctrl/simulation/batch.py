@@ -262,8 +262,8 @@ def batch_metrics(batched: plans.Batch, threads: int = 1, record: FloatArray = _
     from platform_ctrl.common.simd import LANES, memory
     from platform_ctrl.simulation.kernel.loop import simulate_groups
 
-    wait_for_compilation()
-
+    while _compiling:  # in another process, which leaves what this one needs
+        _compiling.pop().wait()
     runs = len(batched.given)
     groups = math.ceil(runs / LANES)
     # The last group is filled up with scenarios that are repeated.
@@ -364,12 +364,6 @@ def is_compiled() -> bool:
     what this is for. A test fails when the name changes.
     """
     return any((Path(__file__).parent / "kernel" / "__pycache__").glob("loop.simulate_groups*.nbi"))
-
-
-def wait_for_compilation() -> None:
-    """Wait until the other process has compiled the kernel, if there is one."""
-    while _compiling:
-        _compiling.pop().wait()
 
 
 def run_interruptibly(work: Callable[[], object]) -> None:

@@ -62,7 +62,8 @@ def coupled_plant(
     read = {name for K in controllers for name in K.input_labels}
     outputs = [*(name for name in model.angle_names if name in read), *sensed_rates(job, controllers)]
     whole = observed(system, platform, outputs, model.q0, model.Omega0)
-    whole, conserved = _without_conserved(whole, [t.signal for t in torquers if _sets(controllers, t.name)], free)
+    used = {name for K in controllers for name in K.output_labels}
+    whole, conserved = _without_conserved(whole, [t.signal for t in torquers if t.name in used], free)
     states, columns = list(whole.state_labels), [whole.input_labels.index(t.signal) for t in torquers]
     seen = seen_states(whole.A[None], whole.C[None])
     kept, growth = list(range(whole.nstates)), 0.0
@@ -83,10 +84,6 @@ def coupled_plant(
         name for k, name in enumerate(states) if name in model.angle_names and k not in kept and not whole.A[:, k].any()
     )
     return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth, conserved)
-
-
-def _sets(controllers: Sequence[control.StateSpace], torquer: str) -> bool:
-    return any(torquer in K.output_labels for K in controllers)
 
 
 def _without_conserved(

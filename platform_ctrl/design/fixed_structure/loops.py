@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from platform_ctrl.analysis.between_samples import Disturbed, response_at
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
@@ -265,13 +264,11 @@ class LoopGradients:
             # No decay at all has to be worse than most other things.
             unit = min(unit, limit / _NO_DECAY)
         ratio = np.where(np.isfinite(s), 1.0 + (limit + s.real) / unit, -np.inf)
-        row, k = maps.reaching(ratio, (s.imag >= 0.0) & ~self._artificial(s), 1.0 - _SLOW)
+        # Poles of angles that decay slowly in regular plants alone do not count.
+        artificial = (np.abs(s + REGULAR) < _NEARLY * REGULAR) & self.regular
+        row, k = maps.reaching(ratio, (s.imag >= 0.0) & ~artificial, 1.0 - _SLOW)
         gradient = self._pole_gradient(np.full(len(k), 1.0 / unit), members[row], k)
         return maps.Pieces(ratio=ratio[row, k], gradient=gradient, plant=members[row])
-
-    def _artificial(self, s: ComplexArray) -> NDArray[np.bool_]:
-        """Return which poles are those of angles that decay slowly in regular plants alone."""
-        return np.asarray(np.abs(s + REGULAR) < _NEARLY * REGULAR) & self.regular
 
     def fastest(self, floor: float, limit: float, members: maps.Numbers) -> maps.Pieces:
         """Return |w|/limit of the closed-loop poles in the w-plane, w = (2/T) (z − 1)/(z + 1)."""
