@@ -285,7 +285,7 @@ class Motor:
             yield from (missing(key, "a current loop needs it") for key in lacking)
             if not lacking and {"proportional", "integral", "rate_hz"} <= loop.keys():
                 winding = _winding(CurrentLoop(**loop), table["resistance"], table["inductance"], 1.0, 0.0, 1.0)
-                if np.linalg.eigvals(winding.matrices[0]).real.max() > 0.0:
+                if np.abs(np.linalg.eigvals(_sampled(winding))).max() > 1.0:
                     yield "current_loop", "current_loop is not stable: take smaller gains, or a higher rate_hz"
         elif "rotor_inertia" not in table:
             yield missing("rotor_inertia", "a motor without current_loop is a rotor alone, of so many kg m²")
@@ -336,6 +336,19 @@ def _winding(
         crossover = w * (math.sqrt(1.0 + sine * sine) - sine)
         P, integral = inductance * crossover, resistance * crossover
     return Winding(per_ampere, back_emf, resistance, inductance, supply, P, integral, delay)
+
+
+def _sampled(one: Winding) -> FloatArray:
+    """Return the matrix (3, 3) of [i, x, v] from sample to sample of its loop, which sets v a sample late."""
+    period = one.delay / 1.5
+    decay = math.exp(-one.resistance * period / one.inductance)
+    return np.array(
+        [
+            [decay, 0.0, (1.0 - decay) / one.resistance],
+            [-one.integral * period, 1.0, 0.0],
+            [-one.proportional, 1.0, 0.0],
+        ]
+    )
 
 
 @input_value

@@ -153,7 +153,11 @@ def test_a_speed_constant_stands_for_the_torque_constant():
             'give either "bandwidth_hz" or "proportional", not both',
         ),
         ({"loop": {"proportional": 1.0, "integral": 1.0}}, 'the key "rate_hz" is missing; gains need the rate'),
-        ({"loop": {"proportional": 99.0, "integral": 1e3, "rate_hz": 2e4}}, "current_loop is not stable: take smaller"),
+        # z² − z + κ = 0 of a loop that cancels the winding is stable up to κ = 1, here 25 V/A.
+        (
+            {"loop": {"proportional": 25.2, "integral": 25.2 * R / L, "rate_hz": 2e4}},
+            "current_loop is not stable: take",
+        ),
         ({"kv": 190.0}, 'give either "torque_constant" or "kv", not both'),
         ({"gear": 0.0}, "gear must be a number other than 0"),
         ({"cogging": [[7.0, -1.0, 0.0]]}, "cogging must be rows"),
