@@ -47,7 +47,6 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed_system
-from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
@@ -170,7 +169,7 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
     whole = late_outputs(held._replace(C=C, D=D), [*late[: p + q], *([0] * len(times) * p), *late[p + q :]])
     whole = _with_drives(whole, linear)
     # Rates alone show neither where a free root looks nor where what turns it is.
-    whole = without_drift(whole) if signals.free and not _shows_attitude(job, signals) else whole
+    whole = without_drift(whole) if signals.free and job.platform.root_attitudes.isdisjoint(names) else whole
     if every > 1:
         whole, kept = every_nth(whole, every, p + q)
         times = np.add.outer(sampling.period * np.arange(every), times).ravel()
@@ -389,7 +388,7 @@ def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:
     """Return the plants that a loop with these signals must control, the nominal one first."""
     turned = (*signals.gimbals, *signals.passive)
     plants = cases(job, turned, [torquer.name for torquer in signals.torquers], root=signals.free)
-    if signals.free and _shows_attitude(job, signals):
+    if signals.free and not job.platform.root_attitudes.isdisjoint(one.name for one in signals.sensors):
         _expect_steady(plants)
     elif signals.held:
         # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
@@ -400,11 +399,6 @@ def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:
     plants += with_friction(job, torquers, fed, still) if signals.held else []
     plants += with_feedback(job, torquers, fed, still) if signals.fed else []
     return plants
-
-
-def _shows_attitude(job: Job, signals: LoopSignals) -> bool:
-    """Return whether a loop reads rotations of the root."""
-    return any(set(one.signals(job.platform)) & set(ROOT_ROTATIONS) for one in signals.sensors)
 
 
 def _expect_steady(plants: Sequence[Case]) -> None:

@@ -96,7 +96,9 @@ def _varied(job: Job, spec: LoopSpec) -> bool:
         gimbals = next((one.gimbals for one in job.loops if one.name == spec.around), ())
     spun = job.uncertainty.spin > _NOTHING and any(one.carrier in gimbals for one in job.platform.rotors)
     turned = np.any(job.Omega > _NOTHING) and (
-        spec.kind == "caging" or spec.moves_root(job.platform) or job.platform.dry_frictions
+        spec.kind == "caging"
+        or (spec.moves_root(job.platform) and not job.platform.root_attitudes.isdisjoint(spec.sensors))
+        or job.platform.dry_frictions
     )
     tilted = any(np.abs(q).max(initial=0.0) > _NOTHING for q in job.trims)
     widths = [getattr(job.uncertainty, f"mode_{what}") for what in MODE_NUMBERS]

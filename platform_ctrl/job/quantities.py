@@ -219,9 +219,12 @@ def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tup
         )
     if uncontrolled:
         words.append(f"no loop acts on gimbal{'' if len(uncontrolled) == 1 else 's'} {listed(uncontrolled)}")
-    kinds = {spec.kind for spec in job.loops}
-    if any(spec.moves_root(job.platform) for spec in job.loops) and "stabilisation" not in kinds:
+    kinds, moving = {spec.kind for spec in job.loops}, [one for one in job.loops if one.moves_root(job.platform)]
+    if moving and "stabilisation" not in kinds:
         words.append("the momentum that torques from outside bring in is unloaded outside of this job")
+    read = {name for spec in job.loops for name in spec.sensors}
+    if moving and job.Omega.any() and not read & job.platform.root_attitudes:
+        words.append(f"Omega is zero, as no loop reads the attitude of {job.platform.root_name}")
     if not kinds & {"rate", "pointing"}:
         return _assuming(words)
     rate = float(max(job.Omega))

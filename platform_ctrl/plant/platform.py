@@ -29,6 +29,7 @@ from platform_ctrl.plant.sensors import (
     PickOff,
     RateSensor,
     Sensor,
+    body_rotations,
     gimbal_rate,
 )
 from platform_ctrl.plant.tables import TABLE, Array, InTable, Shape, shape, written
@@ -170,6 +171,12 @@ class Platform(GimbalTree):
     def root_torquers(self) -> tuple[str, ...]:
         """Names of the torquers that act on the root, in the file's order."""
         return tuple(one.name for one in self.torquers if one.root_axis is not None)
+
+    @property
+    def root_attitudes(self) -> frozenset[str]:
+        """Names of the sensors that show a rotation of the root against inertial space."""
+        own = set(body_rotations(self, 0))
+        return frozenset(one.name for one in self.sensors if own & one.signals(self).keys())
 
     @property
     def held_by(self) -> tuple[Spring, ...]:

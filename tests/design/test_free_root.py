@@ -191,6 +191,19 @@ def test_reaction_wheels_turn_a_table_on_an_air_bearing():
     assert closed.measures.decay.min() > 0.0
 
 
+def test_gyros_alone_say_that_omega_is_left_out():
+    """Wheels do not hold a spinning table by its rates alone: the momentum that they take up turns with it."""
+    gyros = [{"name": f"r{n}", "body": "table", "axis": list(np.eye(3)[k])} for k, n in enumerate("xyz")]
+    pi = {"name": "PI", "method": "pi", "crossover_hz": 0.3}
+    loop = LOOP | {"kind": "rate", "sensors": ["rx", "ry", "rz"], "use": "PI", "design": [pi]}
+    job = RIG_JOB | {"plant": RIG | {"rate_sensor": gyros}, "operation": {"Omega": [0.0, 0.0, 2.0]}, "loop": [loop]}
+    result = pc.verification.check_job(pc.read_job(job), design.loops(job))
+    assert "Omega is zero, as no loop reads the attitude of table" in result.assumptions
+    job["uncertainty"] = {"inertia": 0.0}
+    with pytest.raises(InputError, match="disk_margin_worst_case needs plants that differ"):
+        pc.read_job(job | {"loop": [loop | {"limits": {"disk_margin_worst_case": 0.5}}]})
+
+
 @pytest.mark.parametrize("root", [{"mode": "held"}, {"mode": "pivot", "gravity": [0.0, 0.0, -9.81]}])
 def test_a_root_that_does_not_move_freely_is_named(root):
     with pytest.raises(InputError, match=r"ax, ay, az show 'table', which what turns on it moves only with mode"):
