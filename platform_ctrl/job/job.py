@@ -178,7 +178,7 @@ class CoupledLimits:
     coupling_cost
         Largest relative loss of a loop-by-loop disk margin against the decoupled design.
     limit_cycle
-        Largest amplitude of a load's oscillation from the play of its drive, rad; None: there may be none.
+        Largest amplitude of a gimbal's oscillation from the play of drives, rad; None: there may be none.
     """
 
     disk_margin: fields.Positive | None = None

@@ -36,36 +36,52 @@ _AMPLITUDES, _PHASES = np.geomspace(1e-2, 1e4, 600), np.pi * (np.arange(400) + 0
 
 
 def limit_cycle_results(job: Job, slowest: Slowest, subject: str) -> Iterator[CheckResult]:
-    """Yield the largest amplitude of a limit cycle of each load whose drive has play, at the job's angles.
+    """Yield the largest amplitude of a gimbal in the limit cycle of each drive that has play, at the job's angles.
 
-    Loops that are unstable without play have no such result.
+    What other drives add to the gimbal counts too. Loops that are unstable without play have no such result.
     """
     platform, f = job.platform, specific_force_at(job.platform)
     wanted = Requirement.of(COUPLED_METRICS["limit cycle"], job.coupled.limit_cycle or 0.0)
-    for drive, (load, motor) in zip(platform.compliances, platform.sides, strict=True):
-        value, words = 0.0, "no limit cycle"
-        if not drive.play or any(slowest(platform, q)[0].real > STABLE.limit for q in job.trims):
-            continue
-        for q in job.trims:
-            critical = _critical(platform, drive, q, slowest)
-            if critical is None:
-                continue
-            share, pole, angles = critical
-            at = twisted(platform, q, f)
-            twist = largest_amplitude(share, max(0.0, 2.0 * abs(at[motor] - at[load]) / drive.play - 1.0))
-            own, other = 0.5 * drive.play * twist * np.abs(angles[[load, motor]] / (angles[load] - angles[motor]))
-            if own > value:
-                value = float(own)
-                words = f"limit cycle of {abs(pole.imag) * HZ:.3g} Hz, the motor side by ± {quantity(other, 'rad', 3)}"
-                words += f", {at_angles(platform, q)}" if q.any() else ""
-        evidence = f"play {quantity(drive.play, 'rad')} of the drive of gimbal {drive.gimbal}: {words}"
-        found = wanted.judge(value, subject=subject, stage="coupled", evidence=_APPROXIMATION, method="refined")
+    drives = [pair for pair in zip(platform.compliances, platform.sides, strict=True) if pair[0].play]
+    if not drives or any(slowest(platform, q)[0].real > STABLE.limit for q in job.trims):
+        return
+    motors = [motor for _, motor in platform.sides]
+    value, words = [0.0] * len(drives), ["no limit cycle"] * len(drives)
+    for q in job.trims:
+        found = [_cycle(platform, drive, sides, q, f, slowest) for drive, sides in drives]
+        swings = np.array([amplitudes for _, amplitudes in found])
+        swings[:, motors] = 0.0
+        for k, (load, motor) in enumerate(sides for _, sides in drives):
+            most = int(np.argmax(swings[k]))
+            total = float(swings[:, most].sum())
+            if swings[k, most] > 0.0 and total > value[k]:
+                value[k], (hertz, own) = total, found[k]
+                words[k] = f"limit cycle of {hertz:.3g} Hz, the motor side by ± {quantity(own[motor], 'rad', 3)}"
+                words[k] += f", gimbal {platform.gimbal_names[most]} moves most" if most != load else ""
+                words[k] += ", with what other drives add" if total > 1.001 * swings[k, most] else ""
+                words[k] += f", {at_angles(platform, q)}" if q.any() else ""
+    for (drive, _), size, says in zip(drives, value, words, strict=True):
+        evidence = f"play {quantity(drive.play, 'rad')} of the drive of gimbal {drive.gimbal}: {says}"
+        judged = wanted.judge(size, subject=subject, stage="coupled", evidence=_APPROXIMATION, method="refined")
         cure = "preload the gear, close the loop on the motor side's angle, or lower its crossover"
         yield (
-            replaced(found, {"evidence": f"{evidence}; {_APPROXIMATION}"})
-            if found.passed
-            else found.because(f"{evidence}; {cure}")
+            replaced(judged, {"evidence": f"{evidence}; {_APPROXIMATION}"})
+            if judged.passed
+            else judged.because(f"{evidence}; {cure}")
         )
+
+
+def _cycle(
+    platform: Platform, drive: Compliance, sides: tuple[int, int], q: FloatArray, f: FloatArray, slowest: Slowest
+) -> tuple[float, FloatArray]:
+    """Return frequency, Hz, and amplitudes (n,), rad, of a drive's limit cycle; `sides` are its load and motor side."""
+    critical, (load, motor) = _critical(platform, drive, q, slowest), sides
+    if critical is None:
+        return 0.0, np.zeros(len(q))
+    share, pole, angles = critical
+    at = twisted(platform, q, f)
+    twist = largest_amplitude(share, max(0.0, 2.0 * abs(at[motor] - at[load]) / drive.play - 1.0))
+    return abs(pole.imag) * HZ, 0.5 * drive.play * twist * np.abs(angles / (angles[load] - angles[motor]))
 
 
 def _critical(

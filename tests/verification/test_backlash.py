@@ -13,6 +13,13 @@ J1, J2, K, C, PLAY = 0.02, 0.05, 300.0, 0.04, 2e-3
 PERIOD, DELAY, SECONDS = 5e-4, 2e-4, 30.0
 
 
+def law(inertia, w):
+    """Return a lead with integral for a rigid inertia, with its zero near w, sampled."""
+    s = control.tf("s")
+    one = -0.4 * inertia * w**2 * (1 + 2.5 * s / w + 0.15 * w / s) / (1 + s / (8 * w)) ** 2
+    return control.ss(control.sample_system(one, PERIOD, "tustin"))
+
+
 def checked(sensor, crossover, weight=0.0, play=PLAY, stiffness=K, **coupled):
     """A motor and a load on a shaft with play, a lead and integral on one side's encoder; the coupled check."""
     gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J2] * 3, "angle": "q"}
@@ -32,21 +39,20 @@ def checked(sensor, crossover, weight=0.0, play=PLAY, stiffness=K, **coupled):
     job = {"schema": 2, "name": "drive", "plant": plant, "operation": {"Omega": [0.1, 0.1, 0.1]}, "coupled": coupled}
     job |= {"sampling": {"rate_hz": 1 / PERIOD, "delay": DELAY}}
     read = pc.read_job(job | {"loop": [loop | {"design": [{"name": "d", "method": "classical"}]}]})
-    s, w = control.tf("s"), crossover
-    law = -0.4 * (J1 + J2) * w**2 * (1 + 2.5 * s / w + 0.15 * w / s) / (1 + s / (8 * w)) ** 2
-    one = control.ss(control.sample_system(law, PERIOD, "tustin"))
+    one = law(J1 + J2, crossover)
     controller = control.StateSpace(one.A, one.B, one.C, one.D, PERIOD, inputs=[sensor], outputs=["Qg"])
     check = coupled_check(read, pc.linearise(read.platform), [controller])
     [found] = [one for one in check.results if "limit cycle" in one.name] or [None]
     return read, controller, check, found
 
 
-def oscillation(read, controller, start, step=1e-4):
+def oscillation(read, controller, start, step=1e-4, angle=0):
     """Return amplitude and frequency (Hz) of the fundamental of the load at the end of a run."""
-    q, begin = [start, 0.0], "equilibrium" if start == 0.0 else "rest"
+    n = len(read.platform.angle_names)
+    q, begin = [start, *[0.0] * (n - 1)], "equilibrium" if start == 0.0 else "rest"
     at = simulation.Scenario(platform=read.platform, mode="caged", duration=SECONDS, delay=DELAY, q=q, start=begin)
     run = simulation.simulate(at, [controller], period=PERIOD, step=step, noise=False)
-    y = run.q[len(run.t) // 2 :, 0] - run.q[len(run.t) // 2 :, 0].mean()
+    y = run.q[len(run.t) // 2 :, angle] - run.q[len(run.t) // 2 :, angle].mean()
     up = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
     if np.abs(y).max() < 0.01 * PLAY or len(up) < 2:
         return np.abs(y).max(), 0.0
@@ -84,6 +90,40 @@ def test_a_drive_whose_loop_or_weight_keeps_its_teeth_together_comes_to_rest(sen
     assert found.value == 0.0
     amplitude, _ = oscillation(read, controller, start=4e-3 if not weight else 0.0)
     assert amplitude < 0.01 * PLAY
+
+
+def test_a_limit_cycle_counts_where_it_moves_a_gimbal_most():
+    # The inner gimbal turns about the outer one's axis: the outer drive moves it more than its own does.
+    common = {"axis": [0, 0, 1], "inertia": [0.1] * 3}
+    inner = common | {"name": "b", "parent": "a", "inertia": [0.04] * 3, "angle": "qb"}
+    sides = [("a", 600.0, 0.03, 2e-3), ("b", 300.0, 0.02, 1e-3)]
+    plant = {
+        "schema": 1,
+        "name": "two drives",
+        "root": {"name": "base", "inertia": [1, 1, 1], "mode": "held"},
+        "gimbal": [common | {"name": "a", "parent": "base", "angle": "qa"}, inner],
+        "torquer": [{"gimbal": name} for name in "ab"],
+        "pickoff": [{"gimbal": name} for name in "ab"],
+        "friction": [{"gimbal": name, "viscous": 0.02} for name in "ab"],
+        "compliance": [
+            {"gimbal": name, "stiffness": k, "damping": 0.05, "inertia": J, "play": play} for name, k, J, play in sides
+        ],
+    }
+    loop = {"name": "L", "kind": "pointing", "gimbals": ["a_motor", "b_motor"], "sensors": ["qa", "qb"], "use": "d"}
+    job = {"schema": 2, "name": "two drives", "plant": plant, "operation": {"Omega": [0.1, 0.1, 0.1]}, "coupled": {}}
+    job |= {"sampling": {"rate_hz": 1 / PERIOD, "delay": DELAY}}
+    read = pc.read_job(job | {"loop": [loop | {"design": [{"name": "d", "method": "classical"}]}]})
+    one = control.append(law(0.19, 8.0), law(0.06, 10.4))
+    matrices = (one.A, one.B, one.C, one.D, PERIOD)
+    controller = control.StateSpace(*matrices, inputs=["qa", "qb"], outputs=["Qa", "Qb"])
+    found = [
+        r for r in coupled_check(read, pc.linearise(read.platform), [controller]).results if "limit cycle" in r.name
+    ]
+    amplitude, _ = oscillation(read, controller, start=4e-3, angle=1)
+    assert len(found) == 2
+    for result in found:
+        assert amplitude < result.value < 1.3 * amplitude
+    assert "gimbal b moves most, with what other drives add" in found[0].evidence
 
 
 def test_a_limit_says_how_large_a_limit_cycle_may_be():
