@@ -286,7 +286,7 @@ COUPLED_METRICS: dict[str, Quantity] = {
         meaning="largest relative loss of a loop-by-loop disk margin against the decoupled design",
     ),
     "limit cycle": Quantity(
-        name="limit cycle from play", key="limit_cycle", unit="rad", meaning="amplitude of a gimbal that a drive with play moves"
+        name="limit cycle from play", key="limit_cycle", unit="rad", meaning="amplitude of a gimbal by drives with play"
     ),
 }
 
