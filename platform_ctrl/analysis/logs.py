@@ -77,6 +77,7 @@ SUFFIXES: dict[str, ColumnUnit] = {
     "mps2": ColumnUnit("m/s2", "acceleration", 1.0),
     "g": ColumnUnit("g", "acceleration", G),
     "mg": ColumnUnit("mg", "acceleration", 1e-3 * G),
+    "knm": ColumnUnit("kN m", "torque", 1e3),
     "nm": ColumnUnit("N m", "torque", 1.0),
     "mnm": ColumnUnit("mN m", "torque", 1e-3),
     "unm": ColumnUnit("µN m", "torque", 1e-6),

@@ -9,9 +9,10 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.logs import read_density
+from platform_ctrl.analysis.logs import column_unit, read_density
 from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.values import FloatArray, input_value, read_only
+from platform_ctrl.errors import InputError
 from platform_ctrl.job.budget import too_large
 from platform_ctrl.job.scenario import COMMANDS, Command, Mode, Sine, Start, TimeTable, Vibration
 from platform_ctrl.plant import fields
@@ -143,6 +144,9 @@ class GimbalTorque:
             return GimbalTorque(gimbal=self.gimbal, frequencies_hz=f, densities=densities)
         if self.log is None:
             return self
+        unit = column_unit(str(self.column))[1]
+        if unit is not None and unit.quantity == "rate":
+            raise InputError(f"column {given(self.column)} is in {unit.name} by its name; name a column of a torque")
         table = TimeTable.from_log(folder / self.log, (self.column, None, None), time=self.time)
         return GimbalTorque(gimbal=self.gimbal, t=tuple(table.t.tolist()), value=tuple(table.values[:, 0].tolist()))
 

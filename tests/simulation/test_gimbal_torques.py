@@ -88,6 +88,9 @@ def test_a_log_is_played_in_the_unit_of_its_column(tmp_path):
     found = run([{"gimbal": "pan", "log": "gust.csv", "column": "wind_mNm"}], folder=tmp_path)
     expected = (found.t / 3.0 - np.sin(3.0 * found.t) / 9.0) / J
     assert np.abs(found.q[:, 0] - expected).max() < 1e-4 * expected.max()
+    (tmp_path / "gyro.csv").write_text(f"time,gyro_z_dps\n{rows}\n")
+    with pytest.raises(InputError, match='column "gyro_z_dps" is in deg/s by its name; name a column of a torque'):
+        run([{"gimbal": "pan", "log": "gyro.csv", "column": "gyro_z_dps"}], folder=tmp_path)
 
 
 def test_a_density_from_a_file_is_that_of_a_vibration(tmp_path):
