@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.logs import ColumnUnit, G, Log, Quantity, column_unit, read_log
 from platform_ctrl.common.values import FloatArray, input_value, replaced, value
-from platform_ctrl.errors import InputError
-from platform_ctrl.job.spectra import PROFILES, SPECTRA, Lines, LogSpectrum, SourceSpectrum
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.spectra import PROFILES, SPECTRA, Lines, LogSpectrum, PsdSpectrum, SourceSpectrum
 from platform_ctrl.plant import fields
 from platform_ctrl.plant import mistakes as mistake
 from platform_ctrl.plant.platform import Platform
@@ -290,8 +290,8 @@ class BudgetSpec:
 NEAR_ONE = 0.05
 
 
-def with_logs(budget: BudgetSpec, folder: FilePath) -> tuple[BudgetSpec, list[mistake.Mistake]]:
-    """Return a budget whose logs are read, and what is wrong with them."""
+def with_files(budget: BudgetSpec, folder: FilePath) -> tuple[BudgetSpec, list[mistake.Mistake]]:
+    """Return a budget whose files are read, and what is wrong with them."""
     sources, mistakes, logs = [], [], _logs(budget, folder)
     for k, source in enumerate(budget.sources):
         if isinstance(source.spectrum, LogSpectrum):
@@ -307,6 +307,11 @@ def with_logs(budget: BudgetSpec, folder: FilePath) -> tuple[BudgetSpec, list[mi
             except InputError as error:
                 key = "column" if "there is no column" in str(error) else "log"
                 mistakes.append(mistake.Mistake(("budget", "source", k, key), f"{key}: {error}"))
+        elif isinstance(source.spectrum, PsdSpectrum):
+            try:
+                source = replaced(source, {"spectrum": source.spectrum.read(folder)})
+            except (InputError, ArgumentError) as error:
+                mistakes.append(mistake.Mistake(("budget", "source", k, "psd"), f"psd: {error}"))
         sources.append(source)
     return replaced(budget, {"sources": tuple(sources)}), mistakes
 

@@ -13,7 +13,7 @@ from typing import Any
 from platform_ctrl.common.files import plain_types
 from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.budget import Source, value_mistakes, with_logs
+from platform_ctrl.job.budget import Source, value_mistakes, with_files
 from platform_ctrl.job.checks import job_mistakes, locked_mistakes
 from platform_ctrl.job.exercised import unexercised
 from platform_ctrl.job.job import Job
@@ -101,8 +101,8 @@ def read_job(
     job, of_torques = _with_torques(job, start or document.folder)
     mistakes = [*of_responses, *of_torques, *_variation(job)]
     if job.budget is not None:
-        budget, of_logs = with_logs(job.budget, start or document.folder)
-        mistakes += of_logs or value_mistakes(budget)
+        budget, of_files = with_files(job.budget, start or document.folder)
+        mistakes += of_files or value_mistakes(budget)
         job = replaced(job, {"budget": budget})
     if mistakes := mistakes or list(unexercised(job)):
         raise report(document.label, document.data, mistakes)

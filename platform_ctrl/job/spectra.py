@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.logs import G, Log, LogDensity, log_density, read_log
+from platform_ctrl.analysis.logs import G, Log, LogDensity, log_density, read_density, read_log
 from platform_ctrl.common.arguments import real_numbers
 from platform_ctrl.common.values import FloatArray, input_value, replaced, value
 from platform_ctrl.errors import ArgumentError, InputError
@@ -196,6 +196,24 @@ class TableSpectrum(SourceSpectrum):
         return self
 
 
+@record_value
+class PsdSpectrum(SourceSpectrum):
+    """A density in a file; a table once the job is read.
+
+    Attributes
+    ----------
+    psd
+        Path of a CSV file with a header whose first two columns are frequencies, Hz, and densities, units²/Hz.
+    """
+
+    psd: fields.Text
+
+    def read(self, folder: Path) -> TableSpectrum:
+        """Return the table in the file, whose path starts at `folder`; `InputError` says what is wrong with it."""
+        f, densities = read_density(folder / self.psd)
+        return TableSpectrum(frequencies_hz=f, densities=densities)
+
+
 def interpolated(
     f_hz: ArrayLike, frequencies_hz: FloatArray, densities: FloatArray, interpolation: Interpolation = "logarithmic"
 ) -> FloatArray:
@@ -370,6 +388,7 @@ class LogSpectrum(SourceSpectrum):
 # By the key of a source that says how it is described.
 SPECTRA: dict[str, type[SourceSpectrum]] = {
     "frequencies_hz": TableSpectrum,
+    "psd": PsdSpectrum,
     "profile": ProfileSpectrum,
     "log": LogSpectrum,
     "sines": SineSpectrum,

@@ -238,6 +238,7 @@ def _other_units(platform: Platform) -> Iterator[Mistake]:
 
     Of all bodies of a density a ball has the least inertia for its mass. A root that is held may have any numbers.
     """
+    sides = platform.motor_sides  # their joints are those of their loads
     for b, body in enumerate(platform.bodies):
         if not body.mass or (b == 0 and platform.mode != "floating"):
             continue
@@ -252,7 +253,7 @@ def _other_units(platform: Platform) -> Iterator[Mistake]:
             words = f"{body.mass:.4g} kg with this inertia are a ball of {density:.1g} kg/m3, as no body is"
             yield Mistake((*path, "mass"), f"mass: {words}; {units}")
             continue
-        carried = [k for k, one in enumerate(platform.gimbals) if one.parent == name]
+        carried = [k for k, one in enumerate(platform.gimbals) if one.parent == name and one.name not in sides]
         joints: dict[Path, FloatArray] = {(*path, "centre"): np.zeros(3)}
         joints |= {("gimbal", k, "origin"): platform.gimbals[k].origin for k in carried}
         for place, joint in joints.items() if b else ():

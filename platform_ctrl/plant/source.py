@@ -160,7 +160,8 @@ def _document(label: str, text: str, folder: Path) -> InputData:
     try:
         parsed = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{label}: is not TOML: {one_line(str(error))}") from None
+        more = "; texts are in quotes" if str(error).startswith("Invalid value") else ""
+        raise InputError(f"{label}: is not TOML: {one_line(str(error))}{more}") from None
     except ValueError:  # the digits of an integer are limited by Python itself
         raise InputError(f"{label}: is not TOML: an integer has too many digits") from None
     except RecursionError:

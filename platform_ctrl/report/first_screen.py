@@ -94,7 +94,8 @@ def distances(result: JobResult) -> page.Distances | None:
     shown = tables.requirement_rows(result)
     if not shown:
         return None
-    places = [_place(1.0 if row.checked.passed and not row.margin else row.share) for row in shown]
+    # What has no margin, as where a loop is unstable, is furthest away.
+    places = [_place(row.share if row.margin else 1.0 if row.checked.passed else -1.0) for row in shown]
     low = min(-_BEYOND, *places)
     order = sorted(range(len(shown)), key=lambda k: places[k])
     scaled = [(place - low) / (1.0 - low) for place in places]

@@ -41,7 +41,7 @@ def limit_cycle_results(job: Job, slowest: Slowest, subject: str) -> Iterator[Ch
     What other drives add to the gimbal counts too. Loops that are unstable without play have no such result.
     """
     platform, f = job.platform, specific_force_at(job.platform)
-    wanted = Requirement.of(COUPLED_METRICS["limit cycle"], job.coupled.limit_cycle or 0.0)
+    metric = COUPLED_METRICS["limit cycle"]
     drives = [pair for pair in zip(platform.compliances, platform.sides, strict=True) if pair[0].play]
     if not drives or any(slowest(platform, q)[0].real > STABLE.limit for q in job.trims):
         return
@@ -62,6 +62,7 @@ def limit_cycle_results(job: Job, slowest: Slowest, subject: str) -> Iterator[Ch
                 words[k] += f", {at_angles(platform, q)}" if q.any() else ""
     for (drive, _), size, says in zip(drives, value, words, strict=True):
         evidence = f"play {quantity(drive.play, 'rad')} of the drive of gimbal {drive.gimbal}: {says}"
+        wanted = Requirement.of(metric, job.coupled.limit_cycle or 0.0, f"{metric.name} of {drive.gimbal}")
         judged = wanted.judge(size, subject=subject, stage="coupled", evidence=_APPROXIMATION, method="refined")
         cure = "preload the gear, close the loop on the motor side's angle, or lower its crossover"
         yield (

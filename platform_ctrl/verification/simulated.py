@@ -217,13 +217,13 @@ def _judged(
 
 def _heat(job: Job, subject: str, trajectory: Trajectory) -> Iterator[CheckResult]:
     """Yield the rms current of each motor of which the plant says what it bears, over that."""
-    warm = Requirement(name="rms current over the motor's continuous one", limit=1.0, unit="", sense="at most")
     for motor in job.platform.motors:
         if motor.continuous_current is not None:
             torque = trajectory.torque[:, trajectory.torquer_names.index(motor.name)]
             rms = float(np.sqrt(np.mean(torque**2))) / motor.per_ampere
             words = f"motor {motor.name}: {rms:.3g} A rms over the run, it bears {motor.continuous_current:.3g} A"
-            found = warm.judge(
+            name = f"rms current of {motor.name} over its continuous one"
+            found = Requirement(name=name, limit=1.0, unit="", sense="at most").judge(
                 rms / motor.continuous_current, subject=subject, stage="simulated", evidence=words, method="simulated"
             )
             yield found if found.passed else found.because("take a larger motor or gear, or let it cool")

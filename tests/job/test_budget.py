@@ -116,6 +116,20 @@ def test_a_budget_is_written_back_to_the_last_bit() -> None:
     assert {len(set(source) & set(SPECTRA)) for source in data["budget"]["source"]} == {1}
 
 
+def test_a_density_from_a_file_is_the_table_in_it(tmp_path: Path) -> None:
+    (tmp_path / "wind.csv").write_text("frequency_hz,density\n0.5,1e-2\n5,1e-4\n50,1e-7\n", encoding="utf-8")
+    data = every_job_key() | {"plant": "every_plant_key.toml"}
+    own = {"name": "wind", "kind": "base-rate", "axis": 3, "psd": str(tmp_path / "wind.csv")}
+    data["budget"] = {"from_hz": 1.0, "to_hz": 50.0, "source": [own]}
+    job = read_job(data, folder=HERE)
+    assert job.budget is not None
+    table = TableSpectrum(frequencies_hz=[0.5, 5.0, 50.0], densities=[1e-2, 1e-4, 1e-7])
+    assert job.budget.sources[0].rms(1.0, 50.0) == math.sqrt(table.mean_square(1.0, 50.0))
+    data["budget"]["source"] = [own | {"psd": "none.csv"}]
+    with pytest.raises(InputError, match=r'source\]\] 1 "wind": psd: .*none.csv: there is no such file'):
+        read_job(data, folder=HERE)
+
+
 def logged(tmp_path: Path, mean: float, amplitude: float, column: str = "x", **source: Any) -> str:
     """Return the message about a budget of one log: 5 s of a sine of 3 Hz about a mean."""
     t = np.arange(500) * 0.01
