@@ -151,7 +151,7 @@ class FlexibleMode:
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
         fixed = table.get("interface") == "fixed"
         needed, words = ("joints", "a mode whose joints are locked") if fixed else ("participation", "a free mode")
-        if needed not in table and not table.get("base", np.zeros(3)).any():
+        if needed not in table and not np.any(table.get("base", 0.0)):
             yield missing(needed, f"{words} needs it, or base, to be excited")
         if "joints" in table and not fixed:
             yield useless(table, "joints", 'without interface = "fixed": a free mode has no inertia in common')

@@ -5,6 +5,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import design, simulation
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError
 from platform_ctrl.mechanics.state_space import free_system
 
@@ -189,6 +190,16 @@ def test_reaction_wheels_turn_a_table_on_an_air_bearing():
     inertias = np.array([8.0, 9.0, 12.0]) + 2 * 0.004
     assert found.real == pytest.approx(np.diag(-1.0 / inertias), rel=1e-3, abs=1e-9)
     assert closed.measures.decay.min() > 0.0
+
+
+def test_a_solar_array_swings_with_a_free_root():
+    """J θ'' + Γ η'' = −τ and η'' + ω² η + Γ θ'' = 0 about axis 3: below ω the table is heavier, above it lighter."""
+    mode = {"name": "array", "frequency": 0.3, "damping": 0.0, "interface": "fixed", "base": [0.0, 0.0, 2.0]}
+    job = pc.read_job(RIG_JOB | {"plant": RIG | {"mode": [mode]}})
+    w = np.array([0.2, 0.5])
+    found = plants_of(job, job.loops[0]).on(w).response[0] * (1j * w[:, None, None]) ** 2
+    inertia = 12.0 + 0.008 + 4.0 * w**2 / (0.09 - w**2)
+    assert found[:, 2, 2].real == pytest.approx(-1.0 / inertia, rel=3e-3)
 
 
 def test_gyros_alone_say_that_omega_is_left_out():
