@@ -274,7 +274,9 @@ def back_calculation(K: System, limited: Sequence[bool]) -> BackCalculation:
     limits = np.array(limited, dtype=np.bool_)[:, None]
     none = np.zeros((len(K.A), len(limits)))
     A, B, C = scaled(K.A, K.B, K.C)
-    t, Z, k = schur(A, output="real", sort=_integrates) if len(A) else (A, A, 0)
+    t, Z, k = (
+        schur(A, output="real", sort=lambda re, im=0.0: abs(complex(re, im)) > 1.0 - _DECAY) if len(A) else (A, A, 0)
+    )
     if not k or not limits.any():
         return BackCalculation(gain=none, integrals=k)
     V, own = state_scaling(K.A, K.B, K.C)[:, None] * Z[:, :k], t[:k, :k]
@@ -288,10 +290,6 @@ def back_calculation(K: System, limited: Sequence[bool]) -> BackCalculation:
     rank = int(np.linalg.matrix_rank(seen / sizes, tol=_BLIND * np.sqrt(k)))
     radius = float(np.abs(np.linalg.eigvals(K.A - gain @ np.where(limits, K.C, 0.0))).max())
     return BackCalculation(gain=gain, integrals=k, seen=rank, time_constant=K.dt / share, radius=radius)
-
-
-def _integrates(re: float, im: float = 0.0) -> bool:
-    return abs(complex(re, im)) > 1.0 - _DECAY
 
 
 def _integral_share(t: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, k: int) -> float:

@@ -258,7 +258,7 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
     X = np.array(np.broadcast_to(X, (*batch, *X.shape[-2:])))
     if A.shape[-1] == 0:
         return X
-    stable = np.less(np.broadcast_to(pole.spectral_radius(pole.poles(A)), batch), 1.0, dtype=np.bool_)
+    stable = np.less(np.broadcast_to(np.abs(pole.poles(A)).max(axis=-1, initial=0.0), batch), 1.0, dtype=np.bool_)
     X[~stable] = np.inf
     power = np.array(np.broadcast_to(A, (*batch, *A.shape[-2:])))[stable]
     inside = X[stable]

@@ -220,12 +220,6 @@ def minimum_damping(poles: ComplexArray, dt: float = 0.0) -> FloatArray:
     return out
 
 
-def spectral_radius(poles: ComplexArray) -> FloatArray:
-    """Return the largest magnitude of poles (..., n) along the last axis; 0 without poles."""
-    out: FloatArray = np.abs(poles).max(axis=-1, initial=0.0)
-    return out
-
-
 def spectral_abscissa(poles: ComplexArray) -> FloatArray:
     """Return the largest real part of poles (..., n) along the last axis; -inf without poles."""
     out: FloatArray = poles.real.max(axis=-1, initial=-np.inf)

@@ -264,11 +264,9 @@ class JobParts:
             ),
             checked=len(results),
             missed=sum(not one.passed for one in results),
-            worst=min(results, key=_severity, default=None),
+            worst=min(
+                results, key=lambda one: (one.passed, -math.inf if math.isnan(one.margin) else one.margin), default=None
+            ),
             on_request=any(one.on_request for one in parts) or len(results) < len(measured),
             error=next((each for each in found if isinstance(each, str)), ""),
         )
-
-
-def _severity(one: CheckResult) -> tuple[bool, float]:
-    return one.passed, -math.inf if math.isnan(one.margin) else one.margin

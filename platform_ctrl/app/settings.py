@@ -16,7 +16,6 @@ from platform_ctrl.common.values import value
 from platform_ctrl.design.method import Family
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.requirements import SCOPES, limit_keys
 from platform_ctrl.verification.budget_result import LINE_OF_SIGHT, budget_requirements
@@ -107,12 +106,8 @@ def _rows(job: Job) -> Iterator[tuple[tuple[str, str], str]]:
                 yield (spec.name, one.name), _name(spec.name, "limits" if one.hard else "soft", key)
     for metric in COUPLED_METRICS.values():
         yield (ALL_LOOPS, metric.name), _name("coupled", metric.key)
-    yield from _budget_rows(job.budget)
-
-
-def _budget_rows(budget: BudgetSpec | None) -> Iterator[tuple[tuple[str, str], str]]:
-    for (key, source), one in budget_requirements(budget):
-        yield (LINE_OF_SIGHT, one.name), _name("budget", source or "limits", key)
+    for (key, source), limit in budget_requirements(job.budget):
+        yield (LINE_OF_SIGHT, limit.name), _name("budget", source or "limits", key)
 
 
 # Largest number that a page may be given.

@@ -259,7 +259,7 @@ def over_limits(data: Mapping[str, Array], metrics: Sequence[str], limits: Limit
     names, place = np.unique(data[MANOEUVRE].astype(str), return_inverse=True)
     out = np.empty((len(metrics), 3, len(place)))
     for name, row in zip(metrics, out, strict=True):
-        bound = limits_of(names, name, limits)[place]
+        bound = np.array([limits.get(one, {}).get(name, np.nan) for one in names])[place]
         value = np.where(np.isfinite(data[name]), data[name], worst_value(name))
         ratio = over_limit(name, value, np.where(np.isnan(bound), 1.0, bound))
         row[:] = value, bound, np.where(np.isnan(bound), -np.inf, ratio)
@@ -293,11 +293,6 @@ def _worst(
         )
         for k in rows
     )
-
-
-def limits_of(names: Iterable[str], requirement: str, limits: Limits) -> FloatArray:
-    """Return the limit that each manoeuvre has for a metric; NaN where it has none."""
-    return np.array([limits.get(name, {}).get(requirement, np.nan) for name in names])
 
 
 def in_order(names: Iterable[str], limits: Limits) -> list[str]:

@@ -77,8 +77,10 @@ def _run(arguments: list[str]) -> int:
     from platform_ctrl.cli.commands import app
 
     command = typer.main.get_command(app)
+    if not arguments or arguments[0] == "help":
+        arguments = [*arguments[1:2], "--help"]
     try:
-        return int(command.main(_with_help(arguments), prog_name="platform-ctrl", standalone_mode=False) or 0)
+        return int(command.main(arguments, prog_name="platform-ctrl", standalone_mode=False) or 0)
     except typer.Abort:
         return exits.INTERRUPTED
     except PlatformCtrlError as error:
@@ -95,10 +97,3 @@ def _run(arguments: list[str]) -> int:
         if message.startswith("Missing") and meaning:
             message = f"{message.rstrip('.')}: {meaning}"
         return exits.failed(f"{message} (see {getattr(context, 'command_path', 'platform-ctrl')} --help)", 2)
-
-
-def _with_help(arguments: list[str]) -> list[str]:
-    """Return the arguments with ``help COMMAND`` as ``COMMAND --help``; no arguments as ``--help``."""
-    if not arguments or arguments[0] == "help":
-        return [*arguments[1:2], "--help"]
-    return arguments

@@ -13,7 +13,7 @@ import numpy as np
 from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import budget_misfits, sight_misfits, too_large
-from platform_ctrl.job.drive import Drive, Feedforward, drive_law
+from platform_ctrl.job.drive import Feedforward, drive_misfits
 from platform_ctrl.job.faults import FAULT_KINDS, PART_WORDS, Fault, part_names
 from platform_ctrl.job.job import OWN_RATES, Job, LoopSpec
 from platform_ctrl.job.manoeuvre import Manoeuvre
@@ -45,8 +45,6 @@ LONGEST_CYCLE, _SAME_RATE = 1000, 1e-5
 MOST_TRIMS = 200
 # Samples of a run at most, all of which are recorded: hours of work.
 MOST_SAMPLES = 1e7
-# Friction that is fed forward over the plant's: with more the bearing would be better off without it.
-_MOST_FRICTION = 2.0
 # Largest command that can be meant, by the reading's unit: a turn; a hundred radians in a second. An attitude sensor
 # reads the sine of an angle (see `plant.sensors`), 4 % less than this one.
 _LARGEST_COMMAND, _SMALL_COMMAND = {"rad": 2.0 * math.pi, "rad/s": 100.0}, 0.5
@@ -62,9 +60,11 @@ def job_mistakes(job: Job) -> list[Mistake]:
     ]
     if own and any(loop.resolve for loop in job.loops):
         return own  # what runs may command depends on what the loops read
+    platform = job.platform
+    moved = any(one.kind == "stabilisation" or one.moves_root(platform) for one in job.loops)
     return [
         *own,
-        *(mistake for k, drive in enumerate(job.drives) for mistake in at(("drive", k), _drive(job, drive))),
+        *(one for k, drive in enumerate(job.drives) for one in at(("drive", k), drive_misfits(platform, drive, moved))),
         *(mistake for k in range(len(job.manoeuvres)) for mistake in at(("manoeuvre", k), _run(job, k))),
         *(mistake for k, one in enumerate(job.fault_events) for mistake in at(("fault", k), _fault(job, one))),
         *at((), _campaign(job)),
@@ -319,39 +319,6 @@ def _feedforward(job: Job, fed: Feedforward) -> Iterator[Misfit]:
         elif name not in fitting:
             words = f"sensors: {given(name)} does not measure a rate of the root alone: torquers move what it reads"
             yield "sensors", f"{words}; {suggestion(name, fitting)}"
-
-
-def _drive(job: Job, drive: Drive) -> Iterator[Misfit]:
-    platform = job.platform
-    gimbals = {one.name: one.gimbal for one in platform.torquers if one.gimbal is not None}
-    if drive.torquer not in gimbals:
-        yield unknown("torquer", drive.torquer, "torquer on a gimbal of the plant", gimbals)
-        return
-    gimbal = platform.gimbal(gimbals[drive.torquer])
-    rates = [sensor.name for sensor in platform.rate_sensors]
-    if set(drive.sensors) <= set(rates) and drive.friction:
-        yield from _friction(job, gimbal, drive)
-    yield from strange("sensors", drive.sensors, "rate sensor of the plant", rates)
-
-
-def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[Misfit]:
-    """Yield what is wrong with friction that is fed forward: whether there is any, how much, and from which rate."""
-    platform, name = job.platform, job.platform.gimbal_names[gimbal]
-    there = platform.breakaway(name)
-    if there == 0.0:
-        words = f"friction: gimbal {name!r} has no dry friction; add coulomb to its [[friction]] in the plant"
-        yield "friction", words
-    elif drive.friction > _MOST_FRICTION * there:
-        words = f"{drive.friction:g} N m is {drive.friction / there:.3g} times the dry friction of gimbal {name!r}"
-        yield "friction", f"friction: {words}, {there:g} N m; give at most twice as much"
-    try:
-        law = drive_law(platform, drive)
-    except ArgumentError as error:
-        yield "sensors", f"sensors: {error}"
-        return
-    if not law.feedback and any(one.kind == "stabilisation" or one.moves_root(platform) for one in job.loops):
-        words = f"{', '.join(law.weights)} turn with {platform.root_name!r}, which a loop of the job moves"
-        yield "sensors", f"sensors: {words}; use a sensor of the gimbal's rate against its parent"
 
 
 def _run(job: Job, k: int) -> Iterator[Misfit]:

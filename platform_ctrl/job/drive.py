@@ -13,13 +13,15 @@ from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import configuration, topology
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.mistakes import Misfit, missing, useless
+from platform_ctrl.plant.mistakes import Misfit, missing, strange, unknown, useless
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.tables import no_misfits, record_value
 
 # Relative part of a rate that sensors may leave out: rounding.
 _ROUNDING = 1e-9
+# Friction that is fed forward over the plant's: with more the bearing would be better off without it.
+_MOST_FRICTION = 2.0
 
 
 @input_value
@@ -143,6 +145,37 @@ def drive_law(platform: Platform, drive: Drive) -> DriveLaw:
         weights, feedback = _weights(platform, platform.gimbal(str(gimbal)), drive.sensors)
     own = {one.name: getattr(drive, one.name) for one in dataclasses.fields(drive)}
     return DriveLaw(**own, weights=weights, feedback=feedback)
+
+
+def drive_misfits(platform: Platform, drive: Drive, moved: bool) -> Iterator[Misfit]:
+    """Yield what of a drive does not fit the plant; `moved`: whether a loop of the job moves the root."""
+    gimbals = {one.name: one.gimbal for one in platform.torquers if one.gimbal is not None}
+    if drive.torquer not in gimbals:
+        yield unknown("torquer", drive.torquer, "torquer on a gimbal of the plant", gimbals)
+        return
+    rates = [sensor.name for sensor in platform.rate_sensors]
+    if set(drive.sensors) <= set(rates) and drive.friction:
+        yield from _friction(platform, gimbals[drive.torquer], drive, moved)
+    yield from strange("sensors", drive.sensors, "rate sensor of the plant", rates)
+
+
+def _friction(platform: Platform, name: str, drive: Drive, moved: bool) -> Iterator[Misfit]:
+    """Yield what is wrong with friction that is fed forward: whether there is any, how much, and from which rate."""
+    there = platform.breakaway(name)
+    if there == 0.0:
+        words = f"friction: gimbal {name!r} has no dry friction; add coulomb to its [[friction]] in the plant"
+        yield "friction", words
+    elif drive.friction > _MOST_FRICTION * there:
+        words = f"{drive.friction:g} N m is {drive.friction / there:.3g} times the dry friction of gimbal {name!r}"
+        yield "friction", f"friction: {words}, {there:g} N m; give at most twice as much"
+    try:
+        law = drive_law(platform, drive)
+    except ArgumentError as error:
+        yield "sensors", f"sensors: {error}"
+        return
+    if not law.feedback and moved:
+        words = f"{', '.join(law.weights)} turn with {platform.root_name!r}, which a loop of the job moves"
+        yield "sensors", f"sensors: {words}; use a sensor of the gimbal's rate against its parent"
 
 
 def _weights(platform: Platform, gimbal: int, names: tuple[str, ...]) -> tuple[dict[str, float], bool]:

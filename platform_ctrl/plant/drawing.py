@@ -138,13 +138,8 @@ def _carried(platform: Platform, name: str, toward: FloatArray) -> list[Item]:
     return [*gimbals, *(_rotor(r) for r in platform.rotors if r.carrier == name)]
 
 
-def spin_direction(rotor: Rotor) -> FloatArray:
-    """Return the direction of a rotor's L, in its carrier's axes; its axis at rest."""
-    return -rotor.axis if rotor.angular_momentum < 0.0 else rotor.axis
-
-
 def _rotor(rotor: Rotor) -> Item:
-    axis = spin_direction(rotor)
+    axis = -rotor.axis if rotor.angular_momentum < 0.0 else rotor.axis  # that of L
     face = HALF_THICKNESS * axis
     return Item(rotor, axis, HALF_THICKNESS, (), [Outline("disc", np.array([-face, face]), rotor.name)])
 

@@ -314,9 +314,12 @@ def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake
             mistakes.append(Mistake(path, either(one, other, one in data)))
     if table.one_of is not None:
         mistakes += _choice(table.one_of, data, path)
-    others = [name for name in data if name not in table.keys] if table.others else []
-    for name in [*(name for name in known if name in data), *others]:
-        key = table.keys.get(name) or _other(table.others, name)
+    keys = {name: key for name, key in table.keys.items() if name in data}
+    if table.others is not None:
+        field, expected = table.others
+        others = (name for name in data if name not in table.keys)
+        keys |= {name: Key(expected, field or name, collected=bool(field)) for name in others}
+    for name, key in keys.items():
         found = _item(key, data[name], (*path, name), mistakes)
         if key.collected:
             arguments.setdefault(key.field, {})[name] = found
@@ -367,11 +370,6 @@ def _choice(one_of: OneOf, data: dict[str, Any], path: Path) -> Iterator[Mistake
         for name in [name for name in shape(part).keys if name in data and name not in own]:
             words = f"{name} = {given(data[name])} has no effect with {kind}, which takes {', '.join(own)}"
             yield Mistake((*path, name), words)
-
-
-def _other(others: tuple[str, Expected] | None, name: str) -> Key:
-    assert others is not None  # else the key is unknown
-    return Key(others[1], others[0] or name, collected=bool(others[0]))
 
 
 def _item(key: Key, item: Any, path: Path, mistakes: list[Mistake]) -> Any:

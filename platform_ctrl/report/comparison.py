@@ -155,13 +155,9 @@ def _proved(proofs: Proofs) -> dict[str, Cell]:
         shown = [one for one in claims if one.proved]
         if shown:
             least = quantity(min(one.bound for one in shown), unit, 3, rounding="down")
-            words = f"≥ {least} with {_share(len(shown), len(claims))} plants"
-            out[name] = _checked(len(shown) == len(claims), words)
+            part = "all" if len(shown) == len(claims) else f"{len(shown)} of"
+            out[name] = _checked(len(shown) == len(claims), f"≥ {least} with {part} {len(claims)} plants")
     return out
-
-
-def _share(part: int, whole: int) -> str:
-    return f"all {whole}" if part == whole else f"{part} of {whole}"
 
 
 def plants_in_words(plants: PlantSet) -> str:

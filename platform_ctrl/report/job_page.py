@@ -223,7 +223,8 @@ def _loop_tables(result: JobResult, outcome: LoopOutcome) -> list[page.Block]:
         blocks.append(designs)
     options = comparison.option_table(outcome)
     blocks.append(page.Subsection(title="Options and controllers", blocks=(options,), folded=True))
-    lines = [f"Not proved: {line}" for line in _unproved(result, outcome)]
+    proofs = {name: one for (loop, name), one in result.proofs.items() if loop == outcome.spec.name}
+    lines = [f"Not proved: {name}: {claim}" for name, one in proofs.items() for claim in one.claims if not claim.proved]
     lines += [f"“{one.name}” has failed: {one.sentence}." for one in outcome.failed]
     blocks += [page.Paragraph(text=line, tone="bad") for line in lines]
     groups = comparison.group_rows(outcome.closed)
@@ -234,12 +235,6 @@ def _loop_tables(result: JobResult, outcome: LoopOutcome) -> list[page.Block]:
         says = page.Paragraph(text=sentences("bounds", found=found, hertz=found.bandwidth / (2.0 * np.pi)))
         blocks.append(page.Subsection(title="What bounds the bandwidth", blocks=(says, tables.bound_table(found))))
     return blocks
-
-
-def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
-    """Return a line for every claim of the designs that is not proved."""
-    proofs = {name: one for (loop, name), one in result.proofs.items() if loop == outcome.spec.name}
-    return [f"{name}: {claim}" for name, one in proofs.items() for claim in one.claims if not claim.proved]
 
 
 def _loop_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[str, bool]) -> tuple[page.Block, ...]:

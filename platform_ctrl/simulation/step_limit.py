@@ -69,11 +69,13 @@ def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, 
     """
     shape = skeleton(platforms[0])
     found: list[tuple[str, int, FloatArray]] = []
-    if shape.at.modes:
-        low, names = 0 if free else 3, platforms[0].gimbal_names
-        at = kinematics(platforms[0], np.zeros(len(names)))
-        mass = _masses(shape, platforms, at, ("regulated", "servo"))[:, low:, low:]
-        inverse = np.linalg.pinv(mass, hermitian=True)
+    jointed = shape.at.joints or len(shape.links.drive)
+    if not (shape.at.modes or jointed):
+        return found
+    low, names = 0 if free else 3, platforms[0].gimbal_names
+    at = kinematics(platforms[0], np.zeros(len(names)))
+    mass = _masses(shape, platforms, at, ("regulated", "servo"))[:, low:, low:]
+    inverse = np.linalg.pinv(mass, hermitian=True)
     for k in range(shape.at.modes):
         # What gives way to a mode by its inertia makes it faster.
         own = np.array([p.modes[k].inertial(names)[low:] for p in platforms])
@@ -81,9 +83,10 @@ def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, 
         found.append(
             ("mode", k, _CONTACT * np.sqrt(np.maximum(left, 0.0)) / np.array([p.modes[k].frequency for p in platforms]))
         )
-    if not (shape.at.joints or len(shape.links.drive)):
+    if not jointed:
         return found
-    ease = _eases(shape, platforms, free)
+    # How easily each gimbal gives way, (N, n); a singular A* is for the run to find.
+    ease = np.einsum("nii->ni", inverse)[:, 3 - low :]
     with np.errstate(divide="ignore"):
         for j, (k, motor) in enumerate(platforms[0].sides):
             stiffness, damping = np.array([(p.compliances[j].strength, p.compliances[j].damping) for p in platforms]).T
@@ -111,18 +114,6 @@ def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, 
             found.append(("friction", k, _DECAY / (slope * ease[:, k])))
             found.append(("bristles", k, _PHASE / np.sqrt(stiffness * ease[:, k])))
     return found
-
-
-def _eases(shape: Skeleton, platforms: Sequence[Platform], free: bool) -> FloatArray:
-    """How easily each gimbal gives way, (N, n): the diagonal of A*'s inverse; a singular A* is for the run to find."""
-    low = 0 if free else 3
-    at = kinematics(platforms[0], np.zeros(len(platforms[0].gimbals)))
-    mass = _masses(shape, platforms, at, ("regulated", "servo"))[:, low:, low:]
-    level, modes = np.linalg.eigh(mass)
-    regular = level > 1e-15 * level[:, -1:]
-    inverse = np.where(regular, 1.0 / np.where(regular, level, 1.0), 0.0)
-    eases: FloatArray = np.einsum("nij,nj->ni", modes**2, inverse)
-    return eases[:, 3 - low :]
 
 
 def _check_speed_loops(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:

@@ -293,7 +293,9 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     axes.stairs(counts, factor * edges, fill=True, color=style.SERIES[0], linewidth=0)
     if beyond.any():
         axes.stairs(np.where(beyond, counts, 0), factor * edges, fill=True, color=style.LIMIT, linewidth=0)
-        shade_beyond(axes, factor * limit, factor * edges[-1])
+        end = factor * limit
+        axes.axvspan(end, max(1e3 * end, 2.0 * factor * edges[-1]), color=style.BEYOND, linewidth=0, zorder=0)
+        axes.axvline(end, color=style.LIMIT, linewidth=0.9, linestyle=style.DASHED, zorder=1.5)
     axes.set_xlim(factor * edges[0], factor * edges[-1])
     axes.set_ylim(0.0, 1.18 * max(counts.max(initial=1), 1))
     style.linear_axis(axes.xaxis)
@@ -306,12 +308,6 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     look: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "ha": "right", "va": "top"}
     colour = style.LIMIT if one.violation.events else style.MUTED
     axes.annotate(words, (1.0, 1.0), (-3, -2), fontsize=7, color=colour, **look)
-
-
-def shade_beyond(axes: Axes, limit: float, reach: float) -> None:
-    """Shade what lies to the right of a limit, up to `reach` at least."""
-    axes.axvspan(limit, max(1e3 * limit, 2.0 * reach), color=style.BEYOND, linewidth=0, zorder=0)
-    axes.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=style.DASHED, zorder=1.5)
 
 
 def with_limit(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
