@@ -68,6 +68,20 @@ def _on_its_drive(platform: Platform, drive: Compliance) -> Platform:
     return replaced(platform, changes)
 
 
+def with_cogging(platform: Platform) -> list[tuple[str, Platform]]:
+    """Return the platform in words where cogging is steepest: a spring that pushes away, and one that holds."""
+    slopes = dict.fromkeys(platform.gimbal_names, 0.0)
+    for k, (order, torque, _) in platform.cogging:
+        slopes[platform.gimbal_names[k]] += abs(order * torque)
+
+    def steepest(sign: float) -> Platform:
+        springs = (Spring(gimbal=name, stiffness=sign * size) for name, size in slopes.items() if size)
+        return replaced(platform, {"springs": (*platform.springs, *springs)})
+
+    words = {"cogging pushes away": -1.0, "cogging holds": 1.0} if any(slopes.values()) else {}
+    return [(label, steepest(sign)) for label, sign in words.items()]
+
+
 def with_stuck_bristles(platform: Platform) -> Platform:
     """Return the platform about rest where bristles of bearings stick: they are springs with damping there."""
     stuck = [one for one in platform.frictions if one.bristle_stiffness]

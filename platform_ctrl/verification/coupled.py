@@ -35,7 +35,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
 from platform_ctrl.mechanics.forces import resting_forces, specific_force_at, twisted
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.plant.locking import with_stuck_bristles
+from platform_ctrl.plant.locking import with_cogging, with_stuck_bristles
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.verification import coupled_plant as models
 from platform_ctrl.verification.backlash import limit_cycle_results
@@ -151,7 +151,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
     torque_noise = together.torque_noise
     trims, at = [together], [""]
-    platforms, stuck = swung(job), with_stuck_bristles(job.platform)
+    platforms, stuck = [*swung(job), *with_cogging(job.platform)], with_stuck_bristles(job.platform)
     for label, platform in platforms if stuck is job.platform else [*platforms, ("bristles of bearings stick", stuck)]:
         of = replaced(job, {"platform": platform})
         for q in job.trims if label else job.trims[1:]:

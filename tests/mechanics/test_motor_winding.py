@@ -135,6 +135,24 @@ def test_a_job_with_a_winding_passes_and_says_what_current_its_motor_bears():
     assert found == pytest.approx([np.sqrt(np.mean(torque**2)) / (N * K)] * 2)
 
 
+@pytest.mark.parametrize(("crossover_hz", "holds"), [(3.0, False), (30.0, True)])
+def test_a_loop_that_is_weaker_than_cogging_does_not_pass(crossover_hz, holds):
+    # 0.4 N m and 120 periods a turn at the joint: a spring of up to ± 48 N m/rad. A loop of 30 Hz has 600 N m/rad.
+    design_ = {"name": "d", "method": "classical", "inertial_crossover_hz": crossover_hz, "integral_hz": 0.2}
+    design_ |= {"inertial_lead_hz": crossover_hz / 3, "inertial_rolloff_hz": 10 * crossover_hz}
+    loop = {"name": "L", "kind": "pointing", "gimbals": ["g"], "sensors": ["q"], "use": "d", "design": [design_]}
+    data = {"schema": 2, "name": "teeth", "operation": {"Omega": [0.1, 0.1, 0.1]}, "loop": [loop], "coupled": {}}
+    data |= {"sampling": {"rate_hz": 1000.0, "delay": 2e-4}, "plant": drive(cogging=[[6.0, 0.02, 0.0]])}
+    job = pc.read_job(data)
+    outcomes = design.loops(job)
+    [found] = [one for one in check_job(job, outcomes).coupled.results if one.name == "minimum decay rate"]
+    assert found.passed == holds
+    assert holds or "cogging pushes away" in found.evidence
+    at = simulation.Scenario(platform=job.platform, mode="caged", duration=5.0, delay=2e-4, q=[1e-4])
+    run = simulation.simulate(at, [outcomes[0].closed.controller], period=1e-3, step=2.5e-5, noise=False)
+    assert (np.abs(run.q[-1000:]).max() < 1e-4) == holds
+
+
 def test_a_speed_constant_stands_for_the_torque_constant():
     data = drive(kv=60.0 / (2.0 * np.pi * K))
     del data["motor"][0]["torque_constant"]
