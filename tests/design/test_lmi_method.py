@@ -120,7 +120,7 @@ def test_python_control_designs_on_the_generalised_plant_and_the_loop_judges():
 
 def test_a_controller_or_a_weight_that_does_not_fit_is_refused():
     loop = design.loops(job_of("caging 9-10"))[0]
-    with pytest.raises(ArgumentError, match="must have 2 inputs and outputs, as the generalised plant has 2"):
+    with pytest.raises(ArgumentError, match="must have 2 inputs and 2 outputs, as the generalised plant has"):
         design.with_controller(loop, control.ss([], [], [], np.eye(3)))
     with pytest.raises(ArgumentError, match=r"generalised_plant: option 'bandwidth' has no meaning .* did you mean"):
         design.generalised_plant(loop, bandwidth=30.0)

@@ -252,8 +252,9 @@ def test_any_tree_accelerates_as_its_plant_there_and_when_it_is_back(drawn):
 def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
     for name in MODELS:
         platform = pc.read_platform(name)
-        if platform.motors:
-            continue  # an armature is not all of a geared rotor
+        # An armature is not all of a geared rotor; a floating root has its own test.
+        if platform.motors or platform.mode == "floating":
+            continue
         write_mjcf(platform, tmp_path / "plant.xml", root=root)
         made = import_robot(tmp_path / "plant.xml")
         back = made.platform
@@ -295,7 +296,7 @@ def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
         bodies = dict(zip((back.root_name, *back.gimbal_names), back.bodies, strict=True))
         for unbalance in platform.unbalances:
             mass, centre, _ = bodies[unbalance.body]
-            assert np.allclose(mass * centre, unbalance.moment, rtol=1e-12, atol=1e-15)
+            assert np.allclose(mass * centre, unbalance.moment, rtol=1e-12, atol=1e-14)
 
 
 def test_play_of_a_drive_is_the_slack_of_its_tendon(tmp_path: Path) -> None:

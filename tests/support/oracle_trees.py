@@ -168,7 +168,7 @@ def unbalanced(motion: Motion) -> tuple[Platform, np.ndarray, np.ndarray, np.nda
     """Move the centres of mass: what leaves the bodies' inertia about the fixed point as it is."""
     platform, rng = motion.platform, motion.rng
     inertias = [platform.root_inertia, *(g.inertia for g in platform.gimbals)]
-    offsets = rng.normal(size=(len(inertias), 3)) * 10 ** rng.uniform(-4, -1)
+    offsets = rng.normal(size=(len(inertias), 3)) * 10 ** rng.uniform(-2, -1)
     # About the centre of mass there has to be a body left: m r² takes a quarter of the smallest second moment.
     least = np.array([0.5 * np.trace(inertia) - np.linalg.eigvalsh(inertia)[-1] for inertia in inertias])
     masses = 0.25 * least * rng.uniform(0.1, 1.0, len(least)) / np.sum(offsets**2, axis=1)

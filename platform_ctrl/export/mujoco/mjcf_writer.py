@@ -384,8 +384,8 @@ def _line(words: str) -> str:
 # Radius that rotors are drawn with, m, and by how much a gimbal is larger than what it holds.
 ROTOR_RADIUS = 0.05
 _AROUND = 1.22
-# Mass of a body, relative to its inertia over its size.
-_LIGHT = 1e-3
+# Mass of a rotor, relative to its inertia over its size; density of the ball whose mass a body has, kg/m³.
+_LIGHT, _DENSITY = 1e-3, 1.0
 # Of a body that has none, kg and kg m²: MuJoCo wants some.
 _NO_MASS = 1e-12
 # Second moments below this share of a body's largest are those of a plate; no mass can be moved out of it.
@@ -418,7 +418,7 @@ def placed(platform: Platform) -> list[Placed]:
             bare = _NO_MASS * np.eye(3)
             out.append(Placed(radius=radius, mass=_NO_MASS, centre=np.zeros(3), inertia=bare, rotor_mass=0.0))
             continue
-        mass = own or _LIGHT * float(np.trace(inertia)) / radius**2
+        mass = own or (4.0 / 3.0 * np.pi * _DENSITY) ** 0.4 * (5.0 / 6.0 * float(np.trace(inertia))) ** 0.6
         if moment.any() and not own:
             # The centre of mass takes a quarter of the smallest second moment away.
             spread = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
