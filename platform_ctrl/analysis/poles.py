@@ -265,10 +265,15 @@ _NO_PART, _NOTHING = 1e-13, 1e-30
 
 
 class Drift(NamedTuple):
-    """A system without its unseen equilibria, and these (n, d)."""
+    """A system without its unseen equilibria, these (n, d), and how much of each there is in a state (d, n)."""
 
     system: System
     equilibria: FloatArray
+    shares: FloatArray
+
+    def motion(self, z: complex, mode: ComplexArray) -> ComplexArray:
+        """Return a mode of `system` as the one of the system with its equilibria, which follow it; of any size."""
+        return (z - 1.0) * mode + self.equilibria @ (self.shares @ mode)
 
 
 def unseen_equilibria(system: System) -> Drift:
@@ -277,7 +282,7 @@ def unseen_equilibria(system: System) -> Drift:
     Responses of the outputs stay as they are.
     """
     V, L = _equilibria(system)
-    return Drift(system._replace(A=system.A - (system.A @ V) @ L), V)
+    return Drift(system._replace(A=system.A - (system.A @ V) @ L), V, L)
 
 
 def _equilibria(system: System) -> tuple[FloatArray, FloatArray]:

@@ -284,8 +284,9 @@ class _Together:
         z, modes = np.linalg.eig(self._drift.system.A)
         s, names = continuous_poles(z, self.period), list(self._whole.system.state_labels)
         k = int(np.argmax(s.real))
+        mode = self._drift.motion(z[k], modes[:, k])
         return complex(s[k]), np.array(
-            [modes[names.index(n), k] if n in names else 0.0 for n in self._job.platform.angle_names]
+            [mode[names.index(n)] if n in names else 0.0 for n in self._job.platform.angle_names]
         )
 
     @cached_property

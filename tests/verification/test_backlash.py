@@ -13,15 +13,18 @@ J1, J2, K, C, PLAY = 0.02, 0.05, 300.0, 0.04, 2e-3
 PERIOD, DELAY, SECONDS = 5e-4, 2e-4, 30.0
 
 
-def law(inertia, w):
-    """Return a lead with integral for a rigid inertia, with its zero near w, sampled."""
+def law(inertia, w, rate=False):
+    """Return a lead with integral for a rigid inertia, with its zero near w, or a PI of its rate, sampled."""
     s = control.tf("s")
     one = -0.4 * inertia * w**2 * (1 + 2.5 * s / w + 0.15 * w / s) / (1 + s / (8 * w)) ** 2
+    if rate:
+        one = -inertia * w * (1 + 0.2 * w / s) / (1 + s / (8 * w)) ** 2
     return control.ss(control.sample_system(one, PERIOD, "tustin"))
 
 
 def checked(sensor, crossover, weight=0.0, play=PLAY, stiffness=K, **coupled):
-    """A motor and a load on a shaft with play, a lead and integral on one side's encoder; the coupled check."""
+    """A motor and a load on a shaft with play, a loop on an encoder or a gyro on the load; the coupled check."""
+    rate = sensor == "gyro"
     gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J2] * 3, "angle": "q"}
     plant = {
         "schema": 1,
@@ -31,15 +34,17 @@ def checked(sensor, crossover, weight=0.0, play=PLAY, stiffness=K, **coupled):
         "torquer": [{"gimbal": "g"}],
         "pickoff": [{"gimbal": "g"}],
         "angle_sensor": [{"name": "motor", "gimbal": "g_motor"}],
+        "rate_sensor": [{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
         "friction": [{"gimbal": "g", "viscous": 0.02}],
         "unbalance": [{"body": "g", "moment": [weight / 9.81, 0, 0]}],
         "compliance": [{"gimbal": "g", "stiffness": stiffness, "damping": C, "inertia": J1, "play": play}],
     }
-    loop = {"name": "L", "kind": "pointing", "gimbals": ["g_motor"], "sensors": [sensor], "use": "d"}
+    loop = {"name": "L", "gimbals": ["g_motor"], "sensors": [sensor], "use": "d"}
+    loop |= {"kind": "rate" if rate else "pointing", "design": [{"name": "d", "method": "pi" if rate else "classical"}]}
     job = {"schema": 2, "name": "drive", "plant": plant, "operation": {"Omega": [0.1, 0.1, 0.1]}, "coupled": coupled}
     job |= {"sampling": {"rate_hz": 1 / PERIOD, "delay": DELAY}}
-    read = pc.read_job(job | {"loop": [loop | {"design": [{"name": "d", "method": "classical"}]}]})
-    one = law(J1 + J2, crossover)
+    read = pc.read_job(job | {"loop": [loop]})
+    one = law(J1 + J2, crossover, rate)
     controller = control.StateSpace(one.A, one.B, one.C, one.D, PERIOD, inputs=[sensor], outputs=["Qg"])
     check = coupled_check(read, pc.linearise(read.platform), [controller])
     [found] = [one for one in check.results if "limit cycle" in one.name] or [None]
@@ -61,7 +66,7 @@ def oscillation(read, controller, start, step=1e-4, angle=0):
     return 2 * abs(np.mean(y * turns)), cycles / (len(y) * PERIOD)
 
 
-@pytest.mark.parametrize(("sensor", "crossover"), [("q", 8.0), ("q", 20.0), ("motor", 8.0)])
+@pytest.mark.parametrize(("sensor", "crossover"), [("q", 8.0), ("q", 20.0), ("motor", 8.0), ("gyro", 20.0)])
 def test_a_limit_cycle_has_the_amplitude_and_the_frequency_of_the_run(sensor, crossover):
     read, controller, check, found = checked(sensor, crossover)
     assert check.stable
