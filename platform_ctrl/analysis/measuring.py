@@ -173,10 +173,6 @@ class Sight(Measure):
         return loops.sight.get(self.key, np.inf)
 
 
-# Time after which the noise of a loop that drifts counts, s: a random walk has no rms.
-DRIFT_TIME = 3600.0
-
-
 def of_following(function: Callable[[System], FloatArray]) -> Callable[[Loop], FloatArray]:
     """Return the measure of the worst channel of each plant; infinite of an unstable loop."""
     return _worst(lambda loops, k: function(loops.settled(loops.following.at(k).part(slice(loops.kept), slice(None)))))
@@ -228,4 +224,4 @@ def _rms(loops: Loop, systems: System, rms: FloatArray) -> FloatArray:
     """Return the rms (k, m) of outputs from white samples, of a loop that drifts after an hour."""
     if not loops.plants.drifting:
         return noise_rms(systems, rms)
-    return np.array([drifting_rms(systems.at(k), rms, DRIFT_TIME) for k in range(len(systems.A))])
+    return np.array([drifting_rms(systems.at(k), rms) for k in range(len(systems.A))])

@@ -233,8 +233,12 @@ def noise_rms(system: System, rms: FloatArray) -> FloatArray:
     return np.where(np.isfinite(variance), np.sqrt(np.maximum(variance, 0.0)), np.inf)
 
 
-def drifting_rms(system: System, rms: FloatArray, duration: float) -> FloatArray:
-    """Return the rms (p,) of the outputs of one system with poles z = 1 after a time, s, from white samples.
+# Time after which the noise of a loop that drifts counts, s: a random walk has no rms.
+_DRIFT_TIME = 3600.0
+
+
+def drifting_rms(system: System, rms: FloatArray) -> FloatArray:
+    """Return the rms (p,) of the outputs of one system with poles z = 1 after an hour, from white samples.
 
     The part along the equilibria is a random walk, whose variance grows with time; the rest is stationary. Infinite
     where the system is unstable otherwise.
@@ -245,7 +249,7 @@ def drifting_rms(system: System, rms: FloatArray, duration: float) -> FloatArray
         return np.full(len(C), np.inf)
     walk = np.linalg.norm((C @ P @ B) * rms, axis=1)
     rest = noise_rms(System(A - P, B - P @ B, C, D, dt), rms)
-    return np.asarray(np.hypot(rest, math.sqrt(duration / dt) * walk))
+    return np.asarray(np.hypot(rest, math.sqrt(_DRIFT_TIME / dt) * walk))
 
 
 def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:

@@ -195,12 +195,12 @@ class TimeTable:
 
 
 # What shakes in a run, and what the sources of a budget call it.
-_KINDS: dict[VibrationKind, str] = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
+SOURCE_KIND: dict[VibrationKind, str] = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
 
 
 def _shaking(table: Mapping[str, Any]) -> Iterator[Misfit]:
     """Yield what is wrong with a vibration or a sine."""
-    kind = _KINDS[table["kind"]]
+    kind = SOURCE_KIND[table["kind"]]
     yield from misplaced(table, kind)
     yield from too_large("amplitude", table.get("amplitude", 0.0), kind)
     yield from of_length(table, "densities", "frequencies_hz")

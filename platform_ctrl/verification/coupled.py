@@ -21,7 +21,6 @@ import numpy as np
 from platform_ctrl.analysis.feedback import loop_of_sensitivity
 from platform_ctrl.analysis.interconnection import interconnected, interconnected_by_sample
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
-from platform_ctrl.analysis.measuring import DRIFT_TIME
 from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
 from platform_ctrl.analysis.norms import drifting_rms, hinf_norm
 from platform_ctrl.analysis.periodic import PeriodicLoop
@@ -150,14 +149,17 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
     # A decoupled loop without a margin has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
     torque_noise = together.torque_noise
+
+    def around(platform: Platform, q: FloatArray) -> _Together:
+        of, there = replaced(job, {"platform": platform}), with_resolvers(job, made, q)
+        return _Together(of, there, models.coupled_plant(of, linearise(platform, q=q), there))
+
     trims, at = [together], [""]
     platforms, stuck = [*swung(job), *with_cogging(job.platform)], with_stuck_bristles(job.platform)
     for label, platform in platforms if stuck is job.platform else [*platforms, ("bristles of bearings stick", stuck)]:
-        of = replaced(job, {"platform": platform})
         for q in job.trims if label else job.trims[1:]:
             at.append("".join(f", {words}" for words in (label, at_angles(platform, q)) if words))
-            there = with_resolvers(job, made, q)
-            trims.append(_Together(of, there, models.coupled_plant(of, linearise(platform, q=q), there)))
+            trims.append(around(platform, q))
     margins = [one.simultaneous for one in trims]
     slowest = min(range(len(trims)), key=lambda k: trims[k].decay)
     least = min(range(len(trims)), key=lambda k: margins[k].guaranteed)
@@ -190,12 +192,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
         for found, evidence, method in [measured[one.name]]
     ]
     results += holding_results(job, channels, ALL_LOOPS)
-
-    def weakest(platform: Platform, q: FloatArray) -> tuple[complex, ComplexArray]:
-        changed, there = replaced(job, {"platform": platform}), with_resolvers(job, made, q)
-        return _Together(changed, there, models.coupled_plant(changed, linearise(platform, q=q), there)).slowest
-
-    results += limit_cycle_results(job, weakest, ALL_LOOPS)
+    results += limit_cycle_results(job, lambda platform, q: around(platform, q).slowest, ALL_LOOPS)
     return CoupledCheck(
         plant=plant.system,
         controller=together.controller,
@@ -318,9 +315,9 @@ class _Together:
         rms = np.array([sensors[name].sampled_noise(period, often.get(name, 1)) for name in self._seen], np.float64)
         m = len(self.channels)
         if self._periodic is None:
-            return drifting_rms(self._own.part(slice(m), slice(m, None)), rms, DRIFT_TIME)
+            return drifting_rms(self._own.part(slice(m), slice(m, None)), rms)
         parts = self._periodic.noise_to_torque(rms)
-        return np.array([np.linalg.norm(drifting_rms(one, np.ones(one.B.shape[1]), DRIFT_TIME)) for one in parts])
+        return np.array([np.linalg.norm(drifting_rms(one, np.ones(one.B.shape[1]))) for one in parts])
 
 
 def one_controller(job: Job, controllers: Sequence[StateSpace], plant: StateSpace) -> StateSpace:

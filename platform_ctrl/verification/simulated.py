@@ -13,7 +13,6 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,7 @@ from platform_ctrl.job.budget import BudgetLimits, BudgetSpec, Source
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.manoeuvre import Manoeuvre
-from platform_ctrl.job.scenario import Scenario, Sine, Vibration
+from platform_ctrl.job.scenario import SOURCE_KIND, Scenario, Sine, Vibration
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.simulation import simulate
 from platform_ctrl.simulation.batch import simulate_batch
@@ -37,9 +36,6 @@ from platform_ctrl.simulation.scenarios import equilibrium_torques
 from platform_ctrl.simulation.step_limit import longest_step
 from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
 from platform_ctrl.verification.budget_result import SimulatedBudget
-
-if TYPE_CHECKING:
-    from platform_ctrl.job.scenario import VibrationKind
 
 # Window over which a state is counted: fewest samples, and share of a run. Share of a run, up to its end, over which a
 # state counts as permanent.
@@ -257,7 +253,7 @@ _LINES, _PER_DECADE = 96, 40
 _RISING = 0.5
 # Probability of the intervals.
 _CONFIDENCE = 0.95
-_KINDS: dict[str, VibrationKind] = {"base-rate": "rate", "specific-force": "force", "torque": "torque"}
+_KINDS = {source: kind for kind, source in SOURCE_KIND.items()}
 
 
 def simulated_budget(
