@@ -196,12 +196,14 @@ def _judged(
         )
     shown = trajectory.q[:: max(len(trajectory.q) // _LOOKS, 1)]
     near = any(law.limited(q) for law in job.resolvers for q in shown)
+    carried = manoeuvre.mode == "caged" and job.platform.mode in ("floating", "pivot")
     for key, limit in manoeuvre.limits.items():
         metric, (number, signal) = RUN_METRICS[key], found[key]
         evidence = (
             f"{signal}; non-linear plant{_start(job, manoeuvre)}, {trajectory.ended}, seed {trajectory.seed}, "
             f"substep {trajectory.step:g} s"
         ) + ("; with dry friction" if job.platform.dry_frictions else "")
+        evidence += f"; the rate of {job.platform.root_name} is prescribed" if carried else ""
         evidence += "; keyhole: the gain of resolved readings is limited on the way" if near else ""
         result = Requirement.of(metric, limit).judge(
             number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated"

@@ -85,6 +85,17 @@ def test_a_light_root_that_reacts_on_an_encoders_loop_is_a_cost_and_said_to_be_h
         "sampling": {"rate_hz": 100, "delay": 0.0},
         "loop": [loop | {"design": [{"name": "c", "method": "classical", "crossover_hz": 4}]}],
         "coupled": {"coupling_cost": 0.1},
+        "manoeuvre": [
+            {
+                "name": "turn",
+                "mode": "caged",
+                "duration": 0.3,
+                "rate": 0.1,
+                "rise": 0.1,
+                "hold": 0.1,
+                "limits": {"angle": 1},
+            }
+        ],
     }
     job = read_job(data)
     [outcome] = design.loops(job)
@@ -100,3 +111,4 @@ def test_a_light_root_that_reacts_on_an_encoders_loop_is_a_cost_and_said_to_be_h
     [cost] = [one for one in found.results if one.name == "disk margin lost by coupling"]
     assert cost.value == pytest.approx(1.0 - real / held, rel=1e-3)
     assert not cost.passed
+    assert "; the rate of bus is prescribed" in simulate_manoeuvre(job, job.manoeuvres[0], [K]).results[0].evidence
