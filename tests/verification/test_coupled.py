@@ -90,6 +90,7 @@ def test_a_light_root_that_reacts_on_an_encoders_loop_is_a_cost_and_said_to_be_h
                 "name": "turn",
                 "mode": "caged",
                 "duration": 0.3,
+                "axis": 3,
                 "rate": 0.1,
                 "rise": 0.1,
                 "hold": 0.1,
