@@ -112,8 +112,7 @@ def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = (), root
 
 def friction_rate(job: Job) -> float:
     """Return the amplitude of the gimbals' rates for which dry friction counts, rad/s; 0: it does not."""
-    dry = bool(job.platform.dry_frictions)
-    return float(np.max(job.Omega)) if dry else 0.0
+    return float(np.max(job.Omega)) if job.platform.dry_frictions else 0.0
 
 
 def with_friction(job: Job, torquers: Sequence[str], sensors: Sequence[str], plants: Sequence[Case]) -> list[Case]:

@@ -7,6 +7,7 @@ options and claims are kept, the newest of each design of the job; what is said 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -287,18 +288,17 @@ def kept_in(folder: Path) -> Mapping[str, Kept]:
     """Return what is kept in a folder by `key_of`; nothing where there is no such file, or it is damaged."""
     try:
         found = json.loads((folder / FILE).read_text(encoding="utf-8"))
-        return {str(key): one for key, one in found["designs"].items()} if found["hash"] == _hash(found) else {}
+        whole = found["hash"] == data_hash({"designs": found["designs"]})
+        return {str(key): one for key, one in found["designs"].items()} if whole else {}
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return {}
 
 
 def keep(folder: Path, designs: Iterable[tuple[str, Design]]) -> None:
     """Write designs, each with its key, to a folder in place of those that it holds; without them if that fails."""
-    kept = {key: _kept(design) for key, design in designs}
-    try:
-        write_whole(folder / FILE, json.dumps({"designs": kept, "hash": _hash({"designs": kept})}))
-    except InputError:
-        return
+    kept = {"designs": {key: _kept(design) for key, design in designs}}
+    with contextlib.suppress(InputError):
+        write_whole(folder / FILE, json.dumps(kept | {"hash": data_hash(kept)}))
 
 
 def key_of(problem: LoopProblem, code: str) -> str | None:
@@ -345,10 +345,6 @@ def _kept(design: Design) -> Kept:
         "options": dict(design.options),
         "claims": dict(design.claims),
     }
-
-
-def _hash(found: Mapping[str, Any]) -> str:
-    return data_hash({"designs": found["designs"]})
 
 
 def code_hash() -> str:

@@ -174,7 +174,6 @@ def state_space(
     others
         What becomes of gimbals that are not named: ``"held"`` at their angles of the trim, or ``"coupled"``: they must
         not be, `gimbals` have to be whole subsystems.
-
     currents
         Whether current, integral and voltage of current loops with `rate_hz` are states, the last ones; else ideal.
 

@@ -109,9 +109,7 @@ def judge_plant(document: InputData) -> tuple[Platform | None, list[Mistake]]:
         return None, mistakes
     del read["schema"]
     parts = made(read)
-    if mistakes := _tree_mistakes(parts):
-        return None, mistakes
-    if mistakes := list(_drives(parts)):
+    if mistakes := [*_tree_mistakes(parts)] or [*_drives(parts)]:
         return None, mistakes
     platform = Platform(**_with_inertias(parts))
     mistakes = [

@@ -65,7 +65,8 @@ def _signal(at: At, layout: Layout, index: int) -> int:
 
 
 @inlined
-def _sum(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, first: int, last: int) -> Number:
+def _sum(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, i: int) -> Number:
+    first, last = shared.sensors[i, arrays.BEGIN_TERMS], shared.sensors[i, arrays.END_TERMS]
     value = shared.weights[first] * load(mem, _signal(at, layout, shared.signals[first]), lane)
     for j in range(first + 1, last):
         value = value + shared.weights[j] * load(mem, _signal(at, layout, shared.signals[j]), lane)
@@ -76,10 +77,7 @@ def _sum(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, fir
 def look(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
     """Put the rates and angles of the line of sight into SIGHT."""
     for i in range(layout.sensors, shared.sensors.shape[0]):
-        value = _sum(
-            shared, mem, lane, at, layout, shared.sensors[i, arrays.BEGIN_TERMS], shared.sensors[i, arrays.END_TERMS]
-        )
-        store(mem, layout.sight + i - layout.sensors, lane, value)
+        store(mem, layout.sight + i - layout.sensors, lane, _sum(shared, mem, lane, at, layout, i))
 
 
 @internal
@@ -140,9 +138,7 @@ def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout:
     drawn = -1  # the last sensor for which a pair of normal numbers was drawn
     for i in range(layout.sensors):
         slot = layout.sensor + i * arrays.SENSOR
-        value = _sum(
-            shared, mem, lane, at, layout, shared.sensors[i, arrays.BEGIN_TERMS], shared.sensors[i, arrays.END_TERMS]
-        )
+        value = _sum(shared, mem, lane, at, layout, i)
         if shared.sensors[i, arrays.FILTERED] >= 0:
             value = _lagging(mem, lane, layout.lowpass + shared.sensors[i, arrays.FILTERED] * arrays.LOWPASS, k, value)
         if shared.sensors[i, arrays.LATE] > 0:
