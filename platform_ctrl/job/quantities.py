@@ -242,8 +242,9 @@ def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tup
 
 
 def simulated_words(job: Job, manoeuvres: Sequence[Manoeuvre]) -> str:
-    """Return the assumptions of the verdict on runs in words that are printed with it; empty where there are none."""
-    words = []
+    """Return the assumptions of a campaign's verdict in words that are printed with it; empty where there are none."""
+    bear = "the motors bear their rms currents, which a campaign does not judge"
+    words = [bear] if any(one.continuous_current is not None for one in job.platform.motors) else []
     if any(one.start == "equilibrium" for one in manoeuvres):
         words.append("constant torques of the motors hold the gimbals from the start on")
     angles = set(job.platform.angle_names)

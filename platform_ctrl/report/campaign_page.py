@@ -56,10 +56,12 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
 
 def campaign_sections(summary: Summary, again: str) -> list[page.PageSection]:
     """Return the results of a campaign, its inputs apart; the first section has no title."""
+    words, _, assumed = tables.verdict(summary).partition(", assuming ")
     banner = page.Verdict(
         passed=summary.statistics.passed,
-        words=page.sentence(tables.verdict(summary)),
+        words=page.sentence(words),
         lines=tuple(page.sentence(line) for line in tables.verdict_lines(summary)),
+        aside=f"Assuming {assumed}." if assumed else "",
     )
     bounds = page.Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet")
     sections = [page.PageSection(name="summary", title="", blocks=(banner,))]
