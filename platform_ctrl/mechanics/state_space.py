@@ -269,7 +269,8 @@ def _with_modes(
     ]
     if shared.any() and np.linalg.eigvalsh(square[0] - shared @ shared.T).min() <= 0.0:
         words = "with their joints they have more inertia than the gimbals have (A* − ΓΓᵀ is not positive definite)"
-        raise MechanicsError(f"modes {', '.join(m.name for m in modes if m.joints)}: {words}; give smaller joints")
+        cure = "give smaller joints or, of an uncertain plant, a smaller mode_participation or inertia of [uncertainty]"
+        raise MechanicsError(f"modes {', '.join(m.name for m in modes if m.joints)}: {words}; {cure}")
     more = [np.array([m.base for m in modes]), np.zeros((k, 3)), -np.array([m.base_force for m in modes])]
     wides = [np.vstack([one, row.reshape(k, 3)]) for one, row in zip(wide, more, strict=True)]
     shapes = np.array([m.of(torquers) for m in modes]).reshape(k, len(torquers)) * torque_map.sum(axis=0)

@@ -45,22 +45,22 @@ class LoopBounds:
 def loop_bounds(job: Job, outcome: LoopOutcome) -> LoopBounds | None:
     """Return what bounds a loop; None where it has no plants of its own, or nothing ends the rise of its gain.
 
-    The gain is raised with the nominal plant and those that are worst for each requirement, until one of the
-    requirements that a larger gain makes worse is no longer met; then again with each parameter eased by a tenth.
+    The gain is raised with the nominal plant and those that are worst for each requirement, at the start or the end,
+    until one of the requirements that a larger gain makes worse is no longer met; then again with each parameter eased
+    by a tenth.
     """
     design, spec = outcome.closed, outcome.spec
     plants = design.plants
     if plants is None or design.measures is None or spec.kind == "tracking":
         return None
-    chosen = deciding(design.measures, spec.requirements)
-    found = _reached(outcome, plants.only(chosen))
+    found = _reached(outcome, plants)
     if found is None:
         return None
     gain, bandwidth, one = found
     bounds = []
     for name, moved, eased in _eased(job, outcome):
         again = moved()
-        end = None if again is None else _reached(outcome, again.only(chosen))
+        end = None if again is None else _reached(outcome, again)
         if end is not None:
             bounds.append(Bound(parameter=name, sensitivity=math.log(end[1] / bandwidth) / math.log(eased) + 0.0))
     bounds.sort(key=lambda bound: -abs(bound.sensitivity))
@@ -91,11 +91,25 @@ def _eased(job: Job, outcome: LoopOutcome) -> Iterator[tuple[str, Callable[[], P
 
 
 def _reached(outcome: LoopOutcome, plants: PlantSet) -> tuple[float, float, LoopRequirement] | None:
-    """Return the largest gain with which all is met that a larger gain makes worse, its bandwidth, and what ends it."""
-    K, requirements = with_commands(plants, outcome.closed.controller), outcome.spec.requirements
+    """Return the end of the rise, as `_risen`, with all plants that are worst for a requirement at its start or end."""
+    chosen: list[int] = []
+    more, found = deciding(_raised(outcome, plants, 1.0), outcome.spec.requirements), None
+    while more != chosen:
+        chosen = more
+        found = _risen(outcome, plants.only(chosen))
+        end = _raised(outcome, plants, _RANGE if found is None else found[0])
+        more = sorted({*chosen, *deciding(end, outcome.spec.requirements)})
+    return found
 
-    def measured(gain: float) -> LoopMetrics:
-        return measure(plants, K._replace(C=gain * K.C, D=gain * K.D), requirements, exact=False)
+
+def _raised(outcome: LoopOutcome, plants: PlantSet, gain: float) -> LoopMetrics:
+    K = with_commands(plants, outcome.closed.controller)
+    return measure(plants, K._replace(C=gain * K.C, D=gain * K.D), outcome.spec.requirements, exact=False)
+
+
+def _risen(outcome: LoopOutcome, plants: PlantSet) -> tuple[float, float, LoopRequirement] | None:
+    """Return the largest gain with which all is met that a larger gain makes worse, its bandwidth, and what ends it."""
+    requirements, measured = outcome.spec.requirements, functools.partial(_raised, outcome, plants)
 
     def ratios(metrics: LoopMetrics) -> list[float]:
         unstable = not metrics.decay.min(initial=np.inf) > 0.0

@@ -91,6 +91,13 @@ def test_two_modes_that_excite_each_other_only_side_by_side_do_not_pass():
     assert "f_a-7.30% f_b-9.64%" in results["disk margin, worst case"].evidence
 
 
+def test_modes_that_have_more_inertia_than_the_gimbal_only_where_they_are_uncertain_are_refused():
+    mode = {"interface": "fixed", "joints": {"g": np.sqrt(0.7 * J)}, "participation": {"gyro": 4.5}}
+    one = job({"mode_participation": 0.3}, mode)
+    with pytest.raises(pc.PlatformCtrlError, match=r"a smaller mode_participation or inertia of \[uncertainty\]"):
+        plants_of(one, one.loops[0])
+
+
 def test_a_tuner_takes_its_notch_to_the_mode():
     # With a notch at three times the crossover, as by rules of thumb, the search alone does not find the mode.
     start = {"name": "pi", "method": "pi", "tune": True, "crossover_hz": 1.0, "notch_depth": 0.3}

@@ -11,7 +11,7 @@ from platform_ctrl.verification.result_file import result_record
 J, RATE = 0.07, 2000.0
 
 
-def job(delay=0.0, noise=0.0, modes=(), crossover=1.0, **limits):
+def job(delay=0.0, noise=0.0, modes=(), crossover=1.0, uncertainty=None, **limits):
     """A rate loop, almost pure gain over an inertia."""
     gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, J], "angle": "q"}
     plant = {
@@ -27,7 +27,7 @@ def job(delay=0.0, noise=0.0, modes=(), crossover=1.0, **limits):
     loop = {"name": "rate", "kind": "rate", "gimbals": ["g"], "sensors": ["gyro"], "use": "pi", "limits": limits}
     loop["design"] = [{"name": "pi", "method": "pi", **options}]
     data = {"schema": 2, "name": "one axis", "plant": plant, "operation": {"Omega": [0.0, 0.0, 0.0]}, "loop": [loop]}
-    return pc.read_job(data | {"sampling": {"rate_hz": RATE, "delay": delay}})
+    return pc.read_job(data | {"sampling": {"rate_hz": RATE, "delay": delay}, "uncertainty": uncertainty or {}})
 
 
 def bounds_of(one):
@@ -68,6 +68,22 @@ def test_noise_bounds_the_bandwidth_by_its_limit(tmp_path):
     shown = write_page(result, tmp_path / "report.html").read_text(encoding="utf-8")
     assert "What bounds the bandwidth" in shown
     assert "The noise changes it most" in shown
+
+
+def test_a_bound_holds_for_plants_that_are_worst_at_another_gain():
+    # A slow loop is worst with a small inertia, a fast one with one of the modes at an end of its range.
+    def at(crossover):
+        sizes = {"a": (179.0, 0.016, 1.2, -1.0), "b": (776.0, 0.01, 1.0, 1.0)}
+        modes = [
+            {"name": name, "frequency": w, "damping": zeta, "participation": {"Q": phi, "gyro": phi * sign}}
+            for name, (w, zeta, phi, sign) in sizes.items()
+        ]
+        uncertain = {"mode_frequency": 0.2, "inertia": 0.2}
+        return job(1.9e-4, 0.0, modes, crossover, uncertain, disk_margin=0.3, disk_margin_worst_case=0.3)
+
+    gain = 1.95 * bounds_of(at(1.95)).gain
+    met = [all(r.passed for r in design.loops(at(share * gain))[0].closed.results) for share in (0.98, 1.02)]
+    assert met == [True, False]
 
 
 def test_a_loop_that_misses_its_limits_is_bounded_below_its_gain():
