@@ -235,11 +235,16 @@ def gimbal_table(result: JobResult) -> Table:
                 f"{quantities.plain(float(result.model.M[k, k]))} kg m²",
                 stops,
                 "none" if torquer is None else f"{torquer.name}, {limit}{_mark(torquer)}",
-                "none" if pickoff is None else f"{quantities.plain(1e6 * pickoff.noise_rms)} µrad rms{_mark(pickoff)}",
+                "none" if pickoff is None else f"{_noise(pickoff)}{_mark(pickoff)}",
             )
         )
     titles = "gimbal|carried by|axis|angle|J about the axis|stops|torquer|pick-off noise"
     return table(titles, rows, numbers="J about the axis|stops")
+
+
+def _noise(pickoff: PickOff) -> str:
+    step = f", steps of {quantities.plain(1e6 * pickoff.quantisation)} µrad" if pickoff.quantisation else ""
+    return f"{quantities.plain(1e6 * pickoff.noise_rms)} µrad rms{step}"
 
 
 def _limit(limit: float | None) -> str:
