@@ -176,7 +176,10 @@ def linearise(
     # T1 = uᵀBᵀL: ∂(BᵀL)/∂q, ∂T1/∂q and ∂²T1/∂q² at u = [Omega0, 0].
     momentum_slope = np.einsum("jrx,r->xj", change.B, tree.L)
     energy_slope = np.einsum("jra,r,a->j", change.B[:, :, :3], tree.L, Omega0)
-    curvature = _spin_curvature(at, Omega0)
+    # ∂²T1/∂q² = ∂²(Lᵀ B_Omega Omega)/∂q²: the gyroscopic restraint L Omega.
+    curvature = np.zeros((len(at.axes), len(at.axes)))
+    for L, axis, body in zip(tree.L, at.spin_axes, tree.carriers, strict=True):
+        curvature += L * _axis_curvature(at, axis, body) @ Omega0
     root_momentum = (B.T @ tree.L)[:3]
     if terms == "exact":
         # T2 = ½ uᵀA*u.
@@ -210,14 +213,6 @@ def linearise(
         M_force=slopes.force[:3] - P[:, :3].T,
         M_angle=slopes.angle[:3] + cross_matrix(f) @ P[:, 3:],
     )
-
-
-def _spin_curvature(at: Kinematics, Omega: FloatArray) -> FloatArray:
-    """∂²T1/∂q² = ∂²(Lᵀ B_Omega Omega)/∂q², (n, n): the gyroscopic restraint L Omega."""
-    out = np.zeros((len(at.axes), len(at.axes)))
-    for L, axis, body in zip(at.tree.L, at.spin_axes, at.tree.carriers, strict=True):
-        out += L * _axis_curvature(at, axis, body) @ Omega
-    return out
 
 
 def _axis_curvature(at: Kinematics, axis: FloatArray, body: int) -> FloatArray:

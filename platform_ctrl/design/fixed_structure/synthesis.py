@@ -131,7 +131,10 @@ def structured(
     wide = [augmented(one, structure.order(nmeas, ncon)) for one in flat]
     ends = searched(wide, family, points, evaluations, progress or (lambda line: None))
     best = min(ends, key=rank)
-    controller = controller_of(family.matrix(best.x), given[0], parts[0])
+    M = family.matrix(best.x)  # in the w-plane where the plant is sampled
+    k = len(M) - parts[0].B2.shape[1]
+    K = partitions.out_of_w_plane(System(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:]), parts[0].dt)
+    controller = partitions.controller_system(given[0], K)
     if not best.at.stable:
         worst, at = max((abscissa(part, controller), k) for k, part in enumerate(parts, 1))
         raise NotFoundError(
@@ -244,14 +247,6 @@ def full_order(plant: partitions.Partition) -> tuple[float, list[System]]:
             found = hinf(P, nmeas, ncon, method="riccati", backoff=backoff)
             controllers.append(System.of(found.controller, "structured"))
     return least, controllers
-
-
-def controller_of(M: FloatArray, P: StateSpace, part: partitions.Partition) -> StateSpace:
-    """Return M = [A_K, B_K; C_K, D_K], in the w-plane where the plant is sampled, as a controller of the plant."""
-    k = len(M) - part.B2.shape[1]
-    return partitions.controller_system(
-        P, partitions.out_of_w_plane(System(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:]), part.dt)
-    )
 
 
 def abscissa(part: partitions.Partition, K: StateSpace) -> float:

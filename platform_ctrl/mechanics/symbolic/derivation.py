@@ -289,7 +289,7 @@ class _Derivation:
             for at in row:
                 coupled[j, (at - len(self.known) - 6) % max(n, 1) if at is not None else j] = True
         groups = tuple(map(tuple, connected(coupled)))
-        B0 = algebra.at_zero(core.B)
+        B0, N = algebra.at_zero(core.B), self._slopes(algebra, core.BtL)  # N of (14)
         shown = {
             "B0": B0,
             "B_A": algebra.cut(core.B - B0, None if order is None else order + 1),
@@ -297,7 +297,7 @@ class _Derivation:
             "BtA_RB": algebra.cut(core.BtA_RB, order),
             "A_star": algebra.cut(core.A_star, order),
             "G_A": algebra.cut(self._coriolis(core), order),
-            "G_R": algebra.cut(_gyroscopic(core, n), order),
+            "G_R": algebra.cut(np.asarray(N - N.T), order),
             "G_root": algebra.cut(self._root_turning(core), order),
         }
         used = algebra.used(shown["A"]) | linear.algebra.used(
@@ -331,14 +331,19 @@ class _Derivation:
         places = [*range(first, first + 3), *range(first + 6 + n, first + 6 + 2 * n)]
         return np.array([algebra.symbol(k) for k in places], dtype=object)
 
+    def _slopes(self, algebra: symbolic.Polynomials, column: symbolic.Array) -> symbolic.Array:
+        """∂/∂q of a column, root columns zero."""
+        N = algebra.zeros(3 + self._n, 3 + self._n)
+        for j in range(self._n):
+            N[:, 3 + j] = algebra.slope(column, j)
+        return N
+
     def _coriolis(self, core: _Core) -> symbolic.Array:
         """N − ½ Nᵀ with N = ∂(A* u)/∂q (13), root columns of N zero."""
         # The paper differentiates the truncated (24); the exact derivative needs one order more.
         A_star = core.algebra.cut(core.A_star, self.order) if self.terms == "paper" else core.A_star
         momentum = A_star @ self._velocity(core.algebra)
-        N = core.algebra.zeros(3 + self._n, 3 + self._n)
-        for j in range(self._n):
-            N[:, 3 + j] = core.algebra.slope(momentum, j)
+        N = self._slopes(core.algebra, momentum)
         return np.asarray(N - N.T * core.algebra.numbers(np.array(0.5)).item())
 
     def _root_turning(self, core: _Core) -> symbolic.Array:
@@ -389,14 +394,6 @@ class _Derivation:
 
 def _cross(a: symbolic.Array, b: symbolic.Array) -> symbolic.Array:
     return np.array([a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))], dtype=object)
-
-
-def _gyroscopic(core: _Core, n: int) -> symbolic.Array:
-    """N − Nᵀ with N = ∂(BᵀL)/∂q (14), root columns zero, for n gimbals."""
-    N = core.algebra.zeros(3 + n, 3 + n)
-    for j in range(n):
-        N[:, 3 + j] = core.algebra.slope(core.BtL, j)
-    return np.asarray(N - N.T)
 
 
 def _column(symbols: tuple[symbolic.NamedSymbol, ...]) -> symbolic.Expression:
