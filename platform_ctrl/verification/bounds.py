@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from scipy import optimize
 
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
@@ -60,7 +61,7 @@ def loop_bounds(job: Job, outcome: LoopOutcome) -> LoopBounds | None:
     bounds = []
     for name, moved, eased in _eased(job, outcome):
         again = moved()
-        end = None if again is None else _reached(outcome, again)
+        end = None if again is None else _reached(outcome, again, gain)
         if end is not None:
             bounds.append(Bound(parameter=name, sensitivity=math.log(end[1] / bandwidth) / math.log(eased) + 0.0))
     bounds.sort(key=lambda bound: -abs(bound.sensitivity))
@@ -90,13 +91,13 @@ def _eased(job: Job, outcome: LoopOutcome) -> Iterator[tuple[str, Callable[[], P
         yield "torque limit", lambda: dataclasses.replace(plants, torque_limit=more * plants.torque_limit), more
 
 
-def _reached(outcome: LoopOutcome, plants: PlantSet) -> tuple[float, float, LoopRequirement] | None:
+def _reached(outcome: LoopOutcome, plants: PlantSet, near: float = 1.0) -> tuple[float, float, LoopRequirement] | None:
     """Return the end of the rise, as `_risen`, with all plants that are worst for a requirement at its start or end."""
     chosen: list[int] = []
-    more, found = deciding(_raised(outcome, plants, 1.0), outcome.spec.requirements), None
+    more, found = deciding(_raised(outcome, plants, near), outcome.spec.requirements), None
     while more != chosen:
         chosen = more
-        found = _risen(outcome, plants.only(chosen))
+        found = _risen(outcome, plants.only(chosen), near)
         end = _raised(outcome, plants, _RANGE if found is None else found[0])
         more = sorted({*chosen, *deciding(end, outcome.spec.requirements)})
     return found
@@ -107,8 +108,11 @@ def _raised(outcome: LoopOutcome, plants: PlantSet, gain: float) -> LoopMetrics:
     return measure(plants, K._replace(C=gain * K.C, D=gain * K.D), outcome.spec.requirements, exact=False)
 
 
-def _risen(outcome: LoopOutcome, plants: PlantSet) -> tuple[float, float, LoopRequirement] | None:
-    """Return the largest gain with which all is met that a larger gain makes worse, its bandwidth, and what ends it."""
+def _risen(outcome: LoopOutcome, plants: PlantSet, near: float) -> tuple[float, float, LoopRequirement] | None:
+    """Return the largest gain with which all is met that a larger gain makes worse, its bandwidth, and what ends it.
+
+    It is looked for from `near` on.
+    """
     requirements, measured = outcome.spec.requirements, functools.partial(_raised, outcome, plants)
 
     def ratios(metrics: LoopMetrics) -> list[float]:
@@ -122,18 +126,15 @@ def _risen(outcome: LoopOutcome, plants: PlantSet) -> tuple[float, float, LoopRe
         found = ratios(measured(gain))
         return max(((found[k], k) for k in rising), default=(0.0, 0))
 
-    gains = np.geomspace(1.0 / _RANGE, _RANGE, 2 * _STEPS + 1)[_STEPS:]
-    if worst(1.0)[0] > 1.0:
-        gains = 1.0 / gains
-    low = 1.0
-    for high in gains[1:]:
-        if (worst(high)[0] > 1.0) != (gains[1] < 1.0):
+    rise = _RANGE ** (1.0 / _STEPS if worst(near)[0] <= 1.0 else -1.0 / _STEPS)
+    low = near
+    for high in near * rise ** np.arange(1.0, _STEPS + 1.0):
+        if (worst(high)[0] > 1.0) != (rise < 1.0):
             break
         low = float(high)
     else:
         return None
     low, high = sorted((low, float(high)))
-    while high > (1.0 + _FOUND) * low:
-        middle = math.sqrt(low * high)
-        low, high = (low, middle) if worst(middle)[0] > 1.0 else (middle, high)
-    return low, measured(low).bandwidth, requirements[worst(high)[1]]
+    # Where the loop is unstable nothing is measured: any ratio above 1 stands for it.
+    gain = float(optimize.brentq(lambda x: min(worst(x)[0], 2.0) - 1.0, low, high, xtol=_FOUND * low))
+    return gain, measured(gain).bandwidth, requirements[worst(high)[1]]

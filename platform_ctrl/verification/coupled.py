@@ -336,7 +336,7 @@ def _decoupled_margins(job: Job, model: LinearModel, controllers: Sequence[State
     caging = [K for K in controllers if set(K.output_labels) <= own]
     loops = [spec for spec in job.loops if spec.kind != "tracking"]
     turning = [spec for spec in loops if spec.kind in ("rate", "pointing")]
-    reacts = moves_freely(job, controllers) and not loops[0].moves_root(job.platform)
+    reacts = moves_freely(job, controllers) and not any(spec.moves_root(job.platform) for spec in loops)
     if len(caging) == len(controllers) and (not turning or len(loops) == 1) and not reacts:
         # All loops cage gyros, or one turns gimbals: the design models are the coupled one.
         return whole.loop_margins
