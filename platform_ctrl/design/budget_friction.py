@@ -106,6 +106,13 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
     return Balanced(q, replaced(balance, {"remainder": left}), tuple(rest))
 
 
+def balanced_at_trims(loop: BudgetLoop) -> list[Balanced]:
+    """Return the replacement of dry friction at each of the job's gimbal angles."""
+    nominal, *others = loop.job.trims
+    first = balanced(loop, nominal)
+    return [first, *(balanced(loop, q, first.friction) for q in others)]
+
+
 def _highest(loop: BudgetLoop, balance: FrictionBalance, q: FloatArray) -> float:
     """Return the frequency, rad/s, up to which the noise of dry friction counts.
 

@@ -280,9 +280,7 @@ def _thinned(knots: FloatArray) -> FloatArray:
 
 def moves_freely(job: Job, controllers: Sequence[StateSpace]) -> bool:
     """Return whether the platform is free: the plant says how it moves, or a controller sets a torque on the root."""
-    if job.platform.mode is not None:
-        return job.platform.mode != "held"
-    return any(set(job.platform.root_torquers) & set(K.output_labels) for K in controllers)
+    return job.platform.moves_freely(any(set(job.platform.root_torquers) & set(K.output_labels) for K in controllers))
 
 
 def with_resolvers(job: Job, controllers: Sequence[StateSpace], q: FloatArray) -> list[StateSpace]:

@@ -15,6 +15,7 @@ from platform_ctrl.analysis.plant_set import Group
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.resolve import Resolver
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.state_space import subsystems_of_all
@@ -158,6 +159,11 @@ def _fed(job: Job, torquers: Sequence[str], sensors: Sequence[str], gain: Callab
 def at_angles(platform: Platform, q: FloatArray) -> str:
     """Return gimbal angles (n,) in words, those alone that are not zero."""
     return ", ".join(f"{name} = {x:g} rad" for name, x in zip(platform.angle_names, q, strict=True) if x)
+
+
+def near_keyhole(job: Job, laws: Sequence[Resolver]) -> tuple[str, ...]:
+    """Return the job's angles, in words, at which the gain of resolved readings is limited."""
+    return tuple(at_angles(job.platform, q) for q in job.trims if any(law.limited(q) for law in laws))
 
 
 class _Width(NamedTuple):

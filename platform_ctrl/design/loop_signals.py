@@ -279,7 +279,7 @@ def _tied(model: LinearModel, signals: LoopSignals) -> tuple[LinearModel, LoopSi
     platform = with_rigid_drives(model.platform)
     if platform is model.platform:
         return model, signals
-    loads = {one.motor_side: one.gimbal for one in model.platform.compliances}
+    loads = model.platform.loads
     sensors = {one.name: one for one in platform.sensors}
     torquers = {one.name: one for one in platform.torquers}
     gimbals = tuple(dict.fromkeys(loads.get(name, name) for name in signals.gimbals))

@@ -24,10 +24,10 @@ from platform_ctrl.analysis.system import System, seen_states
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import (
     Case,
-    at_angles,
     carried,
     cases,
     friction_rate,
+    near_keyhole,
     subsystems_over,
     with_feedback,
     with_friction,
@@ -176,6 +176,7 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         states = [states[k] for k in kept]
         responses = SlowerResponses(plain=responses, every=every)
     nutation = loop_reference(linear, period)
+    reacts = job.platform.moves_freely(any(spec.kind == "stabilisation" for spec in job.loops))
     found = PlantSet(
         whole=whole._replace(dt=period),
         labels=tuple(one.label for one in linear.cases),
@@ -192,15 +193,14 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         between=times,
         disturbances=responses,
         drifting=linear.drifting,
-        held=(*linear.held, *([job.platform.root_name] if signals.held and not signals.free and _reacts(job) else [])),
+        held=(*linear.held, *([job.platform.root_name] if signals.held and not signals.free and reacts else [])),
         dry_friction=bool(linear.cases[0].platform.dry_frictions),
     )
     if signals.resolvers:
         still = np.zeros(len(job.platform.gimbals))
         trims = [still if one.q is None else one.q for one in linear.cases]
         found = found.resolved(np.array([signals.turning(q) for q in trims]), signals.readings)
-        near = [at_angles(job.platform, q) for q in job.trims if any(law.limited(q) for law in signals.resolvers)]
-        found = dataclasses.replace(found, limited=tuple(near))
+        found = dataclasses.replace(found, limited=near_keyhole(job, signals.resolvers))
     return found.on(tuning_grid(nutation, period))
 
 
@@ -344,12 +344,6 @@ def job_signals(job: Job, spec: LoopSpec) -> LoopSignals:
     read = {name for law in laws for name in law.weights}
     fed = tuple(one for one in platform.sensors if one.name in read)
     return dataclasses.replace(signals, fed=fed, passive=passive)
-
-
-def _reacts(job: Job) -> bool:
-    """Return whether torques on gimbals move the root."""
-    mode = job.platform.mode
-    return any(spec.kind == "stabilisation" for spec in job.loops) if mode is None else mode != "held"
 
 
 def _passive(job: Job, signals: LoopSignals) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sight import MeanSquare
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.values import FloatArray, replaced, value
-from platform_ctrl.design.budget_friction import TOLERANCE, Balanced, balanced, prepared
+from platform_ctrl.design.budget_friction import TOLERANCE, Balanced, balanced_at_trims, prepared
 from platform_ctrl.design.budget_loop import BudgetLoop
 from platform_ctrl.design.loop import delivered
 from platform_ctrl.design.sections import gain
@@ -82,8 +82,7 @@ class LoopSight:
     def _balanced(self, controller: System) -> tuple[BudgetLoop, list[Balanced]]:
         assert self.job.budget is not None, "the job has a budget"
         loop = BudgetLoop(self.job, self.job.budget, self._named(controller))
-        nominal = balanced(loop, self.job.trims[0])
-        return loop, [nominal, *(balanced(loop, q, nominal.friction) for q in self.job.trims[1:])]
+        return loop, balanced_at_trims(loop)
 
     def _whole(self, loop: BudgetLoop, controller: System, at: Balanced) -> System:
         """Return the controller from all sensors to all torquers, with what drives add."""

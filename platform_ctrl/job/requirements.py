@@ -21,6 +21,7 @@ from platform_ctrl.common.arguments import known_name, nearest, one_of, positive
 from platform_ctrl.common.values import FloatArray, input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
+from platform_ctrl.job.resolve import KEYHOLE
 from platform_ctrl.plant.mistakes import Misfit, missing, wrong
 from platform_ctrl.plant.tables import unknown_key
 
@@ -185,7 +186,7 @@ class LoopRequirement(Requirement):
             if plants.held:
                 words.append(f"held: {', '.join(plants.held)}")
             if plants.limited:
-                words.append(f"keyhole: the gain of resolved readings is limited at {'; '.join(plants.limited)}")
+                words.append(f"{KEYHOLE} at {'; '.join(plants.limited)}")
             if self.kind == "stability":
                 words += drifting(free)
             if self.kind == "torque noise" and free:

@@ -24,6 +24,8 @@ from platform_ctrl.plant.platform import Platform
 
 # Gimbals of a loop at most, and the least |det J| at zero angles that does not count as singular.
 MOST_AXES, _SINGULAR = 3, 1e-6
+# What a verdict says near a keyhole.
+KEYHOLE = "keyhole: the gain of resolved readings is limited"
 
 
 @value
@@ -113,8 +115,7 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
     ArgumentError
         The sensors do not show every gimbal's rate, or an angle is not measured.
     """
-    loads = {one.motor_side: one.gimbal for one in platform.compliances}
-    names = tuple(dict.fromkeys(loads.get(name, name) for name in gimbals))
+    names = tuple(dict.fromkeys(platform.loads.get(name, name) for name in gimbals))
     if not 1 <= len(names) == len(sensors) <= MOST_AXES:
         raise ArgumentError(
             f"resolve = true needs a sensor for each gimbal, {MOST_AXES} at most; here are the sensors "

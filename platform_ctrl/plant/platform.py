@@ -146,9 +146,13 @@ class Platform(GimbalTree):
             object.__setattr__(self, kind, tuple(moved))
 
     @property
-    def motor_sides(self) -> tuple[str, ...]:
-        """Names of the gimbals that are motor sides of drives that give way."""
-        return tuple(one.motor_side for one in self.compliances)
+    def loads(self) -> dict[str, str]:
+        """Names of the gimbals that are motor sides of drives that give way, with those of their loads."""
+        return {one.motor_side: one.gimbal for one in self.compliances}
+
+    def moves_freely(self, driven: bool) -> bool:
+        """Return whether the root moves: as its mode says, without one where torques act on it (`driven`)."""
+        return driven if self.mode is None else self.mode != "held"
 
     @property
     def sides(self) -> tuple[tuple[int, int], ...]:
@@ -354,7 +358,7 @@ def plant_data(platform: Platform) -> dict[str, Any]:
     driven = [torquer.driven for torquer in platform.torquers]
     if any(driven):
         data["torquer"] = [one for one, made in zip(data["torquer"], driven, strict=True) if not made]
-    loads = {one.motor_side: one.gimbal for one in platform.compliances}
+    loads = platform.loads
     if loads:
         data["gimbal"] = [gimbal for gimbal in data["gimbal"] if gimbal["name"] not in loads]
         for part in (*data.get("torquer", ()), *data.get("motor", ()), *data.get("servo", ())):

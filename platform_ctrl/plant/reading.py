@@ -236,7 +236,7 @@ def _other_units(platform: Platform) -> Iterator[Mistake]:
 
     Of all bodies of a density a ball has the least inertia for its mass. A root that is held may have any numbers.
     """
-    sides = platform.motor_sides  # their joints are those of their loads
+    sides = platform.loads  # their joints are those of their loads
     for b, body in enumerate(platform.bodies):
         if not body.mass or (b == 0 and platform.mode != "floating"):
             continue
@@ -270,7 +270,7 @@ def _masses(platform: Platform, data: Mapping[str, Any]) -> Iterator[Mistake]:
     if floating and not platform.root_mass:
         yield Mistake(("root", "mass"), needs)
     for k, one in enumerate(platform.gimbals):
-        if one.name in platform.motor_sides:
+        if one.name in platform.loads:
             continue
         if floating and not one.mass:
             yield Mistake(("gimbal", k, "mass"), needs)

@@ -15,7 +15,7 @@ import numpy as np
 from platform_ctrl.analysis.budget_integrals import BudgetResult, motion_transfer
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.values import replaced
-from platform_ctrl.design.budget_friction import TOLERANCE, Balanced, balanced, prepared
+from platform_ctrl.design.budget_friction import TOLERANCE, Balanced, balanced_at_trims, prepared
 from platform_ctrl.design.budget_loop import BudgetLoop
 from platform_ctrl.design.cases import at_angles
 from platform_ctrl.errors import ArgumentError
@@ -97,9 +97,7 @@ class PreparedBudget:
     def __init__(self, job: Job, controllers: Sequence[StateSpace], like: PreparedBudget | None = None) -> None:
         self._loop = loop = BudgetLoop(job, expect_budget(job), controllers)
         if like is None:
-            nominal = balanced(loop, job.trims[0])
-            self._balanced = [nominal, *(balanced(loop, q, nominal.friction) for q in job.trims[1:])]
-            tolerance = TOLERANCE
+            self._balanced, tolerance = balanced_at_trims(loop), TOLERANCE
         else:
             self._balanced, tolerance = like.deciding, _QUICK
         self._prepared = [prepared(loop, one) for one in self._balanced]

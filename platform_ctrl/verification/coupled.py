@@ -29,9 +29,10 @@ from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.design.budget_loop import moves_freely, with_resolvers
-from platform_ctrl.design.cases import at_angles, swung
+from platform_ctrl.design.cases import at_angles, near_keyhole, swung
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
+from platform_ctrl.job.resolve import KEYHOLE
 from platform_ctrl.mechanics.forces import resting_forces, specific_force_at, twisted
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.plant.locking import with_cogging, with_stuck_bristles
@@ -220,8 +221,8 @@ def _conditions(job: Job, together: _Together, growing: str) -> str:
         words.append(f"no loop changes the platform's momentum {', '.join(together.conserved)}: it counts as zero")
     if together.uncontrolled and not growing:
         words.append(f"no loop acts on {', '.join(together.uncontrolled)}, which no loop depends on")
-    if near := [at_angles(job.platform, q) for q in job.trims if any(law.limited(q) for law in job.resolvers)]:
-        words.append(f"keyhole: the gain of resolved readings is limited at {'; '.join(near)}")
+    if near := near_keyhole(job, job.resolvers):
+        words.append(f"{KEYHOLE} at {'; '.join(near)}")
     return "".join(f"; {one}" for one in words) + _dry(job)
 
 

@@ -27,6 +27,7 @@ from platform_ctrl.job.budget import BudgetLimits, BudgetSpec, Source
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.manoeuvre import Manoeuvre
+from platform_ctrl.job.resolve import KEYHOLE
 from platform_ctrl.job.scenario import SOURCE_KIND, Scenario, Sine, Vibration
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.simulation import simulate
@@ -204,7 +205,7 @@ def _judged(
             f"substep {trajectory.step:g} s"
         ) + ("; with dry friction" if job.platform.dry_frictions else "")
         evidence += f"; the rate of {job.platform.root_name} is prescribed" if carried else ""
-        evidence += "; keyhole: the gain of resolved readings is limited on the way" if near else ""
+        evidence += f"; {KEYHOLE} on the way" if near else ""
         result = Requirement.of(metric, limit).judge(
             number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated"
         )

@@ -57,7 +57,7 @@ def _assert_no_worse(result: JobResult, file: Path) -> None:
     from platform_ctrl.verification.comparison import compare
     from platform_ctrl.verification.result_file import read_record, result_record
 
-    comparison = compare(result_record(result), read_record(file), result.job.tolerance)
+    comparison = compare(result_record(result, bounds=False), read_record(file), result.job.tolerance)
     if not comparison.passed:
         file = file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
         raise AssertionError(changes_text(comparison, str(file)))

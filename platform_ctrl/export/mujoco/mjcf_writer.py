@@ -414,7 +414,7 @@ def placed(platform: Platform) -> list[Placed]:
         name = platform.gimbal_names[body - 1] if body else platform.root_name
         moment = sum((one.moment for one in platform.unbalances if one.body == name), own * centre)
         radius = _radius(platform, body)
-        if name in platform.motor_sides:  # its inertia is the joint's armature
+        if name in platform.loads:  # its inertia is the joint's armature
             bare = _NO_MASS * np.eye(3)
             out.append(Placed(radius=radius, mass=_NO_MASS, centre=np.zeros(3), inertia=bare, rotor_mass=0.0))
             continue
