@@ -1,11 +1,11 @@
 """Eight numbers in one register: the number type of the kernel.
 
 A memory of the kernel is an array (slots, LANES): a slot holds one quantity of LANES scenarios side by side. `load`
-takes a slot of it in one piece as a `lane`, a number like any other in the code that computes with it: LLVM's vector of
+takes a slot of it in one piece as a lane, a number like any other in the code that computes with it: LLVM's vector of
 eight doubles, which compilers of this kind do not find by themselves in code with branches and short loops. Where
 scenarios differ, comparisons give a mask and `choose` picks.
 
-The same code runs one scenario at a time where `lane` is a whole number, the column of the memory: in plain Python.
+In plain Python the same code runs one scenario, whose memory is (slots,).
 """
 
 from __future__ import annotations
@@ -152,30 +152,27 @@ def _cast(context: Any, builder: Any, given: Any, wanted: Any, number: Any) -> A
     return _widened(builder, given, number)
 
 
-# Memory. `lane` is None for all columns at once, else the number of the column; a memory (slots,) has but one.
+# Memory.
 
 
-def load(memory: FloatArray, slot: int, lane: int | None) -> Number:
+def load(memory: FloatArray, slot: int) -> Number:
     """Return a slot of the memory."""
-    return memory[slot] if memory.ndim == 1 else memory[slot, lane]
+    return memory[slot]
 
 
-def store(memory: FloatArray, slot: int, lane: int | None, number: Number) -> None:
+def store(memory: FloatArray, slot: int, number: Number) -> None:
     """Put a number into a slot of the memory."""
-    if memory.ndim == 1:
-        memory[slot] = number
-    else:
-        memory[slot, lane] = number
+    memory[slot] = number
 
 
-def columns(lane: int) -> tuple[int, int]:
-    """Return the first column that `lane` stands for, and the one behind the last: for what goes one by one."""
-    return lane, lane + 1
+def load_one(memory: FloatArray, slot: int, column: int) -> float:
+    """Return what one scenario has in a slot."""
+    return float(memory[slot, column])
 
 
-@overload(columns, strict=False, jit_options=_INSIDE)
-def _columns(lane: Any) -> Any:
-    return (lambda lane: (0, LANES)) if isinstance(lane, types.NoneType) else columns
+def store_one(memory: FloatArray, slot: int, column: int, number: float) -> None:
+    """Put what one scenario has into a slot."""
+    memory[slot, column] = number
 
 
 def slots(memory: FloatArray) -> FloatArray:
@@ -183,10 +180,20 @@ def slots(memory: FloatArray) -> FloatArray:
     return memory
 
 
-@infer_global(slots)
-class _SlotsOf(_Typed):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(_slots, *args)
+def _typed(function: Any, result: Any) -> None:
+    """Say the type of what a function returns."""
+
+    @infer_global(function)
+    class _Typing(_Typed):
+        def generic(self, args: Any, kws: Any) -> Any:
+            return signature(result, *(types.unliteral(kind) for kind in args))
+
+
+_typed(slots, _slots)
+_typed(load, _lane)
+_typed(load_one, types.float64)
+_typed(store, types.none)
+_typed(store_one, types.none)
 
 
 @lower_builtin(slots, types.Array)
@@ -195,42 +202,35 @@ def _slots_of(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 
 
 def _place(context: Any, builder: Any, kinds: Any, given: Any) -> Any:
-    """Where a slot is: of all columns, or of one."""
-    data, slot, lane = given
+    """Where the first number of a slot is."""
+    data, slot = given
     if kinds[0] != _slots:
         data = context.make_array(kinds[0])(context, builder, data).data
-    first = builder.gep(data, [builder.mul(slot, ir.Constant(slot.type, LANES))])
-    if isinstance(kinds[2], types.NoneType):
-        return builder.bitcast(first, _VECTOR.as_pointer())
-    return builder.gep(first, [lane])
+    return builder.gep(data, [builder.mul(slot, ir.Constant(slot.type, LANES))])
 
 
-@infer_global(load)
-class _Load(_Typed):
-    def generic(self, args: Any, kws: Any) -> Any:
-        memory, slot, lane = (types.unliteral(kind) for kind in args)
-        return signature(_lane if isinstance(lane, types.NoneType) else types.float64, memory, slot, lane)
-
-
-@infer_global(store)
-class _Store(_Typed):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(types.none, *(types.unliteral(kind) for kind in args))
-
-
-@lower_builtin(load, types.Any, types.Integer, types.Any)
+@lower_builtin(load, types.Any, types.Integer)
 def _load(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.load(_place(context, builder, sig.args, args), align=8)
+    place = _place(context, builder, sig.args, args)
+    return builder.load(builder.bitcast(place, _VECTOR.as_pointer()), align=8)
 
 
-@lower_builtin(store, types.Any, types.Integer, types.Any, types.Any)
+@lower_builtin(load_one, types.Any, types.Integer, types.Integer)
+def _load_one(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.load(builder.gep(_place(context, builder, sig.args, args[:2]), [args[2]]), align=8)
+
+
+@lower_builtin(store, types.Any, types.Integer, types.Any)
 def _store(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    number = args[3]
-    if isinstance(sig.args[2], types.NoneType):
-        number = _widened(builder, sig.args[3], number)
-    else:
-        number = context.cast(builder, number, sig.args[3], types.float64)
-    builder.store(number, _place(context, builder, sig.args, args[:3]), align=8)
+    place = builder.bitcast(_place(context, builder, sig.args, args[:2]), _VECTOR.as_pointer())
+    builder.store(_widened(builder, sig.args[2], args[2]), place, align=8)
+    return context.get_dummy_value()
+
+
+@lower_builtin(store_one, types.Any, types.Integer, types.Integer, types.Any)
+def _store_one(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    place = builder.gep(_place(context, builder, sig.args, args[:2]), [args[2]])
+    builder.store(context.cast(builder, args[3], sig.args[3], types.float64), place, align=8)
     return context.get_dummy_value()
 
 

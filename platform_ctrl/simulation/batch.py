@@ -285,7 +285,6 @@ def batch_metrics(batched: plans.Batch, threads: int = 1, record: FloatArray = _
             batched.shared,
             keys[part],
             memory(batched.layout.end),
-            None,  # type: ignore[arg-type]
             batched.packed.at,
             batched.layout,
             batched.free,

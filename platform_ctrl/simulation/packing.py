@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
@@ -180,7 +180,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
     drives = (*platform.sides, *((k, k) for k, _ in (*platform.windings, *platform.cogging)))
     links = tree_links(tree.parents.tolist(), tree.order, frames, drives, erections, [carriers[k] for k in servos])
     return Skeleton(
-        links=cast(Links, PlacedLinks(*links)) if _placed(platform) else links,
+        links=PlacedLinks(*links) if _placed(platform) else links,
         at=_at(platform, len(tree.parents), len(servos)),
         frames=frames,
         carriers=carriers,
@@ -223,35 +223,15 @@ def _terms(platform: Platform, frames: FloatArray, signals: Mapping[str, float])
 
 def _at(platform: Platform, n: int, servos: int) -> At:
     laws = sum({1 << _LAWS[friction.law] for friction in platform.dry_frictions})
-    modes, torquers = len(platform.modes), len(platform.torquers)
+    modes, torquers, placed = len(platform.modes), len(platform.torquers), _placed(platform)
+    windings, teeth = len(platform.windings), len(platform.cogging)
     swings = 2 * n + 7 + 2 * servos
     currents = swings + 2 * modes
-    windings, teeth = len(platform.windings), len(platform.cogging)
     bare = currents + 3 * windings
     keeps = bare if laws > 1 << arrays.SMOOTH else 0
     size = bare + (n * arrays.FRICTION if keeps else 0)
-    body = 0
-    joint = body + (1 + n) * arrays.BODY
-    servo = joint + n * arrays.JOINT
-    erection = servo + servos * arrays.SERVO
-    drive = erection + len(platform.erections) * arrays.ERECTION
-    winding = drive + 3 * len(platform.compliances)
-    mode = winding + windings * arrays.WINDING + 3 * teeth
-    shape = arrays.INERTIAL + 3 + n
-    gravity = mode + modes * (shape + torquers)
-    place, placed = gravity + 3, _placed(platform)
-    work = place + (1 + n) * arrays.PLACE * placed
-    swing = work + (1 + n) * arrays.WORK
-    moving = swing + modes
-    matrix = moving + (1 + n) * arrays.MOVING * placed
-    push = matrix + (3 + n) ** 2 * placed
-    scratch = push + 3 * (3 + n) * placed
-    during = scratch + 3 * placed
-    stages = during + (1 + n * arrays.DURING if keeps else 0)
-    state = stages + 3 * size
-    surroundings = state + size
-    block = arrays.slots_of_block(n, windings, modes)
-    spare = surroundings + 3 * block
+    shape, block = arrays.INERTIAL + 3 + n, arrays.slots_of_block(n, windings, modes)
+    take = arrays.Slots()
     return At(
         yes=True,
         no=False,
@@ -269,35 +249,35 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         placed=placed,
         floating=platform.mode == "floating",
         course=False,
-        body=body,
-        joint=joint,
-        servo=servo,
-        erection=erection,
-        drive=drive,
         windings=windings,
         teeth=teeth,
-        winding=winding,
         currents=currents,
         wanted=block - modes - windings,
         swings=swings,
-        mode=mode,
-        gravity=gravity,
-        place=place,
         keeps=keeps,
-        work=work,
-        swing=swing,
-        moving=moving,
-        matrix=matrix,
-        push=push,
-        scratch=scratch,
-        during=during,
-        stages=stages,
-        state=state,
-        surroundings=surroundings,
         block=block,
-        spare_state=spare,
-        spare_block=spare + size,
-        end=spare + size + block,
+        body=take((1 + n) * arrays.BODY),
+        joint=take(n * arrays.JOINT),
+        servo=take(servos * arrays.SERVO),
+        erection=take(len(platform.erections) * arrays.ERECTION),
+        drive=take(3 * len(platform.compliances)),
+        winding=take(windings * arrays.WINDING + 3 * teeth),
+        mode=take(modes * (shape + torquers)),
+        gravity=take(3),
+        place=take((1 + n) * arrays.PLACE * placed),
+        work=take((1 + n) * arrays.WORK),
+        swing=take(modes),
+        moving=take((1 + n) * arrays.MOVING * placed),
+        matrix=take((3 + n) ** 2 * placed),
+        push=take(3 * (3 + n) * placed),
+        scratch=take(3 * placed),
+        during=take(1 + n * arrays.DURING if keeps else 0),
+        stages=take(3 * size),
+        state=take(size),
+        surroundings=take(3 * block),
+        spare_state=take(size),
+        spare_block=take(block),
+        end=take.end,
     )
 
 

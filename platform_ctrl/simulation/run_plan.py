@@ -297,13 +297,7 @@ def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: Contro
     n, nu, ny, sight = at.n, len(shared.targets), len(one.skeleton.sensors), len(one.skeleton.sight)
     commands, drives = len(scenario_arrays.commanded_readings(one.scenario)), len(one.scenario.drives)
     readings, resolvers = len(one.scenario.units), len(one.scenario.resolvers)
-    place = at.end
-
-    def take(count: int) -> int:
-        nonlocal place
-        place += count
-        return place - count
-
+    take = arrays.Slots(at.end)
     return Layout(
         samples=one.timing.samples,
         whole=one.timing.whole,
@@ -332,7 +326,7 @@ def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: Contro
         fault=take(len(shared.faults) * arrays.FAULT),
         rotor=take(len(shared.rotors) * arrays.ROTOR),
         line=take(len(shared.lines) * arrays.LINE),
-        given=place,
+        given=take.end,
         controller=take(2 * controller.states),
         command=take(nu),
         ring=take((one.timing.whole + 2) * nu),
@@ -348,7 +342,7 @@ def _layout(packed: Packed, shared: Shared, one: PreparedRun, controller: Contro
         begun=take(at.size),
         metrics=take(sum(widths_of_metrics(n, nu, sight))),
         following=take(commands),
-        end=place,
+        end=take.end,
     )
 
 

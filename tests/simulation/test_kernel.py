@@ -18,13 +18,13 @@ from small_trees import tree
 @numba.njit
 def _each(x, y):
     for i in range(len(x)):
-        a = load(x, i, None)
+        a = load(x, i)
         c, s = arithmetic.cosine_and_sine(a)
-        store(y, i, None, c)
-        store(y, len(x) + i, None, s)
-        store(y, 2 * len(x) + i, None, arithmetic.exponential(a))
-        store(y, 3 * len(x) + i, None, arithmetic.hyperbolic_tangent(a))
-        store(y, 4 * len(x) + i, None, arithmetic.logarithm(choose(a < 0.0, -a, a) + 1e-300))
+        store(y, i, c)
+        store(y, len(x) + i, s)
+        store(y, 2 * len(x) + i, arithmetic.exponential(a))
+        store(y, 3 * len(x) + i, arithmetic.hyperbolic_tangent(a))
+        store(y, 4 * len(x) + i, arithmetic.logarithm(choose(a < 0.0, -a, a) + 1e-300))
 
 
 def test_elementary_functions_are_those_of_mpmath_in_the_last_places():

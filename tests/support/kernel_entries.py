@@ -16,13 +16,13 @@ from platform_ctrl.simulation.packing import Packed, pack
 
 
 @compiled
-def _derivative(links, mem, lane, at, free, locking, bare, y, around, dy):
-    dynamics.derivative(links, mem, lane, at, free, locking, bare, y, around, dy)
+def _derivative(links, mem, at, free, locking, bare, y, around, dy):
+    dynamics.derivative(links, mem, at, free, locking, bare, y, around, dy)
 
 
 @compiled
-def _joint_momenta(links, mem, lane, at, y, around, result):
-    dynamics.joint_momenta(links, mem, lane, at, y, around, result)
+def _joint_momenta(links, mem, at, y, around, result):
+    dynamics.joint_momenta(links, mem, at, y, around, result)
 
 
 # They are compiled anew when the kernel has changed.
@@ -65,7 +65,7 @@ def derivatives(
     for k in held:
         mem[at.work + (k + 1) * WORK + LOCKED] = 1.0
     locking = len(tuple(held)) > 0
-    _derivative(plant.links, mem, None, at, free, locking, False, at.state, at.surroundings, at.stages)
+    _derivative(plant.links, mem, at, free, locking, False, at.state, at.surroundings, at.stages)
     return mem[at.stages : at.stages + at.size].T[: len(np.atleast_2d(states))].copy()
 
 
@@ -74,7 +74,7 @@ def momenta(platform: Platform, states: np.ndarray) -> np.ndarray:
     plant = pack(platform)
     at, mem = plant.at, space(plant)
     put(mem, at.state, states)
-    _joint_momenta(plant.links, mem, None, at, at.state, at.surroundings, at.stages)
+    _joint_momenta(plant.links, mem, at, at.state, at.surroundings, at.stages)
     root = at.work + MOMENT
     out = np.concatenate([mem[root : root + 3], mem[at.stages : at.stages + at.n]])
     return out.T[: len(np.atleast_2d(states))].copy()

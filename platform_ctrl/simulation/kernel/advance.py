@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from platform_ctrl.common.compiling import compiled, internal
 from platform_ctrl.common.simd import LANES, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import RATE, SERVO, WORK, At, Links
 from platform_ctrl.simulation.kernel.dynamics import joint_momenta, runge_kutta
 from platform_ctrl.simulation.kernel.friction import settle_friction
-
-_ALL: Any = None  # for `lane`: all columns at once
 
 
 @internal
@@ -79,9 +75,9 @@ def advance(
                         history[first + column, mark, i] = mem[at.state + i, column]
                 mark += 1
             if k < steps:
-                runge_kutta(links, mem, _ALL, at, at.yes, at.no, at.state, step)
+                runge_kutta(links, mem, at, at.yes, at.no, at.state, step)
                 if at.keeps != 0:
-                    settle_friction(links, mem, _ALL, at, at.yes, step)
+                    settle_friction(links, mem, at, at.yes, step)
 
 
 @compiled
@@ -101,13 +97,13 @@ def carrier_rates(
     _furnish(mem, at, constants, around)
     for first in range(0, states.shape[0], LANES):
         _fill(mem, at.state, states, first, at.size)
-        joint_momenta(links, mem, _ALL, at, at.state, at.surroundings, at.stages)
+        joint_momenta(links, mem, at, at.state, at.surroundings, at.stages)
         for r in range(at.servos):
             axis, rate = at.servo + r * SERVO, at.work + links.servo_carrier[r] * WORK + RATE
-            about = load(mem, axis, _ALL) * load(mem, rate, _ALL)
+            about = load(mem, axis) * load(mem, rate)
             for i in range(1, 3):
-                about = about + load(mem, axis + i, _ALL) * load(mem, rate + i, _ALL)
-            store(mem, at.stages + r, _ALL, about)
+                about = about + load(mem, axis + i) * load(mem, rate + i)
+            store(mem, at.stages + r, about)
         for column in range(min(LANES, states.shape[0] - first)):
             for r in range(at.servos):
                 rates[first + column, r] = mem[at.stages + r, column]

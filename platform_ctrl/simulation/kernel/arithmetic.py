@@ -104,33 +104,33 @@ def hyperbolic_tangent(x: Number) -> Number:
 
 
 @inlined
-def vector(mem: FloatArray, lane: int, slot: int) -> Vector:
+def vector(mem: FloatArray, slot: int) -> Vector:
     """Return the vector at a slot."""
-    return load(mem, slot, lane), load(mem, slot + 1, lane), load(mem, slot + 2, lane)
+    return load(mem, slot), load(mem, slot + 1), load(mem, slot + 2)
 
 
 @inlined
-def put(mem: FloatArray, lane: int, slot: int, x: Number, y: Number, z: Number) -> None:
+def put(mem: FloatArray, slot: int, x: Number, y: Number, z: Number) -> None:
     """Store a vector at a slot."""
-    store(mem, slot, lane, x)
-    store(mem, slot + 1, lane, y)
-    store(mem, slot + 2, lane, z)
+    store(mem, slot, x)
+    store(mem, slot + 1, y)
+    store(mem, slot + 2, z)
 
 
 @inlined
-def add(mem: FloatArray, lane: int, slot: int, number: Number) -> None:
+def add(mem: FloatArray, slot: int, number: Number) -> None:
     """Add to the number at a slot."""
-    store(mem, slot, lane, load(mem, slot, lane) + number)
+    store(mem, slot, load(mem, slot) + number)
 
 
 @inlined
-def from_parent(links: Links, mem: FloatArray, lane: int, m: int, slot: int) -> Vector:
+def from_parent(links: Links, mem: FloatArray, m: int, slot: int) -> Vector:
     """A vector of the parent, in the axes that gimbal m of the order has at q = 0."""
     tree, turn = links.tree, links.turn
     x, y, z = (
-        load(mem, slot + tree[m, arrays.X], lane),
-        load(mem, slot + tree[m, arrays.Y], lane),
-        load(mem, slot + tree[m, arrays.Z], lane),
+        load(mem, slot + tree[m, arrays.X]),
+        load(mem, slot + tree[m, arrays.Y]),
+        load(mem, slot + tree[m, arrays.Z]),
     )
     if tree[m, arrays.SKEW] != 0:
         return (
@@ -143,36 +143,36 @@ def from_parent(links: Links, mem: FloatArray, lane: int, m: int, slot: int) -> 
 
 @inlined
 def to_parent(
-    links: Links, mem: FloatArray, lane: int, m: int, slot: int, c: Number, s: Number, x: Number, y: Number, z: Number
+    links: Links, mem: FloatArray, m: int, slot: int, c: Number, s: Number, x: Number, y: Number, z: Number
 ) -> None:
     """Add a vector of gimbal m of the order to one of its parent."""
     tree, turn = links.tree, links.turn
     x, y = c * x - s * y, s * x + c * y
     if tree[m, arrays.SKEW] != 0:
         for i in range(3):
-            add(mem, lane, slot + i, turn[m, 0, i] * x + turn[m, 1, i] * y + turn[m, 2, i] * z)
+            add(mem, slot + i, turn[m, 0, i] * x + turn[m, 1, i] * y + turn[m, 2, i] * z)
     else:
-        add(mem, lane, slot + tree[m, arrays.X], x)
-        add(mem, lane, slot + tree[m, arrays.Y], y)
-        add(mem, lane, slot + tree[m, arrays.Z], z)
+        add(mem, slot + tree[m, arrays.X], x)
+        add(mem, slot + tree[m, arrays.Y], y)
+        add(mem, slot + tree[m, arrays.Z], z)
 
 
 @inlined
-def times(mem: FloatArray, lane: int, slot: int, x: Number, y: Number, z: Number) -> Vector:
+def times(mem: FloatArray, slot: int, x: Number, y: Number, z: Number) -> Vector:
     """The inertia at `slot` times a vector."""
-    xx, yy, zz = vector(mem, lane, slot)
-    xy, xz, yz = vector(mem, lane, slot + 3)
+    xx, yy, zz = vector(mem, slot)
+    xy, xz, yz = vector(mem, slot + 3)
     return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
 
 
 @inlined
-def whole_inertia_to_parent(links: Links, mem: FloatArray, lane: int, at: At, m: int, slot: int) -> None:
+def whole_inertia_to_parent(links: Links, mem: FloatArray, at: At, m: int, slot: int) -> None:
     """Add the articulated inertia at `slot`, all six of it, to the parent's: skew axes and locked joints."""
     tree, turn = links.tree, links.turn
     work = slot - arrays.INERTIA
-    c, s = load(mem, work + arrays.COS, lane), load(mem, work + arrays.SIN, lane)
-    xx, yy, zz = vector(mem, lane, slot)
-    xy, xz, yz = vector(mem, lane, slot + 3)
+    c, s = load(mem, work + arrays.COS), load(mem, work + arrays.SIN)
+    xx, yy, zz = vector(mem, slot)
+    xy, xz, yz = vector(mem, slot + 3)
     a, b = c * xx - s * xy, c * xy - s * yy
     trace = xx + yy
     xx, xy = c * a - s * b, s * a + c * b
@@ -183,14 +183,14 @@ def whole_inertia_to_parent(links: Links, mem: FloatArray, lane: int, at: At, m:
         for i in range(3):
             ax, ay, az = turn[m, 0, i], turn[m, 1, i], turn[m, 2, i]
             u, v, w = xx * ax + xy * ay + xz * az, xy * ax + yy * ay + yz * az, xz * ax + yz * ay + zz * az
-            add(mem, lane, up + i, ax * u + ay * v + az * w)
+            add(mem, up + i, ax * u + ay * v + az * w)
             for j in range(i):
                 turned = turn[m, 0, j] * u + turn[m, 1, j] * v + turn[m, 2, j] * w
-                add(mem, lane, up + 2 + i + j, turned)  # xy 3, xz 4, yz 5
+                add(mem, up + 2 + i + j, turned)  # xy 3, xz 4, yz 5
     else:
-        add(mem, lane, up + tree[m, arrays.XX], xx)
-        add(mem, lane, up + tree[m, arrays.YY], yy)
-        add(mem, lane, up + tree[m, arrays.ZZ], zz)
-        add(mem, lane, up + tree[m, arrays.XY], xy)
-        add(mem, lane, up + tree[m, arrays.XZ], xz)
-        add(mem, lane, up + tree[m, arrays.YZ], yz)
+        add(mem, up + tree[m, arrays.XX], xx)
+        add(mem, up + tree[m, arrays.YY], yy)
+        add(mem, up + tree[m, arrays.ZZ], zz)
+        add(mem, up + tree[m, arrays.XY], xy)
+        add(mem, up + tree[m, arrays.XZ], xz)
+        add(mem, up + tree[m, arrays.YZ], yz)

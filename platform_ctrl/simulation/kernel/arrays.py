@@ -74,6 +74,18 @@ AMPLITUDE, TURN, PHASE, LINE = 0, 1, 5, 7
 RISE, HOLD, SCALE, FADE, PROFILE = 3, 4, 5, 6, 7
 
 
+class Slots:
+    """The slots of a memory, taken one part behind the other."""
+
+    def __init__(self, end: int = 0) -> None:
+        self.end = end
+
+    def __call__(self, count: int) -> int:
+        """Take slots, and return the first of them."""
+        self.end += count
+        return self.end - count
+
+
 class Shared(NamedTuple):
     """The arrays that all scenarios of a batch share."""
 
@@ -219,14 +231,8 @@ class Links(NamedTuple):
     erection: NDArray[np.int64]  # (e, 2): order of the torqued gimbal, sensing body
 
 
-class PlacedLinks(NamedTuple):
+class PlacedLinks(Links):
     """`Links` of a plant whose masses and joints lie anywhere: code for it is compiled apart."""
-
-    tree: NDArray[np.int64]
-    turn: FloatArray
-    servo_carrier: NDArray[np.int64]
-    drive: NDArray[np.int64]
-    erection: NDArray[np.int64]
 
 
 class At(NamedTuple):

@@ -12,38 +12,38 @@ from platform_ctrl.simulation.kernel.forces import contact, missing_torque
 
 
 @inlined
-def _within(mem: FloatArray, lane: int, slot: int, number: Number) -> Number:
-    limit = load(mem, slot, lane)
+def _within(mem: FloatArray, slot: int, number: Number) -> Number:
+    limit = load(mem, slot)
     return lesser(greater(number, -limit), limit)
 
 
 @inlined
-def drive_torques(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int, dy: int) -> None:
+def drive_torques(links: Links, mem: FloatArray, at: At, y: int, around: int, dy: int) -> None:
     """Add the torques of drives to the joints' in `dy`, behind the joints' rates there; derivatives of currents."""
-    n, zero = at.n, 0.0 * load(mem, y, lane)
+    n, zero = at.n, 0.0 * load(mem, y)
     torque, first = dy + n + 3, links.drive.shape[0] - at.windings - at.teeth
     for d in range(first):
         k, motor = links.drive[d, 0], links.drive[d, 1]
-        apart = load(mem, y + motor, lane) - load(mem, y + k, lane)
-        turning = load(mem, dy + motor, lane) - load(mem, dy + k, lane)
-        twist = contact(mem, lane, at.drive + 3 * d, apart, turning)
-        add(mem, lane, torque + k, twist)
-        add(mem, lane, torque + motor, -twist)
+        apart = load(mem, y + motor) - load(mem, y + k)
+        turning = load(mem, dy + motor) - load(mem, dy + k)
+        twist = contact(mem, at.drive + 3 * d, apart, turning)
+        add(mem, torque + k, twist)
+        add(mem, torque + motor, -twist)
     for m in range(at.windings):
         k, slot, state = links.drive[first + m, 0], at.winding + m * arrays.WINDING, at.currents + 3 * m
-        add(mem, lane, torque + k, missing_torque(mem, lane, at, y, around, m))
-        current, integral, delayed = vector(mem, lane, y + state)
-        error = load(mem, around + at.wanted + m, lane) / load(mem, slot, lane) - current
-        asked = load(mem, slot + arrays.LOOP_GAIN, lane) * error + integral
-        given = _within(mem, lane, slot + arrays.SUPPLY, asked)
-        v = _within(mem, lane, slot + arrays.SUPPLY, 2.0 * delayed - given)
-        v = v - load(mem, slot + arrays.RESISTANCE, lane) * current
-        v = v - load(mem, slot + arrays.EMF, lane) * load(mem, dy + k, lane)
+        add(mem, torque + k, missing_torque(mem, at, y, around, m))
+        current, integral, delayed = vector(mem, y + state)
+        error = load(mem, around + at.wanted + m) / load(mem, slot) - current
+        asked = load(mem, slot + arrays.LOOP_GAIN) * error + integral
+        given = _within(mem, slot + arrays.SUPPLY, asked)
+        v = _within(mem, slot + arrays.SUPPLY, 2.0 * delayed - given)
+        v = v - load(mem, slot + arrays.RESISTANCE) * current
+        v = v - load(mem, slot + arrays.EMF) * load(mem, dy + k)
         further = (asked - given) * error > 0.0
-        rise = choose(further, zero, load(mem, slot + arrays.LOOP_INTEGRAL, lane) * error)
-        pace = load(mem, slot + arrays.PACE, lane)
-        put(mem, lane, dy + state, v / load(mem, slot + arrays.INDUCTANCE, lane), rise, pace * (given - delayed))
+        rise = choose(further, zero, load(mem, slot + arrays.LOOP_INTEGRAL) * error)
+        pace = load(mem, slot + arrays.PACE)
+        put(mem, dy + state, v / load(mem, slot + arrays.INDUCTANCE), rise, pace * (given - delayed))
     for t in range(at.teeth):
         k, slot = links.drive[first + at.windings + t, 0], at.winding + at.windings * arrays.WINDING + 3 * t
-        _, s = cosine_and_sine(load(mem, slot, lane) * load(mem, y + k, lane) + load(mem, slot + 2, lane))
-        add(mem, lane, torque + k, load(mem, slot + 1, lane) * s)
+        _, s = cosine_and_sine(load(mem, slot) * load(mem, y + k) + load(mem, slot + 2))
+        add(mem, torque + k, load(mem, slot + 1) * s)

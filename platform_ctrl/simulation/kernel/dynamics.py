@@ -61,104 +61,104 @@ from platform_ctrl.simulation.kernel.structure import mode_derivatives
 
 
 @inlined
-def _outward(links: Links, mem: FloatArray, lane: int, at: At, free: bool, bare: bool, y: int, around: int) -> None:
+def _outward(links: Links, mem: FloatArray, at: At, free: bool, bare: bool, y: int, around: int) -> None:
     """From the root to the tips: joints' cosines and sines; rates and moments at zero acceleration (free root)."""
     n = at.n
     momenta = around + n + 9
     for b in range(n + 1):
         slot = at.work + b * arrays.WORK
         for i in range(6):
-            store(mem, slot + arrays.INERTIA + i, lane, load(mem, at.body + b * arrays.BODY + i, lane))
-    w0, w1, w2 = vector(mem, lane, y + n)
-    put(mem, lane, at.work + arrays.RATE, w0, w1, w2)
+            store(mem, slot + arrays.INERTIA + i, load(mem, at.body + b * arrays.BODY + i))
+    w0, w1, w2 = vector(mem, y + n)
+    put(mem, at.work + arrays.RATE, w0, w1, w2)
     if at.weight != 0:
-        f0, f1, f2 = felt_by_root(mem, lane, at, y, around)
-        put(mem, lane, at.work + arrays.FORCE, f0, f1, f2)
+        f0, f1, f2 = felt_by_root(mem, at, y, around)
+        put(mem, at.work + arrays.FORCE, f0, f1, f2)
     for m in range(n):
         k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
         slot = at.work + (k + 1) * arrays.WORK
-        c, s = cosine_and_sine(load(mem, y + k, lane))
-        store(mem, slot + arrays.COS, lane, c)
-        store(mem, slot + arrays.SIN, lane, s)
+        c, s = cosine_and_sine(load(mem, y + k))
+        store(mem, slot + arrays.COS, c)
+        store(mem, slot + arrays.SIN, s)
         if free:
-            x, v, z = from_parent(links, mem, lane, m, up + arrays.RATE)
-            rate = load(mem, y + n + 3 + k, lane)
+            x, v, z = from_parent(links, mem, m, up + arrays.RATE)
+            rate = load(mem, y + n + 3 + k)
             x, v, z = c * x + s * v, c * v - s * x, z + rate
-            put(mem, lane, slot + arrays.RATE, x, v, z)
-            store(mem, slot + arrays.PRODUCT, lane, v * rate)
-            store(mem, slot + arrays.PRODUCT + 1, lane, -x * rate)
+            put(mem, slot + arrays.RATE, x, v, z)
+            store(mem, slot + arrays.PRODUCT, v * rate)
+            store(mem, slot + arrays.PRODUCT + 1, -x * rate)
         if at.weight != 0:
-            x, v, z = from_parent(links, mem, lane, m, up + arrays.FORCE)
-            put(mem, lane, slot + arrays.FORCE, c * x + s * v, c * v - s * x, z)
+            x, v, z = from_parent(links, mem, m, up + arrays.FORCE)
+            put(mem, slot + arrays.FORCE, c * x + s * v, c * v - s * x, z)
     for b in range(n + 1):
         slot = at.work + b * arrays.WORK
-        h0, h1, h2 = vector(mem, lane, momenta + 3 * b)
+        h0, h1, h2 = vector(mem, momenta + 3 * b)
         if bare:
             h0, h1, h2 = 0.0 * h0, 0.0 * h1, 0.0 * h2
-        put(mem, lane, slot + arrays.MOMENT, h0, h1, h2)
+        put(mem, slot + arrays.MOMENT, h0, h1, h2)
     if not bare:
-        servo_momenta(links, mem, lane, at, y, arrays.MOMENT)
+        servo_momenta(links, mem, at, y, arrays.MOMENT)
     if free:
         for b in range(n + 1):
             slot = at.work + b * arrays.WORK
-            w0, w1, w2 = vector(mem, lane, slot + arrays.RATE)
-            H0, H1, H2 = times(mem, lane, at.body + b * arrays.BODY, w0, w1, w2)
-            h0, h1, h2 = vector(mem, lane, slot + arrays.MOMENT)
+            w0, w1, w2 = vector(mem, slot + arrays.RATE)
+            H0, H1, H2 = times(mem, at.body + b * arrays.BODY, w0, w1, w2)
+            h0, h1, h2 = vector(mem, slot + arrays.MOMENT)
             H0, H1, H2 = H0 + h0, H1 + h1, H2 + h2
             N0, N1, N2 = w1 * H2 - w2 * H1, w2 * H0 - w0 * H2, w0 * H1 - w1 * H0
             if at.course != 0 and not bare:
-                h0, h1, h2 = vector(mem, lane, momenta + 3 * (n + 1 + b))
+                h0, h1, h2 = vector(mem, momenta + 3 * (n + 1 + b))
                 N0, N1, N2 = N0 + h0, N1 + h1, N2 + h2
-            put(mem, lane, slot + arrays.MOMENT, N0, N1, N2)
+            put(mem, slot + arrays.MOMENT, N0, N1, N2)
 
 
 @inlined
-def _inward(links: Links, mem: FloatArray, lane: int, at: At, moving: bool, locking: bool, torque: int) -> None:
+def _inward(links: Links, mem: FloatArray, at: At, moving: bool, locking: bool, torque: int) -> None:
     """From the tips to the root: articulated inertias and moments; `torque` holds the joints' torques (or momenta)."""
     n = at.n
     for m in range(n - 1, -1, -1):
         k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
         slot = at.work + (k + 1) * arrays.WORK
-        c, s = load(mem, slot + arrays.COS, lane), load(mem, slot + arrays.SIN, lane)
-        xx, yy, D = vector(mem, lane, slot + arrays.INERTIA)
-        xy, ux, uy = vector(mem, lane, slot + arrays.INERTIA + 3)
-        p0, p1, p2 = vector(mem, lane, slot + arrays.MOMENT)
-        tau = load(mem, torque + k, lane)
+        c, s = load(mem, slot + arrays.COS), load(mem, slot + arrays.SIN)
+        xx, yy, D = vector(mem, slot + arrays.INERTIA)
+        xy, ux, uy = vector(mem, slot + arrays.INERTIA + 3)
+        p0, p1, p2 = vector(mem, slot + arrays.MOMENT)
+        tau = load(mem, torque + k)
         ease = choose(D > 0.0, 1.0 / D, float("nan") * D)
         if locking:
-            ease = ease * (1.0 - load(mem, slot + arrays.LOCKED, lane))
+            ease = ease * (1.0 - load(mem, slot + arrays.LOCKED))
         gx, gy, drive = ux * ease, uy * ease, (tau - p2) * ease
-        store(mem, slot + arrays.GAIN_X, lane, gx)
-        store(mem, slot + arrays.GAIN_Y, lane, gy)
-        store(mem, slot + arrays.DRIVE, lane, drive)
+        store(mem, slot + arrays.GAIN_X, gx)
+        store(mem, slot + arrays.GAIN_Y, gy)
+        store(mem, slot + arrays.DRIVE, drive)
         xx, xy, yy = xx - ux * gx, xy - ux * gy, yy - uy * gy
         p0, p1, p2 = p0 + ux * drive, p1 + uy * drive, p2 + D * drive
         if moving:
-            cx, cy = load(mem, slot + arrays.PRODUCT, lane), load(mem, slot + arrays.PRODUCT + 1, lane)
+            cx, cy = load(mem, slot + arrays.PRODUCT), load(mem, slot + arrays.PRODUCT + 1)
             p0, p1 = p0 + xx * cx + xy * cy, p1 + xy * cx + yy * cy
         if locking or links.tree[m, arrays.SKEW] != 0:
             kept = 1.0 - D * ease  # 0, or 1 where the joint is locked
             if moving:
                 p2 = p2 + kept * (ux * cx + uy * cy)
-            put(mem, lane, slot + arrays.INERTIA, xx, yy, kept * D)
-            put(mem, lane, slot + arrays.INERTIA + 3, xy, kept * ux, kept * uy)
-            whole_inertia_to_parent(links, mem, lane, at, m, slot + arrays.INERTIA)
+            put(mem, slot + arrays.INERTIA, xx, yy, kept * D)
+            put(mem, slot + arrays.INERTIA + 3, xy, kept * ux, kept * uy)
+            whole_inertia_to_parent(links, mem, at, m, slot + arrays.INERTIA)
         else:
             a, b = c * xx - s * xy, c * xy - s * yy
             turned = c * a - s * b
-            add(mem, lane, up + arrays.INERTIA + links.tree[m, arrays.XX], turned)
-            add(mem, lane, up + arrays.INERTIA + links.tree[m, arrays.YY], xx + yy - turned)
-            add(mem, lane, up + arrays.INERTIA + links.tree[m, arrays.XY], s * a + c * b)
-        to_parent(links, mem, lane, m, up + arrays.MOMENT, c, s, p0, p1, p2)
+            add(mem, up + arrays.INERTIA + links.tree[m, arrays.XX], turned)
+            add(mem, up + arrays.INERTIA + links.tree[m, arrays.YY], xx + yy - turned)
+            add(mem, up + arrays.INERTIA + links.tree[m, arrays.XY], s * a + c * b)
+        to_parent(links, mem, m, up + arrays.MOMENT, c, s, p0, p1, p2)
 
 
 @inlined
-def _root_acceleration(mem: FloatArray, lane: int, at: At, around: int) -> Vector:
+def _root_acceleration(mem: FloatArray, at: At, around: int) -> Vector:
     """Solve the root's three equations: articulated inertia times acceleration = M − moment."""
-    xx, yy, zz = vector(mem, lane, at.work + arrays.INERTIA)
-    xy, xz, yz = vector(mem, lane, at.work + arrays.INERTIA + 3)
-    b0, b1, b2 = vector(mem, lane, around)
-    p0, p1, p2 = vector(mem, lane, at.work + arrays.MOMENT)
+    xx, yy, zz = vector(mem, at.work + arrays.INERTIA)
+    xy, xz, yz = vector(mem, at.work + arrays.INERTIA + 3)
+    b0, b1, b2 = vector(mem, around)
+    p0, p1, p2 = vector(mem, at.work + arrays.MOMENT)
     b0, b1, b2 = b0 - p0, b1 - p1, b2 - p2
     d0 = choose(xx > 0.0, 1.0 / xx, float("nan") * xx)
     l10, l20 = xy * d0, xz * d0
@@ -176,76 +176,61 @@ def _root_acceleration(mem: FloatArray, lane: int, at: At, around: int) -> Vecto
 
 
 @inlined
-def _accelerate(
-    links: Links, mem: FloatArray, lane: int, at: At, moving: bool, locking: bool, field: int, result: int
-) -> None:
+def _accelerate(links: Links, mem: FloatArray, at: At, moving: bool, locking: bool, field: int, result: int) -> None:
     """From the root to the tips: the joints' accelerations (or rates) into `result`, the bodies' into `field`."""
     n = at.n
     for m in range(n):
         k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
         slot = at.work + (k + 1) * arrays.WORK
-        c, s = load(mem, slot + arrays.COS, lane), load(mem, slot + arrays.SIN, lane)
-        x, y, z = from_parent(links, mem, lane, m, up + field)
+        c, s = load(mem, slot + arrays.COS), load(mem, slot + arrays.SIN)
+        x, y, z = from_parent(links, mem, m, up + field)
         x, y = c * x + s * y, c * y - s * x
         if moving:
-            x, y = x + load(mem, slot + arrays.PRODUCT, lane), y + load(mem, slot + arrays.PRODUCT + 1, lane)
+            x, y = x + load(mem, slot + arrays.PRODUCT), y + load(mem, slot + arrays.PRODUCT + 1)
         along = z
         if locking:
-            along = z * (1.0 - load(mem, slot + arrays.LOCKED, lane))
-        own = (
-            load(mem, slot + arrays.DRIVE, lane)
-            - load(mem, slot + arrays.GAIN_X, lane) * x
-            - load(mem, slot + arrays.GAIN_Y, lane) * y
-        )
+            along = z * (1.0 - load(mem, slot + arrays.LOCKED))
+        own = load(mem, slot + arrays.DRIVE) - load(mem, slot + arrays.GAIN_X) * x - load(mem, slot + arrays.GAIN_Y) * y
         own = own - along
-        store(mem, result + k, lane, own)
-        put(mem, lane, slot + field, x, y, z + own)
+        store(mem, result + k, own)
+        put(mem, slot + field, x, y, z + own)
 
 
 @inlined
-def _momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int) -> None:
+def _momenta(links: Links, mem: FloatArray, at: At, y: int, around: int) -> None:
     """Angular momenta of the subtrees into MOMENT, from the bodies' rates."""
     n = at.n
     for b in range(n + 1):
         slot = at.work + b * arrays.WORK
-        h0, h1, h2 = vector(mem, lane, around + n + 9 + 3 * b)
-        w0, w1, w2 = vector(mem, lane, slot + arrays.RATE)
-        H0, H1, H2 = times(mem, lane, at.body + b * arrays.BODY, w0, w1, w2)
-        put(mem, lane, slot + arrays.MOMENT, H0 + h0, H1 + h1, H2 + h2)
-    servo_momenta(links, mem, lane, at, y, arrays.MOMENT)
+        h0, h1, h2 = vector(mem, around + n + 9 + 3 * b)
+        w0, w1, w2 = vector(mem, slot + arrays.RATE)
+        H0, H1, H2 = times(mem, at.body + b * arrays.BODY, w0, w1, w2)
+        put(mem, slot + arrays.MOMENT, H0 + h0, H1 + h1, H2 + h2)
+    servo_momenta(links, mem, at, y, arrays.MOMENT)
     for m in range(n - 1, -1, -1):
         slot = at.work + (links.tree[m, arrays.GIMBAL] + 1) * arrays.WORK
-        H0, H1, H2 = vector(mem, lane, slot + arrays.MOMENT)
-        c, s = load(mem, slot + arrays.COS, lane), load(mem, slot + arrays.SIN, lane)
+        H0, H1, H2 = vector(mem, slot + arrays.MOMENT)
+        c, s = load(mem, slot + arrays.COS), load(mem, slot + arrays.SIN)
         up = at.work + links.tree[m, arrays.PARENT] * arrays.WORK + arrays.MOMENT
-        to_parent(links, mem, lane, m, up, c, s, H0, H1, H2)
+        to_parent(links, mem, m, up, c, s, H0, H1, H2)
 
 
 @inlined
-def _turn(mem: FloatArray, lane: int, at: At, y: int, dy: int) -> None:
+def _turn(mem: FloatArray, at: At, y: int, dy: int) -> None:
     """Derivative of the attitude."""
-    W0, W1, W2 = vector(mem, lane, y + at.n)
+    W0, W1, W2 = vector(mem, y + at.n)
     e, d = y + 2 * at.n + 3, dy + 2 * at.n + 3
-    e0, e1 = 0.5 * load(mem, e, lane), 0.5 * load(mem, e + 1, lane)
-    e2, e3 = 0.5 * load(mem, e + 2, lane), 0.5 * load(mem, e + 3, lane)
-    store(mem, d, lane, -e1 * W0 - e2 * W1 - e3 * W2)
-    store(mem, d + 1, lane, e0 * W0 + e2 * W2 - e3 * W1)
-    store(mem, d + 2, lane, e0 * W1 + e3 * W0 - e1 * W2)
-    store(mem, d + 3, lane, e0 * W2 + e1 * W1 - e2 * W0)
+    e0, e1 = 0.5 * load(mem, e), 0.5 * load(mem, e + 1)
+    e2, e3 = 0.5 * load(mem, e + 2), 0.5 * load(mem, e + 3)
+    store(mem, d, -e1 * W0 - e2 * W1 - e3 * W2)
+    store(mem, d + 1, e0 * W0 + e2 * W2 - e3 * W1)
+    store(mem, d + 2, e0 * W1 + e3 * W0 - e1 * W2)
+    store(mem, d + 3, e0 * W2 + e1 * W1 - e2 * W0)
 
 
 @internal
 def derivative(
-    links: Links,
-    mem: FloatArray,
-    lane: int,
-    at: At,
-    free: bool,
-    locking: bool,
-    bare: bool,
-    y: int,
-    around: int,
-    dy: int,
+    links: Links, mem: FloatArray, at: At, free: bool, locking: bool, bare: bool, y: int, around: int, dy: int
 ) -> None:
     """Derivative of the state at slot `y` in the surroundings at slot `around`, into slot `dy`.
 
@@ -255,66 +240,65 @@ def derivative(
     """
     n = at.n
     torque = dy + n + 3  # the joints' torques, replaced by their accelerations
-    if placed_derivative(links, mem, lane, at, free, locking, bare, y, around, dy):
-        _turn(mem, lane, at, y, dy)
+    if placed_derivative(links, mem, at, free, locking, bare, y, around, dy):
+        _turn(mem, at, y, dy)
         return
-    _outward(links, mem, lane, at, free, bare, y, around)
+    _outward(links, mem, at, free, bare, y, around)
     if free:
         for k in range(n):
-            rate = load(mem, y + n + 3 + k, lane)
+            rate = load(mem, y + n + 3 + k)
             if locking:
-                rate = rate * (1.0 - load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, lane))
-            store(mem, dy + k, lane, rate)
-            Q = load(mem, around + 3 + k, lane)
+                rate = rate * (1.0 - load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED))
+            store(mem, dy + k, rate)
+            Q = load(mem, around + 3 + k)
             if at.joints != 0 and not bare:
-                Q = Q + joint_torque(mem, lane, at, y, k, rate)
-            store(mem, torque + k, lane, Q)
+                Q = Q + joint_torque(mem, at, y, k, rate)
+            store(mem, torque + k, Q)
         if not bare:
-            drive_torques(links, mem, lane, at, y, around, dy)
+            drive_torques(links, mem, at, y, around, dy)
         if at.weight != 0 and not bare:
-            unbalance_moments(mem, lane, at)
-            erection_torques(links, mem, lane, at, torque)
+            unbalance_moments(mem, at)
+            erection_torques(links, mem, at, torque)
         if at.servos != 0 and not bare:
-            servo_drives(links, mem, lane, at, at.yes, y, dy)
-        _inward(links, mem, lane, at, at.yes, locking, torque)
-        x, v, z = _root_acceleration(mem, lane, at, around)
-        put(mem, lane, dy + n, x, v, z)
-        put(mem, lane, at.work + arrays.ACCELERATION, x, v, z)
-        _accelerate(links, mem, lane, at, at.yes, locking, arrays.ACCELERATION, torque)
+            servo_drives(links, mem, at, at.yes, y, dy)
+        _inward(links, mem, at, at.yes, locking, torque)
+        x, v, z = _root_acceleration(mem, at, around)
+        put(mem, dy + n, x, v, z)
+        put(mem, at.work + arrays.ACCELERATION, x, v, z)
+        _accelerate(links, mem, at, at.yes, locking, arrays.ACCELERATION, torque)
     else:
-        _inward(links, mem, lane, at, at.no, locking, y + n + 3)
-        _accelerate(links, mem, lane, at, at.no, locking, arrays.RATE, dy)
-        _momenta(links, mem, lane, at, y, around)
+        _inward(links, mem, at, at.no, locking, y + n + 3)
+        _accelerate(links, mem, at, at.no, locking, arrays.RATE, dy)
+        _momenta(links, mem, at, y, around)
         for m in range(n):
             k = links.tree[m, arrays.GIMBAL]
             slot = at.work + (k + 1) * arrays.WORK
-            Q = load(mem, around + 3 + k, lane)
+            Q = load(mem, around + 3 + k)
             if at.joints != 0:
-                rate = load(mem, dy + k, lane)
-                Q = Q + joint_torque(mem, lane, at, y, k, rate)
-            H0, H1 = load(mem, slot + arrays.MOMENT, lane), load(mem, slot + arrays.MOMENT + 1, lane)
-            w0, w1 = load(mem, slot + arrays.RATE, lane), load(mem, slot + arrays.RATE + 1, lane)
-            store(mem, torque + k, lane, Q + H0 * w1 - H1 * w0)
-        drive_torques(links, mem, lane, at, y, around, dy)
+                rate = load(mem, dy + k)
+                Q = Q + joint_torque(mem, at, y, k, rate)
+            H0, H1 = load(mem, slot + arrays.MOMENT), load(mem, slot + arrays.MOMENT + 1)
+            w0, w1 = load(mem, slot + arrays.RATE), load(mem, slot + arrays.RATE + 1)
+            store(mem, torque + k, Q + H0 * w1 - H1 * w0)
+        drive_torques(links, mem, at, y, around, dy)
         if at.weight != 0:
             # The same recursion once more, for moments that act on the carriers.
             for b in range(n + 1):
                 slot = at.work + b * arrays.WORK
-                H0, H1, H2 = vector(mem, lane, slot + arrays.MOMENT)
-                put(mem, lane, slot + arrays.ACCELERATION, H0, H1, H2)
+                H0, H1, H2 = vector(mem, slot + arrays.MOMENT)
+                put(mem, slot + arrays.ACCELERATION, H0, H1, H2)
                 zero = 0.0 * H0
-                put(mem, lane, slot + arrays.MOMENT, zero, zero, zero)
-            unbalance_moments(mem, lane, at)
+                put(mem, slot + arrays.MOMENT, zero, zero, zero)
+            unbalance_moments(mem, at)
             for m in range(n - 1, -1, -1):
                 k = links.tree[m, arrays.GIMBAL]
                 slot = at.work + (k + 1) * arrays.WORK
-                N0, N1, N2 = vector(mem, lane, slot + arrays.MOMENT)
-                add(mem, lane, torque + k, -N2)
-                c, s = load(mem, slot + arrays.COS, lane), load(mem, slot + arrays.SIN, lane)
+                N0, N1, N2 = vector(mem, slot + arrays.MOMENT)
+                add(mem, torque + k, -N2)
+                c, s = load(mem, slot + arrays.COS), load(mem, slot + arrays.SIN)
                 to_parent(
                     links,
                     mem,
-                    lane,
                     m,
                     at.work + links.tree[m, arrays.PARENT] * arrays.WORK + arrays.MOMENT,
                     c,
@@ -323,120 +307,118 @@ def derivative(
                     N1,
                     N2,
                 )
-            erection_torques(links, mem, lane, at, torque)
+            erection_torques(links, mem, at, torque)
             for b in range(n + 1):
                 slot = at.work + b * arrays.WORK
-                H0, H1, H2 = vector(mem, lane, slot + arrays.ACCELERATION)
-                put(mem, lane, slot + arrays.MOMENT, H0, H1, H2)
+                H0, H1, H2 = vector(mem, slot + arrays.ACCELERATION)
+                put(mem, slot + arrays.MOMENT, H0, H1, H2)
         if at.servos != 0:
-            servo_drives(links, mem, lane, at, at.no, y, dy)
+            servo_drives(links, mem, at, at.no, y, dy)
         for i in range(3):
-            store(mem, dy + n + i, lane, 0.0 * load(mem, y + n + i, lane))
+            store(mem, dy + n + i, 0.0 * load(mem, y + n + i))
     if at.modes != 0:
-        mode_derivatives(mem, lane, at, y, around, dy)
-    _turn(mem, lane, at, y, dy)
+        mode_derivatives(mem, at, y, around, dy)
+    _turn(mem, at, y, dy)
 
 
 @inlined
-def at_rest(mem: FloatArray, lane: int, at: At) -> None:
+def at_rest(mem: FloatArray, at: At) -> None:
     """Fill the spare state with the angles of the state, without rates, and the spare block with nothing that acts."""
     n = at.n
-    zero = 0.0 * load(mem, at.state, lane)
+    zero = 0.0 * load(mem, at.state)
     for i in range(at.size):
-        store(mem, at.spare_state + i, lane, load(mem, at.state + i, lane))
+        store(mem, at.spare_state + i, load(mem, at.state + i))
     for i in range(n + 3):
-        store(mem, at.spare_state + n + i, lane, zero)
+        store(mem, at.spare_state + n + i, zero)
     for i in range(2 * at.modes):
-        store(mem, at.spare_state + at.swings + i, lane, zero)
+        store(mem, at.spare_state + at.swings + i, zero)
     for i in range(at.block):
-        store(mem, at.spare_block + i, lane, zero)
+        store(mem, at.spare_block + i, zero)
 
 
 @internal
-def response(links: Links, mem: FloatArray, lane: int, at: At, free: bool, k: int, dy: int) -> None:
+def response(links: Links, mem: FloatArray, at: At, free: bool, k: int, dy: int) -> None:
     """Response to a unit impulse at joint k: rates of the joints into dy[:n], with a free root all rates behind."""
     n, state, block = at.n, at.spare_state, at.spare_block
-    at_rest(mem, lane, at)
-    zero = 0.0 * load(mem, at.state, lane)
+    at_rest(mem, at)
+    zero = 0.0 * load(mem, at.state)
     if free:
-        store(mem, block + 3 + k, lane, zero + 1.0)
+        store(mem, block + 3 + k, zero + 1.0)
     else:
-        store(mem, state + n + 3 + k, lane, zero + 1.0)
-    derivative(links, mem, lane, at, free, at.no, at.yes, state, block, dy)
+        store(mem, state + n + 3 + k, zero + 1.0)
+    derivative(links, mem, at, free, at.no, at.yes, state, block, dy)
     if free:
         for i in range(n):
-            store(mem, dy + i, lane, load(mem, dy + n + 3 + i, lane))
+            store(mem, dy + i, load(mem, dy + n + 3 + i))
 
 
 @inlined
-def push(mem: FloatArray, lane: int, at: At, free: bool, k: int, dy: int, impulse: Number) -> None:
+def push(mem: FloatArray, at: At, free: bool, k: int, dy: int, impulse: Number) -> None:
     """Change the state by an impulse at joint k; with a free root `dy` holds the response to it."""
     n = at.n
     if free:
         for i in range(n + 3):
             v = at.state + n + i
-            store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, dy + n + i, lane))
+            store(mem, v, load(mem, v) + impulse * load(mem, dy + n + i))
     else:
         p = at.state + n + 3 + k
-        store(mem, p, lane, load(mem, p, lane) + impulse)
+        store(mem, p, load(mem, p) + impulse)
 
 
 @internal
-def joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int, result: int) -> None:
+def joint_momenta(links: Links, mem: FloatArray, at: At, y: int, around: int, result: int) -> None:
     """Joint momenta dT/dqdot of a state whose v holds the rates; all of it stays in the root's MOMENT."""
-    if not placed_momenta(links, mem, lane, at, y, around):
-        _outward(links, mem, lane, at, at.yes, at.no, y, around)
-        _momenta(links, mem, lane, at, y, around)
+    if not placed_momenta(links, mem, at, y, around):
+        _outward(links, mem, at, at.yes, at.no, y, around)
+        _momenta(links, mem, at, y, around)
     for k in range(at.n):
-        store(mem, result + k, lane, load(mem, at.work + (k + 1) * arrays.WORK + arrays.MOMENT + 2, lane))
+        store(mem, result + k, load(mem, at.work + (k + 1) * arrays.WORK + arrays.MOMENT + 2))
 
 
 @internal
-def runge_kutta(
-    links: Links, mem: FloatArray, lane: int, at: At, free: bool, locking: bool, y: int, step: Number
-) -> None:
+def runge_kutta(links: Links, mem: FloatArray, at: At, free: bool, locking: bool, y: int, step: Number) -> None:
     """One step of the classical Runge-Kutta method, in place; three blocks of surroundings hold what acts."""
     n, size = at.n, at.size
     now, dy, total = at.stages, at.stages + size, at.stages + 2 * size
     block = at.block
     if not free:
         for i in range(3):
-            store(mem, y + n + i, lane, load(mem, at.surroundings + n + 3 + i, lane))
+            store(mem, y + n + i, load(mem, at.surroundings + n + 3 + i))
     for stage in range(4):
         around = at.surroundings + (stage + 1) // 2 * block
         if at.keeps != 0:
-            store(mem, at.during, lane, 0.5 * ((stage + 1) // 2) * step)
+            store(mem, at.during, 0.5 * ((stage + 1) // 2) * step)
         source = y if stage == 0 else now
-        derivative(links, mem, lane, at, free, locking, at.no, source, around, dy)
+        derivative(links, mem, at, free, locking, at.no, source, around, dy)
         if at.keeps != 0:
-            stand_still(mem, lane, at, source, dy)
+            stand_still(mem, at, source, dy)
         ahead = step if stage == 2 else 0.5 * step
         if stage == 0:
             for i in range(size):
-                d = load(mem, dy + i, lane)
-                store(mem, total + i, lane, d)
-                store(mem, now + i, lane, load(mem, y + i, lane) + ahead * d)
+                d = load(mem, dy + i)
+                store(mem, total + i, d)
+                store(mem, now + i, load(mem, y + i) + ahead * d)
         elif stage < 3:
             for i in range(size):
-                d = load(mem, dy + i, lane)
-                store(mem, total + i, lane, load(mem, total + i, lane) + 2.0 * d)
-                store(mem, now + i, lane, load(mem, y + i, lane) + ahead * d)
+                d = load(mem, dy + i)
+                store(mem, total + i, load(mem, total + i) + 2.0 * d)
+                store(mem, now + i, load(mem, y + i) + ahead * d)
         else:
             sixth = step / 6.0
             for i in range(size):
-                both = load(mem, total + i, lane) + load(mem, dy + i, lane)
-                store(mem, y + i, lane, load(mem, y + i, lane) + sixth * both)
+                both = load(mem, total + i) + load(mem, dy + i)
+                store(mem, y + i, load(mem, y + i) + sixth * both)
         if not free and stage < 3:
             block_ahead = at.surroundings + (stage + 2) // 2 * block
             for i in range(3):
-                store(mem, now + n + i, lane, load(mem, block_ahead + n + 3 + i, lane))
+                store(mem, now + n + i, load(mem, block_ahead + n + 3 + i))
     if not free:
         for i in range(3):
-            store(mem, y + n + i, lane, load(mem, at.surroundings + 2 * block + n + 3 + i, lane))
+            store(mem, y + n + i, load(mem, at.surroundings + 2 * block + n + 3 + i))
     e = y + 2 * n + 3
-    square = 0.0 * load(mem, e, lane)
+    square = 0.0 * load(mem, e)
     for i in range(4):
-        square = square + load(mem, e + i, lane) * load(mem, e + i, lane)
+        square = square + load(mem, e + i) * load(mem, e + i)
     scale = 1.0 / root(square)
     for i in range(4):
-        store(mem, e + i, lane, load(mem, e + i, lane) * scale)
+        store(mem, e + i, load(mem, e + i) * scale)

@@ -5,7 +5,19 @@ from __future__ import annotations
 import math
 
 from platform_ctrl.common.compiling import inlined, internal
-from platform_ctrl.common.simd import Mask, Number, choose, columns, greater, lesser, load, root, store
+from platform_ctrl.common.simd import (
+    LANES,
+    Mask,
+    Number,
+    choose,
+    greater,
+    lesser,
+    load,
+    load_one,
+    root,
+    store,
+    store_one,
+)
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import (
@@ -20,12 +32,12 @@ from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 
 
 @inlined
-def _level(mem: FloatArray, lane: int, joint: int, rate: Number) -> Number:
+def _level(mem: FloatArray, joint: int, rate: Number) -> Number:
     """Level of dry friction at a rate: the Stribeck curve of its side."""
     back = rate < 0.0
-    level = choose(back, load(mem, joint + arrays.COULOMB, lane), load(mem, joint + arrays.COULOMB + 1, lane))
-    highest = choose(back, load(mem, joint + arrays.BREAKAWAY, lane), load(mem, joint + arrays.BREAKAWAY + 1, lane))
-    sliding = rate * load(mem, joint + arrays.PER_STRIBECK_RATE, lane)
+    level = choose(back, load(mem, joint + arrays.COULOMB), load(mem, joint + arrays.COULOMB + 1))
+    highest = choose(back, load(mem, joint + arrays.BREAKAWAY), load(mem, joint + arrays.BREAKAWAY + 1))
+    sliding = rate * load(mem, joint + arrays.PER_STRIBECK_RATE)
     return level + (highest - level) * exponential(-sliding * sliding)
 
 
@@ -55,89 +67,87 @@ def _moved(alpha: Number, most: Number, ahead: Number, rate: Number, z: Number) 
 
 
 @internal
-def deflection(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Number) -> Number:
+def deflection(mem: FloatArray, at: At, y: int, k: int, rate: Number) -> Number:
     """Deflection of a joint's bristles at a moment of a step, which has had the mean rate until then.
 
     With that rate ż = v - λ z is solved exactly: λ = α σ0 |v|/level may be much faster than the step. `rate` is that at
     the begin, where there is no mean one.
     """
     joint, begun = at.joint + k * arrays.JOINT, at.during + 1 + k * arrays.DURING + arrays.BEGUN
-    ahead, z = load(mem, at.during, lane), load(mem, y + at.keeps + k * arrays.FRICTION + arrays.DEFLECTION, lane)
-    q, moving = load(mem, y + k, lane), ahead > 0.0
-    before = choose(moving, load(mem, begun, lane), q)
-    store(mem, begun, lane, before)
+    ahead, z = load(mem, at.during), load(mem, y + at.keeps + k * arrays.FRICTION + arrays.DEFLECTION)
+    q, moving = load(mem, y + k), ahead > 0.0
+    before = choose(moving, load(mem, begun), q)
+    store(mem, begun, before)
     mean = choose(moving, (q - before) / choose(moving, ahead, 0.0 * q + 1.0), rate)
-    elastic = load(mem, joint + arrays.LAW, lane) > 0.5 * (arrays.BRISTLES + arrays.ELASTOPLASTIC)
-    most = _level(mem, lane, joint, mean) / load(mem, joint + arrays.BRISTLE, lane)
+    elastic = load(mem, joint + arrays.LAW) > 0.5 * (arrays.BRISTLES + arrays.ELASTOPLASTIC)
+    most = _level(mem, joint, mean) / load(mem, joint + arrays.BRISTLE)
     # How much slides by the deflection at the begin, then by that half-way.
     moved = _moved(_plasticity(elastic, z, most, mean), most, ahead, mean, z)
     return _moved(_plasticity(elastic, 0.5 * (z + moved), most, mean), most, ahead, mean, z)
 
 
 @internal
-def _bristle_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Number) -> Number:
+def _bristle_torque(mem: FloatArray, at: At, y: int, k: int, rate: Number) -> Number:
     """Torque of a joint's bristles at a moment of a step."""
     joint = at.joint + k * arrays.JOINT
-    stiffness, damping = load(mem, joint + arrays.BRISTLE, lane), load(mem, joint + arrays.BRISTLE + 1, lane)
-    elastic = load(mem, joint + arrays.LAW, lane) > 0.5 * (arrays.BRISTLES + arrays.ELASTOPLASTIC)
-    z, most = deflection(mem, lane, at, y, k, rate), _level(mem, lane, joint, rate) / stiffness
+    stiffness, damping = load(mem, joint + arrays.BRISTLE), load(mem, joint + arrays.BRISTLE + 1)
+    elastic = load(mem, joint + arrays.LAW) > 0.5 * (arrays.BRISTLES + arrays.ELASTOPLASTIC)
+    z, most = deflection(mem, at, y, k, rate), _level(mem, joint, rate) / stiffness
     slips = _plasticity(elastic, z, most, rate) * greater(rate, -rate) / most * z
     return stiffness * z + damping * (rate - slips)
 
 
 @inlined
-def dry_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Number) -> Number:
+def dry_torque(mem: FloatArray, at: At, y: int, k: int, rate: Number) -> Number:
     """Dry friction at joint k of a state, without its minus sign: see `platform_ctrl.plant.force_elements.Friction`."""
     joint = at.joint + k * arrays.JOINT
-    law = load(mem, joint + arrays.LAW, lane)
+    law = load(mem, joint + arrays.LAW)
     torque = 0.0 * rate
     if at.dry & 1 << arrays.SMOOTH != 0:
-        torque = _level(mem, lane, joint, rate) * hyperbolic_tangent(
-            rate * load(mem, joint + arrays.PER_COULOMB_RATE, lane)
-        )
+        torque = _level(mem, joint, rate) * hyperbolic_tangent(rate * load(mem, joint + arrays.PER_COULOMB_RATE))
     if at.dry & 1 << arrays.STICKING != 0:
         kept = y + at.keeps + k * arrays.FRICTION
-        side = load(mem, kept + arrays.SLIDING, lane)
-        sliding = side * _level(mem, lane, joint, side * greater(rate, -rate))
-        sliding = choose(side * side > 0.5, sliding, -load(mem, kept + arrays.HELD_BY, lane))
+        side = load(mem, kept + arrays.SLIDING)
+        sliding = side * _level(mem, joint, side * greater(rate, -rate))
+        sliding = choose(side * side > 0.5, sliding, -load(mem, kept + arrays.HELD_BY))
         torque = choose((law > 0.5) & (law < 1.5), sliding, torque)
     if at.dry >= 1 << arrays.BRISTLES:
-        torque = choose(law > 1.5, _bristle_torque(mem, lane, at, y, k, rate), torque)
+        torque = choose(law > 1.5, _bristle_torque(mem, at, y, k, rate), torque)
     return torque
 
 
 @inlined
-def stand_still(mem: FloatArray, lane: int, at: At, y: int, dy: int) -> None:
+def stand_still(mem: FloatArray, at: At, y: int, dy: int) -> None:
     """Let the joints that stick keep their angles, and the frictions' states as they are until the step's end."""
     for k in range(at.n):
         kept = y + at.keeps + k * arrays.FRICTION
-        side = load(mem, kept + arrays.SLIDING, lane)
-        law = load(mem, at.joint + k * arrays.JOINT + arrays.LAW, lane)
+        side = load(mem, kept + arrays.SLIDING)
+        law = load(mem, at.joint + k * arrays.JOINT + arrays.LAW)
         sticks = (law > 0.5) & (law < 1.5) & (side * side < 0.5)
-        store(mem, dy + k, lane, choose(sticks, 0.0 * side, load(mem, dy + k, lane)))
+        store(mem, dy + k, choose(sticks, 0.0 * side, load(mem, dy + k)))
         for i in range(arrays.FRICTION):
-            store(mem, dy + at.keeps + k * arrays.FRICTION + i, lane, 0.0 * side)
+            store(mem, dy + at.keeps + k * arrays.FRICTION + i, 0.0 * side)
 
 
 @internal
-def joint_torque(mem: FloatArray, lane: int, at: At, y: int, k: int, rate: Number) -> Number:
+def joint_torque(mem: FloatArray, at: At, y: int, k: int, rate: Number) -> Number:
     """Torque of springs, friction and a cage at joint k of a state."""
-    joint, q = at.joint + k * arrays.JOINT, load(mem, y + k, lane)
-    Q = load(mem, joint + arrays.PRELOAD, lane) - load(mem, joint + arrays.STIFFNESS, lane) * q
-    Q = Q - load(mem, joint + arrays.VISCOUS, lane) * rate
+    joint, q = at.joint + k * arrays.JOINT, load(mem, y + k)
+    Q = load(mem, joint + arrays.PRELOAD) - load(mem, joint + arrays.STIFFNESS) * q
+    Q = Q - load(mem, joint + arrays.VISCOUS) * rate
     if at.dry != 0:
-        Q = Q - dry_torque(mem, lane, at, y, k, rate)
+        Q = Q - dry_torque(mem, at, y, k, rate)
     if at.cages != 0:
         # No cage is one with infinite clearance.
-        Q = Q - contact(mem, lane, joint + arrays.CAGE, q - load(mem, joint + arrays.CAGE + 3, lane), rate)
+        Q = Q - contact(mem, joint + arrays.CAGE, q - load(mem, joint + arrays.CAGE + 3), rate)
     return Q
 
 
 @inlined
-def contact(mem: FloatArray, lane: int, slot: int, out: Number, rate: Number) -> Number:
+def contact(mem: FloatArray, slot: int, out: Number, rate: Number) -> Number:
     """Torque that deflects by `out` a spring with stiffness, damping and clearance at a slot: beyond it only pushes."""
-    stiffness, clearance = load(mem, slot, lane), load(mem, slot + 2, lane)
-    held = stiffness * out + load(mem, slot + 1, lane) * rate
+    stiffness, clearance = load(mem, slot), load(mem, slot + 2)
+    held = stiffness * out + load(mem, slot + 1) * rate
     above = greater(held - stiffness * clearance, 0.0 * rate)
     below = lesser(held + stiffness * clearance, 0.0 * rate)
     push = choose(out > clearance, above, choose(out < -clearance, below, 0.0 * rate))
@@ -151,13 +161,13 @@ def cross(a0: Number, a1: Number, a2: Number, b0: Number, b1: Number, b2: Number
 
 
 @inlined
-def felt_by_root(mem: FloatArray, lane: int, at: At, y: int, around: int) -> Vector:
+def felt_by_root(mem: FloatArray, at: At, y: int, around: int) -> Vector:
     """Specific force of the root's origin: that of the surroundings, less gravity turned to root axes (Rodrigues)."""
-    f0, f1, f2 = vector(mem, lane, around + at.n + 6)
+    f0, f1, f2 = vector(mem, around + at.n + 6)
     if at.field != 0:
-        g0, g1, g2 = vector(mem, lane, at.gravity)
+        g0, g1, g2 = vector(mem, at.gravity)
         e = y + 2 * at.n + 3
-        w, (v0, v1, v2) = 2.0 * load(mem, e, lane), vector(mem, lane, e + 1)
+        w, (v0, v1, v2) = 2.0 * load(mem, e), vector(mem, e + 1)
         t0, t1, t2 = cross(v0, v1, v2, g0, g1, g2)
         x, y_, z = cross(v0, v1, v2, t0, t1, t2)
         f0, f1, f2 = f0 - g0 + w * t0 - 2.0 * x, f1 - g1 + w * t1 - 2.0 * y_, f2 - g2 + w * t2 - 2.0 * z
@@ -165,79 +175,78 @@ def felt_by_root(mem: FloatArray, lane: int, at: At, y: int, around: int) -> Vec
 
 
 @inlined
-def missing_torque(mem: FloatArray, lane: int, at: At, y: int, around: int, m: int) -> Number:
+def missing_torque(mem: FloatArray, at: At, y: int, around: int, m: int) -> Number:
     """By how much the torque of a motor's current is more than the torque that is wanted of it."""
-    current = load(mem, y + at.currents + 3 * m, lane)
-    return load(mem, at.winding + m * arrays.WINDING, lane) * current - load(mem, around + at.wanted + m, lane)
+    current = load(mem, y + at.currents + 3 * m)
+    return load(mem, at.winding + m * arrays.WINDING) * current - load(mem, around + at.wanted + m)
 
 
 @inlined
-def servo_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, field: int) -> None:
+def servo_momenta(links: Links, mem: FloatArray, at: At, y: int, field: int) -> None:
     """Add P s of the servo rotors to a vector of their carriers."""
     for r in range(at.servos):
         slot = at.work + links.servo_carrier[r] * arrays.WORK + field
-        p = load(mem, y + 2 * at.n + 7 + r, lane)
+        p = load(mem, y + 2 * at.n + 7 + r)
         for i in range(3):
-            add(mem, lane, slot + i, p * load(mem, at.servo + r * arrays.SERVO + i, lane))
+            add(mem, slot + i, p * load(mem, at.servo + r * arrays.SERVO + i))
 
 
 @inlined
-def servo_drives(links: Links, mem: FloatArray, lane: int, at: At, react: bool, y: int, dy: int) -> None:
+def servo_drives(links: Links, mem: FloatArray, at: At, react: bool, y: int, dy: int) -> None:
     """Derivatives of the servo rotors' states; with `react` their motors' torques on the carriers' moments."""
     p, x = 2 * at.n + 7, 2 * at.n + 7 + at.servos
     for r in range(at.servos):
         row, work = at.servo + r * arrays.SERVO, at.work + links.servo_carrier[r] * arrays.WORK
-        s0, s1, s2 = vector(mem, lane, row)
-        w0, w1, w2 = vector(mem, lane, work + arrays.RATE)
-        spin = load(mem, y + p + r, lane) / load(mem, row + arrays.C, lane) - (s0 * w0 + s1 * w1 + s2 * w2)
-        error = spin - load(mem, row + arrays.SPIN, lane)
-        limit = load(mem, row + arrays.TORQUE_LIMIT, lane)
-        wanted = -load(mem, row + arrays.GAIN, lane) * error
-        wanted = wanted - load(mem, row + arrays.INTEGRAL, lane) * load(mem, y + x + r, lane)
+        s0, s1, s2 = vector(mem, row)
+        w0, w1, w2 = vector(mem, work + arrays.RATE)
+        spin = load(mem, y + p + r) / load(mem, row + arrays.C) - (s0 * w0 + s1 * w1 + s2 * w2)
+        error = spin - load(mem, row + arrays.SPIN)
+        limit = load(mem, row + arrays.TORQUE_LIMIT)
+        wanted = -load(mem, row + arrays.GAIN) * error
+        wanted = wanted - load(mem, row + arrays.INTEGRAL) * load(mem, y + x + r)
         torque = lesser(greater(wanted, -limit), limit)
         further = ((wanted >= limit) & (error < 0.0)) | ((wanted <= -limit) & (error > 0.0))
-        store(mem, dy + p + r, lane, torque)
-        store(mem, dy + x + r, lane, choose(further, 0.0 * error, error))
+        store(mem, dy + p + r, torque)
+        store(mem, dy + x + r, choose(further, 0.0 * error, error))
         if react:
-            add(mem, lane, work + arrays.MOMENT, torque * s0)
-            add(mem, lane, work + arrays.MOMENT + 1, torque * s1)
-            add(mem, lane, work + arrays.MOMENT + 2, torque * s2)
+            add(mem, work + arrays.MOMENT, torque * s0)
+            add(mem, work + arrays.MOMENT + 1, torque * s1)
+            add(mem, work + arrays.MOMENT + 2, torque * s2)
 
 
 @inlined
-def unbalance_moments(mem: FloatArray, lane: int, at: At) -> None:
+def unbalance_moments(mem: FloatArray, at: At) -> None:
     """Add the unbalances' moments on the carriers to MOMENT, with the sign of what has to be held."""
     for b in range(at.n + 1):
         slot = at.work + b * arrays.WORK
-        u0, u1, u2 = vector(mem, lane, at.body + b * arrays.BODY + arrays.UNBALANCE)
-        f0, f1, f2 = vector(mem, lane, slot + arrays.FORCE)
-        add(mem, lane, slot + arrays.MOMENT, u1 * f2 - u2 * f1)
-        add(mem, lane, slot + arrays.MOMENT + 1, u2 * f0 - u0 * f2)
-        add(mem, lane, slot + arrays.MOMENT + 2, u0 * f1 - u1 * f0)
+        u0, u1, u2 = vector(mem, at.body + b * arrays.BODY + arrays.UNBALANCE)
+        f0, f1, f2 = vector(mem, slot + arrays.FORCE)
+        add(mem, slot + arrays.MOMENT, u1 * f2 - u2 * f1)
+        add(mem, slot + arrays.MOMENT + 1, u2 * f0 - u0 * f2)
+        add(mem, slot + arrays.MOMENT + 2, u0 * f1 - u1 * f0)
 
 
 @inlined
-def erection_torques(links: Links, mem: FloatArray, lane: int, at: At, dy: int) -> None:
+def erection_torques(links: Links, mem: FloatArray, at: At, dy: int) -> None:
     """Add the erecting devices' torques to the joints' in `dy`."""
-    f0, f1, f2 = vector(mem, lane, at.work + arrays.FORCE)
+    f0, f1, f2 = vector(mem, at.work + arrays.FORCE)
     size = root(f0 * f0 + f1 * f1 + f2 * f2)
     scale = choose(size > 0.0, 1.0 / size, 0.0 * size)
     for e in range(links.erection.shape[0]):
         row, slot = at.erection + e * arrays.ERECTION, at.work + links.erection[e, 1] * arrays.WORK + arrays.FORCE
-        s0, s1, s2 = vector(mem, lane, row)
-        f0, f1, f2 = vector(mem, lane, slot)
-        Q = load(mem, row + arrays.ERECTION_GAIN, lane) * (s0 * f0 + s1 * f1 + s2 * f2) * scale
-        limit = load(mem, row + arrays.ERECTION_LIMIT, lane)
-        add(mem, lane, dy + links.erection[e, 0], lesser(greater(Q, -limit), limit))
+        s0, s1, s2 = vector(mem, row)
+        f0, f1, f2 = vector(mem, slot)
+        Q = load(mem, row + arrays.ERECTION_GAIN) * (s0 * f0 + s1 * f1 + s2 * f2) * scale
+        limit = load(mem, row + arrays.ERECTION_LIMIT)
+        add(mem, dy + links.erection[e, 0], lesser(greater(Q, -limit), limit))
 
 
 @inlined
-def _look_up(shared: Shared, mem: FloatArray, lane: int, t: int, scale: int, result: int) -> None:
+def _look_up(shared: Shared, mem: FloatArray, t: int, scale: int, result: int) -> None:
     """The time table at the times in slot `t`, a slot each column: one scenario after the other, each has its piece."""
-    first, last = columns(lane)
     knots, pieces = shared.knots, shared.pieces
-    for column in range(first, last):
-        time = min(max(load(mem, t, column), knots[0]), knots[-1])
+    for column in range(LANES):
+        time = min(max(load_one(mem, t, column), knots[0]), knots[-1])
         low, high = 0, pieces.shape[0] - 1
         while low < high:
             middle = (low + high + 1) // 2
@@ -249,13 +258,13 @@ def _look_up(shared: Shared, mem: FloatArray, lane: int, t: int, scale: int, res
         for i in range(pieces.shape[1]):
             c = pieces[low, i]
             number = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
-            store(mem, result + i, column, (load(mem, scale, column) if i < 3 else 1.0) * number)
+            store_one(mem, result + i, column, (load_one(mem, scale, column) if i < 3 else 1.0) * number)
 
 
 @inlined
-def _half_cosine(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Number:
+def _half_cosine(mem: FloatArray, layout: Layout, t: Number) -> Number:
     """How much of the half-cosine's rate is there."""
-    rise, hold = load(mem, layout.rate + arrays.RISE, lane), load(mem, layout.rate + arrays.HOLD, lane)
+    rise, hold = load(mem, layout.rate + arrays.RISE), load(mem, layout.rate + arrays.HOLD)
     zero = 0.0 * t
     inside = lesser(t, 2.0 * rise + hold - t)
     slow = rise > 0.0
@@ -266,28 +275,28 @@ def _half_cosine(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Numbe
 
 
 @inlined
-def _faded(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Number:
+def _faded(mem: FloatArray, layout: Layout, t: Number) -> Number:
     """How much of the vibrations and sines is there."""
-    fade, zero = load(mem, layout.rate + arrays.FADE, lane), 0.0 * t
+    fade, zero = load(mem, layout.rate + arrays.FADE), 0.0 * t
     slow = fade > 0.0
     c, _ = cosine_and_sine(math.pi * choose(slow, lesser(t / choose(slow, fade, zero + 1.0), zero + 1.0), zero + 1.0))
     return 0.5 - 0.5 * c
 
 
 @inlined
-def _shares(shared: Shared, mem: FloatArray, lane: int, layout: Layout, t: Number) -> None:
+def _shares(shared: Shared, mem: FloatArray, layout: Layout, t: Number) -> None:
     """How much of their speed the failing rotors have at t; LAST_SHARE takes what SHARE was."""
     for r in range(shared.rotors.shape[0]):
         slot = layout.rotor + r * arrays.ROTOR
-        store(mem, slot + arrays.LAST_SHARE, lane, load(mem, slot + arrays.SHARE, lane))
-        store(mem, slot + arrays.SHARE, lane, 0.0 * t + 1.0)
+        store(mem, slot + arrays.LAST_SHARE, load(mem, slot + arrays.SHARE))
+        store(mem, slot + arrays.SHARE, 0.0 * t + 1.0)
     for f in range(shared.faults.shape[0]):
         kind = shared.faults[f, 0]
         if kind > arrays.RIPPLE:
             continue
         row, slot = layout.fault + f * arrays.FAULT, layout.rotor + shared.faults[f, 1] * arrays.ROTOR + arrays.SHARE
-        begin, until = load(mem, row + arrays.BEGIN, lane), load(mem, row + arrays.UNTIL, lane)
-        a, b = load(mem, row + arrays.FIRST, lane), load(mem, row + arrays.SECOND, lane)
+        begin, until = load(mem, row + arrays.BEGIN), load(mem, row + arrays.UNTIL)
+        a, b = load(mem, row + arrays.FIRST), load(mem, row + arrays.SECOND)
         begun = t >= begin
         since = choose(begun, t - begin, 0.0 * t)
         if kind == arrays.RIPPLE:
@@ -297,74 +306,73 @@ def _shares(shared: Shared, mem: FloatArray, lane: int, layout: Layout, t: Numbe
             left = (1.0 - a) * exponential(-since / b)
             before, after = (a, 1.0 - left) if kind == arrays.RUN_UP else (0.0 * a + 1.0, a + left)
             share = choose(begun, after, before)
-        store(mem, slot, lane, load(mem, slot, lane) * share)
+        store(mem, slot, load(mem, slot) * share)
 
 
 @internal
-def follow_rotors(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, t: Number, step: Number) -> None:
+def follow_rotors(shared: Shared, mem: FloatArray, at: At, layout: Layout, t: Number, step: Number) -> None:
     """Fill all three blocks with the rotors' momenta during the step that ends at t.
 
     They change linearly during a step: the carriers then get from the motors exactly the momentum that the rotors lose,
     wherever a fault begins or ends.
     """
     n = at.n
-    _shares(shared, mem, lane, layout, t)
+    _shares(shared, mem, layout, t)
     first, block = at.surroundings + n + 9, at.block
     for i in range(3 * (n + 1)):
-        store(mem, first + 2 * block + i, lane, load(mem, layout.steady + n + 9 + i, lane))
+        store(mem, first + 2 * block + i, load(mem, layout.steady + n + 9 + i))
     for r in range(shared.rotors.shape[0]):
         rotor, body, servo = layout.rotor + r * arrays.ROTOR, shared.rotors[r, 0], shared.rotors[r, 1]
-        share = load(mem, rotor + arrays.SHARE, lane)
+        share = load(mem, rotor + arrays.SHARE)
         if servo >= 0:
-            mean = 0.5 * (load(mem, rotor + arrays.LAST_SHARE, lane) + share)
-            store(mem, at.servo + servo * arrays.SERVO + arrays.SPIN, lane, mean * load(mem, rotor, lane))
+            mean = 0.5 * (load(mem, rotor + arrays.LAST_SHARE) + share)
+            store(mem, at.servo + servo * arrays.SERVO + arrays.SPIN, mean * load(mem, rotor))
             continue
         for i in range(3):
             h = first + 2 * block + 3 * body + i
-            store(mem, h, lane, load(mem, h, lane) + (share - 1.0) * load(mem, rotor + i, lane))
+            store(mem, h, load(mem, h) + (share - 1.0) * load(mem, rotor + i))
     for i in range(3 * (n + 1)):
-        before, after = load(mem, first + i, lane), load(mem, first + 2 * block + i, lane)
-        store(mem, first + block + i, lane, 0.5 * (before + after))
+        before, after = load(mem, first + i), load(mem, first + 2 * block + i)
+        store(mem, first + block + i, 0.5 * (before + after))
         rate = (after - before) / step
         for row in range(3):
-            store(mem, first + row * block + 3 * (n + 1) + i, lane, rate)
+            store(mem, first + row * block + 3 * (n + 1) + i, rate)
 
 
 @internal
-def begin_surroundings(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
+def begin_surroundings(shared: Shared, mem: FloatArray, at: At, layout: Layout) -> None:
     """Fill all three blocks with what does not change."""
     for row in range(3):
         for i in range(at.block):
-            store(mem, at.surroundings + row * at.block + i, lane, load(mem, layout.steady + i, lane))
+            store(mem, at.surroundings + row * at.block + i, load(mem, layout.steady + i))
         for i in range(3):
-            store(mem, layout.table + 3 * row + i, lane, load(mem, layout.steady + i, lane))
+            store(mem, layout.table + 3 * row + i, load(mem, layout.steady + i))
 
 
 @internal
-def hand_on(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool) -> None:
+def hand_on(shared: Shared, mem: FloatArray, at: At, layout: Layout, free: bool) -> None:
     """Make the surroundings at the end of a step those at the start of the next."""
     n, block = at.n, at.surroundings
     end = block + 2 * at.block
     if not free:
         for i in range(n + 3, n + 6):
-            store(mem, block + i, lane, load(mem, end + i, lane))
+            store(mem, block + i, load(mem, end + i))
     if shared.lines.shape[0] > 0:
         for i in range(n + 6, n + 9):
-            store(mem, block + i, lane, load(mem, end + i, lane))
+            store(mem, block + i, load(mem, end + i))
     for i in range(n):
-        store(mem, layout.pushed + i, lane, load(mem, layout.pushed + 2 * n + i, lane))
+        store(mem, layout.pushed + i, load(mem, layout.pushed + 2 * n + i))
     if at.course != 0:
         for i in range(n + 9, 4 * n + 12):
-            store(mem, block + i, lane, load(mem, end + i, lane))
+            store(mem, block + i, load(mem, end + i))
     for i in range(3):
-        store(mem, layout.table + i, lane, load(mem, layout.table + 6 + i, lane))
+        store(mem, layout.table + i, load(mem, layout.table + 6 + i))
 
 
 @internal
 def surround(
     shared: Shared,
     mem: FloatArray,
-    lane: int,
     at: At,
     layout: Layout,
     free: bool,
@@ -379,43 +387,43 @@ def surround(
     Omega, force = block + n + 3, block + n + 6
     if not free:
         if layout.profile != 0:
-            share = _half_cosine(mem, lane, layout, t)
+            share = _half_cosine(mem, layout, t)
             for i in range(3):
-                store(mem, Omega + i, lane, share * load(mem, layout.rate + i, lane))
+                store(mem, Omega + i, share * load(mem, layout.rate + i))
         else:
             for i in range(3):
-                store(mem, Omega + i, lane, zero)
+                store(mem, Omega + i, zero)
     for i in range(n):
-        store(mem, layout.pushed + row * n + i, lane, zero)
+        store(mem, layout.pushed + row * n + i, zero)
     if shared.pieces.shape[0] > 0:
-        store(mem, layout.random, lane, t)
-        _look_up(shared, mem, lane, layout.random, layout.rate + arrays.SCALE, layout.random + 1)
+        store(mem, layout.random, t)
+        _look_up(shared, mem, layout.random, layout.rate + arrays.SCALE, layout.random + 1)
         for i in range(3):
-            value = load(mem, layout.random + 1 + i, lane)
+            value = load(mem, layout.random + 1 + i)
             if free:
-                store(mem, layout.table + 3 * row + i, lane, load(mem, layout.steady + i, lane) + value)
+                store(mem, layout.table + 3 * row + i, load(mem, layout.steady + i) + value)
             else:
-                store(mem, Omega + i, lane, load(mem, Omega + i, lane) + value)
+                store(mem, Omega + i, load(mem, Omega + i) + value)
         for i in range(3, shared.pieces.shape[1]):
-            store(mem, layout.pushed + row * n + i - 3, lane, load(mem, layout.random + 1 + i, lane))
+            store(mem, layout.pushed + row * n + i - 3, load(mem, layout.random + 1 + i))
     if shared.lines.shape[0] > 0:
         for i in range(3):
-            store(mem, force + i, lane, load(mem, layout.steady + n + 6 + i, lane))
+            store(mem, force + i, load(mem, layout.steady + n + 6 + i))
         there = zero + 1.0
         if layout.fade != 0:
-            there = _faded(mem, lane, layout, t)
+            there = _faded(mem, layout, t)
         for j in range(shared.lines.shape[0]):
             slot = layout.line + j * arrays.LINE
-            c, s = load(mem, slot + arrays.PHASE, lane), load(mem, slot + arrays.PHASE + 1, lane)
+            c, s = load(mem, slot + arrays.PHASE), load(mem, slot + arrays.PHASE + 1)
             if turning:
                 turn = slot + arrays.TURN + 2 * segment
-                c_turn, s_turn = load(mem, turn, lane), load(mem, turn + 1, lane)
+                c_turn, s_turn = load(mem, turn), load(mem, turn + 1)
                 c, s = c * c_turn - s * s_turn, s * c_turn + c * s_turn
-                store(mem, slot + arrays.PHASE, lane, c)
-                store(mem, slot + arrays.PHASE + 1, lane, s)
+                store(mem, slot + arrays.PHASE, c)
+                store(mem, slot + arrays.PHASE + 1, s)
             component = shared.lines[j] % (n + 6)
             if component >= 3 or not free:
                 target = Omega + component  # the slots of the specific force follow those of Omega
                 if component >= 6:
                     target = layout.pushed + row * n + component - 6
-                store(mem, target, lane, load(mem, target, lane) + there * load(mem, slot + arrays.AMPLITUDE, lane) * c)
+                store(mem, target, load(mem, target) + there * load(mem, slot + arrays.AMPLITUDE) * c)

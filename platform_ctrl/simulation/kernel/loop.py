@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from platform_ctrl.common.compiling import compiled, inlined, internal
-from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser, load, slots, store
+from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser, load, load_one, slots, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine
@@ -38,34 +38,34 @@ def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, layout: L
     """A row for the first column: see `batch.recorded`."""
     n, nu, column = at.n, shared.targets.shape[0], 0
     for i in range(n):
-        record[i] = load(mem, at.state + i, 0)
-        record[n + i] = load(mem, layout.velocity + 3 + i, 0)
-        record[2 * n + 3 + i] = load(mem, layout.velocity + n + 3 + i, 0)
+        record[i] = load_one(mem, at.state + i, 0)
+        record[n + i] = load_one(mem, layout.velocity + 3 + i, 0)
+        record[2 * n + 3 + i] = load_one(mem, layout.velocity + n + 3 + i, 0)
     for i in range(3):
-        record[2 * n + i] = load(mem, layout.velocity + i, 0)
+        record[2 * n + i] = load_one(mem, layout.velocity + i, 0)
     for i in range(4):
-        record[3 * n + 3 + i] = load(mem, at.state + 2 * n + 3 + i, 0)
+        record[3 * n + 3 + i] = load_one(mem, at.state + 2 * n + 3 + i, 0)
     column = 3 * n + 7
     for i in range(layout.readings):
-        record[column + i] = load(mem, layout.sensor + i * arrays.SENSOR + arrays.LAST, 0)
+        record[column + i] = load_one(mem, layout.sensor + i * arrays.SENSOR + arrays.LAST, 0)
     column += layout.readings
     for i in range(nu):
-        record[column + i] = load(mem, layout.command + i, 0)
+        record[column + i] = load_one(mem, layout.command + i, 0)
     column += 2 * nu
     # The workspace holds the carriers' rates at this sample.
     for r in range(at.servos):
         row, work = at.servo + r * arrays.SERVO, at.work + links.servo_carrier[r] * arrays.WORK + arrays.RATE
-        spin = load(mem, at.state + 2 * n + 7 + r, 0) / load(mem, row + arrays.C, 0)
+        spin = load_one(mem, at.state + 2 * n + 7 + r, 0) / load_one(mem, row + arrays.C, 0)
         for i in range(3):
-            spin -= load(mem, row + i, 0) * load(mem, work + i, 0)
-        wanted = -load(mem, row + arrays.GAIN, 0) * (spin - load(mem, row + arrays.SPIN, 0))
-        wanted -= load(mem, row + arrays.INTEGRAL, 0) * load(mem, at.state + 2 * n + 7 + at.servos + r, 0)
+            spin -= load_one(mem, row + i, 0) * load_one(mem, work + i, 0)
+        wanted = -load_one(mem, row + arrays.GAIN, 0) * (spin - load_one(mem, row + arrays.SPIN, 0))
+        wanted -= load_one(mem, row + arrays.INTEGRAL, 0) * load_one(mem, at.state + 2 * n + 7 + at.servos + r, 0)
         record[column + r] = spin
-        limit = load(mem, row + arrays.TORQUE_LIMIT, 0)
+        limit = load_one(mem, row + arrays.TORQUE_LIMIT, 0)
         record[column + at.servos + r] = min(max(wanted, -limit), limit)
     column += 2 * at.servos
     for i in range(shared.sensors.shape[0] - layout.sensors):
-        record[column + i] = load(mem, layout.sight + i, 0)
+        record[column + i] = load_one(mem, layout.sight + i, 0)
 
 
 @inlined
@@ -75,27 +75,27 @@ def note_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, record
         nu = shared.targets.shape[0]
         for i in range(nu):
             column = 3 * at.n + 7 + layout.readings + nu + i
-            record[k, column] = load(mem, layout.torquer + i * arrays.TORQUER + arrays.TORQUE, 0)
+            record[k, column] = load_one(mem, layout.torquer + i * arrays.TORQUER + arrays.TORQUE, 0)
         for m in range(at.windings):
             column = 3 * at.n + 7 + layout.sensors + 2 * nu - at.windings + m
-            current = load(mem, at.state + at.currents + 3 * m, 0)
-            record[k, column] = load(mem, at.winding + m * arrays.WINDING, 0) * current
+            current = load_one(mem, at.state + at.currents + 3 * m, 0)
+            record[k, column] = load_one(mem, at.winding + m * arrays.WINDING, 0) * current
 
 
 @inlined
-def _command(shared: Shared, mem: FloatArray, lane: int, layout: Layout, row: int) -> None:
+def _command(shared: Shared, mem: FloatArray, layout: Layout, row: int) -> None:
     """The commands of a sample, in slots behind those of the sensors."""
     end = layout.states + shared.targets.shape[0] + layout.drives
-    zero = 0.0 * load(mem, layout.start, lane)
+    zero = 0.0 * load(mem, layout.start)
     for j in range(layout.commands):
         slot = layout.sensor + (layout.readings + j) * arrays.SENSOR
         place = shared.first[end] + 2 * row * layout.commands + j
-        store(mem, slot + arrays.PATH, lane, zero + shared.number[place])
-        store(mem, slot + arrays.LAST, lane, zero + shared.number[place + layout.commands])
+        store(mem, slot + arrays.PATH, zero + shared.number[place])
+        store(mem, slot + arrays.LAST, zero + shared.number[place + layout.commands])
 
 
 @internal
-def _driven(shared: Shared, mem: FloatArray, lane: int, layout: Layout, torquer: int, total: Number) -> Number:
+def _driven(shared: Shared, mem: FloatArray, layout: Layout, torquer: int, total: Number) -> Number:
     """The command of a torquer with what its drive, if it has one, makes of it."""
     row = layout.states + shared.targets.shape[0]
     parts = row + layout.drives + 1 + layout.commands
@@ -106,25 +106,23 @@ def _driven(shared: Shared, mem: FloatArray, lane: int, layout: Layout, torquer:
         rate = 0.0 * total
         for j in range(shared.first[row + d], shared.first[row + d + 1]):
             reading = layout.sensor + (shared.column[j] - layout.states) * arrays.SENSOR + arrays.LAST
-            rate = rate + shared.number[j] * load(mem, reading, lane)
-        share = lesser(greater(rate * load(mem, slot + arrays.PER_DRIVE_RATE, lane), -one), one)
-        total = total + load(mem, slot + arrays.DRIVE_FRICTION, lane) * share
+            rate = rate + shared.number[j] * load(mem, reading)
+        share = lesser(greater(rate * load(mem, slot + arrays.PER_DRIVE_RATE), -one), one)
+        total = total + load(mem, slot + arrays.DRIVE_FRICTION) * share
     return total
 
 
 @internal
-def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, k: int, t: float) -> None:
+def _control(shared: Shared, keys: Keys, mem: FloatArray, at: At, layout: Layout, k: int, t: float) -> None:
     """The controllers' commands from the readings, and their next states; a missed sample leaves both as they were."""
     nx, nu = layout.states, shared.targets.shape[0]
-    zero = 0.0 * load(mem, at.state, lane)
+    zero = 0.0 * load(mem, at.state)
     missed = zero
     for f in range(shared.faults.shape[0]):
         if shared.faults[f, 0] == arrays.OVERRUN:
             fault = layout.fault + f * arrays.FAULT
-            uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], layout.random + 2)
-            late = acts(mem, lane, fault, t) & (
-                load(mem, layout.random + 2, lane) < load(mem, fault + arrays.FIRST, lane)
-            )
+            uniforms(keys, mem, k, LOSS + shared.faults[f, 2], layout.random + 2)
+            late = acts(mem, fault, t) & (load(mem, layout.random + 2) < load(mem, fault + arrays.FIRST))
             missed = choose(late, zero + 1.0, missed)
     lost = missed > 0.5
     rows = 0
@@ -141,43 +139,41 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
                 if column < nx
                 else layout.sensor + (column - nx) * arrays.SENSOR + arrays.LAST
             )
-            total = total + shared.number[j] * load(mem, slot, lane)
+            total = total + shared.number[j] * load(mem, slot)
         if row < nx:
-            store(
-                mem, layout.controller + nx + row, lane, choose(lost, load(mem, layout.controller + row, lane), total)
-            )
+            store(mem, layout.controller + nx + row, choose(lost, load(mem, layout.controller + row), total))
         else:
             command = layout.command + row - nx
             excess = layout.sensor + (layout.readings + layout.commands + row - nx) * arrays.SENSOR + arrays.LAST
-            store(mem, excess, lane, within_reach(shared, mem, lane, layout, row - nx, total) - total)
+            store(mem, excess, within_reach(shared, mem, layout, row - nx, total) - total)
             if layout.drives > 0:
-                total = _driven(shared, mem, lane, layout, row - nx, total)
-            total = total + load(mem, layout.torquer + (row - nx) * arrays.TORQUER + arrays.EQUILIBRIUM, lane)
-            store(mem, command, lane, choose(lost, load(mem, command, lane), total))
+                total = _driven(shared, mem, layout, row - nx, total)
+            total = total + load(mem, layout.torquer + (row - nx) * arrays.TORQUER + arrays.EQUILIBRIUM)
+            store(mem, command, choose(lost, load(mem, command), total))
     for i in range(nx):
-        store(mem, layout.controller + i, lane, load(mem, layout.controller + nx + i, lane))
+        store(mem, layout.controller + i, load(mem, layout.controller + nx + i))
 
 
 @inlined
-def _survey(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool) -> None:
+def _survey(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool) -> None:
     """Rates at a sample into VELOCITY, joint momenta behind them."""
     n = at.n
     v = layout.velocity
     if free:
-        joint_momenta(links, mem, lane, at, at.state, at.surroundings + 2 * at.block, v + n + 3)
+        joint_momenta(links, mem, at, at.state, at.surroundings + 2 * at.block, v + n + 3)
         for i in range(n + 3):
-            store(mem, v + i, lane, load(mem, at.state + n + i, lane))
+            store(mem, v + i, load(mem, at.state + n + i))
     else:
         for i in range(3):
-            rate = load(mem, at.surroundings + 2 * at.block + n + 3 + i, lane)
-            store(mem, at.state + n + i, lane, rate)
-            store(mem, v + i, lane, rate)
-        derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, at.stages)
+            rate = load(mem, at.surroundings + 2 * at.block + n + 3 + i)
+            store(mem, at.state + n + i, rate)
+            store(mem, v + i, rate)
+        derivative(links, mem, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, at.stages)
         for i in range(n):
-            store(mem, v + 3 + i, lane, load(mem, at.stages + i, lane))
-            store(mem, v + n + 3 + i, lane, load(mem, at.state + n + 3 + i, lane))
+            store(mem, v + 3 + i, load(mem, at.stages + i))
+            store(mem, v + n + 3 + i, load(mem, at.state + n + 3 + i))
     if at.modes != 0:
-        mode_rates(mem, lane, at, at.state, v + 3)
+        mode_rates(mem, at, at.state, v + 3)
 
 
 @internal
@@ -185,7 +181,6 @@ def _segment(
     links: Links,
     shared: Shared,
     mem: FloatArray,
-    lane: int,
     at: At,
     layout: Layout,
     free: bool,
@@ -196,79 +191,77 @@ def _segment(
     contact: bool,
 ) -> bool:
     """Integrate over one segment of a period; return whether any gimbal lies on a stop at its end."""
-    step = load(mem, layout.segments + segment, lane)
+    step = load(mem, layout.segments + segment)
     nu = shared.targets.shape[0]
     contacts = layout.metrics + at.n + 3 + 2 * nu
     failing = torquers_fail(shared)
     for m in range(count):
         if failing and m > 0:
-            new_torque(shared, mem, lane, layout, segment, source, start + m * step)
-        hand_on(shared, mem, lane, at, layout, free)
+            new_torque(shared, mem, layout, segment, source, start + m * step)
+        hand_on(shared, mem, at, layout, free)
         if at.course != 0:
-            follow_rotors(shared, mem, lane, at, layout, start + (m + 1.0) * step, step)
+            follow_rotors(shared, mem, at, layout, start + (m + 1.0) * step, step)
         for row in range(3):
             if row > 0:
-                work_on(shared, mem, lane, layout, segment)
-                surround(shared, mem, lane, at, layout, free, row, segment, at.yes, start + (m + 0.5 * row) * step)
-            put_torques(shared, mem, lane, at, layout, row)
+                work_on(shared, mem, layout, segment)
+                surround(shared, mem, at, layout, free, row, segment, at.yes, start + (m + 0.5 * row) * step)
+            put_torques(shared, mem, at, layout, row)
         if contact:
             for i in range(at.size):
-                store(mem, layout.begun + i, lane, load(mem, at.state + i, lane))
-        runge_kutta(links, mem, lane, at, free, at.no, at.state, step)
+                store(mem, layout.begun + i, load(mem, at.state + i))
+        runge_kutta(links, mem, at, free, at.no, at.state, step)
         if layout.stops != 0:
             held = at.no
             if contact:
-                held = hold(links, mem, lane, at, layout, free, layout.begun, step)
+                held = hold(links, mem, at, layout, free, layout.begun, step)
             past = contact
             if not past:
                 for k in range(at.n):
-                    q, stop = load(mem, at.state + k, lane), layout.stop + k * arrays.STOP
-                    past = past or anywhere((q < load(mem, stop, lane)) | (q > load(mem, stop + 1, lane)))
+                    q, stop = load(mem, at.state + k), layout.stop + k * arrays.STOP
+                    past = past or anywhere((q < load(mem, stop)) | (q > load(mem, stop + 1)))
             if past:
                 end = start + (m + 1.0) * step
-                contact = meet_stops(links, mem, lane, at, layout, free, held, contacts, end, step)
+                contact = meet_stops(links, mem, at, layout, free, held, contacts, end, step)
         if at.keeps != 0:
-            settle_friction(links, mem, lane, at, free, step)
+            settle_friction(links, mem, at, free, step)
     return contact
 
 
 @internal
-def _begin(
-    links: Links, shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool
-) -> None:
+def _begin(links: Links, shared: Shared, keys: Keys, mem: FloatArray, at: At, layout: Layout, free: bool) -> None:
     """Put the scenarios of the memory at t = 0."""
-    n, zero = at.n, 0.0 * load(mem, layout.start, lane)
+    n, zero = at.n, 0.0 * load(mem, layout.start)
     for i in range(layout.given, layout.end):
-        store(mem, i, lane, zero)
+        store(mem, i, zero)
     for i in range(at.size):
-        store(mem, at.state + i, lane, load(mem, layout.start + i, lane))
-    store(mem, layout.alive, lane, zero + 1.0)
-    ready_torquers(shared, mem, lane, layout)
-    hold_equilibrium(shared, mem, lane, at, layout)
-    begin_surroundings(shared, mem, lane, at, layout)
+        store(mem, at.state + i, load(mem, layout.start + i))
+    store(mem, layout.alive, zero + 1.0)
+    ready_torquers(shared, mem, layout)
+    hold_equilibrium(shared, mem, at, layout)
+    begin_surroundings(shared, mem, at, layout)
     for j in range(shared.lines.shape[0]):
         if shared.lines[j] >= n + 6:
             continue
-        uniforms(keys, mem, lane, j, PHASE_OF_LINE + j, layout.random)
-        c, s = cosine_and_sine(2.0 * math.pi * load(mem, layout.random, lane))
-        store(mem, layout.line + j * arrays.LINE + arrays.PHASE, lane, c)
-        store(mem, layout.line + j * arrays.LINE + arrays.PHASE + 1, lane, s)
+        uniforms(keys, mem, j, PHASE_OF_LINE + j, layout.random)
+        c, s = cosine_and_sine(2.0 * math.pi * load(mem, layout.random))
+        store(mem, layout.line + j * arrays.LINE + arrays.PHASE, c)
+        store(mem, layout.line + j * arrays.LINE + arrays.PHASE + 1, s)
     for row in range(2, 3):  # the end of the step before the first; no literal: see `At`
-        surround(shared, mem, lane, at, layout, free, row, row, at.no, zero)
+        surround(shared, mem, at, layout, free, row, row, at.no, zero)
     if at.course != 0:
         # The moment before the first: a step that leaves everything as it is.
         for _ in range(2):
-            follow_rotors(shared, mem, lane, at, layout, zero, zero + 1.0)
-            hand_on(shared, mem, lane, at, layout, free)
+            follow_rotors(shared, mem, at, layout, zero, zero + 1.0)
+            hand_on(shared, mem, at, layout, free)
     if not free:
         end = at.surroundings + 2 * at.block
         for i in range(3):
-            store(mem, at.state + n + i, lane, load(mem, end + n + 3 + i, lane))
-        joint_momenta(links, mem, lane, at, at.state, end, layout.velocity)
+            store(mem, at.state + n + i, load(mem, end + n + 3 + i))
+        joint_momenta(links, mem, at, at.state, end, layout.velocity)
         for i in range(n):
-            store(mem, at.state + n + 3 + i, lane, load(mem, layout.velocity + i, lane))
+            store(mem, at.state + n + 3 + i, load(mem, layout.velocity + i))
         for i in range(at.size):
-            store(mem, layout.start + i, lane, load(mem, at.state + i, lane))
+            store(mem, layout.start + i, load(mem, at.state + i))
 
 
 @inlined
@@ -277,7 +270,6 @@ def _sample(
     shared: Shared,
     keys: Keys,
     mem: FloatArray,
-    lane: int,
     at: At,
     layout: Layout,
     free: bool,
@@ -286,73 +278,65 @@ def _sample(
 ) -> bool:
     """Take sample k, note it in the record, and return whether any scenario is still going."""
     nu, t = shared.targets.shape[0], k * shared.period
-    strike(links, shared, mem, lane, at, layout, free, k)
-    _survey(links, mem, lane, at, layout, free)
+    strike(links, shared, mem, at, layout, free, k)
+    _survey(links, mem, at, layout, free)
     if layout.turns > 0:
-        turn_bodies(links, mem, lane, at, layout, k)
-    look(shared, mem, lane, at, layout)
-    read(shared, keys, mem, lane, at, layout, k, t)
+        turn_bodies(links, mem, at, layout, k)
+    look(shared, mem, at, layout)
+    read(shared, keys, mem, at, layout, k, t)
     if layout.resolvers > 0:
-        resolve(shared, mem, lane, layout)
-    _command(shared, mem, lane, layout, k)
-    _control(shared, keys, mem, lane, at, layout, k, t)
-    going = judge(mem, lane, at, layout, shared)
-    update_metrics(shared, mem, lane, at, layout, k)
+        resolve(shared, mem, layout)
+    _command(shared, mem, layout, k)
+    _control(shared, keys, mem, at, layout, k, t)
+    going = judge(mem, at, layout, shared)
+    update_metrics(shared, mem, at, layout, k)
     for i in range(nu):
-        command = within_reach(shared, mem, lane, layout, i, load(mem, layout.command + i, lane))
+        command = within_reach(shared, mem, layout, i, load(mem, layout.command + i))
         ring = layout.ring + k % (layout.whole + 2) * nu + i
-        store(mem, ring, lane, command)
+        store(mem, ring, command)
     if record.shape[0] > 0:
         note_sample(links, shared, mem, at, layout, record[k])
     if going:
         segment = 0 if layout.before > 0 else 1
-        start = 0.0 * load(mem, layout.start, lane) + t
-        new_torque(shared, mem, lane, layout, segment, k - layout.whole - 1 + segment, start)
+        start = 0.0 * load(mem, layout.start) + t
+        new_torque(shared, mem, layout, segment, k - layout.whole - 1 + segment, start)
         note_torques(shared, mem, at, layout, record, k)
     return going
 
 
 @internal
 def _period(
-    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, k: int, contact: bool
+    links: Links, shared: Shared, mem: FloatArray, at: At, layout: Layout, free: bool, k: int, contact: bool
 ) -> bool:
     """Go on from sample k to the next; return whether any gimbal lies on a stop then."""
-    start = 0.0 * load(mem, layout.start, lane) + k * shared.period
+    start = 0.0 * load(mem, layout.start) + k * shared.period
     for segment in range(2):
         count = layout.before if segment == 0 else layout.after
         if count == 0:
             continue
         source = k - layout.whole - 1 + segment
         if segment > 0 and layout.before > 0:
-            new_torque(shared, mem, lane, layout, segment, source, start)
-        contact = _segment(links, shared, mem, lane, at, layout, free, segment, count, source, start, contact)
-        start = start + count * load(mem, layout.segments + segment, lane)
+            new_torque(shared, mem, layout, segment, source, start)
+        contact = _segment(links, shared, mem, at, layout, free, segment, count, source, start, contact)
+        start = start + count * load(mem, layout.segments + segment)
     return contact
 
 
 @internal
 def simulate_samples(
-    links: Links,
-    shared: Shared,
-    keys: Keys,
-    mem: FloatArray,
-    lane: int,
-    at: At,
-    layout: Layout,
-    free: bool,
-    record: FloatArray,
+    links: Links, shared: Shared, keys: Keys, mem: FloatArray, at: At, layout: Layout, free: bool, record: FloatArray
 ) -> None:
     """Simulate the scenarios of the memory; it holds their metrics then.
 
     At sample k the sensors are read and the controllers evaluated. A period has two segments, before and after the
     command changes: the first holds the command of `whole` + 1 samples ago, the second that of `whole` samples ago.
     """
-    _begin(links, shared, keys, mem, lane, at, layout, free)
+    _begin(links, shared, keys, mem, at, layout, free)
     contact = at.no  # no literal: see `At`
     for k in range(layout.samples):
         if k > 0:
-            contact = _period(links, shared, mem, lane, at, layout, free, k - 1, contact)
-        if not _sample(links, shared, keys, mem, lane, at, layout, free, k, record):
+            contact = _period(links, shared, mem, at, layout, free, k - 1, contact)
+        if not _sample(links, shared, keys, mem, at, layout, free, k, record):
             return
 
 
@@ -362,7 +346,6 @@ def simulate_groups(
     shared: Shared,
     keys: Keys,
     mem: FloatArray,
-    lane: int,
     at: At,
     layout: Layout,
     free: bool,
@@ -383,7 +366,7 @@ def simulate_groups(
         for i in range(given.shape[1]):
             for j in range(given.shape[2]):
                 mem[at.end + i, j] = given[g, i, j]
-        simulate_samples(links, shared, keys[g], slots(mem), lane, at, layout, free, record)
+        simulate_samples(links, shared, keys[g], slots(mem), at, layout, free, record)
         for i in range(metrics.shape[1]):
             for j in range(metrics.shape[2]):
                 metrics[g, i, j] = mem[layout.metrics + i, j]

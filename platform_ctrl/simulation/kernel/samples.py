@@ -12,7 +12,7 @@ from platform_ctrl.simulation.kernel.devices import LOSS, PICKOFF, Keys, acts, n
 
 
 @internal
-def turn_bodies(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, k: int) -> None:
+def turn_bodies(links: Links, mem: FloatArray, at: At, layout: Layout, k: int) -> None:
     """How far every body has turned since sample 0, with the joints' cosines and sines of sample k in the workspace.
 
     The inertial axes in the body's axes, T_j, and those of sample 0, S_j, give E = sum of S_j T_j', the rotation in
@@ -20,31 +20,31 @@ def turn_bodies(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout
     """
     e, bodies = at.state + 2 * at.n + 3, at.n + 1
     axes = layout.turns + 3 * bodies
-    w, (x, y, z) = load(mem, e, lane), vector(mem, lane, e + 1)
-    put(mem, lane, axes, 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y))
-    put(mem, lane, axes + 3, 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x))
-    put(mem, lane, axes + 6, 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+    w, (x, y, z) = load(mem, e), vector(mem, e + 1)
+    put(mem, axes, 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y))
+    put(mem, axes + 3, 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x))
+    put(mem, axes + 6, 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
     for m in range(at.n):
         body, up = links.tree[m, arrays.GIMBAL] + 1, axes + 9 * links.tree[m, arrays.PARENT]
         c, s = (
-            load(mem, at.work + body * arrays.WORK + arrays.COS, lane),
-            load(mem, at.work + body * arrays.WORK + arrays.SIN, lane),
+            load(mem, at.work + body * arrays.WORK + arrays.COS),
+            load(mem, at.work + body * arrays.WORK + arrays.SIN),
         )
         for j in range(3):
-            x, y, z = from_parent(links, mem, lane, m, up + 3 * j)
-            put(mem, lane, axes + 9 * body + 3 * j, c * x + s * y, c * y - s * x, z)
+            x, y, z = from_parent(links, mem, m, up + 3 * j)
+            put(mem, axes + 9 * body + 3 * j, c * x + s * y, c * y - s * x, z)
     start = axes + 9 * bodies
     if k == 0:
         for i in range(9 * bodies):
-            store(mem, start + i, lane, load(mem, axes + i, lane))
+            store(mem, start + i, load(mem, axes + i))
     for body in range(bodies):
         r0 = 0.0 * w
         r1, r2 = r0, r0
         for j in range(3):
-            x, y, z = vector(mem, lane, axes + 9 * body + 3 * j)
-            x0, y0, z0 = vector(mem, lane, start + 9 * body + 3 * j)
+            x, y, z = vector(mem, axes + 9 * body + 3 * j)
+            x0, y0, z0 = vector(mem, start + 9 * body + 3 * j)
             r0, r1, r2 = r0 + (z0 * y - y0 * z), r1 + (x0 * z - z0 * x), r2 + (y0 * x - x0 * y)
-        put(mem, lane, layout.turns + 3 * body, 0.5 * r0, 0.5 * r1, 0.5 * r2)
+        put(mem, layout.turns + 3 * body, 0.5 * r0, 0.5 * r1, 0.5 * r2)
 
 
 @inlined
@@ -65,53 +65,53 @@ def _signal(at: At, layout: Layout, index: int) -> int:
 
 
 @inlined
-def _sum(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, i: int) -> Number:
+def _sum(shared: Shared, mem: FloatArray, at: At, layout: Layout, i: int) -> Number:
     first, last = shared.sensors[i, arrays.BEGIN_TERMS], shared.sensors[i, arrays.END_TERMS]
-    value = shared.weights[first] * load(mem, _signal(at, layout, shared.signals[first]), lane)
+    value = shared.weights[first] * load(mem, _signal(at, layout, shared.signals[first]))
     for j in range(first + 1, last):
-        value = value + shared.weights[j] * load(mem, _signal(at, layout, shared.signals[j]), lane)
+        value = value + shared.weights[j] * load(mem, _signal(at, layout, shared.signals[j]))
     return value
 
 
 @inlined
-def look(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
+def look(shared: Shared, mem: FloatArray, at: At, layout: Layout) -> None:
     """Put the rates and angles of the line of sight into SIGHT."""
     for i in range(layout.sensors, shared.sensors.shape[0]):
-        store(mem, layout.sight + i - layout.sensors, lane, _sum(shared, mem, lane, at, layout, i))
+        store(mem, layout.sight + i - layout.sensors, _sum(shared, mem, at, layout, i))
 
 
 @internal
-def _lagging(mem: FloatArray, lane: int, slot: int, k: int, value: Number) -> Number:
+def _lagging(mem: FloatArray, slot: int, k: int, value: Number) -> Number:
     """Output of the low-pass at a slot; its input runs straight from sample to sample and is settled at t = 0."""
-    before = load(mem, slot + arrays.INPUT, lane)
-    store(mem, slot + arrays.INPUT, lane, value)
+    before = load(mem, slot + arrays.INPUT)
+    store(mem, slot + arrays.INPUT, value)
     if k == 0:
-        store(mem, slot + arrays.LAGGING, lane, value)
-        store(mem, slot + arrays.LAGGING + 1, lane, 0.0 * value)
+        store(mem, slot + arrays.LAGGING, value)
+        store(mem, slot + arrays.LAGGING + 1, 0.0 * value)
         return value
-    x, v = load(mem, slot + arrays.LAGGING, lane), load(mem, slot + arrays.LAGGING + 1, lane)
+    x, v = load(mem, slot + arrays.LAGGING), load(mem, slot + arrays.LAGGING + 1)
     for i in range(2):
         turn = slot + arrays.TRANSITION + 2 * i
-        new = load(mem, turn, lane) * x + load(mem, turn + 1, lane) * v
-        new = new + load(mem, slot + arrays.BEFORE + i, lane) * before + load(mem, slot + arrays.NOW + i, lane) * value
-        store(mem, slot + arrays.LAGGING + i, lane, new)
-    return load(mem, slot + arrays.LAGGING, lane)
+        new = load(mem, turn) * x + load(mem, turn + 1) * v
+        new = new + load(mem, slot + arrays.BEFORE + i) * before + load(mem, slot + arrays.NOW + i) * value
+        store(mem, slot + arrays.LAGGING + i, new)
+    return load(mem, slot + arrays.LAGGING)
 
 
 @internal
-def _late(mem: FloatArray, lane: int, slot: int, periods: int, k: int, value: Number) -> Number:
+def _late(mem: FloatArray, slot: int, periods: int, k: int, value: Number) -> Number:
     """The value of `periods` samples ago, at first that of t = 0; `slot` holds the values on their way."""
     if k == 0:
         for i in range(periods):
-            store(mem, slot + i, lane, value)
-    old = load(mem, slot + k % periods, lane)
-    store(mem, slot + k % periods, lane, value)
+            store(mem, slot + i, value)
+    old = load(mem, slot + k % periods)
+    store(mem, slot + k % periods, value)
     return old
 
 
 @inlined
 def _faulty(
-    shared: Shared, keys: Keys, mem: FloatArray, lane: int, layout: Layout, i: int, k: int, t: float, value: Number
+    shared: Shared, keys: Keys, mem: FloatArray, layout: Layout, i: int, k: int, t: float, value: Number
 ) -> Number:
     """The output of a failing sensor in place of its reading."""
     last = layout.sensor + i * arrays.SENSOR + arrays.LAST
@@ -120,50 +120,48 @@ def _faulty(
         if failing < arrays.PICKOFF_DROPOUT or failing > arrays.PICKOFF_DEAD or shared.faults[f, 1] != i:
             continue
         fault = layout.fault + f * arrays.FAULT
-        on = acts(mem, lane, fault, t)
+        on = acts(mem, fault, t)
         if failing == arrays.PICKOFF_DEAD:
             value = choose(on, 0.0 * value, value)
         elif failing == arrays.PICKOFF_STUCK:
-            value = choose(on, load(mem, last, lane), value)
+            value = choose(on, load(mem, last), value)
         elif failing == arrays.PICKOFF_DROPOUT:
-            uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], layout.random + 2)
-            lost = on & (load(mem, layout.random + 2, lane) < load(mem, fault + arrays.FIRST, lane))
-            value = choose(lost, load(mem, last, lane), value)
+            uniforms(keys, mem, k, LOSS + shared.faults[f, 2], layout.random + 2)
+            lost = on & (load(mem, layout.random + 2) < load(mem, fault + arrays.FIRST))
+            value = choose(lost, load(mem, last), value)
     return value
 
 
 @internal
-def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, k: int, t: float) -> None:
+def read(shared: Shared, keys: Keys, mem: FloatArray, at: At, layout: Layout, k: int, t: float) -> None:
     """Put the reading of every sensor at sample k into its LAST."""
     drawn = -1  # the last sensor for which a pair of normal numbers was drawn
     for i in range(layout.sensors):
         slot = layout.sensor + i * arrays.SENSOR
-        value = _sum(shared, mem, lane, at, layout, i)
+        value = _sum(shared, mem, at, layout, i)
         if shared.sensors[i, arrays.FILTERED] >= 0:
-            value = _lagging(mem, lane, layout.lowpass + shared.sensors[i, arrays.FILTERED] * arrays.LOWPASS, k, value)
+            value = _lagging(mem, layout.lowpass + shared.sensors[i, arrays.FILTERED] * arrays.LOWPASS, k, value)
         if shared.sensors[i, arrays.LATE] > 0:
-            value = _late(
-                mem, lane, layout.late + shared.sensors[i, arrays.KEPT], shared.sensors[i, arrays.LATE], k, value
-            )
+            value = _late(mem, layout.late + shared.sensors[i, arrays.KEPT], shared.sensors[i, arrays.LATE], k, value)
         if shared.sensors[i, arrays.EVERY] > 1 and k % shared.sensors[i, arrays.EVERY] != 0:
             continue
-        value = load(mem, slot + arrays.SENSOR_SCALE, lane) * value + load(mem, slot + arrays.BIAS, lane)
-        rms = load(mem, slot + arrays.RMS, lane)
+        value = load(mem, slot + arrays.SENSOR_SCALE) * value + load(mem, slot + arrays.BIAS)
+        rms = load(mem, slot + arrays.RMS)
         if anywhere(rms > 0.0):
             if i % 2 == 0 or drawn != i - 1:
-                normals(keys, mem, lane, k, PICKOFF + i // 2, layout.random)
+                normals(keys, mem, k, PICKOFF + i // 2, layout.random)
                 drawn = i
-            value = value + rms * load(mem, layout.random + i % 2, lane)
+            value = value + rms * load(mem, layout.random + i % 2)
         for f in range(shared.faults.shape[0]):
             if shared.faults[f, 0] == arrays.PICKOFF_DRIFT and shared.faults[f, 1] == i:
                 fault = layout.fault + f * arrays.FAULT
-                drift = load(mem, fault + arrays.FIRST, lane) * (t - load(mem, fault + arrays.BEGIN, lane))
-                value = choose(acts(mem, lane, fault, t), value + drift, value)
-        step = load(mem, slot + arrays.QUANTISATION, lane)
+                drift = load(mem, fault + arrays.FIRST) * (t - load(mem, fault + arrays.BEGIN))
+                value = choose(acts(mem, fault, t), value + drift, value)
+        step = load(mem, slot + arrays.QUANTISATION)
         fine = step > 0.0
         unit = choose(fine, step, 0.0 * step + 1.0)
         value = choose(fine, unit * whole(value / unit + 0.5), value)
-        store(mem, slot + arrays.LAST, lane, _faulty(shared, keys, mem, lane, layout, i, k, t, value))
+        store(mem, slot + arrays.LAST, _faulty(shared, keys, mem, layout, i, k, t, value))
 
 
 @inlined
@@ -181,110 +179,108 @@ def _half_turn(sine: Number, cosine: Number) -> tuple[Number, Number]:
 
 
 @inlined
-def _keep_largest(mem: FloatArray, lane: int, slot: int, counts: Mask, value: Number) -> None:
+def _keep_largest(mem: FloatArray, slot: int, counts: Mask, value: Number) -> None:
     """Keep the largest magnitude of a value, of the scenarios that count."""
-    size, old = choose(value < 0.0, -value, value), load(mem, slot, lane)
-    store(mem, slot, lane, choose(counts, greater(old, size), old))
+    size, old = choose(value < 0.0, -value, value), load(mem, slot)
+    store(mem, slot, choose(counts, greater(old, size), old))
 
 
 @internal
-def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, k: int) -> None:
+def update_metrics(shared: Shared, mem: FloatArray, at: At, layout: Layout, k: int) -> None:
     """The metrics up to sample k, of the scenarios that are still going."""
     n, nu = at.n, shared.targets.shape[0]
-    alive = load(mem, layout.alive, lane)
+    alive = load(mem, layout.alive)
     going = alive > 0.5
     for i in range(n):
-        _keep_largest(mem, lane, layout.metrics + i, going, load(mem, at.state + i, lane))
+        _keep_largest(mem, layout.metrics + i, going, load(mem, at.state + i))
     e = at.state + 2 * n + 3
-    e0, e1 = load(mem, e, lane), load(mem, e + 1, lane)
-    e2, e3 = load(mem, e + 2, lane), load(mem, e + 3, lane)
+    e0, e1 = load(mem, e), load(mem, e + 1)
+    e2, e3 = load(mem, e + 2), load(mem, e + 3)
     _, per_sine = _half_turn(root(e1 * e1 + e2 * e2 + e3 * e3), choose(e0 < 0.0, -e0, e0))
     for i in range(3):
-        _keep_largest(mem, lane, layout.metrics + n + i, going, 2.0 * per_sine * load(mem, e + 1 + i, lane))
+        _keep_largest(mem, layout.metrics + n + i, going, 2.0 * per_sine * load(mem, e + 1 + i))
     for i in range(nu):
         own, slot = layout.torquer + i * arrays.TORQUER, layout.metrics + n + 3 + i
-        command = load(mem, layout.command + i, lane)
-        limit, turning = load(mem, own + arrays.LIMIT, lane), load(mem, layout.velocity + shared.targets[i], lane)
-        counter = load(mem, own + arrays.BACK_EMF, lane) * choose(command < 0.0, -turning, turning)
+        command = load(mem, layout.command + i)
+        limit, turning = load(mem, own + arrays.LIMIT), load(mem, layout.velocity + shared.targets[i])
+        counter = load(mem, own + arrays.BACK_EMF) * choose(command < 0.0, -turning, turning)
         # What the supply of a motor leaves in this direction; nothing where it turns faster than it idles.
-        limit = greater(lesser(limit, load(mem, own + arrays.STALL, lane) - counter), 1e-9 * limit)
+        limit = greater(lesser(limit, load(mem, own + arrays.STALL) - counter), 1e-9 * limit)
         command = choose(command < 0.0, -command, command)
-        _keep_largest(mem, lane, slot, going, command / limit)
+        _keep_largest(mem, slot, going, command / limit)
         slot += nu
-        store(mem, slot, lane, load(mem, slot, lane) + choose(command >= limit, alive, 0.0 * alive))
+        store(mem, slot, load(mem, slot) + choose(command >= limit, alive, 0.0 * alive))
     rates = layout.metrics + 2 * n + 4 + 2 * nu
     for i in range(n):
-        _keep_largest(mem, lane, rates + i, going, load(mem, layout.velocity + 3 + i, lane))
-    settled = going & (load(mem, layout.settle, lane) <= k)
+        _keep_largest(mem, rates + i, going, load(mem, layout.velocity + 3 + i))
+    settled = going & (load(mem, layout.settle) <= k)
     sight = shared.sensors.shape[0] - layout.sensors
     if sight > 0 and anywhere(settled):
-        count = load(mem, rates + n, lane) + choose(settled, alive, 0.0 * alive)
-        store(mem, rates + n, lane, count)
+        count = load(mem, rates + n) + choose(settled, alive, 0.0 * alive)
+        store(mem, rates + n, count)
         share = 1.0 / greater(count, 0.0 * alive + 1.0)
-        _spread(mem, lane, settled, share, layout.velocity, 3, rates + n + 1, 3 + sight)
-        _spread(mem, lane, settled, share, layout.sight, sight, rates + n + 4, 3 + sight)
+        _spread(mem, settled, share, layout.velocity, 3, rates + n + 1, 3 + sight)
+        _spread(mem, settled, share, layout.sight, sight, rates + n + 4, 3 + sight)
     end = layout.states + nu + layout.drives + 1
     for j in range(layout.commands):
         slot, sensor = layout.following + j, layout.sensor + shared.first[end + j] * arrays.SENSOR
         # Errors of the sensor are no motion of the loop.
-        scale = load(mem, sensor + arrays.SENSOR_SCALE, lane)
+        scale = load(mem, sensor + arrays.SENSOR_SCALE)
         scale = choose((scale < 0.0) | (scale > 0.0), scale, 0.0 * scale + 1.0)
-        error = (load(mem, sensor + arrays.LAST, lane) - load(mem, sensor + arrays.BIAS, lane)) / scale
-        error = error - load(mem, layout.sensor + (layout.readings + j) * arrays.SENSOR + arrays.PATH, lane)
-        _keep_largest(mem, lane, slot, settled, error)
+        error = (load(mem, sensor + arrays.LAST) - load(mem, sensor + arrays.BIAS)) / scale
+        error = error - load(mem, layout.sensor + (layout.readings + j) * arrays.SENSOR + arrays.PATH)
+        _keep_largest(mem, slot, settled, error)
 
 
 @internal
-def _spread(
-    mem: FloatArray, lane: int, counts: Mask, share: Number, source: int, size: int, mean: int, behind: int
-) -> None:
+def _spread(mem: FloatArray, counts: Mask, share: Number, source: int, size: int, mean: int, behind: int) -> None:
     """Add values to their means and, `behind` these, to the sums of squares about them (Welford 1962)."""
     for i in range(size):
-        value, slot = load(mem, source + i, lane), mean + i
-        old = load(mem, slot, lane)
+        value, slot = load(mem, source + i), mean + i
+        old = load(mem, slot)
         new = old + share * (value - old)
-        square = load(mem, slot + behind, lane)
-        store(mem, slot, lane, choose(counts, new, old))
-        store(mem, slot + behind, lane, choose(counts, square + (value - old) * (value - new), square))
+        square = load(mem, slot + behind)
+        store(mem, slot, choose(counts, new, old))
+        store(mem, slot + behind, choose(counts, square + (value - old) * (value - new), square))
 
 
 @inlined
-def _clear(mem: FloatArray, lane: int, sound: Mask, zero: Number, first: int, count: int, apart: int) -> None:
+def _clear(mem: FloatArray, sound: Mask, zero: Number, first: int, count: int, apart: int) -> None:
     """Put zeros into slots of the scenarios that are not sound."""
     for i in range(count):
         slot = first + i * apart
-        store(mem, slot, lane, choose(sound, load(mem, slot, lane), zero))
+        store(mem, slot, choose(sound, load(mem, slot), zero))
 
 
 @internal
-def judge(mem: FloatArray, lane: int, at: At, layout: Layout, shared: Shared) -> bool:
+def judge(mem: FloatArray, at: At, layout: Layout, shared: Shared) -> bool:
     """Stop scenarios that diverge: a number that is not finite, or a rate above one radian per substep.
 
     They start again from t = 0 so as not to compute with such numbers, and count no more. Returns whether any is left.
     """
     n = at.n
-    step = greater(load(mem, layout.segments, lane), load(mem, layout.segments + 1, lane))
+    step = greater(load(mem, layout.segments), load(mem, layout.segments + 1))
     sound = step > 0.0
     for i in range(at.size):
-        y = load(mem, at.state + i, lane)
+        y = load(mem, at.state + i)
         sound = sound & (y - y == 0.0)
     for i in range(n + 3):
-        turn = load(mem, layout.velocity + i, lane) * step
+        turn = load(mem, layout.velocity + i) * step
         sound = sound & (turn < 1.0) & (turn > -1.0)
     for i in range(shared.targets.shape[0]):
-        command = load(mem, layout.command + i, lane)
+        command = load(mem, layout.command + i)
         sound = sound & (command - command == 0.0)
-    alive = load(mem, layout.alive, lane)
+    alive = load(mem, layout.alive)
     if anywhere(~sound):
         for i in range(at.size):
             y = at.state + i
-            store(mem, y, lane, choose(sound, load(mem, y, lane), load(mem, layout.start + i, lane)))
-        _clear(mem, lane, sound, 0.0 * step, layout.velocity, n + 3, 1)
-        _clear(mem, lane, sound, 0.0 * step, layout.controller, layout.states, 1)
-        _clear(mem, lane, sound, 0.0 * step, layout.command, shared.targets.shape[0], 1)
-        _clear(mem, lane, sound, 0.0 * step, layout.torquer + arrays.TORQUE, shared.targets.shape[0], arrays.TORQUER)
+            store(mem, y, choose(sound, load(mem, y), load(mem, layout.start + i)))
+        _clear(mem, sound, 0.0 * step, layout.velocity, n + 3, 1)
+        _clear(mem, sound, 0.0 * step, layout.controller, layout.states, 1)
+        _clear(mem, sound, 0.0 * step, layout.command, shared.targets.shape[0], 1)
+        _clear(mem, sound, 0.0 * step, layout.torquer + arrays.TORQUE, shared.targets.shape[0], arrays.TORQUER)
     alive = choose(sound, alive, 0.0 * alive)
-    store(mem, layout.alive, lane, alive)
+    store(mem, layout.alive, alive)
     done = layout.metrics + 2 * n + 3 + 2 * shared.targets.shape[0]
-    store(mem, done, lane, load(mem, done, lane) + alive)
+    store(mem, done, load(mem, done) + alive)
     return bool(anywhere(alive > 0.5))

@@ -14,69 +14,65 @@ _SHORT = 20.0
 
 
 @inlined
-def _past(mem: FloatArray, lane: int, at: At, layout: Layout, k: int) -> Mask:
-    q, stop = load(mem, at.state + k, lane), layout.stop + k * arrays.STOP
-    return (q < load(mem, stop + arrays.LOW, lane)) | (q > load(mem, stop + arrays.HIGH, lane))
+def _past(mem: FloatArray, at: At, layout: Layout, k: int) -> Mask:
+    q, stop = load(mem, at.state + k), layout.stop + k * arrays.STOP
+    return (q < load(mem, stop + arrays.LOW)) | (q > load(mem, stop + arrays.HIGH))
 
 
 @internal
-def _come_anew(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, blown: Mask) -> None:
+def _come_anew(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool, blown: Mask) -> None:
     """Release gimbals that an impact drives against the stops they lie on: they meet these once more."""
     n, dy = at.n, at.stages
-    derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
+    derivative(links, mem, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
     for k in range(n):
-        stop, rate = layout.stop + k * arrays.STOP, load(mem, dy + k, lane)
-        above = load(mem, at.state + k, lane) >= load(mem, stop + arrays.HIGH, lane)
+        stop, rate = layout.stop + k * arrays.STOP, load(mem, dy + k)
+        above = load(mem, at.state + k) >= load(mem, stop + arrays.HIGH)
         outward = blown & (choose(above, rate, -rate) > 1e-12)
-        touching = load(mem, stop + arrays.TOUCHING, lane)
-        store(mem, stop + arrays.TOUCHING, lane, choose(outward, 0.0 * rate, touching))
+        touching = load(mem, stop + arrays.TOUCHING)
+        store(mem, stop + arrays.TOUCHING, choose(outward, 0.0 * rate, touching))
 
 
 @internal
-def strike(
-    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, sample: int
-) -> None:
+def strike(links: Links, shared: Shared, mem: FloatArray, at: At, layout: Layout, free: bool, sample: int) -> None:
     """Throw gimbals towards their stops: the blows that are due since the last sample."""
     for f in range(shared.faults.shape[0]):
         if shared.faults[f, 0] != arrays.CONTACT:
             continue
         k, fault = shared.faults[f, 1], layout.fault + f * arrays.FAULT
-        begin, impulse = load(mem, fault + arrays.BEGIN, lane), load(mem, fault + arrays.FIRST, lane)
+        begin, impulse = load(mem, fault + arrays.BEGIN), load(mem, fault + arrays.FIRST)
         due = (begin <= sample * shared.period) & (begin > (sample - 1) * shared.period)
         if not anywhere(due):
             continue
         impulse = choose(due, impulse, 0.0 * impulse)
         if free:
-            response(links, mem, lane, at, free, k, at.stages)
-        push(mem, lane, at, free, k, at.stages, impulse)
+            response(links, mem, at, free, k, at.stages)
+        push(mem, at, free, k, at.stages, impulse)
         if layout.stops != 0:
-            _come_anew(links, mem, lane, at, layout, free, due)
+            _come_anew(links, mem, at, layout, free, due)
 
 
 @internal
-def _brake(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool) -> None:
+def _brake(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool) -> None:
     """Stop locked gimbals by impulses at their joints: one that comes back within the step still moves away."""
     n, dy = at.n, at.stages
     for _ in range(100):
         settled = True
         for k in range(n):
-            rate = load(mem, at.state + n + 3 + k, lane)
-            locked = load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, lane) > 0.5
+            rate = load(mem, at.state + n + 3 + k)
+            locked = load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED) > 0.5
             turning = locked & ((rate > 1e-12) | (rate < -1e-12))
             if not anywhere(turning):
                 continue
             settled = False
-            response(links, mem, lane, at, free, k, dy)
-            impulse = choose(turning, -rate / load(mem, dy + k, lane), 0.0 * rate)
-            push(mem, lane, at, free, k, dy, impulse)
+            response(links, mem, at, free, k, dy)
+            impulse = choose(turning, -rate / load(mem, dy + k), 0.0 * rate)
+            push(mem, at, free, k, dy, impulse)
         if settled:
             return
 
 
 @internal
-def hold(
-    links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, begin: int, step: Number
-) -> bool:
+def hold(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool, begin: int, step: Number) -> bool:
     """Repeat a step from `begin` with those gimbals locked that lay at a stop and have gone past it.
 
     Leaves in LOCKED which ones; scenarios in which nothing presses keep the step as it was. Returns whether any does.
@@ -85,65 +81,64 @@ def hold(
     zero = 0.0 * step
     pressed = zero
     for k in range(n):
-        touching = load(mem, layout.stop + k * arrays.STOP + arrays.TOUCHING, lane) > 0.5
-        locked = choose(_past(mem, lane, at, layout, k) & touching, zero + 1.0, zero)
-        store(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, lane, locked)
+        touching = load(mem, layout.stop + k * arrays.STOP + arrays.TOUCHING) > 0.5
+        locked = choose(_past(mem, at, layout, k) & touching, zero + 1.0, zero)
+        store(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, locked)
         pressed = greater(pressed, locked)
     if not anywhere(pressed > 0.5):
         return at.no
     for i in range(at.size):
-        free_step = load(mem, at.state + i, lane)
-        store(mem, at.state + i, lane, load(mem, begin + i, lane))
-        store(mem, begin + i, lane, free_step)
+        free_step = load(mem, at.state + i)
+        store(mem, at.state + i, load(mem, begin + i))
+        store(mem, begin + i, free_step)
     if free:  # else the momenta of locked joints mean nothing
-        _brake(links, mem, lane, at, layout, free)
-    runge_kutta(links, mem, lane, at, free, at.yes, at.state, step)
+        _brake(links, mem, at, layout, free)
+    runge_kutta(links, mem, at, free, at.yes, at.state, step)
     if not free:
         end = at.surroundings + 2 * at.block
-        derivative(links, mem, lane, at, free, at.yes, at.no, at.state, end, at.stages)
+        derivative(links, mem, at, free, at.yes, at.no, at.state, end, at.stages)
         for k in range(n):
             body, p = at.work + (k + 1) * arrays.WORK, at.state + n + 3 + k
-            locked = load(mem, body + arrays.LOCKED, lane) > 0.5
-            store(mem, p, lane, choose(locked, load(mem, body + arrays.MOMENT + 2, lane), load(mem, p, lane)))
+            locked = load(mem, body + arrays.LOCKED) > 0.5
+            store(mem, p, choose(locked, load(mem, body + arrays.MOMENT + 2), load(mem, p)))
     for i in range(at.size):
         here = at.state + i
-        store(mem, here, lane, choose(pressed > 0.5, load(mem, here, lane), load(mem, begin + i, lane)))
+        store(mem, here, choose(pressed > 0.5, load(mem, here), load(mem, begin + i)))
     return at.yes
 
 
 @internal
-def _put_back(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, hit: Mask) -> None:
+def _put_back(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool, hit: Mask) -> None:
     """Put gimbals past their stops back on them; the momenta of the joints and of the platform stay as they are."""
     n, end = at.n, at.surroundings + 2 * at.block
     before, after, root = layout.velocity + n, at.stages, at.work + arrays.MOMENT
     if free:
-        joint_momenta(links, mem, lane, at, at.state, end, before + 3)
+        joint_momenta(links, mem, at, at.state, end, before + 3)
         for i in range(3):
-            store(mem, before + i, lane, load(mem, root + i, lane))
+            store(mem, before + i, load(mem, root + i))
     for k in range(n):
-        stop, q = layout.stop + k * arrays.STOP, load(mem, at.state + k, lane)
-        inside = lesser(greater(q, load(mem, stop + arrays.LOW, lane)), load(mem, stop + arrays.HIGH, lane))
-        store(mem, at.state + k, lane, choose(hit, inside, q))
+        stop, q = layout.stop + k * arrays.STOP, load(mem, at.state + k)
+        inside = lesser(greater(q, load(mem, stop + arrays.LOW)), load(mem, stop + arrays.HIGH))
+        store(mem, at.state + k, choose(hit, inside, q))
     if not free:  # the momenta are the state
         return
-    joint_momenta(links, mem, lane, at, at.state, end, after + 3)
+    joint_momenta(links, mem, at, at.state, end, after + 3)
     for i in range(3):
-        store(mem, after + i, lane, load(mem, root + i, lane))
-    at_rest(mem, lane, at)
+        store(mem, after + i, load(mem, root + i))
+    at_rest(mem, at)
     for i in range(n + 3):
-        missing = load(mem, before + i, lane) - load(mem, after + i, lane)
-        store(mem, at.spare_block + i, lane, missing)
-    derivative(links, mem, lane, at, free, at.no, at.yes, at.spare_state, at.spare_block, at.stages)
+        missing = load(mem, before + i) - load(mem, after + i)
+        store(mem, at.spare_block + i, missing)
+    derivative(links, mem, at, free, at.no, at.yes, at.spare_state, at.spare_block, at.stages)
     for i in range(n, 2 * n + 3):
-        v = load(mem, at.state + i, lane)
-        store(mem, at.state + i, lane, choose(hit, v + load(mem, at.stages + i, lane), v))
+        v = load(mem, at.state + i)
+        store(mem, at.state + i, choose(hit, v + load(mem, at.stages + i), v))
 
 
 @internal
 def meet_stops(
     links: Links,
     mem: FloatArray,
-    lane: int,
     at: At,
     layout: Layout,
     free: bool,
@@ -160,62 +155,57 @@ def meet_stops(
     a stop; t is the end of the step.
     """
     n, dy = at.n, at.stages
-    zero = 0.0 * load(mem, layout.alive, lane)  # which is finite even where the state is not
+    zero = 0.0 * load(mem, layout.alive)  # which is finite even where the state is not
     hit, lying = zero, zero
     for k in range(n):
         stop = layout.stop + k * arrays.STOP
-        past = _past(mem, lane, at, layout, k)
-        touched = load(mem, stop + arrays.TOUCHING, lane) > 0.5
+        past = _past(mem, at, layout, k)
+        touched = load(mem, stop + arrays.TOUCHING) > 0.5
         fresh = choose(past, choose(touched, zero, zero + 1.0), zero)
-        counted = fresh * load(mem, layout.alive, lane)
-        store(mem, contacts + k, lane, load(mem, contacts + k, lane) + counted)
+        counted = fresh * load(mem, layout.alive)
+        store(mem, contacts + k, load(mem, contacts + k) + counted)
         touching = choose(past, zero + 1.0, zero)
         if held:
-            touching = greater(touching, load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, lane))
+            touching = greater(touching, load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED))
         # 2: it has just come, and bounces.
-        store(mem, stop + arrays.TOUCHING, lane, touching + fresh)
+        store(mem, stop + arrays.TOUCHING, touching + fresh)
         hit = choose(past, zero + 1.0, hit)
         lying = greater(lying, touching)
     if anywhere(hit > 0.5):
-        _put_back(links, mem, lane, at, layout, free, hit > 0.5)
-        derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
+        _put_back(links, mem, at, layout, free, hit > 0.5)
+        derivative(links, mem, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
         for k in range(n):
-            store(mem, layout.velocity + k, lane, load(mem, dy + k, lane))
+            store(mem, layout.velocity + k, load(mem, dy + k))
         # Impulses in turn until no gimbal that touches moves outwards; one pass does it for one contact.
         for _ in range(100):
             settled = True
             for k in range(n):
                 stop = layout.stop + k * arrays.STOP
-                rate, touching = load(mem, layout.velocity + k, lane), load(mem, stop + arrays.TOUCHING, lane)
-                above = load(mem, at.state + k, lane) >= load(mem, stop + arrays.HIGH, lane)
+                rate, touching = load(mem, layout.velocity + k), load(mem, stop + arrays.TOUCHING)
+                above = load(mem, at.state + k) >= load(mem, stop + arrays.HIGH)
                 outward = choose(above, rate, -rate)
                 struck = (hit > 0.5) & (touching > 0.5) & (outward > 1e-12)
                 if not anywhere(struck):
                     continue
                 settled = False
-                response(links, mem, lane, at, free, k, dy)
-                away = load(mem, stop + arrays.AWAY, lane)
-                again = (away > 0.0) & (t - load(mem, stop + arrays.WHEN, lane) < _SHORT * step)
+                response(links, mem, at, free, k, dy)
+                away = load(mem, stop + arrays.AWAY)
+                again = (away > 0.0) & (t - load(mem, stop + arrays.WHEN) < _SHORT * step)
                 coming = choose(again, lesser(outward, away), outward)
-                back = choose(touching > 1.5, load(mem, stop + arrays.RESTITUTION, lane) * coming, zero)
+                back = choose(touching > 1.5, load(mem, stop + arrays.RESTITUTION) * coming, zero)
                 change = choose(above, -outward - back, outward + back)
-                impulse = choose(struck, change / load(mem, dy + k, lane), zero)
+                impulse = choose(struck, change / load(mem, dy + k), zero)
                 for j in range(n):
                     slot = layout.velocity + j
-                    store(mem, slot, lane, load(mem, slot, lane) + impulse * load(mem, dy + j, lane))
-                push(mem, lane, at, free, k, dy, impulse)
+                    store(mem, slot, load(mem, slot) + impulse * load(mem, dy + j))
+                push(mem, at, free, k, dy, impulse)
             if settled:
                 break
     for k in range(n):
         stop = layout.stop + k * arrays.STOP
-        rate = load(mem, layout.velocity + k, lane)
-        bounced = load(mem, stop + arrays.TOUCHING, lane) > 1.5
-        store(mem, stop + arrays.WHEN, lane, choose(bounced, t, load(mem, stop + arrays.WHEN, lane)))
-        store(
-            mem,
-            stop + arrays.AWAY,
-            lane,
-            choose(bounced, choose(rate < 0.0, -rate, rate), load(mem, stop + arrays.AWAY, lane)),
-        )
-        store(mem, stop + arrays.TOUCHING, lane, lesser(load(mem, stop + arrays.TOUCHING, lane), zero + 1.0))
+        rate = load(mem, layout.velocity + k)
+        bounced = load(mem, stop + arrays.TOUCHING) > 1.5
+        store(mem, stop + arrays.WHEN, choose(bounced, t, load(mem, stop + arrays.WHEN)))
+        store(mem, stop + arrays.AWAY, choose(bounced, choose(rate < 0.0, -rate, rate), load(mem, stop + arrays.AWAY)))
+        store(mem, stop + arrays.TOUCHING, lesser(load(mem, stop + arrays.TOUCHING), zero + 1.0))
     return anywhere(lying > 0.5)
