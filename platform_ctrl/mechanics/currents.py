@@ -22,7 +22,7 @@ def with_currents(parts: Parts, inputs: Sequence[str], model: LinearModel) -> Pa
         own, driven = winding.matrices
         column, n = inputs.index(torquer.name), len(A)
         rate = states.index(model.angle_names[model.platform.gimbal(str(torquer.gimbal))])
-        torque = np.outer(B[:, column], [winding.per_ampere, 0.0, 0.0])
+        torque = np.outer(B[:, column], [winding.swell * winding.per_ampere, 0.0, 0.0])
         B = B.copy()
         B[:, column] = 0.0
         A = np.block([[A, torque], [np.outer(driven[:, 1], A[rate]), own]])

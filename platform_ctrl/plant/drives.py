@@ -25,7 +25,18 @@ _PER_BANDWIDTH = 10.0
 # Torques about the root's axes.
 ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 
+# What data sheets state in place of a value, of which the motor's torque constant K is made first.
 _PER_VOLT = Instead("kv", POSITIVE, lambda rpm, _: 60.0 / (2.0 * math.pi * rpm))
+_FROM_HEAT = Instead("motor_constant", POSITIVE, lambda k, motor: (motor["torque_constant"] / k) ** 2)
+_PEAK = Instead("peak_torque", POSITIVE, lambda torque, motor: torque / motor["torque_constant"])
+_CONTINUOUS = Instead("continuous_torque", POSITIVE, lambda torque, motor: torque / motor["torque_constant"])
+_INSTEAD = {
+    "torque_constant": "kv",
+    "resistance": "motor_constant",
+    "current_limit": "peak_torque",
+    "continuous_current": "continuous_torque",
+}
+_CURRENTS = ("current_limit", "peak_torque", "continuous_current", "continuous_torque")
 _SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
 
 
@@ -117,6 +128,7 @@ class Winding(NamedTuple):
     proportional: float  # V/A
     integral: float  # V/(A s)
     delay: float  # s
+    swell: float = 1.0  # torque of the current over its mean, where ripple makes it more or less
 
     @property
     def matrices(self) -> tuple[FloatArray, FloatArray]:
@@ -248,6 +260,9 @@ class Motor:
         N m/A (V s/rad), ohm, H and V, or None.
     current_limit, continuous_current
         A, or None; the second is the rms that the motor's heat allows, which every run is compared with.
+    thermal_time
+        Time constant of the winding's heat, s: the rms is that of i² behind a lag of it, at its largest. None: of the
+        whole run.
     current_loop
         None: nothing drives it, or a [[torquer]] says what does.
     efficiency
@@ -255,6 +270,10 @@ class Motor:
     cogging : (h, 3)
         Harmonics of the torque without current, in runs: order per turn of the motor, amplitude, N m, and phase at
         angle 0, rad.
+    ripple : (h, 3)
+        The same of the torque of the current, amplitudes as shares of it.
+    swell
+        Torque of the current over its mean in linear models.
     """
 
     name: fields.Text = ""
@@ -262,11 +281,12 @@ class Motor:
     rotor_inertia: fields.NotNegative = 0.0
     gear: fields.NotZero = 1.0
     torque_constant: Annotated[fields.Positive | None, _PER_VOLT] = None
-    resistance: fields.Positive | None = None
+    resistance: Annotated[fields.Positive | None, _FROM_HEAT] = None
     inductance: fields.Positive | None = None
     supply: fields.Positive | None = None
-    current_limit: fields.Positive | None = None
-    continuous_current: fields.Positive | None = None
+    current_limit: Annotated[fields.Positive | None, _PEAK] = None
+    continuous_current: Annotated[fields.Positive | None, _CONTINUOUS] = None
+    thermal_time: fields.Positive | None = None
     current_loop: Annotated[CurrentLoop | None, TABLE] = None
     efficiency: fields.SomePart = 1.0
     cogging: Annotated[
@@ -275,21 +295,37 @@ class Motor:
             "rows [order > 0, amplitude >= 0, phase]", fields.rows(lambda x: x > 0, lambda x: x >= 0, lambda x: True)
         ),
     ] = None
+    ripple: Annotated[
+        FloatArray | None,
+        fields.Expected(
+            "rows [order > 0, 0 <= share < 1, phase]",
+            fields.rows(lambda x: x > 0, lambda x: 0 <= x < 1, lambda x: True),
+        ),
+    ] = None
+    swell: float = 1.0
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
         loop, needed = table.get("current_loop"), ["torque_constant", "resistance", "supply"]
+        by_constant = [key for key in ("motor_constant", "peak_torque", "continuous_torque") if key in table]
         if loop is not None:
             needed += ["inductance"] if "rate_hz" in loop else []
-            lacking = [key for key in needed if key not in table and (key, "kv" in table) != ("torque_constant", True)]
+            lacking = [key for key in needed if key not in table and _INSTEAD.get(key) not in table]
             yield from (missing(key, "a current loop needs it") for key in lacking)
-            if not lacking and {"proportional", "integral", "rate_hz"} <= loop.keys():
+            if not lacking and {"proportional", "integral", "rate_hz"} <= loop.keys() and "resistance" in table:
                 winding = _winding(CurrentLoop(**loop), table["resistance"], table["inductance"], 1.0, 0.0, 1.0)
                 if np.abs(np.linalg.eigvals(_sampled(winding))).max() > 1.0:
                     yield "current_loop", "current_loop is not stable: take smaller gains, or a higher rate_hz"
-        elif "rotor_inertia" not in table:
-            yield missing("rotor_inertia", "a motor without current_loop is a rotor alone, of so many kg m²")
-        for key in ("current_limit", "continuous_current", "efficiency", "name"):
+            if "ripple" in table and "rate_hz" not in loop:
+                yield wrong(table, "ripple", "with rate_hz in current_loop: it is a share of what the current does")
+        else:
+            if "rotor_inertia" not in table:
+                yield missing("rotor_inertia", "a motor without current_loop is a rotor alone, of so many kg m²")
+            if by_constant and not {"torque_constant", "kv"} & table.keys():
+                yield missing("torque_constant", f"{by_constant[0]} needs it")
+        if "thermal_time" in table and not {"continuous_current", "continuous_torque"} & table.keys():
+            yield missing("continuous_current", "thermal_time is about how long a larger one may flow")
+        for key in (*_CURRENTS, "efficiency", "ripple", "name"):
             if key in table and "current_loop" not in table:
                 yield useless(table, key, 'without "current_loop"')
 
@@ -312,7 +348,7 @@ class Motor:
         per_ampere, K = self.per_ampere, abs(self.gear) * constant
         winding = None
         if loop.rate_hz is not None and self.inductance is not None:
-            winding = _winding(loop, resistance, self.inductance, per_ampere, K, supply)
+            winding = _winding(loop, resistance, self.inductance, per_ampere, K, supply)._replace(swell=self.swell)
         return Torquer(
             name=self.name,
             gimbal=self.gimbal,

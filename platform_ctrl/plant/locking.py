@@ -69,7 +69,7 @@ def _on_its_drive(platform: Platform, drive: Compliance) -> Platform:
 
 
 def with_cogging(platform: Platform) -> list[tuple[str, Platform]]:
-    """Return the platform in words where cogging is steepest: a spring that pushes away, and one that holds."""
+    """Return the platform in words where cogging is steepest, a spring that pushes or holds, and ripple largest."""
     slopes = dict.fromkeys(platform.gimbal_names, 0.0)
     for k, (order, torque, _) in platform.cogging:
         slopes[platform.gimbal_names[k]] += abs(order * torque)
@@ -78,8 +78,16 @@ def with_cogging(platform: Platform) -> list[tuple[str, Platform]]:
         springs = (Spring(gimbal=name, stiffness=sign * size) for name, size in slopes.items() if size)
         return replaced(platform, {"springs": (*platform.springs, *springs)})
 
+    def rippled(sign: float) -> Platform:
+        motors = (
+            m if m.ripple is None else replaced(m, {"swell": 1.0 + sign * min(m.ripple[:, 1].sum(), 1.0)})
+            for m in platform.motors
+        )
+        return replaced(platform, {"motors": tuple(motors)})
+
     words = {"cogging pushes away": -1.0, "cogging holds": 1.0} if any(slopes.values()) else {}
-    return [(label, steepest(sign)) for label, sign in words.items()]
+    of_ripple = {"ripple takes torque away": -1.0, "ripple adds torque": 1.0} if platform.ripples else {}
+    return [(w, steepest(sign)) for w, sign in words.items()] + [(w, rippled(sign)) for w, sign in of_ripple.items()]
 
 
 def with_stuck_bristles(platform: Platform) -> Platform:

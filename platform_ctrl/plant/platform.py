@@ -199,6 +199,13 @@ class Platform(GimbalTree):
         return tuple((self.gimbal(m.gimbal), row * [m.gear, m.gear, 1.0]) for m, row in rows)
 
     @property
+    def ripples(self) -> tuple[tuple[int, int, FloatArray], ...]:
+        """Index of the gimbal and of the winding, and [order per turn of the gimbal, share, phase], of each ripple."""
+        wound = [t.name for t in self.torquers if t.winding is not None]
+        rows = [(m, row) for m in self.motors if m.ripple is not None for row in m.ripple]
+        return tuple((self.gimbal(m.gimbal), wound.index(m.name), row * [m.gear, 1.0, 1.0]) for m, row in rows)
+
+    @property
     def dry_frictions(self) -> tuple[Friction, ...]:
         """Frictions with a dry part, in the file's order."""
         return tuple(one for one in self.frictions if max(one.breakaway) > 0.0)

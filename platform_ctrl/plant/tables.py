@@ -234,14 +234,14 @@ class _Other:
 
 def made(arguments: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments with the records within made of theirs: once nothing is wrong with the file."""
-    out = {}
+    out = dict(arguments)
     for name, item in arguments.items():
         if isinstance(item, _Table):
             out[name] = item.make(**made(item.arguments))
         elif isinstance(item, tuple):
             out[name] = tuple(one.make(**made(one.arguments)) if isinstance(one, _Table) else one for one in item)
-        else:
-            out[name] = item.instead.value(item.item, arguments) if isinstance(item, _Other) else item
+        elif isinstance(item, _Other):  # of fields before it
+            out[name] = item.instead.value(item.item, out)
     return out
 
 
@@ -310,9 +310,9 @@ def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake
         mistakes.append(unknown_key((*path, name), data[name], known))
     mistakes += [Mistake((*path, name), _missing((*path, name), table.keys[name])) for name in known if name in missing]
     for one, other, needed in table.alternatives:
-        if (one in data) == (other in data) and (needed or one in data):
+        if (one in data) == (other in data) and (one in data or (needed and not unknown)):
             mistakes.append(Mistake(path, either(one, other, one in data)))
-    if table.one_of is not None:
+    if table.one_of is not None and not unknown:
         mistakes += _choice(table.one_of, data, path)
     keys = {name: key for name, key in table.keys.items() if name in data}
     if table.others is not None:

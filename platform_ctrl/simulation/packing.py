@@ -124,7 +124,7 @@ class _Parts:
             tuple([(m.name, *(m.participation.get(name, 0.0) for name in p.outputs)) for m in p.modes]),
             tuple([one.gimbal for one in p.motors]),
             tuple([k for k, _ in (*p.windings, *p.cogging)]),
-            (len(p.windings), len(p.cogging)),
+            (len(p.windings), len(p.cogging), tuple([(k, m) for k, m, _ in p.ripples])),
             (_placed(p), p.mode == "floating", bool(p.gravity.any())),
         )
 
@@ -178,6 +178,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
     carriers = tuple(tree.carriers.tolist())
     erections = [(gimbal(one.gimbal), body(one.senses)) for one in platform.erections]
     drives = (*platform.sides, *((k, k) for k, _ in (*platform.windings, *platform.cogging)))
+    drives += tuple((k, m) for k, m, _ in platform.ripples)
     links = tree_links(tree.parents.tolist(), tree.order, frames, drives, erections, [carriers[k] for k in servos])
     return Skeleton(
         links=PlacedLinks(*links) if _placed(platform) else links,
@@ -224,7 +225,7 @@ def _terms(platform: Platform, frames: FloatArray, signals: Mapping[str, float])
 def _at(platform: Platform, n: int, servos: int) -> At:
     laws = sum({1 << _LAWS[friction.law] for friction in platform.dry_frictions})
     modes, torquers, placed = len(platform.modes), len(platform.torquers), _placed(platform)
-    windings, teeth = len(platform.windings), len(platform.cogging)
+    windings, teeth, ripples = len(platform.windings), len(platform.cogging), len(platform.ripples)
     swings = 2 * n + 7 + 2 * servos
     currents = swings + 2 * modes
     bare = currents + 3 * windings
@@ -251,6 +252,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         course=False,
         windings=windings,
         teeth=teeth,
+        ripples=ripples,
         currents=currents,
         wanted=block - modes - windings,
         swings=swings,
@@ -261,7 +263,7 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         servo=take(servos * arrays.SERVO),
         erection=take(len(platform.erections) * arrays.ERECTION),
         drive=take(3 * len(platform.compliances)),
-        winding=take(windings * arrays.WINDING + 3 * teeth),
+        winding=take(windings * arrays.WINDING + 3 * (teeth + ripples)),
         mode=take(modes * (shape + torquers)),
         gravity=take(3),
         place=take((1 + n) * arrays.PLACE * placed),
@@ -326,8 +328,8 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
     constants[:, at.drive : at.mode] = [
         [
             *(number for c in p.compliances for number in (c.strength, c.damping, 0.5 * c.play)),
-            *(number for _, one in p.windings for number in (*one[:-1], 2.0 / one.delay)),
-            *(number for _, row in p.cogging for number in row),
+            *(number for _, one in p.windings for number in (*one[:7], 2.0 / one.delay)),
+            *(number for row in [row for _, row in p.cogging] + [row for _, _, row in p.ripples] for number in row),
         ]
         for p in platforms
     ]

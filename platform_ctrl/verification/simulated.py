@@ -16,6 +16,7 @@ from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db, run_metrics, worst_value
 from platform_ctrl.analysis.system import StateSpace
@@ -218,9 +219,17 @@ def _heat(job: Job, subject: str, trajectory: Trajectory) -> Iterator[CheckResul
     """Yield the rms current of each motor of which the plant says what it bears, over that."""
     for motor in job.platform.motors:
         if motor.continuous_current is not None:
-            torque = trajectory.torque[:, trajectory.torquer_names.index(motor.name)]
-            rms = float(np.sqrt(np.mean(torque**2))) / motor.per_ampere
-            words = f"motor {motor.name}: {rms:.3g} A rms over the run, it bears {motor.continuous_current:.3g} A"
+            heat, over = (
+                (trajectory.torque[:, trajectory.torquer_names.index(motor.name)] / motor.per_ampere) ** 2,
+                "over the run",
+            )
+            square = float(np.mean(heat))
+            if motor.thermal_time is not None:
+                kept = math.exp(-trajectory.period / motor.thermal_time)
+                square = float(lfilter([1.0 - kept], [1.0, -kept], heat).max())
+                over = f"over {motor.thermal_time:g} s, at its largest"
+            rms = math.sqrt(square)
+            words = f"motor {motor.name}: {rms:.3g} A rms {over}, it bears {motor.continuous_current:.3g} A"
             name = f"rms current of {motor.name} over its continuous one"
             found = Requirement(name=name, limit=1.0, unit="", sense="at most").judge(
                 rms / motor.continuous_current, subject=subject, stage="simulated", evidence=words, method="simulated"

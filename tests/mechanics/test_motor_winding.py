@@ -3,10 +3,12 @@
 import control
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import platform_ctrl as pc
 from platform_ctrl import analysis, design, simulation
 from platform_ctrl.mechanics.outputs import observed
+from platform_ctrl.plant.locking import with_cogging
 from platform_ctrl.verification import check_job
 
 J, N, JM, K, R, L, SUPPLY = 0.02, 20.0, 1e-5, 0.05, 2.1, 1.2e-3, 48.0
@@ -124,15 +126,17 @@ def test_a_job_with_a_winding_passes_and_says_what_current_its_motor_bears():
         "loop": [loop | {"limits": {"disk_margin": 0.4}, "design": [{"name": "d", "method": "classical"}]}],
         "manoeuvre": [turn | {"limits": {"angle": 0.2}}],
     }
-    found = []
-    for current in (1.0, 1e-3):
-        read = pc.read_job(job | {"plant": drive(continuous_current=current)})
+    found, lag = [], {"thermal_time": 0.2}
+    for motor in ({"continuous_current": 1.0}, {"continuous_current": 1e-3}, {"continuous_current": 1.0} | lag):
+        read = pc.read_job(job | {"plant": drive(**motor)})
         result = check_job(read, design.loops(read))
         [heat] = [one for one in result.requirements if one.name.startswith("rms current")]
-        assert result.passed == heat.passed == (current == 1.0)
-        found.append(heat.value * current)
-    torque = result.runs[0].trajectory.torque
-    assert found == pytest.approx([np.sqrt(np.mean(torque**2)) / (N * K)] * 2)
+        assert result.passed == heat.passed == (motor["continuous_current"] == 1.0)
+        found.append(heat.value * motor["continuous_current"])
+    squares, warm = (result.runs[0].trajectory.torque[:, 0] / (N * K)) ** 2, [0.0]
+    for square in squares:
+        warm.append(square + (warm[-1] - square) * np.exp(-1.0 / 2000 / 0.2))
+    assert found == pytest.approx([*[np.sqrt(np.mean(squares))] * 2, np.sqrt(max(warm))])
 
 
 @pytest.mark.parametrize(("crossover_hz", "holds"), [(3.0, False), (30.0, True)])
@@ -151,6 +155,39 @@ def test_a_loop_that_is_weaker_than_cogging_does_not_pass(crossover_hz, holds):
     at = simulation.Scenario(platform=job.platform, mode="caged", duration=5.0, delay=2e-4, q=[1e-4])
     run = simulation.simulate(at, [outcomes[0].closed.controller], period=1e-3, step=2.5e-5, noise=False)
     assert (np.abs(run.q[-1000:]).max() < 1e-4) == holds
+
+
+def test_ripple_is_a_share_of_what_the_current_does():
+    rows = [[7.0, 0.2, 0.3], [14.0, 0.1, 0.0]]
+    platform, period, k = pc.read_platform(drive(ripple=rows)), 1e-3, 5.0
+    law = control.StateSpace([], [], [], [[-k]], period, inputs=["q"], outputs=["Qg"])
+    at = simulation.Scenario(platform=platform, mode="caged", duration=0.06, delay=0.0, q=[0.1])
+    run = simulation.simulate(at, [law], period=period, step=1e-5, noise=False)
+    [(_, winding)] = platform.windings
+    A, B = winding.matrices
+
+    def moved(_, x, wanted):
+        q, rate, *currents = x
+        share = 1.0 + sum(r * np.sin(order * N * q + phase) for order, r, phase in rows)
+        turning = (N * K * currents[0] * share - 0.05 * rate) / (J + N**2 * JM)
+        return [rate, turning, *(A @ currents + B @ [wanted / (N * K), rate])]
+
+    x, expected = np.array([0.1, 0.0, 0.0, 0.0, 0.0]), []
+    for _ in run.t:
+        expected.append(x[0])
+        x = solve_ivp(moved, (0.0, period), x, args=(-k * x[0],), rtol=1e-10, atol=1e-13).y[:, -1]
+    np.testing.assert_allclose(run.q[:, 0], expected, rtol=0, atol=1e-7)
+    at_worst = {words: one.windings[0][1].swell for words, one in with_cogging(platform)}
+    assert at_worst == pytest.approx({"ripple takes torque away": 0.7, "ripple adds torque": 1.3})
+
+
+def test_words_of_data_sheets_stand_for_values():
+    data = drive(motor_constant=K / np.sqrt(R), peak_torque=10.0 * K, continuous_torque=3.0 * K)
+    del data["motor"][0]["resistance"]
+    [motor] = pc.read_platform(data).motors
+    assert [motor.resistance, motor.current_limit, motor.continuous_current] == pytest.approx([R, 10.0, 3.0])
+    data["motor"][0]["kv"] = 60.0 / (2.0 * np.pi * data["motor"][0].pop("torque_constant"))
+    assert pc.read_platform(data).motors[0].resistance == pytest.approx(R)
 
 
 def test_a_speed_constant_stands_for_the_torque_constant():
@@ -179,6 +216,10 @@ def test_a_speed_constant_stands_for_the_torque_constant():
         ({"kv": 190.0}, 'give either "torque_constant" or "kv", not both'),
         ({"gear": 0.0}, "gear must be a number other than 0"),
         ({"cogging": [[7.0, -1.0, 0.0]]}, "cogging must be rows"),
+        ({"ripple": [[7.0, 1.0, 0.0]]}, "ripple must be rows"),
+        ({"loop": {"bandwidth_hz": 1e3}, "ripple": [[7.0, 0.1, 0.0]]}, "ripple must be with rate_hz"),
+        ({"thermal_time": 3.0}, 'the key "continuous_current" is missing; thermal_time'),
+        ({"continuous_current": 1.0, "continuous_torque": 1.0}, 'give either "continuous_current" or'),
     ],
 )
 def test_a_motor_that_cannot_be_is_refused(motor, words):

@@ -264,7 +264,8 @@ class At(NamedTuple):
     drive: int  # stiffness, damping and half the play of drives that give way
     windings: int  # of motors whose currents are states, those of the last torquers
     teeth: int  # harmonics of cogging
-    winding: int  # a row of WINDING for each; behind them order, torque and phase of each harmonic
+    ripples: int  # harmonics of the torques of currents
+    winding: int  # a row of WINDING for each; behind them order, torque or share, and phase of each harmonic
     currents: int  # where in the state currents, integrals and delayed voltages are
     wanted: int  # where in a block the torques are that are wanted of currents
     swings: int  # where in the state the modes are: η and its momentum η̇ + Γ·u of each

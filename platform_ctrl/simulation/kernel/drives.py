@@ -1,4 +1,4 @@
-"""Drives: shafts and gears that give way, currents of motors with their loops, and cogging."""
+"""Drives: shafts and gears that give way, currents of motors with their loops, cogging and ripple."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _within(mem: FloatArray, slot: int, number: Number) -> Number:
 def drive_torques(links: Links, mem: FloatArray, at: At, y: int, around: int, dy: int) -> None:
     """Add the torques of drives to the joints' in `dy`, behind the joints' rates there; derivatives of currents."""
     n, zero = at.n, 0.0 * load(mem, y)
-    torque, first = dy + n + 3, links.drive.shape[0] - at.windings - at.teeth
+    torque, first = dy + n + 3, links.drive.shape[0] - at.windings - at.teeth - at.ripples
     for d in range(first):
         k, motor = links.drive[d, 0], links.drive[d, 1]
         apart = load(mem, y + motor) - load(mem, y + k)
@@ -43,7 +43,11 @@ def drive_torques(links: Links, mem: FloatArray, at: At, y: int, around: int, dy
         rise = choose(further, zero, load(mem, slot + arrays.LOOP_INTEGRAL) * error)
         pace = load(mem, slot + arrays.PACE)
         put(mem, dy + state, v / load(mem, slot + arrays.INDUCTANCE), rise, pace * (given - delayed))
-    for t in range(at.teeth):
-        k, slot = links.drive[first + at.windings + t, 0], at.winding + at.windings * arrays.WINDING + 3 * t
+    for t in range(at.teeth + at.ripples):
+        row, slot = first + at.windings + t, at.winding + at.windings * arrays.WINDING + 3 * t
+        k, m = links.drive[row, 0], links.drive[row, 1]
         _, s = cosine_and_sine(load(mem, slot) * load(mem, y + k) + load(mem, slot + 2))
-        add(mem, torque + k, load(mem, slot + 1) * s)
+        size = load(mem, slot + 1)
+        if t >= at.teeth:  # a share of what the current does
+            size = size * load(mem, at.winding + m * arrays.WINDING) * load(mem, y + at.currents + 3 * m)
+        add(mem, torque + k, size * s)
