@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from platform_ctrl.common.arguments import distinct, instance, known_names, one_of
 from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError, MechanicsError
-from platform_ctrl.mechanics.currents import with_currents
 from platform_ctrl.mechanics.kinematics import cross_matrix, topology
 from platform_ctrl.mechanics.linearisation import (
     LinearModel,
@@ -42,6 +41,7 @@ from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
 if TYPE_CHECKING:
     import control
 
+
 __all__ = ["state_space", "subsystems"]
 
 # States of a free root: its momenta.
@@ -50,6 +50,8 @@ ROOT_MOMENTA = ("P1", "P2", "P3")
 ROOT_ROTATIONS = ("theta1", "theta2", "theta3")
 
 ComplexArray = NDArray[np.complex128]
+# A, B, C and the names of the states.
+Parts = tuple[FloatArray, FloatArray, FloatArray, list[str]]
 
 
 class NamedMatrices(NamedTuple):
@@ -277,9 +279,7 @@ def _with_modes(
     return [*names, *(m.name for m in modes)], squares, wides, np.vstack([torque_map, shapes])
 
 
-def _modes_last(
-    A: FloatArray, B: FloatArray, C: FloatArray, states: list[str], gimbals: int, n: int
-) -> tuple[FloatArray, FloatArray, FloatArray, list[str]]:
+def _modes_last(A: FloatArray, B: FloatArray, C: FloatArray, states: list[str], gimbals: int, n: int) -> Parts:
     """Return a system whose n angles and modes and their momenta are states: angles, momenta, others, then modes."""
     order = [*range(gimbals), *range(n, n + gimbals), *range(2 * n, len(states))]
     order += [at + k for k in range(gimbals, n) for at in (0, n)]
@@ -375,12 +375,7 @@ def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[st
     return [t.name for t in torquers], torque_map.reshape(len(gimbals), len(torquers))
 
 
-def _named(
-    parts: tuple[FloatArray, FloatArray, FloatArray, list[str]],
-    inputs: list[str],
-    outputs: list[str],
-    specific_force: bool,
-) -> NamedMatrices:
+def _named(parts: Parts, inputs: list[str], outputs: list[str], specific_force: bool) -> NamedMatrices:
     """Put names to A, B, C and states of a system whose last three inputs are the specific force, wanted or not."""
     A, B, C, states = parts
     if not specific_force:
@@ -389,3 +384,24 @@ def _named(
     return NamedMatrices(
         A, B, C, D, distinct("inputs", inputs), distinct("outputs", outputs), distinct("states", states)
     )
+
+
+def with_currents(parts: Parts, inputs: Sequence[str], model: LinearModel) -> Parts:
+    """Return A, B, C and states of a system that torques act on with currents of motors and loops as last states."""
+    A, B, C, states = parts
+    for torquer in model.platform.torquers:
+        winding = torquer.winding
+        if winding is None or torquer.name not in inputs:
+            continue
+        own, driven = winding.matrices
+        column, n = inputs.index(torquer.name), len(A)
+        rate = states.index(model.angle_names[model.platform.gimbal(str(torquer.gimbal))])
+        torque = np.outer(B[:, column], [winding.swell * winding.per_ampere, 0.0, 0.0])
+        B = B.copy()
+        B[:, column] = 0.0
+        A = np.block([[A, torque], [np.outer(driven[:, 1], A[rate]), own]])
+        B = np.vstack([B, np.outer(driven[:, 1], B[rate])])
+        B[n:, column] = driven[:, 0] / winding.per_ampere
+        C = np.pad(C, ((0, 0), (0, 3)))
+        states = [*states, *(f"{part}_{torquer.name}" for part in ("current", "integral", "voltage"))]
+    return A, B, C, states

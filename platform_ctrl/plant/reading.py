@@ -18,11 +18,10 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES, Servo
 from platform_ctrl.plant.fields import SCHEMA, default_angle, default_torquer
-from platform_ctrl.plant.flexible import Compliance
+from platform_ctrl.plant.flexible import Compliance, with_mode_table
 from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
 from platform_ctrl.plant.locking import carried_inertia, with_rigid_drives
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, strange, suggestion, wrong
-from platform_ctrl.plant.mode_table import with_mode_table
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, plant_data
 from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.plant.source import InputData, is_shipped_name, open_file, open_mapping, open_shipped, path_of

@@ -19,9 +19,8 @@ import numpy as np
 from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.values import input_value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.plant.fields import Expected, Refers, Unfit
+from platform_ctrl.plant.fields import BITS, Expected, Refers, Unfit, base_key, in_si
 from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, given, suggestion
-from platform_ctrl.plant.units import BITS, base_key, in_si
 
 T = TypeVar("T")
 

@@ -7,7 +7,7 @@ from platform_ctrl.common.simd import LANES, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import RATE, SERVO, WORK, At, Links
 from platform_ctrl.simulation.kernel.dynamics import joint_momenta, runge_kutta
-from platform_ctrl.simulation.kernel.friction import settle_friction
+from platform_ctrl.simulation.kernel.joints import settle_friction
 
 
 @internal

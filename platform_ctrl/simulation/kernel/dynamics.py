@@ -46,7 +46,7 @@ from platform_ctrl.simulation.kernel.arithmetic import (
     whole_inertia_to_parent,
 )
 from platform_ctrl.simulation.kernel.arrays import At, Links
-from platform_ctrl.simulation.kernel.drives import drive_torques
+from platform_ctrl.simulation.kernel.flexible import drive_torques, mode_derivatives
 from platform_ctrl.simulation.kernel.forces import (
     erection_torques,
     felt_by_root,
@@ -57,7 +57,6 @@ from platform_ctrl.simulation.kernel.forces import (
     unbalance_moments,
 )
 from platform_ctrl.simulation.kernel.placed import placed_derivative, placed_momenta
-from platform_ctrl.simulation.kernel.structure import mode_derivatives
 
 
 @inlined

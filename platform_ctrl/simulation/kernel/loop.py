@@ -25,12 +25,10 @@ from platform_ctrl.simulation.kernel.devices import (
     work_on,
 )
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
+from platform_ctrl.simulation.kernel.flexible import mode_rates
 from platform_ctrl.simulation.kernel.forces import begin_surroundings, follow_rotors, hand_on, surround
-from platform_ctrl.simulation.kernel.friction import settle_friction
-from platform_ctrl.simulation.kernel.resolving import resolve
-from platform_ctrl.simulation.kernel.samples import judge, look, read, turn_bodies, update_metrics
-from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike
-from platform_ctrl.simulation.kernel.structure import mode_rates
+from platform_ctrl.simulation.kernel.joints import hold, meet_stops, settle_friction, strike
+from platform_ctrl.simulation.kernel.samples import judge, look, read, resolve, turn_bodies, update_metrics
 
 
 @inlined

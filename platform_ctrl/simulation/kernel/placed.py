@@ -23,9 +23,8 @@ from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import Vector, add, put, times, vector
 from platform_ctrl.simulation.kernel.arrays import At, Links, PlacedLinks
 from platform_ctrl.simulation.kernel.composites import add_vector, gather, in_gimbal, in_parent, mass_matrix, solve
-from platform_ctrl.simulation.kernel.drives import drive_torques
+from platform_ctrl.simulation.kernel.flexible import drive_torques, mode_derivatives, mode_rates, of_modes
 from platform_ctrl.simulation.kernel.forces import cross, erection_torques, joint_torque, servo_drives, servo_momenta
-from platform_ctrl.simulation.kernel.structure import mode_derivatives, mode_rates, of_modes
 
 
 @internal
