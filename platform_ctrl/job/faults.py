@@ -33,13 +33,25 @@ class Fault:
     name
         Its name in tables.
     kind
-        A name in `FAULT_KINDS`.
+        One of `FAULT_KINDS`.
     part
-        Name of the rotor, torquer, pick-off or rate sensor (its signal) or gimbal that fails; None for the controllers.
-    at, until
-        When it begins and when the part is sound again, s.
-    share, time_constant, amplitude, frequency_hz, rate, probability, impulse
-        Numbers that its kind needs or may have: 1, s, 1, Hz, rad/s (rad/s² on a rate sensor), 1, N m s.
+        Name of the rotor, torquer, pick-off or rate sensor (its signal) or gimbal that fails; controllers need none.
+    at
+        When it begins, s.
+    until
+        When the part is sound again, s; default never.
+    share
+        What remains of L or of the torque; 1 is all.
+    time_constant
+        Of the exponential between nominal and `share`, s.
+    amplitude, frequency_hz
+        Of the ripple, relative to L, and Hz.
+    rate
+        Of the drift, rad/s; of a rate sensor, rad/s².
+    probability
+        That a sample is lost.
+    impulse
+        N m s; positive: towards the upper stop.
     """
 
     name: fields.Text

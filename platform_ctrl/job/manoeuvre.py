@@ -99,9 +99,9 @@ class GimbalTorque:
     gimbal
         Name of the gimbal.
     frequencies_hz, densities : (k,)
-        As of `Vibration`, Hz and (N m)²/Hz.
+        As of a vibration, Hz and (N m)²/Hz.
     psd
-        Path of a CSV file with a header whose first two columns are these.
+        Path of a CSV file with a header whose first two columns are frequencies, Hz, and densities.
     frequency_hz, amplitude, phase
         amplitude sin(2π frequency_hz t + phase); Hz, N m, rad.
     t, value : (k,)
@@ -199,7 +199,8 @@ class Manoeuvre:
     initial
         What does not start at zero: angles and angle + ``_rate``, rad and rad/s; stabilised: Omega1 to Omega3.
     start
-        ``"rest"``, or ``"equilibrium"``: constant torques hold the gimbals from t = 0 on (see `Scenario`).
+        ``"rest"``, or ``"equilibrium"``: from t = 0 on constant torques hold springs, unbalance and erection at the
+        initial angles.
     settle
         Time after which means and rms are taken, s.
     fade

@@ -260,9 +260,9 @@ class Sine:
     Attributes
     ----------
     kind, axis, gimbal
-        As of `Vibration`.
+        As of a vibration.
     frequency_hz
-        Hz.
+        Frequency of the sine, Hz.
     amplitude
         Peak value, rad/s, m/s² or N m.
     phase

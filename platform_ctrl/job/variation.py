@@ -177,10 +177,13 @@ class Campaign:
 
     Attributes
     ----------
-    runs, seed
-        How many; what everything random is drawn from.
+    runs
+        Number of runs.
+    seed
+        Of all random numbers; default that of the job.
     sampling
-        How the runs fill the space of what varies.
+        Sobol points with Owen's scrambling, a Latin hypercube (of all runs together, so it depends on `runs`), or
+        independent points.
     step
         Longest integration step, s.
     manoeuvres

@@ -50,11 +50,13 @@ class Rotor:
         Names of the rotor and of the gimbal (or root) that it spins in.
     axis : (3,)
         Unit vector of the spin axis in the carrier's axes; dimensionless.
-    axial_inertia, transverse_inertia
-        C and A of the paper, kg m².
+    axial_inertia
+        C of the paper, kg m².
+    transverse_inertia
+        A of the paper, kg m², which is added to the carrier; at least C/2.
     angular_momentum
-        L = C times the spin relative to the carrier, N m s. For a free rotor its constant axial momentum p; for a
-        servo rotor the L that its speed loop aims at.
+        L, N m s: C times the spin relative to the carrier, of which a file gives one. For a free rotor its constant
+        axial momentum p; for a servo rotor the L that its speed loop aims at.
     control
         ``"regulated"``: relative spin constant, (8)-(15); ``"free"``: cyclic, (4)-(7); ``"servo"``: a degree of freedom
         of its own, whose spin a real loop controls. Matrices and linear models take a servo rotor for regulated, the
@@ -66,7 +68,7 @@ class Rotor:
     mass
         Own mass, kg; 0: that of the carrier contains it.
     origin : (3,)
-        Its centre of mass from the carrier's origin, in the carrier's axes, m.
+        Its centre of mass, on the spin axis, from the carrier's joint, in the carrier's axes, m.
 
     References
     ----------
@@ -155,7 +157,7 @@ class Torquer:
     rate_limit
         Largest rate at which the torque follows its command, N m/s, or None.
     added
-        Whether the device itself does not have it: whatever is proved with it is not proved of the device.
+        Whether the real device lacks it: every verdict and report states that.
     stall, back_emf
         Of a motor: torque between −stall − back_emf q̇ and stall − back_emf q̇ is what its supply allows, N m and N m s;
         stall None: any.
@@ -410,8 +412,7 @@ class Servo:
     acceleration_limit
         How fast a command of a rate is followed, rad/s², and so the largest acceleration; None: at once.
     inertia
-        About the axis, kg m²; a platform that is read has by default that of all that turns with the gimbal at zero
-        angles.
+        About the axis, kg m²; default that of all that turns with the gimbal at zero angles.
     """
 
     name: fields.Text = ""

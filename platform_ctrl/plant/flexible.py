@@ -55,8 +55,10 @@ class Compliance:
     ----------
     gimbal
         Name of the gimbal.
-    stiffness, damping
-        N m/rad and N m s, at the joint.
+    stiffness
+        At the joint, N m/rad.
+    damping
+        At the joint, N m s.
     frequency
         In place of the stiffness: that of the load with its motor side locked, all angles zero, rad/s; a platform that
         is read has the stiffness that gives it.
@@ -130,9 +132,10 @@ class FlexibleMode:
         ζ, dimensionless.
     participation
         φ in 1/sqrt(kg m²) by the names of torquers and of sensors: a torque Q_j excites the mode by φ_j Q_j, a sensor
-        of an angle reads φ η besides, a sensor of a rate φ η̇.
+        of an angle reads φ η besides, a sensor of a rate φ η̇. Torques from outside on a gimbal, as of wind, have the φ
+        of its first torquer.
     interface
-        ``"free"`` or ``"fixed"``.
+        ``"free"``, or ``"fixed"``: of the structure with its joints locked.
     joints
         Γ of the joints of a mode with fixed interface, sqrt(kg m²), by names of gimbals.
     base

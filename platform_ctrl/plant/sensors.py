@@ -55,9 +55,8 @@ class Sensor:
     name
         Signal name of the reading. A platform fills in that of the first of its `signals` where it is left out.
     noise_rms, noise_bandwidth_hz
-        White noise: `noise_rms` units within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth),
-        which a plant file may give as ``noise_density`` instead: of a gyro sqrt(2) times its angle random walk in
-        rad/sqrt(s)).
+        White noise: its rms, units, within the bandwidth, Hz. A plant file may give the one-sided density instead,
+        ``noise_density`` = noise_rms/√bandwidth: of a gyro √2 times its angle random walk in rad/√s.
     quantisation
         Step of the reading, units; 0 for none.
     bias, scale_error
@@ -196,7 +195,7 @@ class PickOff(_GimbalAngle):
     noise_rms, noise_bandwidth_hz, quantisation, bias, scale_error, bandwidth_hz, delay
         See `Sensor`; rad.
     added
-        Whether the device itself does not have it.
+        Whether the real device lacks it: every verdict and report states that.
     """
 
     gimbal: Annotated[fields.Text, Refers()]
@@ -228,8 +227,8 @@ class RateSensor(Sensor):
     Attributes
     ----------
     name
-        Signal name. A platform fills in that of the first signal: Omega1, Omega2 or Omega3 on the root, the angle's
-        name + ``_rate`` of a gimbal against its parent, the body's name + ``_Omega1`` (2, 3) against inertial space.
+        Signal name; default Omega1, Omega2 or Omega3 on the root, the angle's name + ``_rate`` of a gimbal against its
+        parent, the body's name + ``_Omega1`` (2, 3) against inertial space.
     gimbal, root_axis, body
         Exactly one is given: the gimbal whose rate against its parent is measured; 1, 2 or 3; or a body, with `axis`.
     axis : (3,)
@@ -309,7 +308,7 @@ class AttitudeSensor(Sensor):
     axis : (3,)
         Axis of the rotation that is measured, in the body's axes, a unit vector.
     misalignment : (3,)
-        As of `RateSensor`, rad.
+        As of a rate sensor, rad.
     noise_rms, noise_bandwidth_hz, quantisation, bias, scale_error, bandwidth_hz, delay
         See `Sensor`; rad.
     rate_hz
