@@ -16,6 +16,7 @@ from platform_ctrl.analysis.loop import SENSITIVITIES, Indices, Loop, Parts
 from platform_ctrl.analysis.margins import margins_of_channel
 from platform_ctrl.analysis.norms import LEVEL, WHOLE, Band, bandwidth_of_response, drifting_rms, gains, noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
+from platform_ctrl.analysis.sight import contrast_of
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, value
 
@@ -157,20 +158,22 @@ class ControllerGain(Measure):
 
 @value
 class Sight(Measure):
-    """Rms of the line of sight in the budget of the loop's job, rad; infinite of an unstable loop."""
+    """Rms of the line of sight in the budget of the loop's job, rad, or contrast; infinite or 0 of an unstable loop."""
 
     key: str  # of the budget's limit
+    least: bool = False  # whether it is a contrast, of which the forms are those of `contrast_of`
 
     def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
         """Return the value with the friction of another controller, (1,); of plants without forms the exact one."""
         forms = loops.plants.sight_forms
         if forms is None or not loops.decay[0] > 0.0:
             return np.array([self.exact(loops, request, 0)])
-        return np.array([max(one.at(loops.controller) for one in forms[self.key])])
+        found = max(one.at(loops.controller) for one in forms[self.key])
+        return np.array([contrast_of(found) if self.least else found])
 
     def exact(self, loops: Loop, request: RequestedMetric, k: int) -> float:
         """Return the value of the budget itself."""
-        return loops.sight.get(self.key, np.inf)
+        return loops.sight.get(self.key, 0.0 if self.least else np.inf)
 
 
 def of_following(function: Callable[[System], FloatArray]) -> Callable[[Loop], FloatArray]:

@@ -319,6 +319,13 @@ BUDGET_METRICS: dict[str, Quantity] = {
             meaning="rms of the extent of the line that fits an exposure best, from end to end, both axes together",
         ),
         Quantity(
+            name="contrast of the image",
+            key="contrast",
+            sense="at least",
+            meaning="modulation transfer function of the motion within an exposure, at the exposure, axis and spatial "
+            "frequency where it is least",
+        ),
+        Quantity(
             name="line-of-sight rms",
             key="limit",
             unit="rad",
@@ -329,7 +336,14 @@ BUDGET_METRICS: dict[str, Quantity] = {
 
 
 METRICS |= {
-    one.name: Metric(name=one.name, key=key, unit=one.unit, meaning=one.meaning, measure=measuring.Sight(key=key))
+    one.name: Metric(
+        name=one.name,
+        key=key,
+        unit=one.unit,
+        sense=one.sense,
+        meaning=one.meaning,
+        measure=measuring.Sight(key=key, least=one.sense == "at least"),
+    )
     for key, one in BUDGET_METRICS.items()
     if key != "limit"
 }

@@ -12,6 +12,7 @@ The nodes are those of Kronrod's rule in panels of the plant alone: sharp resona
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Protocol
 
@@ -20,6 +21,16 @@ import numpy as np
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.values import FloatArray, value
+
+
+def contrast_of(blur: float) -> float:
+    """Return the contrast at ν of a Gaussian motion within an exposure, smear included, of rms `blur` = ν σ."""
+    return math.exp(-2.0 * (math.pi * blur) ** 2)
+
+
+def blur_of(contrast: float) -> float:
+    """Return the rms `blur` that leaves a contrast."""
+    return math.sqrt(-0.5 * math.log(contrast)) / math.pi
 
 
 class SightBudget(Protocol):

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from platform_ctrl.analysis.budget_integrals import motion_transfer
 from platform_ctrl.analysis.mean_squares import mean_square
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
@@ -38,8 +39,8 @@ class LoopSight:
         return replaced(self, {"sense": sense if self.sense is None else sense @ self.sense})
 
     def exact(self, controller: System) -> Mapping[str, float]:
-        """Return the limits' values at the job's gimbal angles where they are worst, rad; infinite without a budget."""
-        out = dict.fromkeys(("jitter", "jitter_per_axis", *_WINDOWED), math.inf)
+        """Return the limits' values at the job's gimbal angles where they are worst; infinite or 0 without a budget."""
+        out = dict.fromkeys(("jitter", "jitter_per_axis", *_WINDOWED), math.inf) | {"contrast": 0.0}
         try:
             loop, places = self._balanced(controller)
             found = [prepared(loop, at)[1].of(self._whole(loop, controller, at), TOLERANCE) for at in places]
@@ -53,6 +54,9 @@ class LoopSight:
             factor, both = _WINDOWED[key][1], key == "windowed_jitter"
             rms = [np.hypot(w.smear, w.jitter) if both else factor * w.smear for one in found for w in one.windows]
             out[key] = max(math.hypot(*one[:2]) for one in rms)
+        if nu := loop.budget.spatial_frequencies:
+            axes = [(float(w.jitter[k]), float(w.smear[k])) for one in found for w in one.windows for k in _BOTH]
+            out["contrast"] = min((float(motion_transfer(nu, *axis).min()) for axis in axes), default=0.0)
         return out
 
     def forms(self, controller: System) -> Mapping[str, tuple[MeanSquare, ...]]:
@@ -62,6 +66,9 @@ class LoopSight:
         parts += [("jitter_per_axis", (k,), (0,), 1.0) for k in _BOTH]
         for key, (weights, factor) in _WINDOWED.items():
             parts += [(key, _BOTH, tuple(3 * k + w for w in weights), factor) for k in range(len(loop.budget.exposure))]
+        if nu := loop.budget.spatial_frequencies:
+            windows = [(3 * k + 2, 3 * k + 3) for k in range(len(loop.budget.exposure))]
+            parts += [("contrast", (axis,), window, max(nu)) for axis in _BOTH for window in windows]
         rows = [loop.torquers.index(name) for name in self.plants.torques]
         out: dict[str, tuple[MeanSquare, ...]] = {}
         for at in places:

@@ -92,9 +92,13 @@ def unit_mistake(kind: str, unit: str | None, column: str | None) -> str:
     return ""
 
 
+# Limits of the motion within an exposure.
+WINDOWED = {"windowed_jitter", "smear", "contrast"}
+
+
 @input_value
 class BudgetLimits:
-    """What the line of sight has to keep, rad; None: no requirement.
+    """What the line of sight has to keep, rad but for `contrast`; None: no requirement.
 
     Attributes
     ----------
@@ -103,12 +107,15 @@ class BudgetLimits:
     windowed_jitter, smear
         Rms within an exposure about its mean, and of the extent of the line that fits it best, from end to end: both
         axes together, for the exposure where it is largest.
+    contrast
+        Least modulation transfer function of the motion within an exposure, of both axes and all spatial frequencies.
     """
 
     jitter: fields.Positive | None = None
     jitter_per_axis: fields.Positive | None = None
     windowed_jitter: fields.Positive | None = None
     smear: fields.Positive | None = None
+    contrast: fields.InsidePart | None = None
 
 
 @record_value
@@ -270,9 +277,11 @@ class BudgetSpec:
     def _misfits(table: Mapping[str, Any]) -> Iterator[mistake.Misfit]:
         if not table["from_hz"] < table["to_hz"]:
             yield mistake.wrong(table, "to_hz", f"above from_hz = {mistake.given(table['from_hz'])}")
-        for key in {"windowed_jitter", "smear"} & table.get("limits", {}).keys():
+        for key in WINDOWED & table.get("limits", {}).keys():
             if "exposure" not in table:
                 yield ("limits", key), f"{key} has no effect without exposure, the exposure times in s"
+            elif key == "contrast" and "spatial_frequencies" not in table:
+                yield ("limits", key), f"{key} has no effect without spatial_frequencies, in cycles/rad"
 
     @property
     def coherences(self) -> NDArray[np.complex128]:
@@ -369,11 +378,13 @@ def sight_misfits(
 
     `alone`: whether the job has this loop alone, which is computed at every sample.
     """
-    for key in sorted({"jitter", "jitter_per_axis", "windowed_jitter", "smear"} & {*limits}):
+    for key in sorted({"jitter", "jitter_per_axis", *WINDOWED} & {*limits}):
         if budget is None or platform.line_of_sight is None:
             yield key, f"{key} needs a budget of the line of sight; add [budget], and [line_of_sight] to the plant"
-        elif key in ("windowed_jitter", "smear") and not budget.exposure:
+        elif key in WINDOWED and not budget.exposure:
             yield key, f"{key} has no effect without exposure of [budget], the exposure times in s"
+        elif key == "contrast" and not budget.spatial_frequencies:
+            yield key, f"{key} has no effect without spatial_frequencies of [budget], in cycles/rad"
         elif not alone:
             words = f"{key} is a limit of a loop where the job has one loop, computed at every sample"
             yield key, f"{words}; else several loops together decide: use [budget.limits]"

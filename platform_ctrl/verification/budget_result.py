@@ -300,6 +300,14 @@ def judged(
         if windows:
             found, exposure = max((across(getattr(one, of)), one.exposure) for one in windows)
             measured[key, ""] = (found, f"exposure {exposure:g} s, both axes, {linear}")
+    if windows and budget.spatial_frequencies:
+        found, exposure, axis, nu = min(
+            (float(one.contrast[k, j]), one.exposure, LOS_ANGLES[k], nu)
+            for one in windows
+            for k in (0, 1)
+            for j, nu in enumerate(budget.spatial_frequencies)
+        )
+        measured["contrast", ""] = (found, f"{nu:g} cycles/rad, exposure {exposure:g} s, {axis}, {linear}")
     for source, own in zip(budget.sources, rms, strict=False):
         measured["limit", source.name] = (across(own), f"both axes, {linear}")
     judgements = [
@@ -369,7 +377,13 @@ def unstable_results(job: Job, reason: str = "the loop is not stable") -> tuple[
     """Return the limits of a job's budget, not met for a reason that leaves no budget; none where none are stated."""
     return tuple(
         replaced(
-            one.judge(math.inf, subject=LINE_OF_SIGHT, stage="coupled", evidence=reason, method="exact"),
+            one.judge(
+                0.0 if one.sense == "at least" else math.inf,
+                subject=LINE_OF_SIGHT,
+                stage="coupled",
+                evidence=reason,
+                method="exact",
+            ),
             {"reason": reason},
         )
         for _, one in budget_requirements(job.budget)

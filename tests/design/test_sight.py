@@ -6,6 +6,7 @@ import pytest
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from platform_ctrl import design
+from platform_ctrl.analysis.sight import blur_of, contrast_of
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.fixed_structure.loops import LoopGradients
 from platform_ctrl.errors import InputError
@@ -24,7 +25,8 @@ BUDGET = {
     "from_hz": 0.5,
     "to_hz": 1200.0,
     "exposure": [0.005, 0.02],
-    "limits": {"jitter": 1.0, "windowed_jitter": 1.0, "jitter_per_axis": 1.0, "smear": 1.0},
+    "spatial_frequencies": [50.0, 2000.0],
+    "limits": {"jitter": 1.0, "windowed_jitter": 1.0, "jitter_per_axis": 1.0, "smear": 1.0, "contrast": 0.01},
     "source": [PITCH, YAW, FAN],
 }
 KEYS = ("jitter", "jitter_per_axis", "windowed_jitter", "smear")
@@ -45,14 +47,14 @@ def budget_of(one, found):
 @pytest.fixture(scope="module")
 def measured():
     """A PI whose loop is limited by every rms of the budget."""
-    one = job([0.6], limits=dict.fromkeys(KEYS, 1.0))
+    one = job([0.6], limits=dict.fromkeys(KEYS, 1.0) | {"contrast": 0.01})
     return one, design.loops(one)[0].closed
 
 
 def test_a_design_is_measured_by_the_budget_of_its_job(measured):
     one, found = measured
     expected, values = budget_of(one, found), {result.name: result.value for result in found.results}
-    assert len(expected) == 4
+    assert len(expected) == 5
     for name, value in expected.items():
         assert values[name] == pytest.approx(value, rel=1e-6)
 
@@ -66,13 +68,18 @@ def test_forms_in_the_controller_are_the_budget_and_their_slopes_those_of_differ
         assert max(form.at(K) for form in forms[key]) == pytest.approx(exact[key], rel=1e-6)
         # Dry friction is that with K.
         assert max(form.at(other) for form in forms[key]) == pytest.approx(elsewhere[key], rel=2e-2)
+    # Of a Gaussian motion, with all of the windows' motion in one variance.
+    blurred = max(form.at(K) for form in forms["contrast"])
+    assert contrast_of(blurred) == pytest.approx(exact["contrast"], abs=2e-3)
+    assert contrast_of(blurred) <= exact["contrast"]
+    assert blur_of(contrast_of(blurred)) == pytest.approx(blurred)
     n, M = len(K.A), np.block([[K.A, K.B], [K.C, K.D]])
     step = np.random.default_rng(3).standard_normal(M.shape) * np.abs(M) * 1e-6
 
     def at(M):
         return LoopGradients(found.plants, System(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:], K.dt))
 
-    for key in KEYS:
+    for key in (*KEYS, "contrast"):
         here, high, low = (at(M + sign * step).sight(forms[key], 1e-5) for sign in (0.0, 1.0, -1.0))
         slopes = np.sum(here.gradient * step, axis=(1, 2))
         np.testing.assert_allclose(slopes, 0.5 * (high.ratio - low.ratio), rtol=1e-4, atol=1e-12)
@@ -98,6 +105,17 @@ def test_a_structured_design_makes_jitter_small_within_its_limits():
     assert found.passed
     assert reached < 0.6 * budget_of(one, given)["line-of-sight jitter"]
     assert found.goals[0].value == pytest.approx(reached, rel=1e-6)
+
+
+def test_a_structured_design_leaves_the_contrast_that_is_asked():
+    one = job()
+    given = design.loops(one)[0].closed
+    reached = budget_of(one, given)["contrast of the image"]
+    structured = {"name": "pi", "method": "structured", "structure": "pid", "evaluations": 80}
+    asked = 1.0 - 0.6 * (1.0 - reached)
+    found = design.loops(job(limits={"disk_margin": 0.5, "contrast": asked}, design=[structured]))[0].closed
+    assert found.passed
+    assert reached < asked <= budget_of(one, found)["contrast of the image"]
 
 
 SINGLE = camera_loop(limits={"jitter": 1e-5}, gimbals=["az"], sensors=["yaw_gyro"], name="yaw")

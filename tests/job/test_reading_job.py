@@ -143,7 +143,7 @@ def test_what_is_read_is_the_job() -> None:
 
 def test_every_limit_can_be_a_goal() -> None:
     # Those of the line of sight belong to rate and pointing loops, and to jobs with a budget.
-    sight = ("attenuation", "jitter", "windowed_jitter", "smear")
+    sight = ("attenuation", "jitter", "windowed_jitter", "smear", "contrast")
     names = [key for key in limit_keys() if not key.startswith(sight)]
     data = job() | {"faults": {"slow_rotor": 0.5}}
     # A band begins below where it ends.

@@ -37,6 +37,7 @@ from platform_ctrl.analysis.measuring import ControllerGain, Peak, Sight
 from platform_ctrl.analysis.norms import LEVEL
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import tuning_grid
+from platform_ctrl.analysis.sight import blur_of
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure import maps as transfers
@@ -388,7 +389,7 @@ def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.
         return transfers.joined([inside, loops.edge(transfers.CONTROLLER, low, nominal)]).times(1.0 / limit)
     if isinstance(measure, Sight):
         forms = (plants.sight_forms or {}).get(measure.key, ())
-        return loops.sight(forms, limit) if forms else loops.none()
+        return loops.sight(forms, blur_of(limit) if measure.least else limit) if forms else loops.none()
     match requirement.kind:
         case "stability":
             return loops.decay(limit, members)
