@@ -73,7 +73,7 @@ class Compliance:
     frequency: Annotated[fields.Positive | None, _HERTZ] = None
     damping: fields.NotNegative = 0.0
     inertia: fields.NotNegative = 0.0
-    play: fields.NotNegative = 0.0
+    play: fields.Play = 0.0
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
