@@ -83,3 +83,25 @@ def test_a_part_that_lasts_is_not_left_out_because_no_output_shows_it() -> None:
     kept = pruned([one, one, one])
     assert np.abs(np.linalg.eigvals(transition(kept))).max() > 1.3
     np.testing.assert_allclose(lifted(kept).D, lifted([one] * 3).D, rtol=0.0, atol=1e-15)
+
+
+def test_rates_that_do_not_divide_one_another_repeat_after_their_common_multiple() -> None:
+    """Two controllers at every second and third sample, in an order of their own at each of six samples."""
+    generator = np.random.default_rng(3)
+    parts = []
+    for k, n in enumerate((2, 3)):
+        A, B, C = generator.normal(size=(2, 2)) * 0.3, generator.normal(size=(2, 1)), generator.normal(size=(1, 2))
+        names = {"inputs": [f"y{k + 1}"], "outputs": [f"u{k + 1}"]}
+        parts.append(control.ss(A, B, C, [[0.1]], n * T, **names))
+    by_sample = interconnected_by_sample(parts, ["y1", "y2"], ["u1", "u2"], T)
+    assert len(by_sample) == 6
+    assert len({id(one) for one in by_sample}) == 4
+    x, states, u = np.zeros(len(by_sample[0].A)), [np.zeros(2), np.zeros(2)], np.zeros(2)
+    for k, y in enumerate(generator.normal(size=(30, 2))):
+        for j, (one, n) in enumerate(zip(parts, (2, 3), strict=True)):
+            if k % n == 0:
+                u[j] = (one.C @ states[j])[0] + 0.1 * y[j]
+                states[j] = one.A @ states[j] + one.B[:, 0] * y[j]
+        K = by_sample[k % 6]
+        np.testing.assert_allclose(K.C @ x + K.D @ y, u, rtol=0.0, atol=1e-12)
+        x = K.A @ x + K.B @ y

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from design import test_uncertain_modes as uncertain_modes
 from platform_ctrl import read_job
 from platform_ctrl.campaign import plan
 from platform_ctrl.campaign.planning import chosen, quantiles, unit_points
@@ -392,3 +393,15 @@ def test_what_makes_no_plan_is_refused_in_one_line(ask: Any, words: str) -> None
         ask()
     assert words in str(caught.value)
     assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(("key", "size"), [("frequency", uncertain_modes.OMEGA), ("damping", uncertain_modes.ZETA)])
+def test_a_campaign_varies_a_mode(key: str, size: float) -> None:
+    once = {"name": "turn", "mode": "caged", "duration": 0.1, "initial": {"q_rate": 0.1}}
+    one = uncertain_modes.job({"mode_frequency": 0.1}, manoeuvre=[once])
+    scenario = one.scenario(one.manoeuvres[0])
+    known = parameters([scenario], ())
+    varied = varied_scenario(scenario, [(known[f"mode.arm.{key}"], 1.1, True)], seed=None)
+    assert getattr(varied.platform.modes[0], key) == pytest.approx(1.1 * size)
+    varied = varied_scenario(scenario, [(known["mode.arm.participation"], 1.1, True)], seed=None)
+    assert dict(varied.platform.modes[0].participation) == pytest.approx({"Q": 1.65, "gyro": -1.32})

@@ -1,6 +1,7 @@
 """The classical route: channels found from G, blocks against python-control, corners, tuning, certification."""
 
 import dataclasses
+import math
 
 import control
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 
 from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.design import tuning
+from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.loop import measured
 from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.method import instability
@@ -18,6 +21,7 @@ from platform_ctrl.design.plants import plants_of
 from platform_ctrl.design.sections import first_order, gain, low_pass, notch
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.methods import DesignSpec
+from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.mechanics.linearisation import linearise
 from tree_cases import platforms
 
@@ -177,3 +181,67 @@ def test_rotors_of_two_spins_need_a_given_one(model):
     with pytest.raises(DesignError, match=r"one spin frequency, but 159\.2, 198\.9 Hz"):
         starting_values({"spin_notch_width": 0.2}, channel, 474.0, PERIOD)
     assert starting_values({"spin_notch_hz": 180.0}, channel, 474.0, PERIOD)["spin_notch_depth"] == 0.1
+
+
+GIMBALS = ("outer", "inner")
+JOB = {
+    "schema": 2,
+    "name": "a margin that no loop has",
+    "plant": "gimballed_gyro",
+    "operation": {"Omega": [0.0, 0.0, 0.0]},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "caging",
+            "kind": "caging",
+            "gimbals": list(GIMBALS),
+            "use": "classical",
+            "limits": {"disk_margin": 1.9},
+            "design": [{"name": "classical", "method": "classical", "tune": True}],
+        }
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def untuned():
+    """A job with a margin that no loop has: its limits, plants, directions and the options of a first design."""
+    job = read_job(JOB)
+    [spec] = job.loops
+    plants, model = plants_of(job, spec), linearise(job.platform)
+    return spec.limits, plants, channels(model, rows_of(model, GIMBALS))
+
+
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+def test_options_stay_within_reach_of_their_start(untuned, direction, monkeypatch):
+    limits, plants, channel = untuned
+    start = starting_values({}, channel, plants.nutation, plants.period)
+    tried = []
+
+    def build(options):
+        tried.append(options["crossover_hz"] / start["crossover_hz"])
+        return Classical().of_directions(options, channel, plants.period)
+
+    monkeypatch.setattr(
+        tuning, "worst_ratio", lambda *_: 9.0 / (1.0 + math.exp(0.01 * direction * math.log(tried[-1])))
+    )
+    required = loop_requirements(limits)
+    tuner = tuning.Tuner(movable=["crossover_hz"], build=build, plants=plants, requirements=required, evaluations=100)
+    tuned = tuner.run(start)
+    assert max(direction * math.log10(one) for one in tried) > 5.9
+    assert all(0.99e-6 <= one <= 1.01e6 for one in tried)
+    assert math.isfinite(tuned["crossover_hz"])
+
+
+def test_what_need_not_move_keeps_its_number_to_the_last_digit(untuned):
+    limits, plants, channel = untuned
+    # exp(log(7)) is 6.999999999999999, and exp(log(900)) is 900.0000000000001.
+    given = {"crossover_hz": 40.0, "lead_hz": 7.0, "rolloff_hz": 900.0}
+    start = starting_values(given, channel, plants.nutation, plants.period)
+    required = loop_requirements(limits | {"disk_margin": 0.01})
+
+    def build(options):
+        return Classical().of_directions(options, channel, plants.period)
+
+    tuner = tuning.Tuner(movable=list(start), build=build, plants=plants, requirements=required, evaluations=5)
+    assert tuner.run(start) == start

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import control
 import numpy as np
 import pytest
 
 from driven_gimbal import COULOMB, FRICTION, INERTIA, RATE_HZ, VISCOUS, driven_job
-from platform_ctrl import read_job
-from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.system import System
+from platform_ctrl import analysis, read_job
 from platform_ctrl.design import loops
-from platform_ctrl.design.plants import plants_of
 from platform_ctrl.simulation import simulate
 
 ANGLES = {"Omega": [0.1, 0.1, 0.1], "angles": {"pitch": [-0.5, 1.0, 1.4]}}
@@ -20,7 +19,7 @@ TACHO = FRICTION | {"sensors": ["tacho"], "friction_rate": 0.1}
 
 def test_friction_that_is_fed_back_is_a_slope_of_further_plants() -> None:
     job = read_job(driven_job(TACHO, operation=ANGLES))
-    plants = plants_of(job, job.loops[0])
+    plants = loops(job)[0].closed.plants
     fed = [k for k, label in enumerate(plants.labels) if label.startswith("friction that is fed forward at rest")]
     assert len(fed) == 4
     assert {plants.groups[k] for k in fed} == {"friction"}
@@ -36,7 +35,7 @@ def test_friction_that_is_fed_back_is_a_slope_of_further_plants() -> None:
 
 def test_what_the_base_shows_feeds_nothing_back() -> None:
     with_drive, without = (
-        plants_of(job := read_job(driven_job(*drives, operation=ANGLES)), job.loops[0]) for drives in ((FRICTION,), ())
+        loops(driven_job(*drives, operation=ANGLES))[0].closed.plants for drives in ((FRICTION,), ())
     )
     assert with_drive.labels == without.labels
     scale = np.abs(without.response).max()
@@ -48,11 +47,11 @@ def test_what_the_base_shows_feeds_nothing_back() -> None:
     assert from_base(with_drive, 0, 10.0) == pytest.approx(from_base(without, 0, 10.0), rel=1e-9)
 
 
-def from_base(plants: PlantSet, k: int, w: float) -> complex:
+def from_base(plants: Any, k: int, w: float) -> complex:
     """Return the response of the payload's rate to the base's, both about axis 3, of plant k."""
     B, D = plants.B_Omega[k, :, 2:], plants.D_Omega[k, :1, 2:]
-    arrays = System(plants.A[k], B, plants.C[k, :1], D, plants.period)
-    return complex(frequency_response(arrays, np.array([w]), -3)[0, 0, 0])
+    system = control.ss(plants.A[k], B, plants.C[k, :1], D, plants.period)
+    return complex(analysis.frequency_response(system, np.array([w]))[0, 0, 0])
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 1.2])
@@ -77,7 +76,7 @@ def test_what_is_left_of_friction_is_the_balance_of_harmonics_of_the_simulation(
     # The hold is late by half a sample.
     expected = whole * (1.0 - share * np.exp(-1j * w * (late + 0.5) / RATE_HZ))
     assert kept == pytest.approx(expected, abs=3e-3 * whole)
-    plants = plants_of(job, job.loops[0])
+    plants = loops(job)[0].closed.plants
     found = from_base(plants, plants.labels.index(f"dry friction at {size} rad/s"), w) * 1j * w * 2.0 * heavy
     # There the base's rate is held as well: friction and feedforward are late by half a sample together.
     expected = whole * (1.0 - share * np.exp(-1j * w * late / RATE_HZ)) * np.exp(-0.5j * w / RATE_HZ)

@@ -5,9 +5,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import design, simulation
-from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError
-from platform_ctrl.mechanics.state_space import free_system
 
 JOB = {
     "schema": 2,
@@ -99,7 +97,7 @@ def closed_poles(K, plant):
 def test_the_poles_are_those_of_a_bias_momentum_satellite(outcome):
     """Its equations have four roots more: those of a momentum that nothing changes, and of an angle that none reads."""
     closed = outcome.closed
-    found = design.loop.closed_loop_poles(closed.plants, closed.controller)[0]
+    found = closed.measures.poles[0]
     A, B, C = gyrostat()
     expected = closed_poles(closed.controller, sampled(A, B[:, 3:], C))
     conserved = np.argsort(np.abs(expected - 1.0))[:4]
@@ -154,20 +152,6 @@ def test_gyros_inside_and_a_star_sensor_around_turn_the_satellite_too():
     assert [(r.subject, r.name, r.value) for r in result.requirements if not r.passed] == []
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.00106, 0.05])
-def test_without_torques_from_outside_the_poles_are_all_but_those_of_the_momentum(rate):
-    """In the satellite, which turns at `rate`, a momentum that is constant in space has the poles 0 and ± j rate."""
-    model = pc.linearise(pc.read_platform(JOB["plant"]), (0.0, rate, 0.0))
-    whole = pc.state_space(model, root="free")
-    turn = np.cross(np.eye(3), [0.0, rate, 0.0])  # Omega0 × θ = turn θ
-    A = np.block([[whole.A, np.zeros((9, 3))], [whole.C[3:], -turn]])
-    every = np.polynomial.polynomial.polyfromroots(np.linalg.eigvals(A))
-    alone = np.linalg.eigvals(free_system(model, isolated=True).A)
-    momentum = [0.0, 1j * rate, -1j * rate]
-    expected = np.polynomial.polynomial.polyfromroots([*alone, *momentum])
-    assert np.abs(every - expected).max() < 1e-9 * np.abs(every).max()
-
-
 WHEEL = {"inertia": [0.004, 0.004, 0.004]}
 RIG = {
     "schema": 1,
@@ -197,7 +181,7 @@ def test_a_solar_array_swings_with_a_free_root():
     mode = {"name": "array", "frequency": 0.3, "damping": 0.0, "interface": "fixed", "base": [0.0, 0.0, 2.0]}
     job = pc.read_job(RIG_JOB | {"plant": RIG | {"mode": [mode]}})
     w = np.array([0.2, 0.5])
-    found = plants_of(job, job.loops[0]).on(w).response[0] * (1j * w[:, None, None]) ** 2
+    found = design.loops(job)[0].closed.plants.on(w).response[0] * (1j * w[:, None, None]) ** 2
     inertia = 12.0 + 0.008 + 4.0 * w**2 / (0.09 - w**2)
     assert found[:, 2, 2].real == pytest.approx(-1.0 / inertia, rel=3e-3)
 

@@ -5,13 +5,11 @@ import pytest
 
 import platform_ctrl as pc
 from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop, camera_plant
+from given_controllers import outcomes
 from platform_ctrl import analysis, design
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.job.requirements import requirement
-from platform_ctrl.verification.controllers import outcomes_from, read_controllers
-from platform_ctrl.verification.result_file import result_record
-from platform_ctrl.verification.verdict import check_job
+from platform_ctrl.verification import check_job
 
 STILL = {"Omega": [0.0, 0.0, 0.0]}
 
@@ -137,9 +135,9 @@ def test_one_axis_by_itself_holds_the_other_and_the_whole_is_checked():
     loops = camera_loop(gimbals=["az"], sensors=["yaw_gyro"], name="yaw")
     loops += camera_loop(gimbals=["el"], sensors=["pitch_gyro"], name="pitch")
     job = pc.read_job(camera_job(loop=loops, operation=STILL | {"angles": {"q_el": [0.9]}}))
-    outcomes = design.loops(job)
-    assert [outcome.closed.plants.sight for outcome in outcomes] == [("los_rate2",), ("los_rate1",)]
-    result = check_job(job, outcomes)
+    made = design.loops(job)
+    assert [outcome.closed.plants.sight for outcome in made] == [("los_rate2",), ("los_rate1",)]
+    result = check_job(job, made)
     assert result.coupled.stable
     assert result.coupled.channels == ("Qaz", "Qel")
     margin = next(one for one in result.requirements if one.name == "simultaneous disk margin")
@@ -187,8 +185,8 @@ def tracked():
     for sensor in data["attitude_sensor"]:
         sensor["delay"] = 0.01
     job = pc.read_job(camera_job(plant=data, loop=[*camera_loop(), TRACKING]))
-    outcomes = design.loops(job)
-    return job, outcomes, check_job(job, outcomes)
+    made = design.loops(job)
+    return job, made, check_job(job, made)
 
 
 def test_a_tracking_loop_is_an_integrator_behind_the_rate_loop_and_the_tracker(tracked):
@@ -213,10 +211,10 @@ def test_the_poles_of_the_cascade_are_those_of_the_whole(tracked):
 
 
 def test_a_cascade_is_read_back_and_measured_the_same(tracked):
-    job, outcomes, result = tracked
-    again = outcomes_from(job, read_controllers(result_record(result), job))
-    assert [one.spec.name for one in again] == [one.spec.name for one in outcomes]
-    for one, other in zip(outcomes, again, strict=True):
+    job, made, _ = tracked
+    again = outcomes(job, [one.closed.controller for one in made])
+    assert [one.spec.name for one in again] == [one.spec.name for one in made]
+    for one, other in zip(made, again, strict=True):
         np.testing.assert_allclose(other.closed.measures.disk_margin, one.closed.measures.disk_margin, rtol=1e-9)
 
 
@@ -244,11 +242,9 @@ def test_angles_that_a_pointing_loop_leaves_free_are_no_instability(spring):
     """A body is held against inertial space: its gimbals follow the base, and stay wherever it leaves them."""
     data = camera_plant() if spring == 0.0 else camera_plant(spring=[{"gimbal": "az", "stiffness": spring}])
     job = pc.read_job(camera_job(plant=data, loop=camera_loop("pointing", "classical", use="pi")))
-    outcomes = design.loops(job)
-    assert outcomes[0].closed.measures.decay.min() > 0.05
-    stable = next(
-        one for one in check_job(job, outcomes).requirements if one.stage == "coupled" and "decay" in one.name
-    )
+    made = design.loops(job)
+    assert made[0].closed.measures.decay.min() > 0.05
+    stable = next(one for one in check_job(job, made).requirements if one.stage == "coupled" and "decay" in one.name)
     assert stable.passed
     assert "nothing holds the angles q_az, q_el: they drift" in stable.evidence
 
@@ -256,9 +252,8 @@ def test_angles_that_a_pointing_loop_leaves_free_are_no_instability(spring):
 def test_the_verdict_names_what_it_rests_on_and_rows_have_the_units_of_rates():
     angles = {"Omega": [0.2, 0.2, 0.2], "angles": {"q_el": [0.6]}}
     job = pc.read_job(camera_job(operation=angles, loop=camera_loop(limits={"controller_gain": 100.0})))
-    assert assumed_words(job) == (
-        ", assuming that dry friction is a describing function at 0.2 rad/s, and that the gimbal angles are "
-        "q_el = 0 and 0.6 rad"
-    )
-    gain = next(one for one in design.loops(job)[0].closed.results if one.name == "gain of the controller")
+    made = design.loops(job)
+    words = "dry friction is a describing function at 0.2 rad/s, and that the gimbal angles are q_el = 0 and 0.6 rad"
+    assert words in check_job(job, made).assumptions
+    gain = next(one for one in made[0].closed.results if one.name == "gain of the controller")
     assert gain.unit == "N m/(rad/s)"

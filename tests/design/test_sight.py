@@ -1,16 +1,12 @@
 """The budget of the line of sight as a limit and a goal of designs, against the budget itself and differences."""
 
-import numpy as np
 import pytest
 
 import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
+from given_controllers import verdict
 from platform_ctrl import design
-from platform_ctrl.analysis.sight import blur_of, contrast_of
-from platform_ctrl.analysis.system import System
-from platform_ctrl.design.fixed_structure.loops import LoopGradients
 from platform_ctrl.errors import InputError
-from platform_ctrl.verification.budget import line_of_sight_budget
 
 PITCH = {
     "name": "pitch",
@@ -41,7 +37,7 @@ def job(angles=(), **loop):
 
 def budget_of(one, found):
     """Return the values of the budget's limits with a design closed, by their names."""
-    return {result.name: result.value for result in line_of_sight_budget(one, [found.controller]).results}
+    return {result.name: result.value for result in verdict(one, [found.controller]).budget.results}
 
 
 @pytest.fixture(scope="module")
@@ -57,32 +53,6 @@ def test_a_design_is_measured_by_the_budget_of_its_job(measured):
     assert len(expected) == 5
     for name, value in expected.items():
         assert values[name] == pytest.approx(value, rel=1e-6)
-
-
-def test_forms_in_the_controller_are_the_budget_and_their_slopes_those_of_differences(measured):
-    _, found = measured
-    K = System.of(found.controller, "pi")
-    forms, other = found.plants.sight_budget.forms(K), K._replace(C=1.2 * K.C, D=1.2 * K.D)
-    exact, elsewhere = found.plants.sight_budget.exact(K), found.plants.sight_budget.exact(other)
-    for key in KEYS:
-        assert max(form.at(K) for form in forms[key]) == pytest.approx(exact[key], rel=1e-6)
-        # Dry friction is that with K.
-        assert max(form.at(other) for form in forms[key]) == pytest.approx(elsewhere[key], rel=2e-2)
-    # Of a Gaussian motion, with all of the windows' motion in one variance.
-    blurred = max(form.at(K) for form in forms["contrast"])
-    assert contrast_of(blurred) == pytest.approx(exact["contrast"], abs=2e-3)
-    assert contrast_of(blurred) <= exact["contrast"]
-    assert blur_of(contrast_of(blurred)) == pytest.approx(blurred)
-    n, M = len(K.A), np.block([[K.A, K.B], [K.C, K.D]])
-    step = np.random.default_rng(3).standard_normal(M.shape) * np.abs(M) * 1e-6
-
-    def at(M):
-        return LoopGradients(found.plants, System(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:], K.dt))
-
-    for key in (*KEYS, "contrast"):
-        here, high, low = (at(M + sign * step).sight(forms[key], 1e-5) for sign in (0.0, 1.0, -1.0))
-        slopes = np.sum(here.gradient * step, axis=(1, 2))
-        np.testing.assert_allclose(slopes, 0.5 * (high.ratio - low.ratio), rtol=1e-4, atol=1e-12)
 
 
 def test_a_jitter_below_that_of_the_given_design_is_tuned():

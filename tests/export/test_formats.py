@@ -14,13 +14,12 @@ import pandas
 import pytest
 import scipy.io
 
+from given_controllers import outcomes
 from one_gyro_job import JOB
-from platform_ctrl import design, export, read_job
+from platform_ctrl import analysis, design, export, read_job
+from platform_ctrl.cli import main
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_controllers
-from platform_ctrl.export.job_systems import controller_systems, job_responses, model_systems
-from platform_ctrl.export.systems import write_entries
-from platform_ctrl.verification.controllers import read_controllers
 
 K = "caging_9_10_classical"
 
@@ -36,8 +35,19 @@ def controllers(job: Any) -> list[control.StateSpace]:
 
 
 @pytest.fixture(scope="module")
-def systems(job: Any, controllers: list[control.StateSpace]) -> list[control.StateSpace]:
-    return [one.system for one in (*controller_systems(job, controllers), *model_systems(job))] + [static()]
+def folder(job: Any, controllers: list[control.StateSpace], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the command writes of models and responses."""
+    made = tmp_path_factory.mktemp("formats")
+    (made / "job.toml").write_text(JOB)
+    write_controllers(controllers, made / "k.json", delay=job.sampling.delay)
+    command = ["export", str(made / "job.toml"), "--controllers", str(made / "k.json"), "-q"]
+    assert main([*command, "--models", str(made / "m.json"), "--csv", str(made / "r")]) == 0
+    return made
+
+
+@pytest.fixture(scope="module")
+def systems(folder: Path) -> list[control.StateSpace]:
+    return [*export.read_systems(folder / "m.json"), static()]
 
 
 def same(one: control.StateSpace, other: control.StateSpace) -> bool:
@@ -54,16 +64,16 @@ def static(name: str = "gain") -> control.StateSpace:
 
 
 def test_json_keeps_every_bit_name_and_unit(
-    job: Any, controllers: list[control.StateSpace], systems: list[control.StateSpace], tmp_path: Path
+    job: Any, folder: Path, controllers: list[control.StateSpace], systems: list[control.StateSpace], tmp_path: Path
 ) -> None:
     path = export.write_systems(systems, tmp_path / "models.json", platform=job.platform)
     back = export.read_systems(path)
     assert [one.name for one in back[:3]] == ["caging 9-10, classical", "plant", "plant with free root"]
     assert all(map(same, systems, back))
+    assert all(np.array_equal(getattr(back[0], name), getattr(controllers[0], name)) for name in "ABCD")
     assert back[1].input_labels[:2] == ["Q4", "Q5"]
     assert path.read_bytes() == export.write_systems(back, tmp_path / "again.json", platform=job.platform).read_bytes()
-    write_entries([*controller_systems(job, controllers)], path, job.platform)
-    [K] = json.loads(path.read_text())["systems"]
+    K, *_ = json.loads((folder / "m.json").read_text())["systems"]
     assert (K["output_units"], K["delay"]) == (["N m", "N m"], 0.0005)
 
 
@@ -71,8 +81,8 @@ def test_controllers_leave_in_the_form_that_check_reads(
     job: Any, controllers: list[control.StateSpace], tmp_path: Path
 ) -> None:
     path = write_controllers(controllers, tmp_path / "k.json", delay=job.sampling.delay)
-    [back] = read_controllers(path, job)
-    assert back.name == controllers[0].name
+    [outcome] = outcomes(job, json.loads(path.read_text()))
+    back = outcome.closed.controller
     assert all(np.array_equal(getattr(back, name), getattr(controllers[0], name)) for name in "ABCD")
     [system] = export.read_systems(path)
     assert (system.dt, system.input_labels) == (0.0005, ["alpha9", "beta10"])
@@ -138,33 +148,26 @@ def test_mat_that_is_no_plain_linear_system_is_refused_in_one_line(tmp_path: Pat
 
 
 def test_responses_are_read_by_read_measurement_and_by_pandas(
-    job: Any, controllers: list[control.StateSpace], tmp_path: Path
+    job: Any, controllers: list[control.StateSpace], folder: Path, tmp_path: Path
 ) -> None:
-    tables = job_responses(job, controllers)
-    assert [table.name for table in tables] == [
-        "plant caging 9-10",
-        "controller caging 9-10",
-        "loop caging 9-10 at Q9",
-        "loop caging 9-10 at Q10",
-    ]
-    for table in tables:
-        for form, parts in (("complex", ("re", "im")), ("polar", ("magnitude", "phase_deg"))):
-            path = export.write_responses(table.response, tmp_path / "r.csv", form=form, notes=table.notes)  # type: ignore[arg-type]
-            back = design.read_measurement(path, period=job.sampling.period)
-            assert np.allclose(back.frdata, table.response.frdata, rtol=1e-13)
-            assert (back.input_labels, back.output_labels) == (
-                table.response.input_labels,
-                table.response.output_labels,
-            )
-            frame = pandas.read_csv(path, comment="#")
-            pair = f"{back.output_labels[0]}/{back.input_labels[0]}"
-            assert list(frame.columns[:3]) == ["frequency_hz", *(f"{pair} {part}" for part in parts)]
-            assert len(frame) == len(back.omega)
+    names = ["plant_caging_9-10", "controller_caging_9-10", "loop_caging_9-10_at_Q9", "loop_caging_9-10_at_Q10"]
+    assert sorted(path.stem for path in (folder / "r").glob("*.csv")) == sorted(names)
+    [K], w = controllers, np.geomspace(1.0, 6000.0, 50)
+    response = control.FRD(analysis.frequency_response(K, w), w, K.dt, inputs=K.input_labels, outputs=K.output_labels)
+    for form, parts in (("complex", ("re", "im")), ("polar", ("magnitude", "phase_deg"))):
+        path = export.write_responses(response, tmp_path / "r.csv", form=form, notes=("of K",))  # type: ignore[arg-type]
+        back = design.read_measurement(path, period=job.sampling.period)
+        assert np.allclose(back.frdata, response.frdata, rtol=1e-13)
+        assert (back.input_labels, back.output_labels) == (K.input_labels, K.output_labels)
+        frame = pandas.read_csv(path, comment="#")
+        assert list(frame.columns[:3]) == ["frequency_hz", *(f"Q9/alpha9 {part}" for part in parts)]
+        assert len(frame) == len(back.omega)
 
 
-def test_the_loop_of_a_torquer_is_the_return_ratio(job: Any, controllers: list[control.StateSpace]) -> None:
+def test_the_loop_of_a_torquer_is_the_return_ratio(job: Any, folder: Path) -> None:
     """L = -K P where the other torquer's loop is closed by hand."""
-    plant, K, L = (one.response for one in job_responses(job, controllers)[:3])
+    names = ("plant_caging_9-10", "controller_caging_9-10", "loop_caging_9-10_at_Q9")
+    plant, K, L = (design.read_measurement(folder / "r" / f"{one}.csv", period=0.0005) for one in names)
     P, G = (np.moveaxis(np.asarray(one.frdata), -1, 0) for one in (plant, K))
     KP = -G @ P  # u = K y: the sign of the loop as it is drawn
     schur = KP[:, 0, 0] - KP[:, 0, 1] * KP[:, 1, 0] / (1.0 + KP[:, 1, 1])

@@ -9,7 +9,6 @@ from offset_trees import offset_platform, turned
 from platform_ctrl import forward_dynamics, matrices
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export import import_robot, write_mjcf
-from platform_ctrl.mechanics.forces import specific_force_at
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
 
@@ -37,8 +36,7 @@ def test_bodies_accelerate_in_mujoco_as_here(mode, seed, tmp_path):
         if rotor.control == "free":
             data.joint(f"spin {rotor.name}").qvel[0] = rotor.spin - carried
     mujoco.mj_forward(model, data)
-    f = specific_force_at(platform, attitude=attitude)
-    expected = forward_dynamics(platform, q, u, np.zeros(3 + n), specific_force=f)
+    expected = forward_dynamics(platform, q, u, np.zeros(3 + n), attitude=attitude)
     assert np.abs(data.qacc[places] - expected).max() < 1e-8 * np.abs(expected).max()
 
 

@@ -2,25 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from driven_gimbal import FRICTION, driven_job
 from platform_ctrl import read_job
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.drive import slide_rates
-from platform_ctrl.mechanics.kinematics import kinematics
-
-
-@pytest.mark.parametrize("name", ["camera_gimbal", "three_gyro_platform", "seeker_head"])
-def test_no_body_turns_about_its_own_axis_where_the_gimbals_slide(name: str) -> None:
-    from platform_ctrl import read_platform
-
-    platform = read_platform(name)
-    slides = slide_rates(platform)
-    at = kinematics(platform, np.zeros(len(platform.gimbals)))
-    turning = at.jacobians[1:] @ np.vstack([np.eye(3), slides])
-    np.testing.assert_allclose(np.einsum("ki,kij->kj", at.axes, turning), 0.0, atol=1e-14)
 
 
 @pytest.mark.parametrize(

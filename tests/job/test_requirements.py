@@ -131,7 +131,7 @@ def test_what_was_not_measured_is_not_judged(plants, controller):
         requirement("sensitivity peak", 2.0).values(measures)
 
 
-# Kinds that tests/verification/test_true_values.py leaves out
+# Kinds that tests/verification/test_exact_verdicts.py leaves out
 
 
 def test_the_torque_that_a_slow_platform_rate_asks_for_is_L_Omega(plants, controller):

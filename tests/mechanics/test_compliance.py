@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 
 import platform_ctrl as pc
 from platform_ctrl import analysis, design, simulation
-from platform_ctrl.design.plants import plants_of
-from platform_ctrl.mechanics.outputs import observed
 
 J1, J2, K, C = 0.02, 0.05, 300.0, 0.04
 
@@ -76,7 +74,7 @@ def test_a_run_of_a_sampled_loop_is_that_of_the_exact_matrices():
     controller = control.StateSpace([], [], [], [[-k]], period, inputs=["q"], outputs=["Qg"])
     one = simulation.Scenario(platform=platform, mode="caged", duration=0.3, delay=0.0, q=[0.01, 0.0, 0.012])
     run = simulation.simulate(one, [controller], period=period, step=1e-4, noise=False)
-    system = observed(pc.state_space(pc.linearise(platform)), platform, ["q"])
+    system = pc.state_space(pc.linearise(platform))
     sampled = control.sample_system(system, period, method="zoh")
     x, expected = np.array([0.01, 0.0, 0.012, 0.0, 0.0, 0.0]), []
     for _ in run.t:
@@ -134,17 +132,6 @@ def test_a_start_in_equilibrium_winds_the_drive_up_by_the_weight_that_it_holds()
     np.testing.assert_allclose(run.q, np.tile(at.q, (len(run.t), 1)), rtol=0, atol=1e-12)
 
 
-def test_a_motor_side_that_is_locked_holds_its_load_by_the_drive():
-    from platform_ctrl.plant.locking import with_locked
-
-    held = with_locked(pc.read_platform(drive()), ["g_motor"])
-    assert held.gimbal_names == ("g", "h")
-    poles = pc.state_space(pc.linearise(held)).poles()
-    assert np.abs(poles).max() == pytest.approx(np.sqrt(K / (J2 + 1e-9)), rel=1e-9)
-    assert -2.0 * poles.real.min() * J2 == pytest.approx(C, rel=1e-6)
-    assert with_locked(pc.read_platform(drive()), ["g", "g_motor"]).gimbal_names == ("h",)
-
-
 def test_a_loop_that_names_the_load_is_told_of_the_motor_side():
     plant = hanging()
     for kind, sensors in (("caging", {}), ("pointing", {"sensors": ["q"]})):
@@ -180,8 +167,8 @@ def test_a_loop_reads_the_load_of_a_drive_that_it_turns_by_its_motor_side():
             }
         ],
     }
-    read = pc.read_job(job)
-    plants = plants_of(read, read.loops[0])
+    [found] = design.loops(job)
+    plants = found.closed.plants
     assert plants.sight == ("los_rate1",)
     # At 10 Hz, below the resonance, the motor turns motor side and load together.
     w = 2 * np.pi * 1.0
@@ -189,7 +176,6 @@ def test_a_loop_reads_the_load_of_a_drive_that_it_turns_by_its_motor_side():
     G = plants.C[0] @ np.linalg.solve(z * np.eye(plants.A.shape[-1]) - plants.A[0], plants.B[0]) + plants.D[0]
     whole = 0.03 + J1 + 50**2 * 1e-5
     assert abs(G[0, 0]) == pytest.approx(1.0 / (whole * w**2), rel=0.05)
-    [found] = design.loops(read)
     assert found.closed.passed
 
 

@@ -10,9 +10,6 @@ import pytest
 
 from plant_parts import PickOff, Torquer
 from platform_ctrl import Platform
-from platform_ctrl.analysis import interconnection
-from platform_ctrl.analysis.interconnection import BackCalculation, back_calculation
-from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import ArgumentError
 from single_runs import simulated
 from small_trees import tree
@@ -82,36 +79,6 @@ def test_commands_take_effect_exactly_after_the_delay(delay):
     assert np.column_stack([out.q, out.rate]) == pytest.approx(np.array(expected), rel=1e-11, abs=1e-13)
     assert out.p == pytest.approx(J * out.rate)
     assert out.command[:, 0] == pytest.approx(np.array(commands), rel=1e-11)
-
-
-@pytest.mark.parametrize("every", [1, 2])
-def test_an_integral_follows_a_limited_torque(every, monkeypatch):
-    # A PID with three poles at 20 rad/s; its states are the integral and the last reading.
-    w, limit, T = 20.0, 0.1, every * PERIOD
-    kp, ki, kd = 3.0 * w**2 * J, w**3 * J, 3.0 * w * J
-    K = controller(-kp - kd / T, A=[[1.0, 0.0], [0.0, 0.0]], B=[[1.0], [1.0]], C=[[-ki * T, kd / T]], dt=every * PERIOD)
-    E = back_calculation(System.of(K, "K"), [True]).gain
-
-    def flown():
-        return run(one_gimbal(limit=limit), [K], duration=2.0, q=[0.5])
-
-    with_it = flown()
-    x, expected = np.zeros(2), []
-    for k, y in enumerate(with_it.reading):
-        if k % every == 0:
-            u = K.C @ x + K.D @ y
-            x = K.A @ x + K.B @ y + E @ (np.clip(u, -limit, limit) - u)
-        expected.append(u[0])
-    assert 100 < with_it.saturated[0] < len(with_it.t)
-    assert with_it.command[:, 0] == pytest.approx(np.array(expected), rel=0.0, abs=1e-12 * np.abs(expected).max())
-    # The same without it, through the same kernel.
-    monkeypatch.setattr(
-        interconnection, "back_calculation", lambda K, limited: BackCalculation(gain=np.zeros((len(K.A), len(limited))))
-    )
-    without = flown()
-    settled = [one.t[np.abs(one.q[:, 0]) > 0.005].max() for one in (with_it, without)]
-    assert settled[0] < 0.5 * settled[1]
-    assert np.array_equal(flown().q, without.q)
 
 
 def test_controllers_are_evaluated_in_their_order_and_see_this_steps_outputs():

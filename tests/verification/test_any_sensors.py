@@ -11,11 +11,11 @@ from scipy.linalg import expm
 
 import platform_ctrl as pc
 from cli.test_cli import leave_out_figures
+from given_controllers import outcomes, verdict
 from platform_ctrl import design
 from platform_ctrl.cli import main
 from platform_ctrl.errors import DesignError
-from platform_ctrl.verification.controllers import outcomes_from, read_controllers
-from platform_ctrl.verification.verdict import check_job
+from platform_ctrl.verification import check_job
 
 DATA = Path(__file__).parents[1] / "data" / "state_feedback"
 JOB = tomllib.loads((DATA / "job.toml").read_text(encoding="utf-8"))
@@ -82,8 +82,7 @@ def test_an_lqr_with_extended_state_observer_has_its_published_poles_at_every_de
     for delay, radius in zip((0.001, 0.005, 0.01), radii, strict=True):
         sampling = JOB["sampling"] | {"delay": delay}
         job = pc.read_job(JOB | {"plant": plant, "sampling": sampling, "manoeuvre": []})
-        K = read_controllers(given | {"controllers": [given["controllers"][0] | {"delay": delay}]}, job)
-        result = check_job(job, outcomes_from(job, K))
+        result = verdict(job, given | {"controllers": [given["controllers"][0] | {"delay": delay}]})
         assert np.abs(result.coupled.poles).max() == pytest.approx(radius, abs=1e-9)
         decay = next(one for one in result.requirements if one.stage == "coupled" and "decay" in one.name)
         assert decay.value == pytest.approx(-math.log(radius) / T, abs=1e-6)
@@ -118,7 +117,7 @@ def test_a_cascade_of_the_encoders_on_both_sides_of_a_drive_is_that_of_two_inert
     job = pc.read_job(with_design("lqg", **loop) | {"plant": DRIVE})
     given = {"name": "yaw", "dt": T, "delay": T, "inputs": ["motor", "q"], "outputs": ["Qg"]}
     given |= {"A": [], "B": [], "C": [[]], "D": [[-Kd, -Kd * Kp]]}
-    [outcome] = outcomes_from(job, read_controllers({"schema": 1, "controllers": [given]}, job))
+    [outcome] = outcomes(job, {"schema": 1, "controllers": [given]})
     A = np.array([[0, 1, 0, 0], [-k / J2, -c / J2, k / J2, c / J2], [0, 0, 0, 1], [k / J1, c / J1, -k / J1, -c / J1]])
     own = lifted(A, np.array([[0], [0], [0], [1 / J1]]), np.array([[0.0, 0, 0, 1], [1, 0, 0, 0]]))
     K = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[-Kd, -Kd * Kp]])
@@ -139,18 +138,17 @@ def test_a_command_of_the_load_is_one_of_the_other_encoder_and_not_of_rates():
     run |= {"command": [{"reading": "q", "at": 0.1, "step": 0.01}], "limits": {"angle_following_error": 1e-5}}
     loop = {"gimbals": ["g_motor"], "sensors": ["q", "motor", "encoder"], "limits": {"steady_error": 1e-9}}
     job = pc.read_job(with_design("lqg", **loop) | {"plant": DRIVE, "manoeuvre": [run]})
-    outcomes = design.loops(job)
-    assert outcomes[0].closed.controller.input_labels == ["q", "motor", "encoder", "q_command"]
-    np.testing.assert_allclose(outcomes[0].closed.plants.commanded, [[1.0], [0.0], [1.0]], atol=1e-9)
-    result = check_job(job, outcomes)
+    made = design.loops(job)
+    assert made[0].closed.controller.input_labels == ["q", "motor", "encoder", "q_command"]
+    np.testing.assert_allclose(made[0].closed.plants.commanded, [[1.0], [0.0], [1.0]], atol=1e-9)
+    result = check_job(job, made)
     assert result.passed
     assert {one.stage for one in result.requirements} == {"decoupled", "coupled", "simulated"}
 
 
 def test_an_lqg_loop_reads_both_and_its_verdict_follows_from_plant_and_controller_by_hand():
     limits = {"disk_margin": 0.4, "torque_noise": 0.1, "damping": 0.3, "sensitivity_peak": 2.1}
-    outcomes = design.loops(pc.read_job(with_design("lqg", limits=limits)))
-    found = outcomes[0].closed
+    found = design.loops(pc.read_job(with_design("lqg", limits=limits)))[0].closed
     assert found.controller.input_labels == ["angle", "rate"]
     A = np.array([[0.0, 1.0], [0.0, -VISCOUS / J]])
     own, K = lifted(A, np.array([[0.0], [1.0 / J]]), np.eye(2), lag=LAG), of(found.controller)

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from given_controllers import verdict
 from platform_ctrl import simulation
-from platform_ctrl.verification.backlash import largest_amplitude
-from platform_ctrl.verification.coupled import coupled_check
 
 J1, J2, K, C, PLAY = 0.02, 0.05, 300.0, 0.04, 2e-3
 PERIOD, DELAY, SECONDS = 5e-4, 2e-4, 30.0
@@ -46,7 +45,7 @@ def checked(sensor, crossover, weight=0.0, play=PLAY, stiffness=K, **coupled):
     read = pc.read_job(job | {"loop": [loop]})
     one = law(J1 + J2, crossover, rate)
     controller = control.StateSpace(one.A, one.B, one.C, one.D, PERIOD, inputs=[sensor], outputs=["Qg"])
-    check = coupled_check(read, pc.linearise(read.platform), [controller])
+    check = verdict(read, [controller]).coupled
     [found] = [one for one in check.results if "limit cycle" in one.name] or [None]
     return read, controller, check, found
 
@@ -121,9 +120,7 @@ def test_a_limit_cycle_counts_where_it_moves_a_gimbal_most():
     one = control.append(law(0.19, 8.0), law(0.06, 10.4))
     matrices = (one.A, one.B, one.C, one.D, PERIOD)
     controller = control.StateSpace(*matrices, inputs=["qa", "qb"], outputs=["Qa", "Qb"])
-    found = [
-        r for r in coupled_check(read, pc.linearise(read.platform), [controller]).results if "limit cycle" in r.name
-    ]
+    found = [one for one in verdict(read, [controller]).coupled.results if "limit cycle" in one.name]
     amplitude, _ = oscillation(read, controller, start=4e-3, angle=1)
     assert len(found) == 2
     for result in found:
@@ -136,12 +133,3 @@ def test_a_limit_says_how_large_a_limit_cycle_may_be():
     assert not checked("q", 8.0, limit_cycle_arcsec=60.0)[3].passed
     assert checked("q", 8.0, play=0.0, limit_cycle=5e-4)[3] is None
     assert checked("q", 30.0)[3] is None  # unstable without play
-
-
-def test_play_leaves_the_share_of_stiffness_of_its_describing_function():
-    A = 2.5
-    gain = 1.0 - 2.0 / np.pi * (np.arcsin(1 / A) + np.sqrt(1.0 - 1.0 / A**2) / A)
-    assert largest_amplitude(gain) == pytest.approx(A, rel=1e-4)
-    # Pressed on one flank by a torque t, teeth stay together up to A = t: no share below that of large t is left.
-    assert largest_amplitude(0.9, preload=50.0) == 0.0
-    assert largest_amplitude(gain, preload=0.01) == pytest.approx(A, rel=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from functools import partial
@@ -30,7 +31,9 @@ from platform_ctrl.verification.budget_result import (
     waterfalls,
 )
 from platform_ctrl.verification.result_file import result_record
+from platform_ctrl.verification.simulated import simulated_budget
 from report_jobs import page_html
+from simulation import test_gimbal_torques as wind
 
 PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
 INERTIA, DAMPING, UNBALANCE = 0.01, 0.02, 2e-3
@@ -411,3 +414,64 @@ def test_the_steps_of_a_waterfall_end_at_the_total_the_largest_first(tmp_path: P
     # The camera turns about its pitch axis alone.
     assert other.total == 0.0
     assert not other.names
+
+
+def spread(found: Any) -> float:
+    """Return half of the 95 % interval over the rms of the first axis."""
+    return float((found.high[0] - found.low[0]) / (2.0 * found.rms[0]))
+
+
+def test_where_all_is_linear_runs_have_the_rms_of_the_budget(tmp_path: Path) -> None:
+    found = simulated_budget(job(tmp_path), controllers(), 192, time=0.5)
+    # Four standard errors; the interval has two.
+    assert found.rms[0] == pytest.approx(found.linear[0], rel=2.0 * spread(found))
+    assert spread(found) < 0.1
+    assert found.low[0] < found.rms[0] < found.high[0]
+    # A camera that turns about its pitch axis alone looks nowhere else.
+    assert found.rms[1] == pytest.approx(0.0, abs=1e-12)
+    assert found.left_out == ()
+
+
+def test_the_motion_rises_from_rest_so_that_no_step_saturates_a_motor(tmp_path: Path) -> None:
+    free = job(tmp_path)
+    assert free.budget is not None
+    free = dataclasses.replace(free, budget=dataclasses.replace(free.budget, sources=free.budget.sources[:1]))
+    # A step of the base's rate, 0.1 rad/s, would ask of the controller for 0.05 N m.
+    (torquer,) = free.platform.torquers
+    weak = dataclasses.replace(torquer, limit=0.02)
+    limited = dataclasses.replace(free, platform=dataclasses.replace(free.platform, torquers=(weak,)))
+    found, expected = (simulated_budget(one, controllers(), 32, time=0.5) for one in (limited, free))
+    np.testing.assert_array_equal(found.rms, expected.rms)
+
+
+def test_a_bearing_that_hardly_slides_is_simulated_where_the_budget_does_not_hold(tmp_path: Path) -> None:
+    stuck = job(tmp_path, friction=", coulomb = 0.05, coulomb_rate = 0.05")
+    budget = line_of_sight_budget(stuck, controllers())
+    assert not budget.friction.valid[0]
+    assert "simulate" in budget.friction.statement[0]
+    few, again = (simulated_budget(stuck, controllers(), 8, time=0.25) for _ in range(2))
+    assert math.isfinite(few.ratio)
+    np.testing.assert_array_equal(few.rms, again.rms)
+    assert np.any(simulated_budget(stuck, controllers(), 8, seed=1, time=0.25).rms != few.rms)
+
+
+def test_the_budget_has_the_mode_that_wind_excites_as_runs_have_it() -> None:
+    """Of both axes across only the second turns with the gimbal; there the mode doubles the rms."""
+    of_sight = wind.MODE | {"participation": {"Qpan": wind.PHI, "los_angle2": wind.SEEN}}
+    gusts = {
+        "name": "wind",
+        "kind": "torque",
+        "gimbal": "pan",
+        "frequencies_hz": [5.0, 20.0],
+        "densities": [1e-2, 1e-2],
+    }
+
+    def rms(modes: dict[str, Any]) -> Any:
+        budget = {"from_hz": 2.0, "to_hz": 40.0, "source": [gusts]}
+        read = pc.read_job(wind.DATA | {"plant": wind.PLANT | modes, "budget": budget})
+        found = simulated_budget(read, [loops(read)[0].closed.controller], 6, seed=2, time=5.0)
+        return found.rms[1], found.linear[1]
+
+    simulated, linear = rms({"mode": [of_sight]})
+    assert simulated == pytest.approx(linear, rel=0.1)
+    assert linear > 1.5 * rms({})[1]

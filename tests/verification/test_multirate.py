@@ -18,18 +18,13 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from commanded_gimbal import RATE_HZ, commanded_job
 from generated_c import Machine, compiled
-from platform_ctrl import linearise, read_job
-from platform_ctrl.analysis.interconnection import interconnected_by_sample
-from platform_ctrl.analysis.system import System
+from given_controllers import verdict
+from platform_ctrl import read_job
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_c
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification import check_job
-from platform_ctrl.verification.budget import line_of_sight_budget
-from platform_ctrl.verification.coupled import coupled_check
-from platform_ctrl.verification.simulated import simulated_budget
-from platform_ctrl.verification.verdict import coupled_proofs
 
 T, SLOW = 1.0 / RATE_HZ, 20
 STEP = [{"reading": "heading", "step": 1e-3, "at": 0.1}]
@@ -69,27 +64,31 @@ def controllers(made: tuple[Any, ...]) -> list[control.StateSpace]:
 
 
 @pytest.fixture(scope="module")
-def check(job: Any, controllers: list[control.StateSpace]) -> Any:
-    return coupled_check(job, linearise(job.platform), controllers)
+def result(job: Any, controllers: list[control.StateSpace]) -> Any:
+    return verdict(job, controllers, prove=True)
+
+
+@pytest.fixture(scope="module")
+def check(result: Any) -> Any:
+    return result.coupled
 
 
 class Computer:
     """Controllers as a computer runs them, in the words of the job file."""
 
     def __init__(self, controllers: list[control.StateSpace]) -> None:
-        self.parts = [System.of(K, "controller") for K in controllers]
         self.controllers = controllers
-        self.x = [np.zeros(len(K.A)) for K in self.parts]
-        self.u = [np.zeros(len(K.C)) for K in self.parts]
+        self.x = [np.zeros(K.nstates) for K in controllers]
+        self.u = [np.zeros(K.noutputs) for K in controllers]
         self.sample = 0
 
     def step(self, readings: dict[str, float]) -> dict[str, float]:
         signals = dict(readings)
-        for k, (K, system) in enumerate(zip(self.parts, self.controllers, strict=True)):
+        for k, K in enumerate(self.controllers):
             if self.sample % round(K.dt / T) == 0:
-                y = np.array([signals.get(name, 0.0) for name in system.input_labels])
+                y = np.array([signals.get(name, 0.0) for name in K.input_labels])
                 self.u[k], self.x[k] = K.C @ self.x[k] + K.D @ y, K.A @ self.x[k] + K.B @ y
-            signals |= dict(zip(system.output_labels, self.u[k], strict=True))
+            signals |= dict(zip(K.output_labels, self.u[k], strict=True))
         self.sample += 1
         return signals
 
@@ -103,20 +102,37 @@ class Computer:
         self.x, self.u = list(parts[: len(self.x)]), list(parts[len(self.x) :])
 
 
-def over_a_cycle(job: Any, check: Any, controllers: list[control.StateSpace], cycle: int) -> np.ndarray:
-    """The transition of plant and computer over a cycle, column by column, by stepping."""
-    plant = System.of(check.plant, "plant")
-    names, torquers = list(check.plant.output_labels), list(check.plant.input_labels)
-    n, size = len(plant.A), len(plant.A) + len(Computer(controllers).memory)
-    columns = []
-    for k in range(size):
-        state, computer = np.eye(size)[k], Computer(controllers)
-        x, computer.memory = state[:n], state[n:]
-        for _ in range(cycle):
-            made = computer.step(dict(zip(names, plant.C @ x, strict=True)))
-            x = plant.A @ x + plant.B @ np.array([made[name] for name in torquers])
-        columns.append(np.concatenate([x, computer.memory]))
-    return np.array(columns).T
+def over_a_cycle(
+    check: Any, controllers: list[control.StateSpace], cycle: int, factors: Any = None, rms: Any = None
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Of every sample of a cycle: what becomes of plant, computer and noise of the readings, and the torques.
+
+    By stepping, column by column. `factors` change the torques of each sample, `rms` is the noise of each reading.
+    """
+    plant = check.plant
+    names, torquers, n = list(plant.output_labels), list(plant.input_labels), plant.nstates
+    size = n + len(Computer(controllers).memory)
+    noise = np.zeros(len(names)) if rms is None else rms
+    out = []
+    for k in range(cycle):
+        states, torques = [], []
+        for column in np.eye(size + len(names)):
+            computer = Computer(controllers)
+            computer.sample, computer.memory = k, column[n:size]
+            made = computer.step(dict(zip(names, plant.C @ column[:n] + noise * column[size:], strict=True)))
+            u = (1.0 if factors is None else factors[k]) * np.array([made[name] for name in torquers])
+            states.append(np.concatenate([plant.A @ column[:n] + plant.B @ u, computer.memory]))
+            torques.append(u)
+        out.append((np.array(states).T, np.array(torques).T))
+    return out
+
+
+def turn(steps: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """The transition over the cycle."""
+    whole = np.eye(len(steps[0][0]))
+    for step, _ in steps:
+        whole = step[:, : len(step)] @ whole
+    return whole
 
 
 def test_the_slow_loop_is_what_the_run_does(made: tuple[Any, ...], job: Any) -> None:
@@ -125,8 +141,8 @@ def test_the_slow_loop_is_what_the_run_does(made: tuple[Any, ...], job: Any) -> 
     assert tracking.plants is not None
     assert tracking.controller.dt == pytest.approx(SLOW * T)
     run = simulate(job.scenario(job.manoeuvres[0]), [one.closed.controller for one in made], period=T)
-    P, K = tracking.plants, System.of(tracking.controller, "controller")
-    x, x_K, expected = np.zeros(P.A.shape[-1]), np.zeros(len(K.A)), []
+    P, K = tracking.plants, tracking.controller
+    x, x_K, expected = np.zeros(P.A.shape[-1]), np.zeros(K.nstates), []
     for k in range(len(run.t[::SLOW])):
         y = P.C[0] @ x
         expected.append(y[0])
@@ -139,11 +155,11 @@ def test_the_slow_loop_is_what_the_run_does(made: tuple[Any, ...], job: Any) -> 
 
 
 def test_poles_are_those_of_stepping_plant_and_computer_over_a_cycle(
-    job: Any, check: Any, controllers: list[control.StateSpace]
+    check: Any, controllers: list[control.StateSpace]
 ) -> None:
     assert check.period == pytest.approx(SLOW * T)
     assert check.controller is None
-    stepped = np.linalg.eigvals(over_a_cycle(job, check, controllers, SLOW))
+    stepped = np.linalg.eigvals(turn(over_a_cycle(check, controllers, SLOW)))
 
     def largest(z: Any) -> np.ndarray:
         return np.sort(np.abs(z))[::-1][:6]
@@ -153,50 +169,23 @@ def test_poles_are_those_of_stepping_plant_and_computer_over_a_cycle(
     assert "over 20 samples" in check.results[0].evidence
 
 
-def test_stability_of_the_whole_is_proved(check: Any, controllers: list[control.StateSpace]) -> None:
-    proofs = coupled_proofs(check, controllers)
-    (proof,) = proofs.claims
+def test_stability_of_the_whole_is_proved(result: Any, check: Any) -> None:
+    (proof,) = result.proofs["", ""].claims
     assert proof.proved
     assert proof.bound == pytest.approx(-0.99 * np.log(np.abs(check.poles).max()) / check.period, rel=1e-6)
 
 
-def test_rates_that_do_not_divide_one_another_repeat_after_their_common_multiple() -> None:
-    """Two controllers at every second and third sample, in an order of their own at each of six samples."""
-    generator = np.random.default_rng(3)
-    parts = []
-    for k, n in enumerate((2, 3)):
-        A, B, C = generator.normal(size=(2, 2)) * 0.3, generator.normal(size=(2, 1)), generator.normal(size=(1, 2))
-        names = {"inputs": [f"y{k + 1}"], "outputs": [f"u{k + 1}"]}
-        parts.append(control.ss(A, B, C, [[0.1]], n * T, **names))
-    by_sample = interconnected_by_sample(parts, ["y1", "y2"], ["u1", "u2"], T)
-    assert len(by_sample) == 6
-    assert len({id(one) for one in by_sample}) == 4
-    computer, x = Computer(parts), np.zeros(len(by_sample[0].A))
-    for k, y in enumerate(generator.normal(size=(30, 2))):
-        expected = computer.step({"y1": y[0], "y2": y[1]})
-        K = by_sample[k % 6]
-        np.testing.assert_allclose(K.C @ x + K.D @ y, [expected["u1"], expected["u2"]], rtol=0.0, atol=1e-12)
-        x = K.A @ x + K.B @ y
-
-
-def test_no_gain_within_the_margin_destabilises(job: Any, check: Any, controllers: list[control.StateSpace]) -> None:
+def test_no_gain_within_the_margin_destabilises(check: Any, controllers: list[control.StateSpace]) -> None:
     """Gains of the torque's loop that change from sample to sample at random, inside the disk."""
-    plant = System.of(check.plant, "plant")
-    seen, torquers = list(check.plant.output_labels), list(check.plant.input_labels)
-    used = [name for name in seen if name in {label for K in controllers for label in K.input_labels}]
-    by_sample = interconnected_by_sample(controllers, seen, torquers, T)
-    assert used
     alpha = check.simultaneous.guaranteed
     assert 0.3 < alpha <= check.simultaneous.upper
     np.testing.assert_allclose(check.coupled, alpha, rtol=2e-4)
     generator = np.random.default_rng(1)
+    low, high = (2.0 - alpha) / (2.0 + alpha), (2.0 + alpha) / (2.0 - alpha)
     for _ in range(20):
         factors = (2.0 + alpha * generator.uniform(-1.0, 1.0, SLOW)) / (2.0 - alpha * generator.uniform(-1.0, 1.0))
-        low, high = (2.0 - alpha) / (2.0 + alpha), (2.0 + alpha) / (2.0 - alpha)
-        turn = np.eye(len(plant.A) + len(by_sample[0].A))
-        for K, factor in zip(by_sample, np.clip(factors, low, high), strict=True):
-            turn = plant.feedback(K._replace(C=factor * K.C, D=factor * K.D)).A @ turn
-        assert np.abs(np.linalg.eigvals(turn)).max() < 1.0
+        whole = turn(over_a_cycle(check, controllers, SLOW, np.clip(factors, low, high)))
+        assert np.abs(np.linalg.eigvals(whole)).max() < 1.0
 
 
 def test_torque_noise_is_the_mean_of_the_periodic_covariance() -> None:
@@ -204,22 +193,18 @@ def test_torque_noise_is_the_mean_of_the_periodic_covariance() -> None:
     data["plant"]["rate_sensor"][0] |= {"noise_rms": 1e-4, "noise_bandwidth_hz": 500.0}
     job = read_job(data)
     controllers = [one.closed.controller for one in loops(job)]
-    check = coupled_check(job, linearise(job.platform), controllers)
-    plant = System.of(check.plant, "plant")
-    seen = list(check.plant.output_labels)
+    check = verdict(job, controllers).coupled
     sensors = {one.name: one for one in job.platform.sensors}
-    rms = np.array([sensors[name].sampled_noise(T) for name in seen])
-    cycle = [plant.feedback(K) for K in interconnected_by_sample(controllers, seen, check.plant.input_labels, T)]
-    m = plant.B.shape[1]
-    turn, driven = np.eye(len(cycle[0].A)), np.zeros_like(cycle[0].A)
-    for one in cycle:
-        B = one.B[:, m:] * rms
-        turn, driven = one.A @ turn, one.A @ driven @ one.A.T + B @ B.T
-    X, squares = solve_discrete_lyapunov(turn, driven), []
-    for one in cycle:
-        B, D = one.B[:, m:] * rms, one.D[:m, m:] * rms
-        squares.append(np.diag(one.C[:m] @ X @ one.C[:m].T + D @ D.T))
-        X = one.A @ X @ one.A.T + B @ B.T
+    rms = np.array([sensors[name].sampled_noise(T) for name in check.plant.output_labels])
+    steps = over_a_cycle(check, controllers, SLOW, rms=rms)
+    n = len(steps[0][0])
+    driven = np.zeros((n, n))
+    for step, _ in steps:
+        driven = step[:, :n] @ driven @ step[:, :n].T + step[:, n:] @ step[:, n:].T
+    X, squares = solve_discrete_lyapunov(turn(steps), driven), []
+    for step, torque in steps:
+        squares.append(np.diag(torque[:, :n] @ X @ torque[:, :n].T + torque[:, n:] @ torque[:, n:].T))
+        X = step[:, :n] @ X @ step[:, :n].T + step[:, n:] @ step[:, n:].T
     np.testing.assert_allclose(check.torque_noise, np.sqrt(np.mean(squares, axis=0)), rtol=1e-7)
 
 
@@ -254,15 +239,14 @@ def test_a_tracking_loop_at_two_hertz_in_a_loop_at_one_kilohertz() -> None:
     job = read_job(data)
     assert job.cycle == 500
     controllers = [one.closed.controller for one in loops(job)]
-    check = coupled_check(job, linearise(job.platform), controllers)
-    budget = line_of_sight_budget(job, controllers)
+    found = verdict(job, controllers, prove=True)
+    check = found.coupled
     assert check.stable
     assert check.period == pytest.approx(0.5)
-    usual = coupled_check(read_job(slow_job(None)), linearise(job.platform), controllers[1:])
-    np.testing.assert_allclose(check.coupled, usual.coupled, rtol=0.02)
-    assert coupled_proofs(check, controllers).left_out == "a cycle of 500 samples"
-    alone = line_of_sight_budget(read_job(data), controllers[1:])
-    np.testing.assert_allclose(budget.rms[0], alone.rms[0], rtol=0.02)
+    assert found.proofs["", ""].left_out == "a cycle of 500 samples"
+    alone = verdict(read_job(data | {"loop": data["loop"][:1], "manoeuvre": []}), controllers[1:])
+    np.testing.assert_allclose(check.coupled, alone.coupled.coupled, rtol=0.02)
+    np.testing.assert_allclose(found.budget.rms[0], alone.budget.rms[0], rtol=0.02)
 
 
 def test_a_tracker_that_measures_when_it_is_read_is_not_held() -> None:
@@ -333,20 +317,17 @@ def shaken_data(slow: int) -> dict[str, Any]:
     return data
 
 
-def shaken_job(slow: int) -> Any:
-    return read_job(shaken_data(slow))
-
-
 def test_runs_have_the_rms_of_the_budget() -> None:
     """Hold and aliasing of the tracking loop at 50 Hz included: its pictures are most of what shakes."""
-    job = shaken_job(SLOW)
-    controllers = [one.closed.controller for one in loops(job)]
-    found = simulated_budget(job, controllers, 96, time=1.0)
+    data = shaken_data(SLOW)
+    data["budget"]["runs"] = 96
+    job = read_job(data)
+    result = check_job(job, loops(job))
+    found, budget = result.simulated_budget, result.budget
     spread = (found.high[1] - found.low[1]) / (2.0 * found.rms[1])
     assert spread < 0.07
     # Four standard errors; the interval has two.
     assert found.rms[1] == pytest.approx(found.linear[1], rel=2.0 * spread)
-    budget = line_of_sight_budget(job, controllers)
     assert budget.names == ("base", "noise of gyro", "noise of heading")
     assert budget.rms[2, 1] > 0.6 * budget.total[1]
     np.testing.assert_allclose(np.sqrt(np.sum(budget.rms**2, axis=0)), budget.total, rtol=1e-9)
@@ -355,11 +336,11 @@ def test_runs_have_the_rms_of_the_budget() -> None:
 
 
 def test_a_picture_that_is_read_just_when_it_is_taken_has_the_noise_of_its_own_rate() -> None:
-    (sensor,) = (one for one in shaken_job(SLOW).platform.sensors if one.name == "heading")
+    sensors = {one.name: one for one in read_job(shaken_data(SLOW)).platform.sensors}
+    sensor, gyro = sensors["heading"], sensors["gyro"]
     own = sensor.sampled_noise(SLOW * T)
     assert sensor.sampled_noise(T, SLOW) == sensor.sampled_noise(T, 3 * SLOW) == pytest.approx(own)
     # Read more often it is the same picture again: independent readings of the same density have more noise.
     assert sensor.sampled_noise(T, SLOW // 4) == pytest.approx(2.0 * own)
     assert sensor.sampled_noise(T) == pytest.approx(math.sqrt(SLOW) * own)
-    (gyro,) = (one for one in shaken_job(SLOW).platform.sensors if one.name == "gyro")
     assert gyro.sampled_noise(T, SLOW) == gyro.sampled_noise(T)

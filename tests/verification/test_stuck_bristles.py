@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from given_controllers import verdict
 from platform_ctrl import simulation
-from platform_ctrl.verification.coupled import coupled_check
 
 J, STIFFNESS, DAMPING, VISCOUS = 0.05, 2000.0, 0.2, 0.02
 PERIOD, DELAY = 1e-3, 5e-3
@@ -30,7 +30,7 @@ def checked(**friction):
     s, w = control.tf("s"), 60.0
     law = control.ss(control.sample_system(-J * w**2 * (1 + 1.4 * s / w) / (1 + s / (8 * w)), PERIOD, "tustin"))
     controller = control.StateSpace(law.A, law.B, law.C, law.D, PERIOD, inputs=["q"], outputs=["Qg"])
-    return read, controller, coupled_check(read, pc.linearise(read.platform), [controller])
+    return read, controller, verdict(read, [controller]).coupled
 
 
 def test_a_loop_that_slides_stably_is_unstable_where_bristles_stick_as_the_run_is():

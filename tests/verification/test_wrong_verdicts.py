@@ -15,10 +15,7 @@ import pytest
 import platform_ctrl as pc
 from continuous_loop import ContinuousLoop
 from platform_ctrl import design
-from platform_ctrl.analysis.system import System
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.job import Job
-from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.verification import check_job
 
 HERE = Path(__file__).parents[1] / "data" / "wrong_verdicts"
@@ -28,7 +25,7 @@ def data(name: str) -> dict[str, Any]:
     return tomllib.loads((HERE / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def results(job: Job) -> dict[tuple[str, str], CheckResult]:
+def results(job: Any) -> dict[tuple[str, str], Any]:
     found = check_job(job, design.loops(job))
     return {(one.stage, one.name): one for one in found.requirements}
 
@@ -38,11 +35,11 @@ def test_a_rate_loop_against_a_spring_leaves_what_the_spring_takes() -> None:
     read = pc.read_job(data("steady"))
     found = results(read)
     outcome = design.loops(read)[0].closed
-    K = System.of(outcome.controller, "K")
+    K = outcome.controller
     # A step of the command, by the sampled loop in state space and by its value at zero frequency.
     A = np.array([[0.0, 1.0], [-40.0, -0.1]])
     plant = (A, [[0.0], [100.0]], [[-1.0], [0.1]], [[0.0, 1.0]], [[0.0, 1.0]], [[0.0]], [[0.0]])
-    loop = ContinuousLoop(plant, K, 5e-4, delay=1e-4)
+    loop = ContinuousLoop(plant, (K.A, K.B, K.C, K.D), 5e-4, delay=1e-4)
     w = np.array([1e-3])
     left = abs(1.0 / (1.0 - loop.sampled_plant(w) @ loop.controller(w)))[0, 0, 0]
     assert left == pytest.approx(0.2025, abs=2e-4)
@@ -70,7 +67,7 @@ def test_a_pointing_loop_against_a_spring_lags_a_ramp_by_k_over_its_integral_gai
     }
     read = pc.read_job(raw)
     found = results(read)
-    K = System.of(design.loops(read)[0].closed.controller, "K")
+    K = design.loops(read)[0].closed.controller
     z = 1.0 + 1e-7
     integral = 1e-7 / 5e-4 * abs((K.C @ np.linalg.solve(z * np.eye(len(K.A)) - K.A, K.B) + K.D)[0, 0])
     assert found["decoupled", "steady-state error"].value == 0.0
@@ -170,7 +167,7 @@ def test_a_mode_that_is_a_passive_gimbal_takes_part_in_the_loop() -> None:
     for held in (False, True):
         read = pc.read_job(with_a_mode(held))
         outcome = design.loops(read)[0].closed
-        K = System.of(outcome.controller, "K")
+        K = outcome.controller
         # [pitch, lens] and their rates: M q'' + D q' + k q = [Q, 0]; the gyro sees the first.
         n = 1 if held else 2
         M = np.array([[0.01 + LENS, LENS], [LENS, LENS]])[:n, :n]
@@ -184,7 +181,8 @@ def test_a_mode_that_is_a_passive_gimbal_takes_part_in_the_loop() -> None:
         B, none = np.zeros((2 * n + 2, 1)), np.zeros((2 * n + 2, 1))
         B[n : 2 * n, 0] = inverse[:, 0]
         C = np.eye(1, 2 * n + 2, 2 * n)
-        loop = ContinuousLoop((A, B, none, C, C, [[0.0]], [[0.0]]), K, 1e-3, delay=2e-4, lag=[3e-4], late=[1])
+        plant, law = (A, B, none, C, C, [[0.0]], [[0.0]]), (K.A, K.B, K.C, K.D)
+        loop = ContinuousLoop(plant, law, 1e-3, delay=2e-4, lag=[3e-4], late=[1])
         f = np.geomspace(1.0, np.pi / 1e-3, 200_000)
         S = 1.0 / (1.0 - (loop.sampled_plant(f) @ loop.controller(f))[:, 0, 0])
         margins[held] = 1.0 / np.abs(S - 0.5).max()

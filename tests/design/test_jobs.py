@@ -1,13 +1,17 @@
-"""Designs that are kept in a folder: the same as without it, and made again where anything has changed."""
+"""Designs kept in a folder, or made side by side in processes, are the same as those made one after the other."""
 
 import json
+import os
+import signal
+import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from platform_ctrl import read_job
 from platform_ctrl.design import jobs
 from platform_ctrl.design.jobs import attempted_loops
-from platform_ctrl.design.methods import read_job
 from platform_ctrl.job.reading import data_hash, job_data
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.result_file import result_record
@@ -71,3 +75,46 @@ def test_a_damaged_file_counts_as_none(data, tmp_path):
     ):
         file.write_text(damaged)
         assert not designed(data, tmp_path)[1]
+
+
+@pytest.fixture(scope="module")
+def job():
+    """The shipped caged gyro, with a second design."""
+    given = tomllib.loads((EXAMPLE).read_text())
+    given["plant"] = str(EXAMPLE.parent / given["plant"])
+    given["loop"][0]["design"][0].pop("tune")
+    given["loop"][0]["design"].append({"name": "H-infinity", "method": "hinf"})
+    return read_job(given)
+
+
+FORKED = pytest.mark.skipif(not jobs._FORKS, reason="processes are forked on Linux alone")
+
+
+@FORKED
+def test_designs_side_by_side_are_those_made_one_after_the_other(job):
+    lines = []
+    together, alone = attempted_loops(job, lines.append, 2), attempted_loops(job)
+    assert any("2 designs side by side" in line for line in lines)
+    for one, other in zip(together, alone, strict=True):
+        assert [d.name for d in one.designs] == [d.name for d in other.designs]
+        for d, e in zip(one.designs, other.designs, strict=True):
+            assert d.plants.labels == e.plants.labels
+            np.testing.assert_allclose(d.controller.A, e.controller.A, rtol=1e-12)
+            assert [r.value for r in d.results] == pytest.approx([r.value for r in e.results], rel=1e-12)
+
+
+@FORKED
+def test_a_design_whose_process_is_killed_fails_alone(job, monkeypatch):
+    made = jobs.evaluated
+    first, *others = job.loops[0].designs
+
+    def killed(problem, *given, **more):
+        if problem.design.name == first.name:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return made(problem, *given, **more)
+
+    monkeypatch.setattr(jobs, "evaluated", killed)
+    outcome = attempted_loops(job, None, 2)[0]
+    assert [one.name for one in outcome.failed] == [first.name]
+    assert "killed, perhaps because memory ran out; try fewer plants" in str(outcome.failed[0].error)
+    assert [one.name for one in outcome.designs] == [one.name for one in others]
