@@ -142,7 +142,7 @@ class PlantSet:
         """
         whole = feedforward.taken_up(self.whole, len(self.torques), len(self.angles))
         added = whole.A.shape[-1] - len(self.states)
-        return dataclasses.replace(
+        found = dataclasses.replace(
             self,
             whole=whole,
             states=(*self.states, *(f"feedforward_{k + 1}" for k in range(added))),
@@ -150,6 +150,7 @@ class PlantSet:
             disturbances=feedforward.responses(self.disturbances),
             disturbed=None,
         )
+        return found if self.disturbed is None else found.with_disturbances()
 
     def noise_of(self, sense: FloatArray | None = None) -> FloatArray:
         """Return the rms of one sample of what is measured, or of combinations (k, p) of it, of the nominal plant."""
@@ -321,7 +322,14 @@ class PlantSet:
         new = np.setdiff1d(frequency[frequency <= np.pi / self.period], self.frequency)
         if not len(new):
             return self
-        return self.on(np.union1d(self.frequency, new))
+        more, at = self.on(new), np.searchsorted(self.frequency, new)
+
+        def both(own: ComplexArray, other: ComplexArray) -> ComplexArray:
+            return np.insert(own, at, other, axis=1)
+
+        frequency, response = np.insert(self.frequency, at, new), both(self.response, more.response)
+        known = more.disturbed and self.disturbed and Disturbed(*map(both, self.disturbed, more.disturbed))
+        return replaced(self, {"frequency": frequency, "response": response, "disturbed": known})
 
     def only(self, chosen: Sequence[int]) -> PlantSet:
         """Return the set of the `chosen` plants (indices); the first one is the new nominal plant."""

@@ -72,7 +72,9 @@ def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
             # An error says which gimbals its sensors do not show.
             loop_channels(linearise(job.platform), signals, job.period_of(spec))
             expect_no_keyhole(job, signals)
-        return sampled_plants(job, signals, job.every(spec))
+        found = sampled_plants(job, signals, job.every(spec))
+        # What several designs, searches and bounds need again and again.
+        return found.with_disturbances() if any(one.metric.of_disturbances for one in spec.requests) else found
     except ArgumentError as error:
         raise InputError(f"loop {spec.name!r}: {error}") from None
 

@@ -22,6 +22,8 @@ from platform_ctrl.job.requirements import LoopRequirement
 
 # By how much a parameter is eased, the range of gains that are tried, their steps, and how well the last one is found.
 _SHARE, _RANGE, _STEPS, _FOUND = 0.1, 8.0, 32, 1e-3
+# Parameters on which no more than one kind of requirement depends.
+_ALONE = {"noise": "torque noise", "torque limit": "torque limit"}
 
 
 @value
@@ -60,8 +62,9 @@ def loop_bounds(job: Job, outcome: LoopOutcome) -> LoopBounds | None:
     gain, bandwidth, one = found
     bounds = []
     for name, moved, eased in _eased(job, outcome):
-        again = moved()
-        end = None if again is None else _reached(outcome, again, gain)
+        # With what another requirement alone depends on, the end of the rise stays where it is.
+        again = moved() if _ALONE.get(name, one.kind) == one.kind else plants
+        end = found if again is plants else None if again is None else _reached(outcome, again, gain)
         if end is not None:
             bounds.append(Bound(parameter=name, sensitivity=math.log(end[1] / bandwidth) / math.log(eased) + 0.0))
     bounds.sort(key=lambda bound: -abs(bound.sensitivity))
