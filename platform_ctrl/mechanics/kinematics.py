@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,7 +54,11 @@ class Topology:
 
 def topology(platform: Platform) -> Topology:
     """Return the tree of a platform as arrays, in the file's order of gimbals and rotors."""
-    instance("platform", platform, Platform)
+    return _topology(instance("platform", platform, Platform))
+
+
+@lru_cache(maxsize=8)  # a linearisation needs that of its platform ten times
+def _topology(platform: Platform) -> Topology:
     parents, carriers = platform.parents, 1 + platform.carriers
     order = _parents_first(platform.name, parents.tolist())
     n, rotors = len(parents), platform.rotors
@@ -171,8 +177,9 @@ def configuration(tree: Topology, q: FloatArray) -> Kinematics:
     centres = origins + np.einsum("bij,bj->bi", rotations, tree.centres)
     velocities = np.zeros((1 + n, 3, 3 + n))
     velocities[:, :, :3] = -cross_matrix(centres)
-    arms = np.cross(axes, centres[:, None, :] - origins[1:])  # a_k × (x_b − r_k)
-    velocities[:, :, 3:] = (arms * tree.on_path[:, :, None]).transpose(0, 2, 1)
+    arms = centres[:, None, :] - origins[1:]
+    turned = np.einsum("kac,bkc->bak", cross_matrix(axes), arms)  # a_k × (x_b − r_k)
+    velocities[:, :, 3:] = turned * tree.on_path[:, None, :]
     gears = np.einsum("ga,gax->gx", axes[tree.geared], jacobians[1 + tree.parents[tree.geared]])
     gears[np.arange(len(tree.gears)), 3 + tree.geared] += tree.gears
     return Kinematics(

@@ -217,28 +217,21 @@ def linearise(
 
 def _axis_curvature(at: Kinematics, axis: FloatArray, body: int) -> FloatArray:
     """∂²axis/∂q_i∂q_j of an axis that is fixed in a body, (n, n, 3)."""
-    tree, n = at.tree, len(at.axes)
-    out = np.zeros((n, n, 3))
-    for j in np.flatnonzero(tree.on_path[body]):
-        for i in np.flatnonzero(tree.on_path[1 + j]):
-            # The outer gimbal turns what the inner one has turned.
-            out[i, j] = out[j, i] = np.cross(at.axes[i], np.cross(at.axes[j], axis))
-    return out
+    turning = cross_matrix(at.axes)
+    # The outer gimbal i turns what the inner one j, or itself, has turned.
+    once = (turning @ axis) * at.tree.on_path[body][:, None]
+    out = np.einsum("iab,jb->ija", turning, once) * at.tree.on_path[1:].T[:, :, None]
+    return np.asarray(np.where(at.tree.above[:, :, None], out, out.swapaxes(0, 1)))
 
 
 def _inertia_curvature(at: Kinematics, inertias: FloatArray, Omega: FloatArray) -> FloatArray:
     """∂²T2/∂q² = ∂²(½ Omegaᵀ A*_OmegaOmega Omega)/∂q², (n, n)."""
-    tree, n = at.tree, len(at.axes)
-    out = np.zeros((n, n))
-    turned = np.cross(Omega, at.axes)
-    for body in range(1, 1 + n):
-        momentum = inertias[body] @ Omega
-        for j in np.flatnonzero(tree.on_path[body]):
-            for i in np.flatnonzero(tree.on_path[1 + j]):
-                # In body axes Omega changes by −a_j × Omega, and twice by a_j × (a_i × Omega), i above j.
-                second = np.cross(at.axes[j], np.cross(at.axes[i], Omega))
-                out[i, j] += turned[i] @ inertias[body] @ turned[j] + momentum @ second
-    # Only pairs with i above j are set.
+    turning = cross_matrix(at.axes)
+    carried = np.einsum("bj,bxy->jxy", at.tree.on_path, inertias)  # inertia that gimbal j turns
+    # In body axes Omega changes by −a_j × Omega, and twice by a_j × (a_i × Omega), i above j or j itself.
+    once = turning @ Omega
+    turned = (carried @ once[:, :, None])[:, :, 0] - (turning @ (carried @ Omega)[:, :, None])[:, :, 0]
+    out = once @ turned.T * at.tree.on_path[1:].T
     return np.asarray(out + out.T - np.diag(np.diag(out)))
 
 

@@ -114,12 +114,12 @@ def derivatives(at: Kinematics) -> Derivatives:
     d_jacobians[..., 3:] = turned_axes[:, None] * tree.on_path[None, :, None, :]
     product = np.einsum("jab,kbc->jkac", cross, inertias)
     d_inertias = (product + product.transpose(0, 1, 3, 2)) * tree.on_path.T[:, :, None, None]
-    half = np.einsum("jkax,kab,kby->jxy", d_jacobians, inertias, at.jacobians, optimize=True)
-    whole = np.einsum("kax,jkab,kby->jxy", at.jacobians, d_inertias, at.jacobians, optimize=True)
+    half = np.tensordot(d_jacobians, inertias @ at.jacobians, ((1, 2), (0, 1)))
+    whole = np.tensordot(d_inertias @ at.jacobians, at.jacobians, ((1, 2), (0, 1))).transpose(0, 2, 1)
     d_velocities = np.empty((n, 1 + n, 3, 3 + n))
     d_velocities[..., :3] = -cross_matrix(at.velocities[:, :, 3:].transpose(2, 0, 1))  # ∂x_b/∂q_j × Omega
     d_velocities[..., 3:] = at.centre_curvature().transpose(0, 2, 3, 1)
-    half += np.einsum("jkax,k,kay->jxy", d_velocities, tree.masses, at.velocities, optimize=True)
+    half += np.tensordot(d_velocities, tree.masses[:, None, None] * at.velocities, ((1, 2), (0, 1)))
     behind = 1 + tree.parents[tree.geared]
     d_gears = np.einsum("jag,gax->jgx", turned_axes[:, :, tree.geared], at.jacobians[behind])
     d_gears += np.einsum("ga,jgax->jgx", at.axes[tree.geared], d_jacobians[:, behind])
