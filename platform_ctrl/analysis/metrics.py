@@ -6,6 +6,7 @@ report, the app and the tables of the documentation. See docs/reference/architec
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import Literal
 
@@ -292,58 +293,41 @@ COUPLED_METRICS: dict[str, Quantity] = {
 
 # Of the line of sight; the limits are in ``[budget.limits]`` and, of one source, in ``[[budget.source]]``.
 BUDGET_METRICS: dict[str, Quantity] = {
-    one.key: one
-    for one in (
-        Quantity(
-            name="line-of-sight jitter",
-            key="jitter",
-            unit="rad",
-            meaning="rms of both axes across the line of sight together, in the band of the budget",
+    key: Quantity(name=name, key=key, unit="rad", meaning=meaning)
+    for key, name, meaning in (
+        (
+            "jitter",
+            "line-of-sight jitter",
+            "rms of both axes across the line of sight together, in the band of the budget",
         ),
-        Quantity(
-            name="line-of-sight jitter of one axis",
-            key="jitter_per_axis",
-            unit="rad",
-            meaning="the larger rms of the two axes across the line of sight, in the band of the budget",
+        (
+            "jitter_per_axis",
+            "line-of-sight jitter of one axis",
+            "the larger rms of the two axes across the line of sight, in the band of the budget",
         ),
-        Quantity(
-            name="line-of-sight jitter within an exposure",
-            key="windowed_jitter",
-            unit="rad",
-            meaning="rms about the mean of an exposure, both axes together, at the exposure where it is largest",
+        (
+            "windowed_jitter",
+            "line-of-sight jitter within an exposure",
+            "rms about the mean of an exposure, both axes together, at the exposure where it is largest",
         ),
-        Quantity(
-            name="line-of-sight smear within an exposure",
-            key="smear",
-            unit="rad",
-            meaning="rms of the extent of the line that fits an exposure best, from end to end, both axes together",
+        (
+            "smear",
+            "line-of-sight smear within an exposure",
+            "rms of the extent of the line that fits an exposure best, from end to end, both axes together",
         ),
-        Quantity(
-            name="contrast of the image",
-            key="contrast",
-            sense="at least",
-            meaning="modulation transfer function of the motion within an exposure, at the exposure, axis and spatial "
-            "frequency where it is least",
-        ),
-        Quantity(
-            name="line-of-sight rms",
-            key="limit",
-            unit="rad",
-            meaning="rms of both axes across the line of sight from one source alone",
-        ),
+        ("limit", "line-of-sight rms", "rms of both axes across the line of sight from one source alone"),
     )
 }
-
+BUDGET_METRICS["contrast"] = Quantity(
+    name="contrast of the image",
+    key="contrast",
+    sense="at least",
+    meaning="modulation transfer function of the motion within an exposure, at the exposure, axis and spatial "
+    "frequency where it is least",
+)
 
 METRICS |= {
-    one.name: Metric(
-        name=one.name,
-        key=key,
-        unit=one.unit,
-        sense=one.sense,
-        meaning=one.meaning,
-        measure=measuring.Sight(key=key, least=one.sense == "at least"),
-    )
+    one.name: Metric(**dataclasses.asdict(one), measure=measuring.Sight(key=key, least=one.sense == "at least"))
     for key, one in BUDGET_METRICS.items()
     if key != "limit"
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
@@ -30,12 +30,14 @@ _PER_VOLT = Instead("kv", POSITIVE, lambda rpm, _: 60.0 / (2.0 * math.pi * rpm))
 _FROM_HEAT = Instead("motor_constant", POSITIVE, lambda k, motor: (motor["torque_constant"] / k) ** 2)
 _PEAK = Instead("peak_torque", POSITIVE, lambda torque, motor: torque / motor["torque_constant"])
 _CONTINUOUS = Instead("continuous_torque", POSITIVE, lambda torque, motor: torque / motor["torque_constant"])
-_INSTEAD = {
-    "torque_constant": "kv",
-    "resistance": "motor_constant",
-    "current_limit": "peak_torque",
-    "continuous_current": "continuous_torque",
-}
+_INSTEAD = {"torque_constant": "kv", "resistance": "motor_constant"}
+
+
+def _harmonics(size: str, fit: Callable[[float], bool]) -> fields.Expected:
+    judge = fields.rows(lambda x: x > 0, fit, lambda x: True)
+    return fields.Expected(f"rows [order > 0, {size}, phase]", judge)
+
+
 _CURRENTS = ("current_limit", "peak_torque", "continuous_current", "continuous_torque")
 _SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
 
@@ -291,19 +293,8 @@ class Motor:
     thermal_time: fields.Positive | None = None
     current_loop: Annotated[CurrentLoop | None, TABLE] = None
     efficiency: fields.SomePart = 1.0
-    cogging: Annotated[
-        FloatArray | None,
-        fields.Expected(
-            "rows [order > 0, amplitude >= 0, phase]", fields.rows(lambda x: x > 0, lambda x: x >= 0, lambda x: True)
-        ),
-    ] = None
-    ripple: Annotated[
-        FloatArray | None,
-        fields.Expected(
-            "rows [order > 0, 0 <= share < 1, phase]",
-            fields.rows(lambda x: x > 0, lambda x: 0 <= x < 1, lambda x: True),
-        ),
-    ] = None
+    cogging: Annotated[FloatArray | None, _harmonics("amplitude >= 0", lambda x: x >= 0)] = None
+    ripple: Annotated[FloatArray | None, _harmonics("0 <= share < 1", lambda x: 0 <= x < 1)] = None
     swell: float = 1.0
 
     @staticmethod
