@@ -173,8 +173,12 @@ def show_campaign(summary: Summary) -> None:
     console = screen()
     console.print(summary.plan.job.name, style="bold", markup=False)
     _show_rows(console, tables.probability_rows(summary), summary.statistics.confidence)
-    _show_drivers(console, summary)
-    _show_worst(console, summary)
+    lines = [tables.driver_words(requirement, found) for requirement, found in tables.drivers(summary).items()]
+    lines += [tables.cause_words(one) for one in tables.causes(summary)]
+    for one, words in tables.worst_rows(summary, summary.statistics.worst[:_WORST], tables.all_drivers(summary)):
+        lines.append(f"worst: run {one.run}, {one.manoeuvre}: {words[0]} {words[1]} ({words[2]})")
+    for line in lines:
+        show_words(console, line, indent="  ")
     first, *more = tables.verdict(summary), *tables.verdict_lines(summary)
     show_verdict(console, summary.passed, first)
     for line in more:
@@ -196,22 +200,3 @@ def _show_rows(console: Console, rows: tuple[ProbabilityRow, ...], confidence: f
             cells.append((f"  {row.words[0]}", *row.words[1:5]))
             styles.append("red" if row.numbers.events else "")
     show_table(console, heads, cells, styles=styles)
-
-
-def _show_drivers(console: Console, summary: Summary) -> None:
-    from platform_ctrl.cli.terminal import show_words
-    from platform_ctrl.report import campaign_tables as tables
-
-    for requirement, found in tables.drivers(summary).items():
-        show_words(console, tables.driver_words(requirement, found), indent="  ")
-    for one in tables.causes(summary):
-        show_words(console, tables.cause_words(one), indent="  ")
-
-
-def _show_worst(console: Console, summary: Summary) -> None:
-    from platform_ctrl.cli.terminal import show_words
-    from platform_ctrl.report import campaign_tables as tables
-
-    for one, words in tables.worst_rows(summary, summary.statistics.worst[:_WORST], tables.all_drivers(summary)):
-        shown = f"{words[0]} {words[1]} ({words[2]})"
-        show_words(console, f"worst: run {one.run}, {one.manoeuvre}: {shown}", indent="  ")

@@ -3,20 +3,26 @@
 By itself numba optimises every function together with all that it calls, and makes machine code of them: what lies n
 calls deep n times. A part is typed and translated alone; the costly optimisations and machine code are for what Python
 calls.
+
+Named tuples are handed on as one pointer, see `hand_on_by_reference`: by itself numba hands on every number of a tuple,
+and eight of every array: most of the code of a call, and of the time that takes to compile.
 """
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-from numba.core.compiler_lock import global_compiler_lock
-from numba.extending import overload
+from numba.core.imputils import lower_getattr_generic
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import NativeValue, models, overload, register_model, typeof_impl, unbox
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -96,48 +102,68 @@ def compiled(function: F) -> F:
     if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT, where it is the plain function
         # What was compiled by another "version" is not even unpickled: its types may have been in another module.
         dispatcher._cache._cache_file._version += f" {_stamp(Path(function.__code__.co_filename))}"
-        _compile_in_one_process(dispatcher)
     return cast(F, dispatcher)
 
 
 def _stamp(source: Path) -> tuple[float, int]:
     """Newest change and total size of the files beside a source file, and of those that say how it is compiled."""
     own = Path(__file__)
-    shared = [own, own.with_name("simd.py"), own.with_name("references.py")]
+    shared = [own, own.with_name("simd.py")]
     files = [file.stat() for file in (*shared, *sorted(source.parent.glob("*.py")))]
     return max(file.st_mtime for file in files), sum(file.st_size for file in files)
 
 
-def _compile_in_one_process(dispatcher: Any) -> None:
-    """Let other processes that need a cached function wait for the first, and take what that keeps."""
-    compile_or_load, held = dispatcher.compile, False
+class Reference(types.Type):
+    """A named tuple by reference; `instance_class` says which."""
 
-    def compiled(signature: Any) -> Any:
-        nonlocal held
-        # numba's lock first: a thread must not wait for it with a file that the one which has it may need.
-        with global_compiler_lock:
-            if held or signature in dispatcher.overloads:
-                return compile_or_load(signature)
-            held = True
-            try:
-                with _alone(Path(dispatcher.stats.cache_path), dispatcher.py_func):
-                    return compile_or_load(signature)
-            finally:
-                held = False
+    def __init__(self, instance_class: Any, members: tuple[types.Type, ...]) -> None:
+        self.instance_class, self.members = instance_class, members
+        super().__init__(name=f"reference({instance_class.__module__}.{instance_class.__name__}, {members})")
 
-    dispatcher.compile = compiled
+    def place(self, name: str) -> int:
+        """Return which member has a name."""
+        return int(self.instance_class._fields.index(name))
 
 
-@contextlib.contextmanager
-def _alone(folder: Path, function: Any) -> Iterator[None]:
-    """Wait until no other process has the lock of a function; one that ends without a word loses it."""
-    with contextlib.ExitStack() as stack:
-        # Without such locks, or with nowhere to put the file, both compile.
-        with contextlib.suppress(ImportError, OSError):
-            import fcntl
+@register_model(Reference)
+class _Model(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Reference) -> None:
+        members = ir.LiteralStructType([manager.lookup(member).get_data_type() for member in kind.members])
+        super().__init__(manager, kind, members.as_pointer())
 
-            folder.mkdir(parents=True, exist_ok=True)
-            name = f"{function.__module__}.{function.__qualname__}.lock"
-            file = stack.enter_context((folder / name).open("ab"))
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+
+def hand_on_by_reference(*tuples: type) -> None:
+    """Let compiled functions hand on these named tuples, whose members stay as they are meanwhile, by reference."""
+    for kind in tuples:
+        typeof_impl.register(kind)(
+            lambda value, context: Reference(type(value), tuple(typeof_impl(member, context) for member in value))
+        )
+
+
+@unbox(Reference)
+def _unboxed(kind: Reference, value: Any, c: Any) -> Any:
+    pointer = cgutils.alloca_once(c.builder, c.context.get_value_type(kind).pointee)
+    wrong = cgutils.false_bit
+    for k, member in enumerate(kind.members):
+        item = c.pyapi.tuple_getitem(value, k)  # borrowed
+        native = c.unbox(member, item)
+        wrong = c.builder.or_(wrong, native.is_error)
+        data = c.context.data_model_manager[member].as_data(c.builder, native.value)
+        c.builder.store(data, cgutils.gep_inbounds(c.builder, pointer, 0, k))
+    return NativeValue(pointer, is_error=wrong)
+
+
+@infer_getattr
+class _Members(AttributeTemplate):
+    key = Reference
+
+    def generic_resolve(self, kind: Reference, name: str) -> Any:
+        return kind.members[kind.place(name)] if name in kind.instance_class._fields else None
+
+
+@lower_getattr_generic(Reference)
+def _member(context: Any, builder: Any, kind: Reference, value: Any, name: str) -> Any:
+    k = kind.place(name)
+    data = builder.load(cgutils.gep_inbounds(builder, value, 0, k))
+    data.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return context.data_model_manager[kind.members[k]].from_data(builder, data)

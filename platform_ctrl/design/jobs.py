@@ -111,8 +111,10 @@ def attempted_loops(
             problems: dict[str, list[LoopProblem]] = {}
             for name, spec in specs.items():
                 inner = made[str(spec.around)] if tracking and spec.kind == "tracking" else None
-                if inner is not None and inner.failure is not None:
-                    made[name] = _without_inner(spec, inner.failure)
+                if inner is not None and (lost := inner.failure) is not None:
+                    words = f"the design {lost.name!r} of the loop {lost.loop!r}, which it commands, has failed"
+                    errors = (DesignError(f"{name}, {design.name}: {words}") for design in spec.designs)
+                    made[name] = _outcome(spec, list(zip(spec.designs, errors, strict=True)))
                 elif (spec.kind == "tracking") is tracking:
                     around = None if inner is None else inner.closed
                     problems[name] = problems_of(job, spec, model, plants_of_all[name], around, say)
@@ -133,28 +135,18 @@ def attempted_loops(
     return in_order(job, list(map(made.__getitem__, specs)))
 
 
-def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, Design | Exception]]) -> LoopOutcome:
+def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, Made]]) -> LoopOutcome:
     """Return the outcome of a loop from the results of its designs."""
     designs = tuple(one for _, one in found if isinstance(one, Design))
     errors = [(design, instability(one, design.tune) if isinstance(one, Design) else one) for design, one in found]
-    names = [one.name for one in designs]
-    use = spec.use if spec.use in names or not names else names[0]
-    return LoopOutcome(spec=spec, designs=designs, use=use, failed=_failed(spec, errors))
-
-
-def _without_inner(spec: LoopSpec, inner: FailedDesign) -> LoopOutcome:
-    """Return the outcome of a tracking loop of which the loop inside has no design to rely on."""
-    words = f"the design {inner.name!r} of the loop {inner.loop!r}, which it commands, has failed"
-    errors = [(design, DesignError(f"{spec.name}, {design.name}: {words}")) for design in spec.designs]
-    return LoopOutcome(spec=spec, designs=(), use=spec.use, failed=_failed(spec, errors))
-
-
-def _failed(spec: LoopSpec, errors: Sequence[tuple[DesignSpec, Exception | None]]) -> tuple[FailedDesign, ...]:
-    return tuple(
+    failed = tuple(
         FailedDesign(loop=spec.name, name=design.name, method=design.method, error=error)
         for design, error in errors
         if error is not None
     )
+    names = [one.name for one in designs]
+    use = spec.use if spec.use in names or not names else names[0]
+    return LoopOutcome(spec=spec, designs=designs, use=use, failed=failed)
 
 
 def problems_of(
@@ -321,16 +313,7 @@ def taken_over(problem: LoopProblem, kept: Kept) -> Design | None:
         options, claims = dict(kept["options"]), dict(kept["claims"])
     except (LookupError, TypeError, ValueError):
         return None
-    return Design(
-        loop=problem.spec.name,
-        name=problem.design.name,
-        method=problem.design.method,
-        controller=K,
-        options=options,
-        claims=claims,
-        plants=problem.plant_set,
-        directions=problem.channel,
-    )
+    return problem.of(K, options, claims)
 
 
 def _kept(design: Design) -> Kept:

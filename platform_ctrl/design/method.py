@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.system import System, block
+from platform_ctrl.analysis.system import StateSpace, System, block
 from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
@@ -127,15 +127,19 @@ class LoopProblem:
         else:
             own = self.with_commands(self.channel.of_readings(controller), self.channel.sense)
             K = delivered(own._replace(dt=plants.period), plants, name)
+        return self.of(K, options, claims or {})
+
+    def of(self, controller: StateSpace, options: dict[str, float], claims: dict[str, float]) -> Design:
+        """Return the design with a controller that has its signals by name, not measured yet."""
         return Design(
-            loop=spec.name,
-            name=design.name,
-            method=design.method,
-            controller=K,
+            loop=self.spec.name,
+            name=self.design.name,
+            method=self.design.method,
+            controller=controller,
             options=options,
-            claims=claims or {},
-            plants=plants,
-            directions=None if plants is None else self.channel,
+            claims=claims,
+            plants=self.plant_set,
+            directions=None if self.plant_set is None else self.channel,
         )
 
 

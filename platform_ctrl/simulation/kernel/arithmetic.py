@@ -7,8 +7,7 @@ nested form, long enough for a double.
 
 from __future__ import annotations
 
-from platform_ctrl.common.compiling import inlined
-from platform_ctrl.common.references import hand_on_by_reference
+from platform_ctrl.common.compiling import hand_on_by_reference, inlined
 from platform_ctrl.common.simd import Number, choose, load, mantissa_and_exponent, power_of_two, store, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays

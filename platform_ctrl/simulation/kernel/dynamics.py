@@ -196,6 +196,17 @@ def _accelerate(links: Links, mem: FloatArray, at: At, moving: bool, locking: bo
 
 
 @inlined
+def _sum_moments(links: Links, mem: FloatArray, at: At) -> None:
+    """Sum MOMENT over the subtrees."""
+    for m in range(at.n - 1, -1, -1):
+        slot = at.work + (links.tree[m, arrays.GIMBAL] + 1) * arrays.WORK
+        H0, H1, H2 = vector(mem, slot + arrays.MOMENT)
+        c, s = load(mem, slot + arrays.COS), load(mem, slot + arrays.SIN)
+        up = at.work + links.tree[m, arrays.PARENT] * arrays.WORK + arrays.MOMENT
+        to_parent(links, mem, m, up, c, s, H0, H1, H2)
+
+
+@inlined
 def _momenta(links: Links, mem: FloatArray, at: At, y: int, around: int) -> None:
     """Angular momenta of the subtrees into MOMENT, from the bodies' rates."""
     n = at.n
@@ -206,12 +217,7 @@ def _momenta(links: Links, mem: FloatArray, at: At, y: int, around: int) -> None
         H0, H1, H2 = times(mem, at.body + b * arrays.BODY, w0, w1, w2)
         put(mem, slot + arrays.MOMENT, H0 + h0, H1 + h1, H2 + h2)
     servo_momenta(links, mem, at, y, arrays.MOMENT)
-    for m in range(n - 1, -1, -1):
-        slot = at.work + (links.tree[m, arrays.GIMBAL] + 1) * arrays.WORK
-        H0, H1, H2 = vector(mem, slot + arrays.MOMENT)
-        c, s = load(mem, slot + arrays.COS), load(mem, slot + arrays.SIN)
-        up = at.work + links.tree[m, arrays.PARENT] * arrays.WORK + arrays.MOMENT
-        to_parent(links, mem, m, up, c, s, H0, H1, H2)
+    _sum_moments(links, mem, at)
 
 
 @inlined
@@ -268,49 +274,28 @@ def derivative(
     else:
         _inward(links, mem, at, at.no, locking, y + n + 3)
         _accelerate(links, mem, at, at.no, locking, arrays.RATE, dy)
-        _momenta(links, mem, at, y, around)
-        for m in range(n):
-            k = links.tree[m, arrays.GIMBAL]
-            slot = at.work + (k + 1) * arrays.WORK
+        for k in range(n):
             Q = load(mem, around + 3 + k)
             if at.joints != 0:
-                rate = load(mem, dy + k)
-                Q = Q + joint_torque(mem, at, y, k, rate)
-            H0, H1 = load(mem, slot + arrays.MOMENT), load(mem, slot + arrays.MOMENT + 1)
-            w0, w1 = load(mem, slot + arrays.RATE), load(mem, slot + arrays.RATE + 1)
-            store(mem, torque + k, Q + H0 * w1 - H1 * w0)
+                Q = Q + joint_torque(mem, at, y, k, load(mem, dy + k))
+            store(mem, torque + k, Q)
         drive_torques(links, mem, at, y, around, dy)
         if at.weight != 0:
-            # The same recursion once more, for moments that act on the carriers.
+            # Moments that act on the carriers, summed over the subtrees.
+            zero = 0.0 * load(mem, y)
             for b in range(n + 1):
-                slot = at.work + b * arrays.WORK
-                H0, H1, H2 = vector(mem, slot + arrays.MOMENT)
-                put(mem, slot + arrays.ACCELERATION, H0, H1, H2)
-                zero = 0.0 * H0
-                put(mem, slot + arrays.MOMENT, zero, zero, zero)
+                put(mem, at.work + b * arrays.WORK + arrays.MOMENT, zero, zero, zero)
             unbalance_moments(mem, at)
-            for m in range(n - 1, -1, -1):
-                k = links.tree[m, arrays.GIMBAL]
-                slot = at.work + (k + 1) * arrays.WORK
-                N0, N1, N2 = vector(mem, slot + arrays.MOMENT)
-                add(mem, torque + k, -N2)
-                c, s = load(mem, slot + arrays.COS), load(mem, slot + arrays.SIN)
-                to_parent(
-                    links,
-                    mem,
-                    m,
-                    at.work + links.tree[m, arrays.PARENT] * arrays.WORK + arrays.MOMENT,
-                    c,
-                    s,
-                    N0,
-                    N1,
-                    N2,
-                )
+            _sum_moments(links, mem, at)
+            for k in range(n):
+                add(mem, torque + k, -load(mem, at.work + (k + 1) * arrays.WORK + arrays.MOMENT + 2))
             erection_torques(links, mem, at, torque)
-            for b in range(n + 1):
-                slot = at.work + b * arrays.WORK
-                H0, H1, H2 = vector(mem, slot + arrays.ACCELERATION)
-                put(mem, slot + arrays.MOMENT, H0, H1, H2)
+        _momenta(links, mem, at, y, around)
+        for k in range(n):
+            slot = at.work + (k + 1) * arrays.WORK
+            H0, H1, _ = vector(mem, slot + arrays.MOMENT)
+            w0, w1, _ = vector(mem, slot + arrays.RATE)
+            add(mem, torque + k, H0 * w1 - H1 * w0)
         if at.servos != 0:
             servo_drives(links, mem, at, at.no, y, dy)
         for i in range(3):
