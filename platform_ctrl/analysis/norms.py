@@ -72,8 +72,7 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float,
     >>> round(norm, 4), round(frequency, 4)
     (5.0252, 0.9899)
     """
-    arrays = linear_arrays(system, "hinf_norm")
-    return _norm(arrays, 1e-9, allow_unstable)
+    return _norm(linear_arrays(system, "hinf_norm"), 1e-9, allow_unstable)
 
 
 def _norm(
@@ -113,18 +112,23 @@ def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band
 
     best, frequency = axis.largest(points(pole.resonances(s)))
     for _ in range(_SEARCHES):
-        best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance, band)
+        best, frequency = _climbed(axis, s, best, frequency, 0.05 * tolerance, band)
         if not 0.0 < best < math.inf:
             break
-        found, at = axis.largest(points(level_frequencies(axis, best * (1.0 + tolerance))))
+        crossings = level_frequencies(axis, best * (1.0 + tolerance))
+        if not crossings.any():
+            break
+        found, at = axis.largest(points(crossings))
         if found <= best * (1.0 + tolerance):
             break
         best, frequency = found, at
     return best, frequency
 
 
-# Where a climb looks around the best frequency, in widths.
-_FAN = np.linspace(-1.0, 1.0, 15)
+# Where a climb looks around the best frequency, in widths: at first, and around where the top should be.
+_FAN, _AROUND = np.linspace(-1.0, 1.0, 15), np.array([-1.0, -0.2, 0.0, 0.2, 1.0])
+# How much closer it looks where a parabola says where the top is.
+_CLOSER = 0.05
 
 
 def _climbed(
@@ -138,9 +142,9 @@ def _climbed(
         return best, frequency
     # The peak cannot be much narrower than the distance to the nearest pole.
     width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
-    centre = frequency
+    centre, offsets = frequency, _FAN
     for _ in range(12):
-        fan = np.abs(centre + width * _FAN)
+        fan = np.abs(centre + width * offsets)
         fan = fan[(fan >= band[0]) & (fan <= min(band[1], axis.edge))]
         if not fan.size:
             break
@@ -152,14 +156,30 @@ def _climbed(
         three = sizes[max(i - 1, 0) : i + 2]
         if best - float(three.min()) <= slack * best or width < 1e-15 * frequency:
             break
-        centre = frequency
-        bend = three[0] + three[-1] - 2.0 * sizes[i] if len(three) == 3 else 0.0
-        if bend < 0.0 and 0 < i < len(fan) - 1:
-            centre += 0.25 * (three[0] - three[-1]) / bend * (fan[i + 1] - fan[i - 1])
-            width *= 0.07
+        step = _to_top(fan[i - 1 : i + 2], three) if len(three) == 3 and sizes[i] >= best * (1.0 - slack) else None
+        if step is None:
+            centre, width = frequency, 0.5 * width
+        elif step[1] <= slack:
+            return best, float(fan[i] + step[0])
         else:
-            width *= 0.5
+            centre, width, offsets = fan[i] + step[0], _CLOSER * width, _AROUND
     return best, frequency
+
+
+def _to_top(w: FloatArray, gains: FloatArray) -> tuple[float, float] | None:
+    """Return how far the top of the parabola through 1/gain² is from the middle of three, and how much it rises there.
+
+    Next to a single pole it is the gain itself. None where the parabola has no top.
+    """
+    below, _, above = (w - w[1]).tolist()
+    if not (gains.min() > 0.0 and below < 0.0 < above):
+        return None
+    left, _, right = ((gains[1] / gains) ** 2 - 1.0).tolist()
+    bend = (right / above - left / below) / (above - below)
+    slope = left / below - bend * below
+    if not (bend > 0.0 and slope * slope < 4.0 * bend):
+        return None
+    return -0.5 * slope / bend, 1.0 / math.sqrt(1.0 - 0.25 * slope * slope / bend) - 1.0
 
 
 def level_frequencies(axis: FrequencyAxis, level: float) -> FloatArray:

@@ -193,28 +193,25 @@ class AxisResponse:
         if not balanced:
             A, B, C = scaled(A, B, C)
         self._late = _Late.of(System(A, B, C, D, self._dt))
-        A = A.astype(np.longdouble)
-        if self._dt > 0.0:
-            A -= np.eye(len(A))
         # The triangular equations have as many right-hand sides as inputs: of more inputs than outputs, turned.
         self._turned = C.shape[0] < B.shape[1]
-        self._exact, self._B, self._C, self._D = (A.T, C.T, B.T, D.T) if self._turned else (A, B, C, D)
-        self._A = self._exact.astype(np.float64)
+        self._own, self._B, self._C, self._D = (A.T, C.T, B.T, D.T) if self._turned else (A, B, C, D)
+        self._A = self._own - np.eye(len(A)) if self._dt > 0.0 else self._own
+        self._size = float(np.linalg.norm(self._A))
 
     def at(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, complex (N, p, m); inf at a pole."""
         if self._late is not None:
             return self._late.at(frequency)
-        z = _less_one(frequency, self._dt) if self._dt > 0.0 else np.asarray(1j * frequency, dtype=np.clongdouble)
         (p, m), n = self._D.shape, len(self._A)
-        H = np.empty((p, m, len(z)), dtype=np.complex128)
+        H = np.empty((p, m, len(frequency)), dtype=np.complex128)
         if not (p and m and n):
             H[:] = self._D[..., None]
         else:
             step = max(1, _TOGETHER // (n * (1 if self._residues is not None else m)))
             with np.errstate(all="ignore"):
-                for k in range(0, len(z), step):
-                    H[..., k : k + step] = self._strictly_proper(z[k : k + step])
+                for k in range(0, len(frequency), step):
+                    H[..., k : k + step] = self._strictly_proper(frequency[k : k + step])
                 H += self._D[..., None]
             H[~np.isfinite(H)] = np.inf
         return H.transpose(2, 1, 0) if self._turned else H.transpose(2, 0, 1)
@@ -260,9 +257,13 @@ class AxisResponse:
         out = (self._C @ vectors)[:, None, :] * (inverse @ self._B).T
         return np.asarray(out.reshape(-1, len(vectors)), dtype=np.complex128)
 
-    def _strictly_proper(self, exact: NDArray[np.clongdouble]) -> ComplexArray:
+    def _points(self, frequency: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any, Any]]:
+        """Return s, or z - 1, at `frequency` (N,), rad/s, as exactly as that is given."""
+        return _less_one(frequency, self._dt) if self._dt > 0.0 else 1j * frequency
+
+    def _strictly_proper(self, frequency: FloatArray) -> ComplexArray:
         """Return C (z I - A)^-1 B, (p, m, N)."""
-        z, (p, m), size = exact.astype(np.complex128), self._D.shape, np.linalg.norm(self._A)
+        z, (p, m), size = self._points(frequency), self._D.shape, self._size
         if self._residues is None:
             X = self._by_schur(z)
             H = (self._C @ X).reshape(p, m, len(z))
@@ -271,19 +272,20 @@ class AxisResponse:
         else:
             gap = z - self._modes[0][:, None]
             square = gap.real**2 + gap.imag**2
-            nearest = np.sqrt(square.min(axis=0))
+            nearest = square.min(axis=0)
             shares = gap.conj() * (1.0 / square)
             if not nearest.all():  # at a pole, which not every input may reach
                 shares[~self._residues.any(axis=0)] = 0.0
             H = (self._residues @ shares).reshape(p, m, len(z))
-            near = (nearest > 0.0) & (size > _GROWN * nearest)
+            near = (nearest > 0.0) & (nearest < (size / _GROWN) ** 2)
         at, step = np.flatnonzero(near), max(1, _TOGETHER // len(self._A) ** 2)
         for k in range(0, len(at), step):
             some = at[k : k + step]
-            H[..., some] = (self._C @ self._by_elimination(exact[some])).transpose(1, 2, 0)
+            exact = self._points(frequency[some].astype(np.longdouble))
+            H[..., some] = (self._C @ self._by_elimination(exact)).transpose(1, 2, 0)
         return np.asarray(H, dtype=np.complex128)
 
-    def _by_schur(self, z: ComplexArray) -> ComplexArray:
+    def _by_schur(self, z: NDArray[np.complexfloating[Any, Any]]) -> ComplexArray:
         """Return (z I - A)^-1 B, (n, m N): for each input one column for each z."""
         T, Q = self._schur
         X, every = np.repeat(Q.conj().T @ self._B, len(z), axis=1), np.tile(z, self._B.shape[1])
@@ -293,7 +295,7 @@ class AxisResponse:
             X[i] /= every - T[i, i]
         return np.asarray(Q @ X, dtype=np.complex128)
 
-    def _by_elimination(self, exact: NDArray[np.clongdouble]) -> ComplexArray:
+    def _by_elimination(self, exact: NDArray[np.complexfloating[Any, Any]]) -> ComplexArray:
         """Return (z I - A)^-1 B, (N, n, m); inf where z is a pole."""
         every, B, eye = exact[:, None, None], self._B.astype(np.complex128), np.eye(len(self._A))
         M = every.astype(np.complex128) * eye - self._A
@@ -301,7 +303,8 @@ class AxisResponse:
         grown = np.linalg.norm(X, axis=1) * np.linalg.norm(self._A) > _GROWN * np.linalg.norm(B, axis=0)
         far = np.flatnonzero(grown.any(axis=1))
         if far.size:
-            X[far] += np.linalg.solve(M[far], (B - (every[far] * X[far] - self._exact @ X[far])).astype(np.complex128))
+            own = self._own.astype(np.longdouble) - (eye if self._dt > 0.0 else 0.0)
+            X[far] += np.linalg.solve(M[far], (B - (every[far] * X[far] - own @ X[far])).astype(np.complex128))
         X[~np.isfinite(X)] = np.inf
         return X
 
@@ -349,8 +352,9 @@ class _Late:
         step = max(1, _TOGETHER // max(1, n * n))
         for k in range(0, len(frequency), step):
             w = frequency[k : k + step]
-            change = _less_one(-np.outer(w, self.ages), self._dt).astype(np.complex128)[:, None, :]
-            M = _less_one(w, self._dt).astype(np.complex128)[:, None, None] * np.eye(n) - self._A
+            turns = np.outer(w, self.ages).astype(np.longdouble)
+            change = _less_one(-turns, self._dt).astype(np.complex128)[:, None, :]
+            M = _less_one(w, self._dt)[:, None, None] * np.eye(n) - self._A
             X = _solved(M - (self._into * change) @ self._of, self._B)
             H[k : k + step] = (self._C + (self._onto * change) @ self._of) @ X + self._D
         H[~np.isfinite(H)] = np.inf
@@ -366,13 +370,13 @@ def _solved(M: ComplexArray, B: ComplexArray) -> ComplexArray:
         return np.where(singular, np.nan, np.linalg.solve(np.where(singular, np.eye(M.shape[-1]), M), B))
 
 
-def _less_one(w: FloatArray, dt: float) -> NDArray[np.clongdouble]:
-    """Return exp(j w dt) - 1."""
-    tangent = np.tan(w * (np.longdouble(dt) / 2))
-    imaginary = 2 * tangent / (1 + tangent * tangent)
+def _less_one(w: NDArray[np.floating[Any]], dt: float) -> NDArray[np.complexfloating[Any, Any]]:
+    """Return exp(j w dt) - 1, as exactly as w is given."""
+    tangent = np.tan(w * (0.5 * dt))
+    imaginary = 2.0 * tangent / (1.0 + tangent * tangent)
     out = 1j * imaginary
     out.real = -tangent * imaginary
-    return np.asarray(out, dtype=np.clongdouble)
+    return np.asarray(out)
 
 
 def state_response(system: System, w: FloatArray) -> ComplexArray:

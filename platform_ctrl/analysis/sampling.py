@@ -180,31 +180,41 @@ def with_lag(system: System, lags: FloatArray) -> System:
 
 def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
     """Return exp(A h) and its integral times B over `duration` h: one step with the input held."""
+    n = A.shape[-1]
+    # Balanced states: expm would otherwise square too often and lose digits.
+    s = state_scaling(A, B, np.zeros((0, n)))
+    phi, held = input_steps(A * s / s[:, None], B / s[:, None], duration, ramp=False)
+    return phi * s[:, None] / s, held * s[:, None]
+
+
+def input_steps(A: FloatArray, B: FloatArray, duration: float, ramp: bool) -> tuple[FloatArray, FloatArray]:
+    """Return exp(A h) of balanced states, and what an input adds in one step that is held, then one that rises from 0.
+
+    The latter, (n, m) or (n, 2 m), stand side by side.
+    """
     from scipy.linalg import expm
 
     n, m = A.shape[-1], B.shape[-1]
-    batch = np.broadcast_shapes(A.shape[:-2], B.shape[:-2])
-    if n == 0:
-        return np.zeros((*batch, 0, 0)), np.zeros((*batch, 0, m))
-    # Balanced states: expm would otherwise square too often and lose digits.
-    s = state_scaling(A, B, np.zeros((0, n)))
-    whole = np.zeros((*batch, n + m, n + m))
-    whole[..., :n, :n] = A * s / s[:, None] * duration
+    batch = () if A.ndim == B.ndim == 2 else np.broadcast_shapes(A.shape[:-2], B.shape[:-2])
+    N = n + (2 * m if ramp else m)
+    whole = np.zeros((*batch, N, N))
+    whole[..., :n, :n] = A * duration
     # A power of two that makes the input matrix as large as A is exact to undo.
     size = np.abs(whole).max(initial=0.0)
-    with np.errstate(over="ignore"):
-        gain = np.abs(B / s[:, None]).max(initial=0.0) * duration
-        ratio = gain / size if size > 0.0 and 0.0 < gain < math.inf else 1.0
-    unit = 2.0 ** round(math.log2(ratio)) if 0.0 < ratio < math.inf else 1.0
-    whole[..., :n, n:] = B / s[:, None] * (duration / unit)
     with np.errstate(over="ignore", invalid="ignore"):
-        power = expm(whole)
-        phi, held = power[..., :n, :n] * s[:, None] / s, power[..., :n, n:] * s[:, None] * unit
-    if not (np.isfinite(phi).all() and np.isfinite(held).all()):
+        gain = np.abs(B).max(initial=0.0) * duration
+        ratio = gain / size if size > 0.0 and 0.0 < gain < math.inf else 1.0
+        unit = 2.0 ** round(math.log2(ratio)) if 0.0 < ratio < math.inf else 1.0
+        whole[..., :n, n : n + m] = B * (duration / unit)
+        # Inputs that rise are states of their own.
+        whole[..., n : n + m, n + m :] = np.eye(m, N - n - m)
+        power = expm(whole)[..., :n, :]
+        power[..., n:] *= unit
+    if not np.isfinite(power).all():
         raise ArgumentError(
             f"sampled: within {duration:.3g} s the plant grows beyond floating-point numbers; take a shorter period"
         )
-    return phi, held
+    return power[..., :n], power[..., n:]
 
 
 def energy_rows(plant: System, period: float, delay: float) -> list[FloatArray]:

@@ -24,6 +24,13 @@ from platform_ctrl.errors import ArgumentError
 # Points of a grid in the time in which what is oldest turns once; halvings of a step between two of them.
 _IN_A_TURN, _HALVINGS = 8, 40
 
+# Sums of squares between this and its inverse keep their digits; so does a cosine above the second. Matrices from
+# which on the cosine is faster than LAPACK.
+_TINY, _NEARLY_ONE, _MANY = 1e-200, -0.999, 24
+
+# Relative real part of a Hamiltonian eigenvalue from which on it is off the axis, and its error in sizes of the matrix.
+_OFF, _UNSURE = 0.1, 1e-6
+
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
@@ -44,19 +51,20 @@ class FrequencyAxis:
 
     def poles(self) -> ComplexArray:
         """Return the poles, (n,), in the plane of s or z."""
-        if self._known is None:
-            self._known = self._along.poles
-        return self._known
+        return self._along.poles if self._known is None else self._known
 
     def response(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D.
 
         Real at both ends of the axis: exp(j w dt) at the Nyquist frequency is -1, whatever the rounding of w dt.
         """
+        ends = (frequency == 0.0) | (frequency == self.edge)
+        if not ends.any():
+            return self._along.at(frequency)
         infinite = np.isinf(frequency)
-        out = np.ascontiguousarray(self._along.at(np.where(infinite, 0.0, frequency)))
+        out = self._along.at(np.where(infinite, 0.0, frequency))
         out[infinite] = self.system.D
-        out.imag[(frequency == 0.0) | (frequency == self.edge)] = 0.0
+        out.imag[ends] = 0.0
         return out
 
     def gains(self, frequency: FloatArray) -> FloatArray:
@@ -93,8 +101,8 @@ class FrequencyAxis:
                 system = self._w_plane
             except ArgumentError:
                 # A pole next to z = -1, which the map would send to infinity.
-                return pencil_crossings(*_over(level, *_rescaled(*system, scaling)), dt)
-        w = hamiltonian_crossings(*_over(level, *_rescaled(*system, scaling)))
+                return pencil_crossings(*_over(level, system, scaling), dt)
+        w = hamiltonian_crossings(*_over(level, system, scaling))
         return w if dt == 0.0 else np.asarray(2.0 / dt * np.arctan(0.5 * dt * w), dtype=np.float64)
 
     @cached_property
@@ -132,46 +140,71 @@ def largest_singular_values(matrices: ComplexArray) -> FloatArray:
     p, m = matrices.shape[-2:]
     if not (p and m):
         return np.zeros(matrices.shape[:-2])
-    size = np.maximum(np.abs(matrices.real), np.abs(matrices.imag)).max(axis=(-2, -1))
-    fine = np.isfinite(size) & (size > 0.0)
-    with np.errstate(all="ignore"):
-        H = matrices / np.where(fine, size, 1.0)[..., None, None]
-    if not fine.all():
-        H = np.where(fine[..., None, None], H, 0.0)
     # Squared: the largest eigenvalue of the smaller product H' H keeps its digits.
-    if p < m:
-        H = np.swapaxes(H, -1, -2)
-    if min(p, m) == 1:
-        square = np.sum(H.real**2 + H.imag**2, axis=(-2, -1))
-    else:
-        gram = np.swapaxes(H, -1, -2).conj() @ H
-        if min(p, m) == 2:
-            a, b, c = gram[..., 0, 0].real, gram[..., 1, 1].real, gram[..., 0, 1]
-            square = 0.5 * (a + b) + np.sqrt(0.25 * (a - b) ** 2 + c.real**2 + c.imag**2)
+    H = matrices if p >= m else np.swapaxes(matrices, -1, -2)
+    with np.errstate(all="ignore"):
+        if min(p, m) == 1:
+            square = trace = np.sum(H.real**2 + H.imag**2, axis=(-2, -1))
         else:
-            square = np.linalg.eigvalsh(gram)[..., -1]
-    out = np.sqrt(square) * np.where(fine, size, 1.0)
-    return np.asarray(np.where(size == 0.0, 0.0, np.where(fine, out, np.inf)), dtype=np.float64)
+            gram = np.swapaxes(H, -1, -2).conj() @ H
+            trace = np.einsum("...ii->...", gram).real
+        if not (trace.min(initial=1.0) > _TINY and trace.max(initial=1.0) < 1.0 / _TINY):
+            size = np.maximum(np.abs(matrices.real), np.abs(matrices.imag)).max(axis=(-2, -1))
+            fine = np.isfinite(size) & (size > 0.0)
+            H = np.where(fine[..., None, None], matrices / np.where(fine, size, 1.0)[..., None, None], 1.0)
+            out = largest_singular_values(H) * size
+            return np.where(size == 0.0, 0.0, np.where(fine, out, np.inf))
+    if min(p, m) == 2:
+        a, b, c = gram[..., 0, 0].real, gram[..., 1, 1].real, gram[..., 0, 1]
+        square = 0.5 * trace + np.sqrt(0.25 * (a - b) ** 2 + c.real**2 + c.imag**2)
+    elif min(p, m) == 3 and trace.size > _MANY:
+        square = _largest_of_three(gram, trace / 3.0)
+    elif min(p, m) > 2:
+        square = np.linalg.eigvalsh(gram)[..., -1]
+    return np.asarray(np.sqrt(square))
+
+
+def _largest_of_three(gram: ComplexArray, mean: FloatArray) -> FloatArray:
+    """Return the largest eigenvalue of Hermitian matrices (..., 3, 3) by the cosine that solves the cubic equation.
+
+    Where the two largest are nearly one, the cosine has half the digits.
+    """
+    a, b, c = (gram[..., i, i].real - mean for i in range(3))
+    u, v, w = gram[..., 0, 1], gram[..., 1, 2], gram[..., 0, 2]
+    x, y, z = (one.real**2 + one.imag**2 for one in (u, v, w))
+    spread = np.sqrt((a * a + b * b + c * c) / 6.0 + (x + y + z) / 3.0)
+    with np.errstate(all="ignore"):
+        cosine = (a * (b * c - y) - b * z - c * x + 2.0 * (u * v * w.conj()).real) / (2.0 * spread**3)
+    out = mean + 2.0 * spread * np.cos(np.arccos(np.clip(cosine, -1.0, 1.0)) / 3.0)
+    close = ~(cosine > _NEARLY_ONE)
+    if close.any():
+        out[close] = np.linalg.eigvalsh(gram[close])[..., -1]
+    return np.asarray(out)
 
 
 def hamiltonian_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray:
-    """Return |Im| of all eigenvalues of the Hamiltonian for the level 1, sorted: every crossing is among them.
+    """Return 0 and |Im| of the Hamiltonian's eigenvalues for the level 1, sorted: every crossing is among them.
 
-    Where 1 is next to a singular value of D, of the matrix pencil that needs no inverse.
+    Those far off the axis are left out; nothing is returned outside of floating point. Where 1 is next to a singular
+    value of D, of the matrix pencil that needs no inverse.
     """
     n, m = B.shape
     hamiltonian = np.empty((2 * n, 2 * n))
-    R = np.eye(m) - D.T @ D
-    if np.abs(np.linalg.eigvalsh(R)).min() < 1e-8:
+    values, vectors = np.linalg.eigh(np.eye(m) - D.T @ D)
+    if np.abs(values).min() < 1e-8:
         return pencil_crossings(A, B, C, D, 0.0)
-    driven = B @ np.linalg.inv(R)
-    seen = D.T @ C
-    F = A + driven @ seen
-    hamiltonian[:n, :n], hamiltonian[:n, n:] = F, driven @ B.T
-    hamiltonian[n:, :n], hamiltonian[n:, n:] = -(C.T @ C) - seen.T @ np.linalg.solve(R, seen), -F.T
-    if not np.all(np.isfinite(hamiltonian)):
+    # The system in the eigenvectors of I - D'D as its inputs.
+    driven, seen = B @ vectors, vectors.T @ (D.T @ C)
+    across = driven / values
+    F = A + across @ seen
+    hamiltonian[:n, :n], hamiltonian[:n, n:] = F, across @ driven.T
+    hamiltonian[n:, :n], hamiltonian[n:, n:] = -(C.T @ C) - (seen.T / values) @ seen, -F.T
+    size = float(np.linalg.norm(hamiltonian))
+    if not math.isfinite(size):
         return np.zeros(0)
-    return np.asarray(np.unique(np.abs(np.linalg.eigvals(hamiltonian).imag)))
+    found = np.linalg.eigvals(hamiltonian)
+    near = np.abs(found.real) <= _OFF * np.abs(found) + _UNSURE * size
+    return np.unique(np.abs(found.imag * near))
 
 
 def pencil_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> FloatArray:
@@ -196,17 +229,13 @@ def pencil_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     return np.asarray(np.unique(w[np.isfinite(w)]), dtype=np.float64)
 
 
-def _over(level: float, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Matrices:
-    """Return the system over `level`, shared by input and output: both halves of its Hamiltonian are equally large."""
-    root = math.sqrt(level)
+def _over(level: float, system: Matrices, scaling: FloatArray | None) -> Matrices:
+    """Return the scaled system over `level`, shared by input and output: both halves of its Hamiltonian are alike."""
+    (A, B, C, D), root = system, math.sqrt(level)
+    if scaling is not None:
+        B, C, D = B / scaling, scaling[:, None] * C, scaling[:, None] * D / scaling
     with np.errstate(over="ignore"):
         return A, B / root, C / root, D / level
-
-
-def _rescaled(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, scaling: FloatArray | None) -> Matrices:
-    if scaling is None:
-        return A, B, C, D
-    return A, B / scaling, scaling[:, None] * C, scaling[:, None] * D / scaling
 
 
 _EPSILON = 2.0**-52

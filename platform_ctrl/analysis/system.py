@@ -204,11 +204,12 @@ def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     # The routine itself: what is around it in scipy.linalg takes longer than a small matrix.
     from scipy.linalg.lapack import dgebal
 
-    A, B, C = (_mean_magnitude(item) for item in (A, B, C))
+    # Of a stack the mean magnitudes; signs do not matter to what balances.
+    A, B, C = (np.abs(x).mean(axis=tuple(range(x.ndim - 2))) if x.ndim > 2 else x for x in (A, B, C))
     n, m, p = A.shape[0], B.shape[1], C.shape[0]
     if n == 0:
         return np.ones(0)
-    if not np.all(np.isfinite(A)):
+    if not np.isfinite(A).all():
         return np.ones(n)  # there is nothing to balance, which LAPACK would print
     whole = np.zeros((n + m + p, n + m + p))
     first, _, _, s, _ = dgebal(A, scale=1, permute=0)
@@ -219,7 +220,7 @@ def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
         whole[:n, n : n + m] = _resized(B / s[:, None], size)
         whole[n + m :, :n] = _resized(C * s, size)
     whole[:n, :n] = first
-    if not np.all(np.isfinite(whole)):
+    if not np.isfinite(whole).all():
         return np.ones(n)  # in these units inputs or outputs are beyond all numbers
     more = dgebal(whole, scale=1, permute=0)[3]
     return np.asarray(s * more[:n])
@@ -228,11 +229,6 @@ def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
 def _resized(block: FloatArray, size: float) -> FloatArray:
     norm = float(np.linalg.norm(block))
     return block * (size / norm) if 0.0 < norm < math.inf else block
-
-
-def _mean_magnitude(array: FloatArray) -> FloatArray:
-    # Signs do not matter to what balances.
-    return np.asarray(np.abs(array).reshape(-1, *array.shape[-2:]).mean(axis=0) if array.ndim > 2 else array)
 
 
 def scaled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.response import StateSystem, is_rational, linear_arrays
-from platform_ctrl.analysis.sampling import held_input
-from platform_ctrl.analysis.system import System, block, state_scaling
+from platform_ctrl.analysis.sampling import input_steps
+from platform_ctrl.analysis.system import System, state_scaling
 from platform_ctrl.common.arguments import one_of, real_numbers
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -113,9 +113,12 @@ def _outputs(system: System, step: float, u: FloatArray, x0: FloatArray, hold: H
     A, B, C, x0 = A * s / s[:, None], B / s[:, None], C * s, x0 / s
     if dt > 0.0:
         return _at_samples(A, B, C, D, u, x0)
-    transition, now, next_ = step_matrices(A, B, step, hold)
-    # x - next_ u in place of x: its next value needs no input but the present one.
-    return _at_samples(transition, now + transition @ next_, C, D + C @ next_, u, x0 - next_ @ u[:, 0])
+    transition, driven = input_steps(A, B, step, ramp=hold == "foh")
+    if hold == "zoh":
+        return _at_samples(transition, driven, C, D, u, x0)
+    held, rise = driven[:, : len(u)], driven[:, len(u) :]
+    # x - rise u in place of x: its next value needs no input but the present one.
+    return _at_samples(transition, held - rise + transition @ rise, C, D + C @ rise, u, x0 - rise @ u[:, 0])
 
 
 def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, float]:
@@ -136,25 +139,13 @@ def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, float]:
     return times, step
 
 
-def step_matrices(A: FloatArray, B: FloatArray, step: float, hold: Hold) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Phi, E0 and E1 of x[k+1] = Phi x[k] + E0 u[k] + E1 u[k+1]."""
-    if hold == "zoh":
-        transition, held = held_input(A, B, step)
-        return transition, held, np.zeros_like(held)
-    # The inputs are states that rise during the step.
-    n, m = B.shape
-    whole = block([[A, B, np.zeros((n, m))], [np.zeros((m, n)), 0, np.eye(m) / step]])
-    power, rise = held_input(whole[:, : n + m], whole[:, n + m :], step)
-    return power[:n, :n], power[:n, n:] - rise[:n], rise[:n]
-
-
 def _at_samples(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray
 ) -> FloatArray:
     """Return y[k] = C x[k] + D u[k] with x[k+1] = A x[k] + B u[k], (p, N)."""
     x = np.empty((u.shape[1], len(A)))
     x[0], x[1:] = x0, (B @ u[:, :-1]).T
-    _compiled_recurrence()(np.ascontiguousarray(A.T), x)
+    _compiled_recurrence()(np.ascontiguousarray(A), x)
     return C @ x.T + D @ u
 
 
@@ -163,15 +154,16 @@ def _compiled_recurrence() -> Callable[[FloatArray, FloatArray], None]:
     """Return the recurrence of states, compiled: blocks of samples in NumPy take twice the time."""
     import numba
 
-    @numba.njit(cache=True, fastmath={"contract"})  # type: ignore[untyped-decorator]
-    def states(transposed: FloatArray, x: FloatArray) -> None:
-        """Turn what drives each step, x[1:] (N - 1, n), into x[k+1] = A x[k] + x[k+1], A transposed (n, n)."""
+    @numba.njit(cache=True, fastmath={"contract", "reassoc"})  # type: ignore[untyped-decorator]
+    def states(A: FloatArray, x: FloatArray) -> None:
+        """Turn what drives each step, x[1:] (N - 1, n), into x[k+1] = A x[k] + x[k+1]."""
         n = x.shape[1]
         for k in range(1, len(x)):
-            for j in range(n):
-                factor = x[k - 1, j]
-                for i in range(n):
-                    x[k, i] += factor * transposed[j, i]
+            for i in range(n):
+                total = x[k, i]
+                for j in range(n):
+                    total += A[i, j] * x[k - 1, j]
+                x[k, i] = total
 
     return states  # type: ignore[no-any-return]
 
