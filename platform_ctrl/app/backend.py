@@ -70,7 +70,7 @@ class Backend:
             # Controllers of another plant or job are not used.
             controllers = beside if beside.exists() and not differing_origin(beside, self.read) else None
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
-        self.read = self._loops.read
+        self.read, self.requests = self._loops.read, self._loops.requests
         # Whether a manoeuvre has been simulated: the first takes longer, until its equations are compiled.
         self.has_simulated = False
         self.sight = SightBudgets(self._loops)
@@ -80,7 +80,7 @@ class Backend:
 
     def close(self) -> None:
         """End the process that designs, tunes and simulates."""
-        self._loops.designs.end()
+        self.requests.end()
         self._loops.background.end()
 
     # Settings and what they may be.
@@ -238,7 +238,7 @@ class Backend:
 
     def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` in a thread whenever a design that pictures wait for is available or failed."""
-        return self._loops.designs.listen(listener)
+        return self._loops.listen(listener)
 
     def picture(self, settings: Settings, on_drawn: Callable[[Drawing], None] | None = None) -> Picture:
         """Return the curves and the results for the settings.

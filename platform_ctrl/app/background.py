@@ -1,4 +1,4 @@
-"""Tasks that take seconds, in another process: tuning, a design by its method, a simulated run."""
+"""Work beside the pages: what is requested, of which the newest wins, and a process for tasks that take seconds."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import dataclasses
 import multiprocessing
 import signal
 import threading
-import time
 import weakref
 from collections.abc import Callable, Hashable
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.progress import Progress
@@ -35,49 +34,90 @@ class TaskCancelled(PlatformCtrlError):
     """The task was cancelled."""
 
 
-T = TypeVar("T")
+Work = Callable[[threading.Event], None]
 
 
-class LatestTasks(Generic[T]):
-    """Tasks that a thread works off; a newer task takes the place of one of the same key that still waits.
+@dataclasses.dataclass(eq=False)
+class _Request:
+    """Work of a key; it is `over` once a newer request has taken its place, or nobody wants it any more."""
 
-    The thread ends when nothing waits; `working` says whether a task is being done or waits.
+    key: Hashable
+    work: Work
+    content: Hashable
+    urgent: bool
+    over: threading.Event = dataclasses.field(default_factory=threading.Event)
+
+
+class Requests:
+    """What is requested, done one after the other in a thread that ends when nothing waits.
+
+    The newest request of a key wins: one that waits is dropped, one that is being done is told that it is over. What is
+    `urgent` goes first, and interrupts other work, which is done again afterwards.
     """
 
-    def __init__(self, work: Callable[[list[T]], None]) -> None:
-        self._work = work
+    def __init__(self, name: str) -> None:
+        self._name = name
         self._lock = threading.Lock()
-        self._waiting: dict[str, T] = {}
-        self.working = False
-        self._closed = False
+        # With the one that is being done.
+        self._all: list[_Request] = []
+        self._now: _Request | None = None
+        self._ended = False
 
-    def add(self, key: str, task: T) -> None:
-        """Have a task done; the one of the same key that waits is dropped."""
+    @property
+    def busy(self) -> bool:
+        """Whether work is being done or waits."""
+        return self._now is not None
+
+    def add(self, key: Hashable, work: Work, *, content: Hashable = None, urgent: bool = False) -> threading.Event:
+        """Have `work` done, which is called with the event that it is over, and return that event.
+
+        A request with the same `content` as the newest one of its key changes nothing.
+        """
+        new = _Request(key=key, work=work, content=content, urgent=urgent)
         with self._lock:
-            if self._closed:
-                return
-            self._waiting.pop(key, None)
-            self._waiting[key] = task
-            if self.working:
-                return
-            self.working = True
-        threading.Thread(target=self._run, name="page", daemon=True).start()
+            for one in self._all:
+                if content is not None and (one.key, one.content) == (key, content) and not one.over.is_set():
+                    return one.over
+            self._drop(key)
+            if self._ended:
+                new.over.set()
+                return new.over
+            now = self._now
+            if now is not None and urgent and not (now.urgent or now.over.is_set()):
+                now.over.set()
+                self._all.append(dataclasses.replace(now, over=threading.Event()))
+            self._all.append(new)
+            if now is None:
+                self._now = new
+                threading.Thread(target=self._run, name=self._name, args=(new,), daemon=True).start()
+        return new.over
 
-    def close(self) -> None:
-        """Drop what waits; nothing more is taken."""
+    def cancel(self, key: Hashable) -> None:
+        """Drop the request of a key, or tell it that it is over."""
         with self._lock:
-            self._closed = True
-            self._waiting.clear()
+            self._drop(key)
 
-    def _run(self) -> None:
-        while True:
+    def end(self) -> None:
+        """Cancel everything; nothing more is taken."""
+        with self._lock:
+            self._ended = True
+            for one in list(self._all):
+                self._drop(one.key)
+
+    def _drop(self, key: Hashable) -> None:
+        for one in self._all:
+            if one.key == key:
+                one.over.set()
+        self._all = [one for one in self._all if one is self._now or not one.over.is_set()]
+
+    def _run(self, request: _Request | None) -> None:
+        while request is not None:
+            with contextlib.suppress(TaskCancelled):
+                request.work(request.over)
             with self._lock:
-                if not self._waiting:
-                    self.working = False
-                    return
-                tasks = list(self._waiting.values())
-                self._waiting.clear()
-            self._work(tasks)
+                self._all.remove(request)
+                # The first that is urgent, else the first.
+                self._now = request = min(self._all, key=lambda one: not one.urgent, default=None)
 
 
 class Background:
@@ -86,36 +126,13 @@ class Background:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._running: list[tuple[BaseProcess, Connection]] = []
-        self._urgent: set[object] = set()
         self._ended = False
         weakref.finalize(self, _end_all, self._running)
 
-    def run(
-        self,
-        task: Any,
-        progress: Progress = lambda line: None,
-        cancelled: IsCancelled = lambda: False,
-        gives_way: bool = False,
-    ) -> Any:
-        """Return what ``task.run(progress)`` returns there; `TaskCancelled` where it was cancelled.
-
-        A task that `gives_way` is cancelled as well when another one waits that does not.
-        """
-        waiting = object()
-        if not gives_way:
-            self._urgent.add(waiting)
-        try:
-            while not self._lock.acquire(timeout=_POLL):
-                if self._ended or cancelled():
-                    raise TaskCancelled("cancelled")
-        finally:
-            self._urgent.discard(waiting)
-        try:
-            return self._result(
-                task, progress, lambda: self._ended or cancelled() or (gives_way and bool(self._urgent))
-            )
-        finally:
-            self._lock.release()
+    def run(self, task: Any, progress: Progress = lambda line: None, cancelled: IsCancelled = lambda: False) -> Any:
+        """Return what ``task.run(progress)`` returns there; `TaskCancelled` where it was cancelled."""
+        with self._lock:
+            return self._result(task, progress, lambda: self._ended or cancelled())
 
     def end(self) -> None:
         """End the process; no task is accepted any more."""
@@ -173,83 +190,6 @@ def _work(pipe: Connection) -> None:
             except PlatformCtrlError as error:
                 # The problem that is attached to it may not be picklable.
                 pipe.send(("failed", DesignError(str(error)) if isinstance(error, DesignError) else error))
-
-
-Make = Callable[[Callable[[], bool]], None]
-Name = tuple[str, str]  # loop and design
-
-# A request followed by another within this time is not started, s: a slider is still moving.
-_PAUSE = 0.6
-
-
-class DesignQueue:
-    """Designs that are requested: of each the newest request is made, one after the other."""
-
-    def __init__(self, pause: float = _PAUSE) -> None:
-        self._pause = pause
-        self._lock = threading.Lock()
-        self._requested: dict[Name, Hashable] = {}
-        self._failed: dict[Hashable, str] = {}
-        self._listeners: dict[Callable[[], None], None] = {}
-        self._tasks: LatestTasks[tuple[Name, Hashable, Make]] = LatestTasks(self._work)
-
-    def request(self, loop: str, design: str, key: Hashable, make: Make) -> str:
-        """Request a design and return a line about it; the same request again changes nothing.
-
-        `make` is called in a thread with a function that says whether it was cancelled. A design that failed with
-        this key is not made again: its error is raised.
-        """
-        name = (loop, design)
-        # Pages with different settings do not have failures tried again in turns.
-        if (name, key) in self._failed:
-            raise DesignError(self._failed[name, key])
-        with self._lock:
-            if self._requested.get(name) != key:
-                self._requested[name] = key
-                self._tasks.add(str(name), (name, key, make))
-        return f"{design}: is being designed; it is shown as soon as it is available"
-
-    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call `listener` in a thread after each design; return the function that stops it."""
-        self._listeners[listener] = None
-        return lambda: self._listeners.pop(listener, None)
-
-    def end(self) -> None:
-        """Cancel all requests."""
-        self._tasks.close()
-        self._requested.clear()
-
-    def _work(self, tasks: list[tuple[Name, Hashable, Make]]) -> None:
-        for name, key, make in tasks:
-            if self._requested.get(name) == key:
-                time.sleep(self._pause)
-            if self._requested.get(name) == key:
-                self._make(name, key, make)
-
-    def _make(self, name: Name, key: Hashable, make: Make) -> None:
-        def cancelled() -> bool:
-            return self._requested.get(name) != key
-
-        line = ""
-        try:
-            make(cancelled)
-        except TaskCancelled:
-            if not cancelled():  # it gave way
-                self._tasks.add(str(name), (name, key, make))
-            return
-        except Exception as error:
-            line = str(error) if isinstance(error, PlatformCtrlError) else f"{name[1]}: could not be designed: {error}"
-        with self._lock:
-            if not cancelled():
-                del self._requested[name]
-                if line:
-                    self._failed[name, key] = line
-            elif line:
-                # Listeners are called after the request that took its place: two pages would replace each other's
-                # requests in turns otherwise.
-                return
-        for listener in list(self._listeners):
-            listener()
 
 
 class DesignPending(DesignError):

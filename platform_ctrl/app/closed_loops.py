@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Hashable, Iterable
+import threading
+from collections.abc import Callable, Hashable, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import StateSpace, System
-from platform_ctrl.app.background import Background, Designing, DesignPending, DesignQueue, IsCancelled
+from platform_ctrl.app.background import Background, Designing, DesignPending, Requests, TaskCancelled
 from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays, existing_designs, loop_names
 from platform_ctrl.app.loops import CachedMetrics, CagedCurves, CagedLoop, StabilisedCurves
 from platform_ctrl.app.pictures import Drawing
@@ -33,6 +34,8 @@ from platform_ctrl.verification.coupled_plant import sensed_rates
 
 # Designs that are kept for settings that a page may return to.
 _ROOM = 64
+# Seconds within which a newer request drops one for a design: a slider is still moving.
+PAUSE = 0.6
 
 
 class ClosedLoops:
@@ -56,8 +59,10 @@ class ClosedLoops:
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(16)
         self._overlays: Bounded[tuple[Drawing, tuple[str, ...]]] = Bounded(16)
-        self.background = Background()
-        self.designs = DesignQueue()
+        # Designs and what pages wait for, which goes first; how designs failed, and who is told of each.
+        self.requests, self.background = Requests("background"), Background()
+        self._failed: Bounded[str] = Bounded(_ROOM)
+        self._listeners: dict[Callable[[], None], None] = {}
         self._take([] if controllers is None else existing_designs(controllers, job))
 
     @property
@@ -134,21 +139,41 @@ class ClosedLoops:
             return dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         return dataclasses.replace(design, options=self.options.used(settings, spec, design), tune=False)
 
-    def _make(self, settings: Settings, spec: LoopSpec, design: DesignSpec, cancelled: IsCancelled) -> None:
-        """Make a design in another process, unless it is available; what a page waits for goes first."""
-        if self.found(settings, spec.name, design.name) is None:
-            task = Designing(job=self.job(settings), loop=spec.name, design=design.name)
-            key = self.design_key(settings, spec.name, design.name)
-            self._made.put(key, self.background.run(task, cancelled=cancelled, gives_way=True))
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call `listener` in a thread after each design that was requested; return the function that ends that."""
+        self._listeners[listener] = None
+        return lambda: self._listeners.pop(listener, None)
 
     def requested(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
-        """Return the result of `caged`; a design that a method has to make is requested, and is pending then."""
+        """Return the result of `caged`; a design that a method has to make is requested, and is pending then.
+
+        A design that failed with these numbers is not made again: its error is raised.
+        """
         spec, design = self.design(settings)
-        if not self.is_available(settings, spec, design.name):
-            key = self.design_key(settings, spec.name, design.name)
-            line = self.designs.request(spec.name, design.name, key, partial(self._make, settings, spec, design))
-            raise DesignPending(f"{spec.name}, {line}")  # the error of a method has the loop's name
-        return self.caged(settings)
+        if self.is_available(settings, spec, design.name):
+            return self.caged(settings)
+        key = self.design_key(settings, spec.name, design.name)
+        failed = self._failed.found(key)
+        if failed is not None:
+            raise DesignError(failed)
+        name = spec.name, design.name
+        self.requests.add(name, partial(self._make, self.job(settings), *name, key), content=key)
+        raise DesignPending(f"{spec.name}, {design.name}: is being designed; it is shown as soon as it is available")
+
+    def _make(self, job: Job, loop: str, design: str, key: Hashable, over: threading.Event) -> None:
+        """Make a design in another process, unless a slider still moves."""
+        if over.wait(PAUSE) or self._made.found(key) is not None:
+            return
+        try:
+            task = Designing(job=job, loop=loop, design=design)
+            self._made.put(key, self.background.run(task, cancelled=over.is_set))
+        except TaskCancelled:
+            return
+        except Exception as error:
+            known = isinstance(error, PlatformCtrlError)
+            self._failed.put(key, str(error) if known else f"{design}: could not be designed: {error}")
+        for listener in list(self._listeners):
+            listener()
 
     def overlays(self, settings: Settings, spec: LoopSpec) -> tuple[tuple[Drawing, ...], tuple[str, ...]]:
         """Return the drawings over a picture, and lines about those that are missing or not up to date."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app import fragments
 from platform_ctrl.app import tasks as work
-from platform_ctrl.app.background import DesignPending, LatestTasks
+from platform_ctrl.app.background import DesignPending, Requests
 from platform_ctrl.app.pictures import tree_data
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.settings import History
@@ -72,7 +72,9 @@ class Session:
         self.plots = Plots(dark=False, budget=backend.read.budget)
         self._view = VIEWS[0]
         self._gesture: object = None
-        self._changes: LatestTasks[Task] = LatestTasks(self._work)
+        # What a picture is computed for next.
+        self.requests, self._lock = Requests("page"), threading.Lock()
+        self._waiting: dict[str, Task] = {}
         # The curves to be drawn next.
         self._drawing: Drawing | None = None
         self._sent = threading.Event()
@@ -94,23 +96,23 @@ class Session:
     def close(self, session_context: object) -> None:
         """Cancel all tasks and release everything; the page is closed."""
         self._stop_listening()
-        self._changes.close()
-        self._tasks.cancel()
+        self.requests.end()
+        self._tasks.close()
         self.connection.close()
         self._idle = self.picture = self._drawing = self._awaited = None
 
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Change the settings and show them; it replaces a waiting change of the same key."""
         self._tasks.cancel("tune")
+        self._tasks.give_up()
         self._no_rest()
-        if gesture is None:
-            gesture = object()
-        self._changes.add(key, Task(count=count, change=change, gesture=gesture))
+        self._add(key, Task(count=count, change=change, gesture=object() if gesture is None else gesture))
 
-    def shows(self, settings: Settings) -> bool:
-        """Return whether the page shows these settings, and no change of them is being computed."""
-        shown = self.picture
-        return not self._changes.working and shown is not None and shown.settings.data() == settings.data()
+    def _add(self, key: str, task: Task) -> None:
+        with self._lock:
+            self._waiting.pop(key, None)
+            self._waiting[key] = task
+        self.requests.add("picture", self._work)
 
     # Requests of the page.
 
@@ -188,10 +190,14 @@ class Session:
 
     def _designed(self) -> None:
         """Compute the picture again with a design that has become available; called in a thread."""
-        self._changes.add("again", Task(count=0, change=lambda settings: settings, gesture="ready"))
+        self._add("again", Task(count=0, change=lambda settings: settings, gesture="ready"))
 
-    def _work(self, tasks: list[Task]) -> None:
-        """Compute a picture for all tasks together; runs in a thread."""
+    def _work(self, over: threading.Event) -> None:
+        """Compute a picture for all changes that wait; runs in a thread. It is shown also when there are newer ones."""
+        with self._lock:
+            tasks, self._waiting = list(self._waiting.values()), {}
+        if not tasks:
+            return
         line, picture, awaits = None, None, False
         # Changes go on from settings that wait for a design.
         settings = self.settings if self._awaited is None else self._awaited[0]
@@ -266,16 +272,15 @@ class Session:
             self._remember(settings, gesture)
             self.picture = picture
             data["html"] = self._shown(picture)
-            self.rest()
         elif self.picture is not None and awaits:
             data["html"] = self._chosen(settings)
         elif self.picture is not None:
             # Everything returns to the last picture; the curves may be drawn already.
             data["html"] = self._shown(self.picture)
-            self.rest()
             if self._view == "loop":
                 self.plots.show(self.picture)
         self.connection.answer(count, **data)
+        self.rest()
 
     def _remember(self, settings: Settings, gesture: object) -> None:
         if gesture == "ready":
@@ -323,7 +328,7 @@ class Session:
 
     def show_effects(self, settings: Settings, effects: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
         """Show what each slider does to each requirement of these settings, and the limits of the budget."""
-        if self.picture is not None and self.shows(settings):
+        if self.picture is not None and self.picture.settings.data() == settings.data():
             self._effects, self._effects_of, self._budget_results = effects, self.picture.settings, budget
             self.connection.answer(html=self._shown(self.picture))
 

@@ -21,6 +21,7 @@ from bokeh.core.properties import Any as AnyProperty
 from bokeh.core.properties import String
 from bokeh.model import DataModel
 
+from platform_ctrl.app.background import Requests, TaskCancelled
 from platform_ctrl.app.fragments import fragment
 from platform_ctrl.app.pictures import run_data
 from platform_ctrl.app.saving import controllers_beside, difference, merged
@@ -156,65 +157,52 @@ _RUNNING = {"tune": "Tuning is going on", "simulate": "A manoeuvre is being simu
 _CANCELLED = {"tune": "Tuning was cancelled; nothing was changed.", "simulate": "The simulation was cancelled."}
 
 
-class _Superseded(Exception):
-    """The page no longer shows the settings that are being measured."""
-
-
-@value
-class _Running:
-    """A task that a page can cancel; only one runs at a time."""
-
-    name: str
-    cancelled: threading.Event
-
-
 class LongTasks:
-    """Tasks of a `page`, a `Session`, that take longer than a picture, each in its own thread."""
+    """Tasks of a `page`, a `Session`, that take longer than a picture."""
 
     def __init__(self, page: Any, backend: Backend, connection: Connection) -> None:
         self.page, self.backend, self.connection = page, backend, connection
-        self._running: _Running | None = None
-        self._measuring = False
+        self._measuring = Requests("page task")
+        # Which task the page can cancel, and the event that says so: one at a time.
+        self._running: tuple[str, threading.Event] | None = None
+
+    def close(self) -> None:
+        """Cancel everything without a word."""
+        self._measuring.end()
+        self.backend.requests.cancel(id(self))
 
     def measure(self, settings: Settings) -> None:
         """Compute what each slider does to each requirement of these settings, then the other parts of the job."""
-        if self._measuring or (self._running is not None and self._running.name == "tune"):
-            return
-        self._measuring = True
+        self._measuring.add("measure", partial(self._measured, settings))
 
-        def expect_shown() -> None:
-            if not self.page.shows(settings):
-                raise _Superseded
+    def give_up(self) -> None:
+        """Do not go on measuring: the settings change."""
+        self._measuring.cancel("measure")
+
+    def _measured(self, settings: Settings, over: threading.Event) -> None:
+        def go_on() -> None:
+            if over.is_set():
+                raise TaskCancelled("superseded")
 
         def effects() -> OptionEffects:
-            influence = self.backend.influence(settings, expect_shown)
+            influence = self.backend.influence(settings, go_on)
             budget = self.backend.budget_results(settings)
             self.connection.later(lambda: self.page.show_effects(settings, influence, budget))
             return influence
 
-        def measured() -> Callable[[], None]:
-            try:
-                influence = effects()
-                self._measure_parts(settings, expect_shown)
-                # The first budget takes long: what sliders do to it is known now.
-                known = {one.name for one in self.backend.budget_results(settings) if one.valid}
-                if not known <= set(influence.requirements):
-                    effects()
-            except _Superseded:
-                pass
-            finally:
-                self._measuring = False
-            return lambda: None if self.page.shows(settings) else self.page.rest()
-
-        self._do(measured, lambda line: None)
-
-    def _measure_parts(self, settings: Settings, before_each: Callable[[], None]) -> None:
-        """Measure the parts of the job that are not known for these settings."""
         parts = self.backend.job_parts
-        for one in parts.open(parts.parts(settings)):
-            before_each()
-            parts.measure(one)
-            self.connection.later(self.page.parts_measured)
+        try:
+            influence = effects()
+            for one in parts.open(parts.parts(settings)):
+                go_on()
+                parts.measure(one)
+                self.connection.later(self.page.parts_measured)
+            # The first budget takes long: what sliders do to it is known now.
+            known = {one.name for one in self.backend.budget_results(settings) if one.valid}
+            if not known <= set(influence.requirements):
+                effects()
+        except Exception as error:
+            error_text(error)
 
     def _on_cancel(self, request: Request) -> None:
         self.cancel()
@@ -222,29 +210,21 @@ class LongTasks:
 
     def _on_tune(self, request: Request) -> None:
         settings, last = self.page.settings, 0.0
-        running = self._begin("tune", "Tuning the rest", request)
-        if running is None:
-            return
 
-        def progress(line: str) -> None:
-            nonlocal last
-            now = time.monotonic()
-            if now - last >= PROGRESS_INTERVAL:
-                last = now
-                self.connection.later(lambda: self._show_busy(running, f"Tuning the rest: {line}"))
+        def tuned(over: threading.Event) -> Callable[[], None]:
+            def progress(line: str) -> None:
+                nonlocal last
+                now = time.monotonic()
+                if now - last >= PROGRESS_INTERVAL:
+                    last = now
+                    self.connection.later(lambda: self._show_busy(over, f"Tuning the rest: {line}"))
 
-        def tuned() -> Callable[[], None]:
-            new = self.backend.tune(settings, progress, running.cancelled.is_set)
+            new = self.backend.tune(settings, progress, over.is_set)
+            if new.options == settings.options:
+                return lambda: self.connection.say("Tuning found no better values; nothing was changed.")
+            return lambda: self.page.change("tune", lambda _: new)
 
-            def show() -> None:
-                if new.options == settings.options:
-                    self.connection.say("Tuning found no better values; nothing was changed.")
-                else:
-                    self.page.change("tune", lambda _: new)
-
-            return show
-
-        self._run(running, tuned)
+        self._begin("tune", "Tuning the rest", request, tuned)
 
     def _on_save(self, request: Request) -> None:
         try:
@@ -259,18 +239,18 @@ class LongTasks:
             return
         self.connection.answer(request.count)
 
-        def saved() -> Callable[[], None]:
-            written = self.backend.save(settings, path, overwrite=overwrite)
+        def save(over: threading.Event) -> None:
+            try:
+                written = self.backend.save(settings, path, overwrite=overwrite)
+            except Exception as error:
+                self.connection.later(partial(self._saved, error_text(error)))
+                return
             text = ". ".join((f"Saved: {path}", *written.notes))
             command = f"platform-ctrl check {shlex.quote(str(path))}"
+            self.connection.later(lambda: self._saved(text, kind="good", command=command))
+            self.connection.later(lambda: self.connection.say(text, "good"))
 
-            def show() -> None:
-                self._saved(text, kind="good", command=command)
-                self.connection.say(text, "good")
-
-            return show
-
-        self._do(saved, self._saved)
+        self.page.requests.add("save", save)
 
     def _saved(self, words: str, count: int | None = None, kind: str = "error", **more: Any) -> None:
         """Show in the dialog what came of saving."""
@@ -286,76 +266,56 @@ class LongTasks:
         long = f"Simulating {names[0] if len(names) == 1 else f'{len(names)} runs'}"
         if not self.backend.has_simulated:
             long += ": the first run loads its equations, or compiles them once on this machine"
-        running = self._begin("simulate", "Simulating", request)
-        if running is None:
-            return
-        if self.connection.document is not None:
-            self.connection.document.add_timeout_callback(lambda: self._show_busy(running, long), LONG)
 
-        def simulated() -> Callable[[], None]:
+        def simulated(over: threading.Event) -> Callable[[], None]:
             for k, name in enumerate(names):
                 if k:
                     line = f"Simulating {k + 1} of {len(names)}: {name}"
-                    self.connection.later(partial(self._show_busy, running, line))
-                trajectory = self.backend.simulate(settings, name, running.cancelled.is_set)
+                    self.connection.later(partial(self._show_busy, over, line))
+                trajectory = self.backend.simulate(settings, name, over.is_set)
                 self.connection.later(self.page.parts_measured)
+            return lambda: self.connection.answer(run=run_data(trajectory))
 
-            def show() -> None:
-                self.connection.answer(run=run_data(trajectory))
+        over = self._begin("simulate", "Simulating", request, simulated)
+        if over is not None and self.connection.document is not None:
+            self.connection.document.add_timeout_callback(lambda: self._show_busy(over, long), LONG)
 
-            return show
-
-        self._run(running, simulated)
-
-    def _begin(self, name: str, words: str, request: Request) -> _Running | None:
-        """Start a task that can be cancelled; None where another one is running, which the page's line then says."""
+    def _begin(
+        self, name: str, words: str, request: Request, work: Callable[[threading.Event], Callable[[], None]]
+    ) -> threading.Event | None:
+        """Have `work` done and show what it returns unless it was cancelled; None where another task is running."""
         if self._running is not None:
-            self.connection.say(f"{_RUNNING[self._running.name]}; Esc ends that.", count=request.count)
+            self.connection.say(f"{_RUNNING[self._running[0]]}; Esc ends that.", count=request.count)
             return None
-        self._running = running = _Running(name=name, cancelled=threading.Event())
-        self.connection.answer(request.count)
-        self._show_busy(running, words)
-        return running
 
-    def _show_busy(self, running: _Running, words: str) -> None:
-        if self._running is running:
+        def done(over: threading.Event) -> None:
+            try:
+                show = work(over)
+            except Exception as error:
+                show = partial(self.connection.say, error_text(error), "error")
+            self.connection.later(lambda: self._ended(over, show))
+
+        over = self.backend.requests.add(id(self), done, urgent=True)
+        self._running = name, over
+        self.connection.answer(request.count)
+        self._show_busy(over, words)
+        return over
+
+    def _show_busy(self, over: threading.Event, words: str) -> None:
+        if self._running is not None and self._running[1] is over:
             self.connection.answer(busy={"text": words})
 
-    def _run(self, running: _Running, work: Callable[[], Callable[[], None]]) -> None:
-        """Do `work` of a task in a thread, and show what it returns unless it was cancelled."""
-
-        def ended(show: Callable[[], None]) -> None:
+    def _ended(self, over: threading.Event, show: Callable[[], None]) -> None:
+        if self._running is not None and self._running[1] is over:
             self._running = None
             self.connection.answer(busy=None)
-            if running.cancelled.is_set():
-                self.connection.say(_CANCELLED[running.name])
-            else:
-                show()
-
-        def done() -> Callable[[], None]:
-            show = work()
-            return lambda: ended(show)
-
-        self._do(done, lambda line: ended(lambda: self.connection.say(line, "error")))
+            show()
 
     def cancel(self, name: str = "") -> None:
         """Cancel the task that is running, if it has this name or none is given."""
-        if self._running is not None and name in ("", self._running.name):
-            self._running.cancelled.set()
-
-    def _do(self, work: Callable[[], Callable[[], None]], failed: Callable[[str], None]) -> None:
-        """Do `work` in a thread; what it returns, or `failed` with a line, is then called on the server's loop."""
-
-        def run() -> None:
-            try:
-                done = work()
-            except Exception as error:
-                line = error_text(error)
-                self.connection.later(lambda: failed(line))
-            else:
-                self.connection.later(done)
-
-        threading.Thread(target=run, name="page task", daemon=True).start()
+        if self._running is not None and name in ("", self._running[0]):
+            self.backend.requests.cancel(id(self))
+            self._ended(self._running[1], partial(self.connection.say, _CANCELLED[self._running[0]]))
 
 
 def encode_state(backend: Backend, settings: Settings) -> str:

@@ -1,15 +1,15 @@
-"""Processes beside the designer: one that stays, and none that is left behind."""
+"""Work beside the designer: the newest request wins; one process that stays, and none that is left behind."""
 
 from __future__ import annotations
 
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
-from platform_ctrl.app.background import Background, TaskCancelled
+from platform_ctrl.app.background import Background, Requests, TaskCancelled
 from platform_ctrl.errors import ArgumentError, DesignError
 from questions import Dying, Sleeping, Who
 
@@ -28,6 +28,39 @@ def gone(process: int) -> bool:
     except ProcessLookupError:
         return True
     return False
+
+
+def test_the_newest_request_of_a_key_wins_and_an_urgent_one_interrupts() -> None:
+    requests, done, go = Requests("test"), list[str](), threading.Event()
+
+    def work(name: str, patient: bool = True) -> Callable[[threading.Event], None]:
+        def run(over: threading.Event) -> None:
+            while patient and not (go.is_set() or over.wait(0.001)):
+                pass
+            done.append(f"{name} over" if over.is_set() else name)
+
+        return run
+
+    first = requests.add("design", work("first"), content=1)
+    assert requests.add("design", work("the same"), content=1) is first
+    requests.add("other", work("other"))
+    requests.add("other", work("newer"))
+    requests.add("design", work("second"), content=2)
+    assert first.is_set()
+    while requests._now is None or requests._now.content != 2:
+        time.sleep(0.001) if done else None
+        if requests._now is not None and requests._now.key == "other":
+            requests.add("urgent", work("urgent", patient=False), urgent=True)
+            break
+    go.set()
+    while requests._now is not None:
+        time.sleep(0.001)
+    assert done[0] == "first over"
+    assert sorted(done[1:]) == ["newer", "newer over", "second", "urgent"]
+    assert done.index("newer over") < done.index("urgent") < done.index("newer")
+    requests.end()
+    assert requests.add("design", work("late")).is_set()
+    assert "late" not in done
 
 
 @pytest.fixture(scope="module")

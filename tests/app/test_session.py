@@ -16,8 +16,9 @@ pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
 from bokeh.document import Document
 
 from app.test_page import JOB
+from platform_ctrl.app import closed_loops
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.background import DesignPending, DesignQueue
+from platform_ctrl.app.background import DesignPending, TaskCancelled
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.session import Session
 from platform_ctrl.app.tasks import Connection
@@ -180,58 +181,43 @@ def test_what_sliders_do_is_given_up_when_one_moves_and_computed_at_the_next_res
         assert go.wait(10.0)
         try:
             before_each()
-        finally:
+        except TaskCancelled:
             given_up.set()
         raise DesignError("only whether it goes on matters")
 
     monkeypatch.setattr(driven.backend, "influence", influence)
-
-    def rested() -> None:
+    for axis in (2, 3):
+        driven.request("set", name="axis", value=axis)
+        driven.settle()
         at_rest.pop()()
         assert not at_rest
-
-    def loop_runs_until(met: Callable[[], bool]) -> None:
-        _until(lambda: driven.run_loop() or met())
-
-    driven.request("set", name="axis", value=2)
-    driven.settle()
-    rested()
-    _until(lambda: axes == [2])
-    driven.request("set", name="axis", value=3)
-    driven.settle()
-    rested()
+        _until(lambda: bool(axes))
     assert axes == [2], "one at a time"
     go.set()
-    loop_runs_until(lambda: bool(at_rest))
-    assert given_up.is_set()
-    assert axes == [2], "not while something moves"
-    rested()
     _until(lambda: axes == [2, 3])
-    loop_runs_until(lambda: all(thread.name != "page task" for thread in threading.enumerate()))
+    assert given_up.is_set()
+    _until(lambda: all(thread.name != "page task" for thread in threading.enumerate()))
 
 
-def _idle(queue: DesignQueue) -> Callable[[], int]:
-    """Return a function that counts the notifications of a queue."""
-    notified: list[int] = []
-    queue.listen(lambda: notified.append(1))
-    return lambda: len(notified)
+def test_designs_that_fail_on_two_pages_are_not_tried_again_and_again(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[float] = []
 
+    def failing(task: Any, cancelled: Any) -> None:
+        tried.append(task.job.loops[0].designs[2].options["bandwidth_hz"])
+        raise DesignError(f"{tried[-1]:g} Hz is infeasible")
 
-def test_designs_that_fail_on_two_pages_are_not_tried_again_and_again() -> None:
-    queue, tried = DesignQueue(pause=0.0), []
-    notified = _idle(queue)
-
-    def failing(key: str) -> Callable[[Callable[[], bool]], None]:
-        def make(cancelled: Callable[[], bool]) -> None:
-            tried.append(key)
-            raise DesignError(f"{key} is infeasible")
-
-        return make
-
-    for k, key in enumerate(("mine", "theirs")):
-        queue.request("loop", "design", key, failing(key))
-        _until(lambda k=k: notified() == k + 1)  # type: ignore[misc]
-    for key in ("mine", "theirs"):
-        with pytest.raises(DesignError, match=f"{key} is infeasible"):
-            queue.request("loop", "design", key, failing(key))
-    assert tried == ["mine", "theirs"]
+    monkeypatch.setattr(closed_loops, "PAUSE", 0.0)
+    monkeypatch.setattr(backend._loops.background, "run", failing)
+    start = backend.chosen(backend.start(), design="H-infinity")
+    pages = [backend.moved(start, "bandwidth_hz", number) for number in (21.0, 22.0)]
+    for told, page in enumerate(pages, 1):
+        with pytest.raises(DesignPending):
+            backend.picture(page)
+        _until(lambda told=told: len(tried) == told)  # type: ignore[misc]
+    for page, number in zip(pages, (21, 22), strict=True):
+        _until(lambda page=page: backend._loops._failed.found(backend._loops.design_key(page, page.loop, page.design)))  # type: ignore[misc]
+        with pytest.raises(DesignError, match=f"{number} Hz is infeasible"):
+            backend.picture(page)
+    assert tried == [21.0, 22.0]
