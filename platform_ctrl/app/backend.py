@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.app.background import IsCancelled, Simulating, Tuning
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
-from platform_ctrl.app.curves import LoopCurves
 from platform_ctrl.app.job_parts import BudgetState, JobParts, SightBudgets, loop_stamp, run_stamp
-from platform_ctrl.app.loops import CagedCurves
-from platform_ctrl.app.pictures import Drawing, Measured, Picture
+from platform_ctrl.app.loops import LATER
+from platform_ctrl.app.pictures import Drawing, Picture
 from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, is_unchanged, write_job
 from platform_ctrl.app.settings import (
     LARGEST,
@@ -97,12 +97,14 @@ class Backend:
         """Return the settings of the job file, at one of its loops; None: the first that sliders shape at once."""
         start = self._loops.start
         if loop is None:
-            loop = next((one.name for one in self.read.loops if self._shaped_at_once(start, one)), start.loop)
+            # `closed` has a design that is built directly wherever a loop has any and its own is not made yet.
+            shaped = (
+                one.name
+                for one in self.read.loops
+                if any(built_directly(each) for each in one.designs if each.name == start.closed[one.name])
+            )
+            loop = next(shaped, start.loop)
         return start if loop == start.loop else self.chosen(start, loop=loop)
-
-    @staticmethod
-    def _shaped_at_once(settings: Settings, spec: LoopSpec) -> bool:
-        return any(built_directly(one) for one in spec.designs if one.name == settings.closed[spec.name])
 
     def chosen(self, settings: Settings, *, loop: str | None = None, design: str | None = None) -> Settings:
         """Return the settings at another loop, or another design of it."""
@@ -251,7 +253,7 @@ class Backend:
         spec, _ = self._loops.design(settings)
         try:
             with np.errstate(all="ignore"):
-                curves, notes = self._curves(settings)
+                curves, notes = self._loops.curves(settings)
                 drawing = curves.drawing(self.plants(settings))
                 if settings.overlays:
                     overlays, more = self._loops.overlays(settings, spec)
@@ -264,10 +266,11 @@ class Backend:
                 f"{settings.loop}, {settings.design}: the loop cannot be computed in floating point; choose less "
                 "extreme values"
             ) from None
-        if spec.has_plants:
+        if spec.has_plants and LATER not in [one.reason for one in measured.requirements]:
             self.job_parts.keep(loop_stamp(self._loops, settings, spec), measured.requirements)
-        values = _fields(drawing) | _fields(measured) | {"notes": (*notes, *measured.notes)}
-        return Picture(**values, elapsed=time.perf_counter() - begun)
+        own = {one.name: getattr(drawing, one.name) for one in dataclasses.fields(drawing)}
+        measured = dataclasses.replace(measured, notes=(*notes, *measured.notes))
+        return Picture(**own, measured=measured, elapsed=time.perf_counter() - begun)
 
     def budget(self, settings: Settings) -> BudgetState | None:
         """Return the line of sight's budget, None for a job without one; what is not known takes some milliseconds.
@@ -275,13 +278,6 @@ class Backend:
         It is as `platform-ctrl budget` computes it once the part "budget" of `job_parts` is measured.
         """
         return None if self.read.budget is None else self.sight.now(settings)
-
-    def _curves(self, settings: Settings) -> tuple[LoopCurves, tuple[str, ...]]:
-        """Return the curves of the loop that is shown, and lines about its controllers."""
-        if not self._loops.spec(settings.loop).has_plants:
-            return self._loops.stabilised(settings)
-        loop, notes = self._loops.requested(settings)
-        return CagedCurves(loop, settings, self._loops.cached_metrics(settings, loop)), notes
 
     def budget_results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the limits of the budget within some milliseconds; none before it was computed once."""
@@ -408,16 +404,12 @@ def _rounded(settings: Settings, start: Settings) -> Settings:
     )
 
 
-def _fields(parts: Drawing | Measured) -> dict[str, Any]:
-    return {one.name: getattr(parts, one.name) for one in dataclasses.fields(parts)}
-
-
 Ratios = Callable[[Settings], FloatArray]
 
 
 def _of_caging_loop(loops: ClosedLoops, settings: Settings) -> tuple[list[str], Ratios]:
     loop, _ = loops.caged(settings)
-    requests = [one for one in loop.spec.requests if one.hard]
+    requests = [one for one in loop.spec.requests if one.hard and not METRICS[one.kind].of_sight]
     view = deciding(measure(loop.plants, loop.delivered, requests, exact=False), requests)
 
     def ratios(now: Settings) -> FloatArray:

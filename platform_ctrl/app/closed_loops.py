@@ -11,12 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from platform_ctrl.analysis.feedback import with_error_alone
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.app.background import Background, Designing, DesignPending, Requests, TaskCancelled
 from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays, existing_designs, loop_names
-from platform_ctrl.app.loops import CachedMetrics, CagedCurves, CagedLoop, StabilisedCurves
+from platform_ctrl.app.curves import LoopCurves
+from platform_ctrl.app.loops import CagedCurves, CagedLoop, StabilisedCurves, loop_metrics
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.settings import Settings, of_loop, with_limits
@@ -144,7 +146,14 @@ class ClosedLoops:
         self._listeners[listener] = None
         return lambda: self._listeners.pop(listener, None)
 
-    def requested(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
+    def curves(self, settings: Settings, over: bool = False) -> tuple[LoopCurves, tuple[str, ...]]:
+        """Return the curves of the loop that is shown, drawn `over` others perhaps, and lines about its controllers."""
+        if not self.spec(settings.loop).has_plants:
+            return self.stabilised(settings)
+        loop, notes = self._requested(settings)
+        return CagedCurves(loop, settings, None if over else partial(self.metrics, settings, loop)), notes
+
+    def _requested(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the result of `caged`; a design that a method has to make is requested, and is pending then.
 
         A design that failed with these numbers is not made again: its error is raised.
@@ -184,15 +193,11 @@ class ClosedLoops:
 
             def drawn(own: Settings = own) -> tuple[Drawing, tuple[str, ...]]:
                 with np.errstate(all="ignore"):
-                    if spec.has_plants:
-                        loop, lines = self.requested(own)
-                        return CagedCurves(loop, own).drawing(()), lines
-                    # The picture below it has the lines about the other loops.
-                    return self.stabilised(own)[0].drawing(()), ()
+                    curves, lines = self.curves(own, over=True)
+                    # The picture below one of the free platform has the lines about the other loops.
+                    return curves.drawing(()), lines if spec.has_plants else ()
 
-            depends = (
-                (self.plants_key(own, spec), self.closed_key(own, spec)) if spec.has_plants else self.whole_key(own)
-            )
+            depends = self.shown_key(own, spec)
             try:
                 drawing, lines = self._overlays.get((own.plant, own.channel, own.axis, depends), drawn)
                 out.append(drawing)
@@ -259,6 +264,12 @@ class ClosedLoops:
         there = built_directly(design) or self.found(settings, spec.name, name) is not None
         return self.design_key(settings, spec.name, name), there, settings.parts_on(spec.name, name)
 
+    def shown_key(self, settings: Settings, spec: LoopSpec) -> Hashable:
+        """Return all that the curves of a loop depend on."""
+        if not spec.has_plants:
+            return self.whole_key(settings)
+        return self.plants_key(settings, spec), self.closed_key(settings, spec)
+
     def whole_key(self, settings: Settings) -> Hashable:
         """Return all that the whole depends on: every closed design, and the limits."""
         limits = tuple(sorted(settings.limits.items()))
@@ -273,18 +284,15 @@ class ClosedLoops:
 
         return self._coupled.get(self.whole_key(settings), make)
 
-    def cached_metrics(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
-        """Return the cache of a caging loop's metrics."""
+    def metrics(
+        self, settings: Settings, loop: CagedLoop, whole: Loop | None = None, quick: bool = False
+    ) -> LoopMetrics:
+        """Return the metrics of a caging loop, `quick` without those of the line of sight unless they are known."""
         limits, K = tuple(sorted(of_loop(settings.limits, loop.spec.name).items())), loop.delivered
-        key = (
-            loop.spec.name,
-            loop.design,
-            limits,
-            self.plants_key(settings, loop.spec),
-            K.A.shape,
-            *(item.tobytes() for item in K[:4]),
-        )
-        return lambda make: self._measures.get(key, make)
+        plants, arrays = self.plants_key(settings, loop.spec), (item.tobytes() for item in K[:4])
+        key = (loop.spec.name, loop.design, limits, plants, K.A.shape, *arrays)
+        sight = not quick or self._measures.found((*key, True)) is not None
+        return self._measures.get((*key, sight), lambda: loop_metrics(loop, whole, sight))
 
     def controllers(self, settings: Settings) -> list[StateSpace]:
         """Return the controller u = K y of every loop."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.job_parts import BUDGET, BudgetState, ChipState
+from platform_ctrl.app.loops import LATER
 from platform_ctrl.app.pictures import Margins, Picture
 from platform_ctrl.app.plots.painter import Panel
 from platform_ctrl.app.settings import Mode, Settings, Slider
@@ -20,7 +21,7 @@ from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.tuning import SHARE, OptionEffects, OptionValue, candidates
 from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.quantities import BOUND, DASH, HZ, MINUS, compared, count, plain
+from platform_ctrl.job.quantities import BOUND, DASH, HZ, MINUS, compared, count, percent, plain
 from platform_ctrl.verification.budget_result import left_to_runs
 
 if TYPE_CHECKING:
@@ -61,16 +62,6 @@ def number(x: float | None, digits: int = 3) -> str:
     if x is None or math.isnan(x):
         return DASH
     return plain(x, digits) if math.isfinite(x) else "∞" if x > 0.0 else f"{MINUS}∞"
-
-
-def percent(share: float | None) -> str:
-    """Return a margin as a share of its limit: one that is too large to be written is said to be more."""
-    if share is None or math.isnan(share):
-        return DASH
-    sign = MINUS if share < 0.0 else "+"
-    if abs(share) > 9.99:
-        return f"{'<' if share < 0.0 else '>'} {sign}999 %" if math.isfinite(share) else f"{sign}∞"
-    return f"{sign}{plain(100.0 * abs(share), 2 if abs(share) < 0.1 else 3)} %"
 
 
 def selectors(backend: Backend, settings: Settings, plants: Sequence[str], view: str) -> str:
@@ -126,7 +117,7 @@ def _least(worst: CheckResult) -> str:
     """Return the margin of a chip, or why there is none."""
     if not worst.valid:
         return "not valid"
-    return percent(worst.margin) if worst.margin > -math.inf else compared(worst)[0]
+    return percent(worst.margin) if math.isfinite(worst.margin) else compared(worst)[0]
 
 
 def _chip(one: ChipState, loop: str) -> dict[str, Any]:
@@ -155,7 +146,7 @@ def _chip(one: ChipState, loop: str) -> dict[str, Any]:
 def figures(picture: Picture) -> str:
     """Return the verdict on the loop that is shown, and its margins."""
     verdict, words, more = loop_verdict(picture)
-    numbers = _numbers(picture.margins, picture.stable, picture.settings.mode)
+    numbers = _numbers(picture.measured.margins, picture.stable, picture.settings.mode)
     return fragment("figures", verdict=verdict, words=words, more=more, numbers=numbers)
 
 
@@ -163,19 +154,20 @@ def loop_verdict(picture: Picture) -> tuple[str, str, str]:
     """Return the verdict on the loop that is shown, in words, and what they rest on."""
     if not picture.stable:
         return "bad", "Unstable", f"plant shown: {picture.settings.plant}"
-    missed = [one.name for one in picture.requirements if not one.passed]
-    count = len(picture.requirements)
+    measured = [one for one in picture.requirements if one.reason != LATER]
+    missed, count = [one.name for one in measured if not one.passed], len(measured)
     if not picture.all_stable:
-        return "bad", "Unstable for a plant of the set", picture.margins.worst_plant
+        return "bad", "Unstable for a plant of the set", picture.measured.margins.worst_plant
     if missed:
         return "bad", f"{len(missed)} of {count} missed", ", ".join(missed)
     if count == 0:
         return "good", "Stable", "this loop has no requirements"
-    least = min(picture.requirements, key=lambda one: one.margin)
+    least = min(measured, key=lambda one: one.margin)
     # What lies between the frequencies of a grid is no verdict. The job's own verdict stands in the strip.
-    sampled = any(one.method == "sampled" for one in picture.requirements)
+    sampled = any(one.method == "sampled" for one in measured)
     left = f"nearest limit: {least.name}, {100 * least.margin:.1f} %"
     met = "limit is" if count == 1 else "limits are"
+    left += f"; {picture.requirements[-1].name} is {LATER}" if len(measured) < len(picture.requirements) else ""
     return "good", f"This loop's {met} met" + ", sampled" * sampled, left
 
 
@@ -331,15 +323,15 @@ def tightest_first(results: Sequence[CheckResult]) -> list[CheckResult]:
 
 def _row(one: CheckResult, spec: BudgetSpec | None) -> dict[str, Any]:
     reached, required = compared(one)
-    open_ = left_to_runs(one, spec)
+    open_, later = left_to_runs(one, spec), one.reason == LATER
     return {
         "name": one.name,
         "full": f"{one.subject}, {one.design}: {one.name}" if one.design else f"{one.subject}: {one.name}",
         "required": f"{BOUND[one.sense]} {required}",
-        "reached": reached,
-        "margin": "by runs" if open_ else percent(one.margin if math.isfinite(one.margin) else None),
+        "reached": "…" if later else reached,
+        "margin": "by runs" if open_ else percent(one.margin),
         "why": _BY_RUNS if open_ else one.reason,
-        "state": "met" if one.passed else "open" if open_ else "missed",
+        "state": "met" if one.passed else "open" if open_ or later else "missed",
         "hard": one.hard,
         "method": one.method,
     }

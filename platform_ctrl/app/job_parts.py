@@ -12,7 +12,6 @@ import numpy as np
 
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.app.closed_loops import ClosedLoops
-from platform_ctrl.app.loops import loop_metrics
 from platform_ctrl.app.plants import Bounded
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import value
@@ -147,7 +146,7 @@ BUDGET = "budget"  # key of its chip, and the view of the page
 
 def loop_stamp(loops: ClosedLoops, settings: Settings, spec: LoopSpec) -> Hashable:
     """Return the stamp of a loop with plants of its own."""
-    return ("loop", loops.plants_key(settings, spec), loops.closed_key(settings, spec))
+    return ("loop", loops.shown_key(settings, spec))
 
 
 def run_stamp(loops: ClosedLoops, settings: Settings, manoeuvre: str) -> Hashable:
@@ -188,8 +187,7 @@ def _parts(loops: ClosedLoops, sight: SightBudgets, settings: Settings) -> Itera
 def _loop_results(loops: ClosedLoops, settings: Settings, spec: LoopSpec) -> Results:
     at = settings.but(loop=spec.name, design=loops.closed(settings)[spec.name], plant="nominal")
     loop, _ = loops.caged(at)
-    metrics = loops.cached_metrics(at, loop)(lambda: loop_metrics(loop))
-    return limits_and_goals(loop.spec, loop.design, loop.plants, metrics)[0]
+    return limits_and_goals(loop.spec, loop.design, loop.plants, loops.metrics(at, loop))[0]
 
 
 # Results that are kept: a few steps back and forth of a job with many runs.

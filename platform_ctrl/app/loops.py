@@ -5,6 +5,7 @@ Of a caging loop one torquer is shown broken while all others stay closed, and O
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -74,27 +75,25 @@ class CagedLoop:
         return int(self.plants.A.shape[-1]) + len(self.controller.A) <= _QUICK
 
 
-# A cache of a loop's metrics: computes them if they are not known.
-CachedMetrics = Callable[[Callable[[], LoopMetrics]], LoopMetrics]
+# Why there is no value yet: a budget of the line of sight takes longer than all else.
+LATER = "measured as soon as the sliders rest"
 
 
-def loop_metrics(loop: CagedLoop, whole: Loop | None = None) -> LoopMetrics:
+def loop_metrics(loop: CagedLoop, whole: Loop | None = None, sight: bool = True) -> LoopMetrics:
     """Return the metrics that the page shows of a loop: peaks are norms unless it has too many states for that."""
-    requests = loop.spec.requests
-    if loop.exact:
-        return measure(loop.plants, loop.delivered, requests, loops=whole)
-    return measure(loop.plants, loop.delivered, requests, exact=False)
+    requests = [one for one in loop.spec.requests if sight or not METRICS[one.kind].of_sight]
+    return measure(loop.plants, loop.delivered, requests, exact=loop.exact, loops=whole)
 
 
 class CagedCurves(drawn.LoopCurves):
-    """The curves of a caging loop; with a cache of metrics those of the whole set too, failed parts left out."""
+    """The curves of a caging loop; with `metrics` those of the whole set too, failed parts left out."""
 
-    def __init__(self, loop: CagedLoop, settings: Settings, cached: CachedMetrics | None = None) -> None:
+    def __init__(self, loop: CagedLoop, settings: Settings, metrics: Callable[..., LoopMetrics] | None = None) -> None:
         names = loop.plants
         channel = settings.channel if settings.channel in names.torques else names.torques[0]
         super().__init__(job=loop.job, settings=settings, plant=loop.plant, controller=loop.controller,
                          readings=names.angles, torquers=names.torques, channel=channel)  # fmt: skip
-        self.loop, self._cached = loop, cached
+        self.loop, self._metrics = loop, metrics
         self.shown = Loop(loop.shown, loop.controller)
         sensors = self.job.units
         sets = sensors | {torquer.name: torquer.unit for torquer in self.job.platform.torquers}
@@ -104,7 +103,7 @@ class CagedCurves(drawn.LoopCurves):
         self.frequency = self._frequencies()
         self.set: Loop | None = None
         self.all_stable, self.other_poles = True, np.zeros(0, dtype=np.complex128)
-        if cached is None:
+        if metrics is None:
             return
         self.whole = Loop(names, loop.delivered)
         within = names.of(_BAND)
@@ -190,10 +189,27 @@ class CagedCurves(drawn.LoopCurves):
 
     def measured(self, bode: Bode) -> Measured:
         """Return margins, limits and goals, by the metrics of the whole set."""
-        loop = self.loop
-        assert self._cached is not None, "of a loop that is drawn over another one nothing is measured"
-        metrics = self._cached(lambda: loop_metrics(loop, self.whole))
-        requirements, goals = limits_and_goals(loop.spec, loop.design, loop.plants, metrics)
+        loop, spec = self.loop, self.loop.spec
+        assert self._metrics is not None, "of a loop that is drawn over another one nothing is measured"
+        metrics = self._metrics(self.whole, quick=True)
+        known = {one.kind for one in spec.requests if not METRICS[one.kind].of_sight}
+        known |= {kind for kind, *_ in metrics.requested}
+        late = [one for one in spec.requests if one.kind not in known]
+        own, soft = (
+            {key: x for key, x in of.items() if key not in [METRICS[one.kind].key for one in late]}
+            for of in (spec.limits, spec.soft)
+        )
+        measured = dataclasses.replace(spec, limits=own, soft=soft)
+        requirements, goals = limits_and_goals(measured, loop.design, loop.plants, metrics)
+        requirements += tuple(
+            dataclasses.replace(
+                one.judge(math.nan, subject=spec.name, design=loop.design, stage="decoupled", evidence=LATER),
+                reason=LATER,
+                valid=False,
+            )
+            for one in late
+            if one.hard
+        )
         sampled = "peaks are the highest on a frequency grid: the loop is too large for exact ones while a slider moves"
         return Measured(
             margins=_margins(loop, metrics, self, bode),

@@ -184,13 +184,15 @@ class Measured:
 
 @value
 class Picture(Drawing):
-    """A drawing with the results of `Measured`; `elapsed` is the time that it took, s."""
+    """A drawing with what is `measured`; `elapsed` is the time that both took, s."""
 
-    margins: Margins
-    requirements: tuple[CheckResult, ...]
-    goals: tuple[CheckResult, ...]
+    measured: Measured
     elapsed: float
-    notes: tuple[str, ...] = ()
+
+    @property
+    def requirements(self) -> tuple[CheckResult, ...]:
+        """The job's limits as `check` judges them."""
+        return self.measured.requirements
 
 
 # Kinds of shapes, from behind to the front; arrows of turns and signs at joints are left out.

@@ -8,7 +8,7 @@ import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from platform_ctrl.app.controllers import ALWAYS, DesignOptions
 from platform_ctrl.app.plants import JobPlants
@@ -23,10 +23,6 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import job_hashes
 from platform_ctrl.plant.source import is_shipped_name, read_text
 from platform_ctrl.verification.result_file import SCHEMA, controller_record, write_record
-
-if TYPE_CHECKING:
-    pass
-
 
 # Ending of the file of a job's controllers.
 SUFFIX = ".controllers.json"

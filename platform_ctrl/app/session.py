@@ -87,7 +87,7 @@ class Session:
         # Settings that wait for a design, and the gesture that led to them; only `_work` uses it.
         self._awaited: tuple[Settings, object] | None = None
         self._idle: Any = None
-        self._stop_listening = backend.on_designed(self._designed)
+        self._stop_listening = backend.on_designed(self.again)
 
     def roots(self) -> list[Any]:
         """Return the roots of the document, by whose names the template places them."""
@@ -188,8 +188,8 @@ class Session:
 
     # Answers to the page.
 
-    def _designed(self) -> None:
-        """Compute the picture again with a design that has become available; called in a thread."""
+    def again(self) -> None:
+        """Compute the picture again with what has become known; called in a thread."""
         self._add("again", Task(count=0, change=lambda settings: settings, gesture="ready"))
 
     def _work(self, over: threading.Event) -> None:
@@ -265,7 +265,7 @@ class Session:
     ) -> None:
         """Show a picture, or the line of an error; with `awaits` it is computed again once a design is available."""
         line, self._line = self._line or line, None
-        notes = () if picture is None else picture.notes
+        notes = () if picture is None else picture.measured.notes
         kind = "error" if line and not awaits else "quiet"
         data: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
         if picture is not None:
@@ -310,7 +310,7 @@ class Session:
     def _shown(self, picture: Picture) -> dict[str, str]:
         """Return the HTML that follows from settings and picture, by the ids of the elements."""
         settings = picture.settings
-        every = [*picture.requirements, *picture.goals, *self._budget_results]
+        every = [*picture.requirements, *picture.measured.goals, *self._budget_results]
         # The tightest first, as they were when the sliders last rested: nothing jumps while one moves.
         if self._effects_of is settings or not {(one.subject, one.name) for one in every} <= self._order.keys():
             self._order = {(one.subject, one.name): k for k, one in enumerate(fragments.tightest_first(every))}
@@ -366,23 +366,6 @@ class Session:
         self._idle = None
 
 
-# The plots in their order on the page, with their names for screen readers.
-PANELS = (
-    ("bode", "Bode diagram"),
-    ("nichols", "Nichols plot"),
-    ("locus", "Root locus"),
-    ("step", "Step response"),
-    ("Omega", "Response to a disturbance"),
-)
-BUDGET_PANELS = (
-    ("cumulative0", "Cumulative rms, first axis"),
-    ("cumulative1", "Cumulative rms, second axis"),
-    ("waterfall0", "Sum of sources, first axis"),
-    ("waterfall1", "Sum of sources, second axis"),
-    ("waterfall2", "Sum of sources, both axes"),
-)
-
-
 def page(backend: Backend, document: Document) -> None:
     """Fill a new document with a page, which ends with the document's session."""
     context: Any = document.session_context
@@ -398,10 +381,8 @@ def page(backend: Backend, document: Document) -> None:
     # A lost page says so itself, and is loaded again with its state: what the server knew of it may be gone.
     document.config.update(reconnect_session=False, notify_connection_status=False)
     document.template = fragments.templates().get_template("page.html")
-    has_budget = backend.read.budget is not None
     document.template_variables.update(
-        panels=PANELS,
-        budget_panels=BUDGET_PANELS if has_budget else (),
+        has_budget=backend.read.budget is not None,
         palette=":root{{{}}}\n:root[data-theme=dark]{{{}}}".format(*map(declarations, PALETTE.values())),
         manoeuvres=[one.name for one in backend.read.manoeuvres],
         folder=str(backend.folder.resolve()),

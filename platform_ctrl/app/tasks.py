@@ -23,6 +23,7 @@ from bokeh.model import DataModel
 
 from platform_ctrl.app.background import Requests, TaskCancelled
 from platform_ctrl.app.fragments import fragment
+from platform_ctrl.app.loops import LATER
 from platform_ctrl.app.pictures import run_data
 from platform_ctrl.app.saving import controllers_beside, difference, merged
 from platform_ctrl.app.settings import Settings
@@ -201,6 +202,9 @@ class LongTasks:
             known = {one.name for one in self.backend.budget_results(settings) if one.valid}
             if not known <= set(influence.requirements):
                 effects()
+            shown = self.page.picture
+            if shown is not None and LATER in [one.reason for one in shown.requirements]:
+                self.page.again()
         except Exception as error:
             error_text(error)
 

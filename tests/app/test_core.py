@@ -109,8 +109,8 @@ def test_poles_and_requirements_are_those_of_the_certified_design(
     s = continuous_poles(closed_loop_poles(plants, made.controller), plants.period)
     present = np.sort_complex(np.round(picture.poles[np.isfinite(picture.poles)], 3))
     np.testing.assert_allclose(present, np.sort_complex(np.round(s[0][np.isfinite(s[0])], 3)), rtol=1e-6)
-    assert picture.margins.disk == pytest.approx(made.measures.disk_margin[0], rel=1e-6)  # type: ignore[union-attr]
-    assert picture.margins.bandwidth == pytest.approx(made.measures.bandwidth, rel=2e-2)  # type: ignore[union-attr]
+    assert picture.measured.margins.disk == pytest.approx(made.measures.disk_margin[0], rel=1e-6)  # type: ignore[union-attr]
+    assert picture.measured.margins.bandwidth == pytest.approx(made.measures.bandwidth, rel=2e-2)  # type: ignore[union-attr]
     at_one = int(np.argmin(np.abs(picture.locus.values - 1.0)))
     assert picture.locus.values[at_one] == 1.0
 
@@ -160,15 +160,15 @@ def test_margins_of_the_channel_put_a_pole_on_the_boundary(
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
     j = plants.torques.index(settings.channel)
-    for factor in (picture.margins.gain_up, picture.margins.gain_down):
+    for factor in (picture.measured.margins.gain_up, picture.measured.margins.gain_down):
         if 0.0 < factor < math.inf:
             scale = np.ones(len(plants.torques))
             scale[j] = factor
             turned = System(K.A, K.B, scale[:, None] * K.C, scale[:, None] * K.D, K.dt)
             z = closed_loop_poles(plants.only([0]), turned.to_control(plants.angles, plants.torques))[0]
             assert np.abs(z).max() == pytest.approx(1.0, abs=2e-3)
-    assert 10.0 < picture.margins.phase < 90.0
-    assert picture.margins.delay > 0.0
+    assert 10.0 < picture.measured.margins.phase < 90.0
+    assert picture.measured.margins.delay > 0.0
 
 
 def test_the_band_holds_every_plant_of_the_set(bench: Backend, settings: Settings, picture: Picture) -> None:
@@ -215,7 +215,7 @@ def test_requirements_of_all_loops_are_those_of_check(bench: Backend) -> None:
     ours, theirs = (np.sort(np.abs(one[np.isfinite(one) & (np.abs(one) < 5e3)])) for one in (picture.poles, s))
     np.testing.assert_allclose(ours, theirs, rtol=1e-6)
     j = expected.channels.index(settings.channel)
-    assert picture.margins.disk == pytest.approx(expected.coupled[j], rel=1e-3)
+    assert picture.measured.margins.disk == pytest.approx(expected.coupled[j], rel=1e-3)
     L = analysis.loop_transfer(expected.plant, expected.controller)
     response = np.moveaxis(analysis.frequency_response(L, picture.bode.frequency), -1, 0)
     S = np.linalg.inv(np.eye(len(expected.channels)) + response)[:, j, j]
@@ -237,8 +237,8 @@ def test_influence_is_what_the_moved_slider_does(bench: Backend, settings: Setti
 def test_an_unstable_loop_has_a_picture_that_says_so(bench: Backend, settings: Settings) -> None:
     wild = bench.picture(bench.moved(settings, "crossover_hz", 900.0))
     assert not wild.stable
-    assert wild.margins.disk == 0.0
-    assert math.isnan(wild.margins.phase)
+    assert wild.measured.margins.disk == 0.0
+    assert math.isnan(wild.measured.margins.phase)
     assert not all(r.passed for r in wild.requirements)
     for values in (wild.step.values, wild.Omega_time.values, wild.bode.phase, wild.Omega_frequency.gain):
         assert np.isfinite(values).all()
@@ -307,7 +307,7 @@ def test_rate_and_pointing_loops_are_shown_as_they_are_designed(kind, method):
         assert shown.step.units == (("rad/s",) if kind == "rate" else ("rad",)) * 2 + ("N m",) * 2
         slider = next(one for one in backend.sliders(start) if one.name.endswith("crossover_hz"))
         slower = backend.picture(backend.moved(start, slider.name, 0.5 * slider.value))
-        assert slower.margins.crossover < 0.7 * shown.margins.crossover
+        assert slower.measured.margins.crossover < 0.7 * shown.measured.margins.crossover
         assert ("second" in {part.name for part in backend.parts(start)}) == (kind == "rate")
     finally:
         backend.close()

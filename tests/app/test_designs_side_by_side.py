@@ -82,7 +82,7 @@ def test_designs_are_compared_by_the_line_of_sight_that_the_base_turns(page: Bac
 def test_sliders_move_a_design_with_feedforward_and_it_is_saved_with_it(page: Backend, tmp_path: Path) -> None:
     start = page.start()
     moved = page.moved(start, "crossover_hz", 25.0)
-    assert page.picture(moved).margins.crossover < page.picture(start).margins.crossover
+    assert page.picture(moved).measured.margins.crossover < page.picture(start).measured.margins.crossover
     saved = page.save(moved, tmp_path / "saved.toml").job
     (again,) = outcomes_from(read_job(saved), read_controllers(tmp_path / "saved.controllers.json", read_job(saved)))
     assert (again.use, again.closed.controller.input_labels[-3:]) == ("fed", BASE)

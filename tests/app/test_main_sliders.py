@@ -47,10 +47,10 @@ def test_speed_scales_time_and_robustness_gives_margin_at_the_same_crossover(cam
     assert _options(robust)["integral_hz"] == pytest.approx(0.5 * _options(settings)["integral_hz"], rel=1e-9)
     slow, wide = camera.picture(slower), camera.picture(robust)
     # The delay takes half the phase at half the crossover.
-    assert slow.margins.bandwidth < before.margins.bandwidth
-    assert slow.margins.worst_disk > before.margins.worst_disk
-    assert wide.margins.worst_disk > before.margins.worst_disk
-    assert wide.margins.bandwidth == pytest.approx(before.margins.bandwidth, rel=0.1)
+    assert slow.measured.margins.bandwidth < before.measured.margins.bandwidth
+    assert slow.measured.margins.worst_disk > before.measured.margins.worst_disk
+    assert wide.measured.margins.worst_disk > before.measured.margins.worst_disk
+    assert wide.measured.margins.bandwidth == pytest.approx(before.measured.margins.bandwidth, rel=0.1)
 
 
 def test_the_two_sliders_say_where_the_options_are_and_lead_back_to_the_digit(camera: Backend) -> None:

@@ -146,7 +146,7 @@ def test_every_limit_that_a_job_states_has_a_row_that_edits_it(tmp_path: Path) -
     changed = page.start()
     for loop in page.read.loops:
         shown = page.picture(page.start(loop.name))
-        rows |= {(one.subject, one.name) for one in (*shown.requirements, *shown.goals)}
+        rows |= {(one.subject, one.name) for one in (*shown.requirements, *shown.measured.goals)}
     # Only that loops are stable is required without being stated.
     assert all("decay" in name or "stab" in name for _, name in rows - page.limit_names.keys()), rows
     assert set(page.limit_names.values()) == set(changed.limits)
@@ -420,7 +420,7 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path:
     picture = given.picture(settings.but(overlays=("lqg",)))
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in closed.results], rtol=1e-6)
     assert [o.settings.design for o in picture.overlays] == ["lqg"]
-    assert not picture.notes
+    assert not picture.measured.notes
     K = given._loops.caged(settings)[0].controller
     assert isinstance(K, System)
     assert np.allclose(K.A, closed.controller.A)

@@ -12,10 +12,10 @@ from platform_ctrl.analysis.curves import Curve, Curves, Level
 from platform_ctrl.app.pictures import Drawing, TimeResponse
 from platform_ctrl.app.plots.loop import designs, positive
 from platform_ctrl.app.plots.painter import Axis, Panel, Theme
-from platform_ctrl.app.plots.views import View, column, decades, extent, quantity, thinned
+from platform_ctrl.app.plots.views import View, column, decades, extent, thinned
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.job.quantities import HZ
+from platform_ctrl.job.quantities import HZ, quantity
 
 # Points of a curve, signals in a figure; how far the set's band may widen the view beyond the plant shown.
 _POINTS, _SIGNALS, _WIDER = 400, 9, 3.0

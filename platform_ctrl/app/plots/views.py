@@ -13,6 +13,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.job.quantities import handy_unit
 
 FONT = 'system-ui, -apple-system, "Segoe UI", "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif'
 SMALL, NORMAL = "11px", "12px"
@@ -87,24 +88,6 @@ def extent(columns: Sequence[Any]) -> tuple[float, float] | None:
     return (float(numbers.min()), float(numbers.max())) if numbers.size else None
 
 
-_PREFIXES = ((1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-_PREFIXED = frozenset({"rad", "rad/s", "N m", "s", "rad/(rad/s)"})
-
-
-def prefixed(unit: str, size: float) -> tuple[float, str]:
-    """Return factor and name of a unit for numbers whose largest magnitude is `size`."""
-    if unit not in _PREFIXED or not size > 0.0 or size >= 0.5:
-        return 1.0, unit
-    scale, prefix = next((one for one in _PREFIXES if size >= 0.5 * one[0]), _PREFIXES[-1])
-    return 1.0 / scale, f"{prefix}{unit}"
-
-
-def quantity(number: float, unit: str) -> str:
-    """Return a number with its unit and a suitable prefix: ``3 mrad``."""
-    scale, name = prefixed(unit, 1.01 * abs(number))
-    return f"{scale * number:.3g} {name}".rstrip()
-
-
 class Unit:
     """A unit with a prefix for readable numbers, which changes only when the numbers have become awkward.
 
@@ -119,7 +102,7 @@ class Unit:
         if unit == self._plain and (not 0.0 < size < math.inf or 0.2 <= size * self.scale < 2000.0):
             return
         self._plain = unit
-        self.scale, self.name = prefixed(unit, size)
+        self.scale, self.name = handy_unit(unit, size)
 
 
 def inner_size(plot: Any) -> tuple[float, float]:
