@@ -250,7 +250,8 @@ class LoopCurves(ABC):
         values = sampled_responses(shown, inputs, drive.every)[0]
         low = high = np.zeros((len(values), 0))
         if band is not None:
-            low, high = around(sampled_responses(band, inputs, drive.every), values)
+            every = sampled_responses(band, inputs, drive.every)
+            low, high = np.minimum(every.min(axis=0), values), np.maximum(every.max(axis=0), values)
         colour = signal_series(self.job.platform)
         return TimeResponse(
             title=drive.title,
@@ -297,11 +298,6 @@ def frequency_gain(
 def _per(unit: str, other: str) -> str:
     above = f"({unit})" if "/" in unit else unit
     return f"{above}/({other})" if set(other) & set(" /") else f"{above}/{other}"
-
-
-def around(every: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the extremes over the first axis of `every` and `own`, of the shape of `own`."""
-    return np.minimum(every.min(axis=0), own), np.maximum(every.max(axis=0), own)
 
 
 def channel_margins(bode: Bode, stable: bool) -> dict[str, Any]:

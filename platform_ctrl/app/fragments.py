@@ -14,7 +14,6 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.job_parts import BUDGET, BudgetState, ChipState
 from platform_ctrl.app.loops import LATER
 from platform_ctrl.app.pictures import Margins, Picture
-from platform_ctrl.app.plots.painter import Panel
 from platform_ctrl.app.settings import Mode, Settings, Slider
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.methods import METHODS
@@ -77,18 +76,6 @@ def selectors(backend: Backend, settings: Settings, plants: Sequence[str], view:
         "plant": plants,
     }
     return fragment("selectors", settings=settings, choices=choices, view=view)
-
-
-def overlays(backend: Backend, settings: Settings) -> str:
-    """Return the boxes of the designs that can be drawn over the one that is shown."""
-    designs = [one for one in backend.spec(settings).designs if one.name != settings.design]
-    return fragment("overlays", designs=designs, chosen=settings.overlays)
-
-
-def heading(panel: Panel) -> str:
-    """Return what is written above the figures of a panel."""
-    keys = [{"words": words, "role": role, "dashes": dash, "width": width} for words, role, dash, width in panel.keys]
-    return fragment("heading", panel=panel, keys=keys)
 
 
 def strip(states: Sequence[ChipState], said: Mapping[str, ChipState], loop: str) -> str:
@@ -188,20 +175,31 @@ def _numbers(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]
     rows: tuple[tuple[str, float | str | None, str, str, bool], ...] = (
         ("Disk margin, shown", margins.disk, "", f"Of the plant shown, {channels}", not stable),
         ("Disk margin, worst" + ", sampled" * sampled, margins.worst_disk, "", worst, margins.worst_disk <= 0.0),
-        ("Gain margin", _decibels(margins), "dB", "How far the shown channel's gain may rise and fall", False),
+        (
+            "Gain margin",
+            _decibels(margins) if stable else None,
+            "dB",
+            "How far the shown channel's gain may rise and fall",
+            False,
+        ),
         ("Phase margin", margins.phase, "°", "What the shown channel may lose", False),
         ("Delay margin", 1e3 * margins.delay, "ms", "How much later the torque may come", False),
         ("Crossover of L", crossover, "Hz", "Highest frequency at which the shown channel's gain is 1", False),
         ("Bandwidth", HZ * margins.bandwidth, "Hz", f"S of {axes} reaches 1/√2", False),
         ("Damping", margins.damping, "", damping, margins.damping <= 0.0),
     )
-    out = []
-    for label, x, unit, tip, bad in rows:
-        # Of a loop that is not stable these have no meaning.
-        known = x if stable or label.startswith(("Disk", "Crossover", "Damping")) else None
-        shown = known if isinstance(known, str) else number(known)
-        out.append({"label": label, "value": shown, "unit": unit, "tip": tip, "bad": bad})
-    return out
+    # Of a loop that is not stable the others have no meaning.
+    known = ("Disk", "Crossover", "Damping") if not stable else ""
+    return [
+        {
+            "label": label,
+            "value": x if isinstance(x, str) else number(x if label.startswith(known) else None),
+            "unit": unit,
+            "tip": tip,
+            "bad": bad,
+        }
+        for label, x, unit, tip, bad in rows
+    ]
 
 
 def _decibels(margins: Margins) -> str | None:
@@ -257,11 +255,6 @@ def admissible(effects: OptionEffects, slider: str) -> tuple[float, float]:
         room = (1.0 - effects.ratios) / slopes
     low, high = room[slopes < 0.0].max(initial=-_FARTHEST), room[slopes > 0.0].min(initial=_FARTHEST)
     return float(low), float(high)
-
-
-def step(effects: OptionEffects | None, every: Sequence[Slider]) -> str:
-    """Return the next step."""
-    return fragment("step", **next_step(effects, every))
 
 
 def next_step(effects: OptionEffects | None, every: Sequence[Slider]) -> dict[str, Any]:

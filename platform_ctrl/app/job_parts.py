@@ -84,13 +84,10 @@ class SightBudgets:
 
     def quick_results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the limits with the budget that is computed within some milliseconds; none before there is one."""
-        if self._prepared is None or not self._prepared[1].first.results:
+        if self._prepared is None:
             return ()
-        try:
-            found = self._quick(settings)
-        except PlatformCtrlError:
-            return unstable_results(self._loops.job(settings))
-        return () if found is None else found.results
+        found = self.now(settings).found
+        return unstable_results(self._loops.job(settings)) if found is None else found.results
 
     def _quick(self, settings: Settings) -> LineOfSightBudget | None:
         controllers = self._loops.controllers(settings)

@@ -169,7 +169,7 @@ class Session:
         self.connection.answer(request.count, html=self._headings())
 
     def _headings(self) -> dict[str, str]:
-        return {f"head-{one.name}": fragments.heading(one) for one in self.plots.panels}
+        return {f"head-{one.name}": fragments.fragment("heading", panel=one) for one in self.plots.panels}
 
     def _on_undo(self, request: work.Request) -> None:
         there = self.settings
@@ -301,10 +301,10 @@ class Session:
             "selectors": fragments.selectors(
                 self.backend, settings, plants, self._view if self.backend.read.budget is not None else ""
             ),
-            "overlays": fragments.overlays(self.backend, settings),
+            "overlays": fragments.fragment("overlays", designs=self.backend.spec(settings).designs, settings=settings),
             "edits": fragments.fragment("edits", undo=undo, redo=redo, tunable=tunable),
             "sliders": fragments.sliders(self.backend, settings, known),
-            "next": fragments.step(known, every),
+            "next": fragments.fragment("step", **fragments.next_step(known, every)),
         }
 
     def _shown(self, picture: Picture) -> dict[str, str]:

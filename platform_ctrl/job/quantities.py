@@ -96,9 +96,16 @@ _TOO_SMALL = 0.01
 _TOO_LARGE = 1e4
 
 
+def _is_short(number: float) -> bool:
+    return math.isclose(number, float(f"{number:.3g}"), rel_tol=1e-9)
+
+
 def compared(one: CheckResult) -> tuple[str, str]:
     """Return value and limit of a requirement in the same unit, with digits enough to tell them apart."""
     factor, name = handy_unit(one.unit, one.limit)
+    degrees = math.degrees(one.limit)
+    if one.unit == "rad" and _is_short(degrees) and not _is_short(factor * one.limit):
+        factor, name = math.degrees(1.0), "°"  # as the file has it
     if 0.0 < abs(one.value) * factor < _TOO_SMALL:
         factor, name = handy_unit(one.unit, one.value)
     shown_limit = f"{plain(times(factor, one.limit), 6)} {name}".rstrip()
