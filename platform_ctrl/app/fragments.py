@@ -175,13 +175,7 @@ def _numbers(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]
     rows: tuple[tuple[str, float | str | None, str, str, bool], ...] = (
         ("Disk margin, shown", margins.disk, "", f"Of the plant shown, {channels}", not stable),
         ("Disk margin, worst" + ", sampled" * sampled, margins.worst_disk, "", worst, margins.worst_disk <= 0.0),
-        (
-            "Gain margin",
-            _decibels(margins) if stable else None,
-            "dB",
-            "How far the shown channel's gain may rise and fall",
-            False,
-        ),
+        ("Gain margin", _decibels(margins), "dB", "How far the shown channel's gain may rise and fall", False),
         ("Phase margin", margins.phase, "°", "What the shown channel may lose", False),
         ("Delay margin", 1e3 * margins.delay, "ms", "How much later the torque may come", False),
         ("Crossover of L", crossover, "Hz", "Highest frequency at which the shown channel's gain is 1", False),
@@ -193,7 +187,7 @@ def _numbers(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]
     return [
         {
             "label": label,
-            "value": x if isinstance(x, str) else number(x if label.startswith(known) else None),
+            "value": DASH if not label.startswith(known) else x if isinstance(x, str) else number(x),
             "unit": unit,
             "tip": tip,
             "bad": bad,

@@ -15,7 +15,7 @@ from bokeh.document import Document
 from bokeh.models import Label, Model, Plot, Range1d
 
 from designer_pictures import broken, picture
-from platform_ctrl.app.fragments import heading
+from platform_ctrl.app.fragments import fragment
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.plots.painter import Panel
 from platform_ctrl.common.palette import PALETTE
@@ -162,7 +162,7 @@ def test_every_key_has_colour_and_dashes_of_a_curve_that_is_drawn(fresh: Plots, 
 
 def test_names_from_a_job_file_are_text_and_no_markup(plots: Plots) -> None:
     plots.show(picture(overlays=("<img src=x onerror=alert(1)>",)))
-    written = heading(panel_of(plots, "bode"))
+    written = fragment("heading", panel=panel_of(plots, "bode"))
     assert "<img" not in written
     assert "&lt;img" in written
 
