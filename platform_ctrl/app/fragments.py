@@ -344,7 +344,7 @@ def _cell(slider: Slider, requirement: str, effects: OptionEffects | None) -> di
         "slider": slider.name,
         "arrow": "" if size < _LEAST else "↓" if worse else "↑",
         "colour": "down" if worse else "up",
-        "strength": round(0.1 + 0.5 * min(1.0, math.log(max(size, _LEAST) / _LEAST) / math.log(_MOST / _LEAST)), 3),
+        "strength": round(0.1 + 0.45 * min(1.0, math.log(max(size, _LEAST) / _LEAST) / math.log(_MOST / _LEAST)), 3),
         "words": f"{slider.label} + 5 %: {words}",
     }
 

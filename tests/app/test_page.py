@@ -307,6 +307,20 @@ def test_every_control_has_a_name_and_a_visible_focus(page: Page) -> None:
     assert outline == "solid"
 
 
+@pytest.mark.parametrize("theme", ["Light", "Dark"])
+def test_axe_core_has_nothing_to_object_to(page: Page, theme: str) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    page.locator("#theme label", has_text=theme).click()
+    until(page, lambda: any(page.locator("#requirements td.cell").all_text_contents()))
+    for dialog in ("", "#save", "#help"):
+        if dialog:
+            page.locator(dialog).click()
+        found = axe.run(page)
+        assert found.violations_count == 0, found.generate_report()
+        page.keyboard.press("Escape")
+    page.locator("#theme label", has_text="System").click()
+
+
 def test_the_rest_is_tuned_saved_and_checked(page: Page, job: Path) -> None:
     typed(page, "crossover_hz", "25")
     shows(page, "crossover_hz", "25")

@@ -184,7 +184,6 @@ def broken(number: float) -> Picture:
         made,
         **{name: spoilt(getattr(made, name)) for name in names},
         poles=np.full(made.poles.shape, number, np.complex128),
-        margins=dataclasses.replace(made.margins, crossover=number, phase=number, gain_up=number),
         stable=False,
         all_stable=False,
     )
