@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import wraps
+from functools import cached_property, wraps
 from importlib import resources
 from io import StringIO
 from typing import Any, ParamSpec, TypeVar
@@ -19,8 +19,11 @@ from typing import Any, ParamSpec, TypeVar
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import XAxis, YAxis
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
@@ -57,7 +60,8 @@ _SCALES = ("linear", "log")
 FULL_WIDTH = 9.6
 _LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
 _TITLE, _NO_TITLE, _LEGEND_ROW = 0.26, 0.08, 0.22
-_LABEL_AWAY = 0.5
+_LABEL_AWAY, _LABEL_BELOW = 0.5, 0.25
+_TICKS = {"x": 3, "y": 0}  # markers of matplotlib: down, and to the left
 
 _COLOURS: Any = {
     "text.color": INK,
@@ -128,10 +132,70 @@ def panels(
     }
     place |= {"wspace": _GAP_X / across, "hspace": (over + _BOTTOM) / tall}
     figure = _figure(width, height)
-    axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw=place)
+    kind = {"axes_class": _Panel} if _of_page.get() else {}
+    axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw=place, subplot_kw=kind)
     for one in axes.flat:
+        one.xaxis.set_label_coords(0.5, -_LABEL_BELOW / tall)
         one.yaxis.set_label_coords(-_LABEL_AWAY / across, 0.5)
     return figure, axes
+
+
+class _Scale:
+    """An axis that draws its grid, ticks, numbers and label in few objects: matplotlib's own has seven for a tick."""
+
+    majorTicks: Any = cached_property(lambda axis: [])
+    minorTicks: Any = cached_property(lambda axis: [])
+
+    def draw(self: Any, renderer: Any) -> None:
+        """Draw what locator and formatter say, if it is visible."""
+        if not self.get_visible():
+            return
+        look: Any = mpl.rcParams
+        name, scale = self.axis_name, self.get_transform().transform
+        every, formatter = np.asarray(self.get_majorticklocs()), self.get_major_formatter()
+        low, high = np.sort(scale(np.asarray(self.get_view_interval())))
+        at, slack = scale(every) if len(every) else every, 1e-9 * (high - low)
+        inside = (at >= low - slack) & (at <= high + slack)
+        numbers, at = np.array(formatter.format_ticks(every), dtype=object)[inside], every[inside]
+        place, order = getattr(self.axes, f"get_{name}axis_transform"), 1 if name == "x" else -1
+        size, pad, width = (look[f"{name}tick.major.{one}"] for one in ("size", "pad", "width"))
+        tick = {"marker": _TICKS[name], "markersize": size, "markeredgewidth": width}
+        tick |= {"color": look[f"{name}tick.color"], "linestyle": ""}
+        grid = {"color": look["grid.color"], "linewidth": look["grid.linewidth"]}
+        through = [np.repeat(at, 3), np.tile([0.0, 1.0, np.nan], len(at))][::order]
+        lines = [Line2D(*through, transform=place("grid"), **grid)] if self.get_tick_params()["gridOn"] else []
+        lines.append(Line2D(*[at, np.zeros(len(at))][::order], transform=place("tick1"), **tick))
+        transform, va, ha = getattr(self.axes, f"get_{name}axis_text1_transform")(size + pad)
+        font = {"color": look[f"{name}tick.labelcolor"], "fontsize": look[f"{name}tick.labelsize"]}
+        text = Text(transform=transform, va=va, ha=ha, **font)
+        for one in (*lines, text):
+            one.set_figure(self.axes.figure)
+        for line in lines if len(at) else []:
+            line.draw(renderer)
+        for where, words in zip(at, numbers, strict=True):
+            text.set(position=[where, 0.0][::order], text=words)
+            text.draw(renderer)
+        self.label.draw(renderer)
+        box, points = self.axes.bbox, renderer.points_to_pixels
+        self.offsetText.set_text(formatter.get_offset())
+        self.offsetText.set_position((1, box.ymin - points(17.0)) if name == "x" else (0, box.ymax + points(3.0)))
+        self.offsetText.draw(renderer)
+
+
+class _X(_Scale, XAxis):
+    pass
+
+
+class _Y(_Scale, YAxis):
+    pass
+
+
+class _Panel(Axes):
+    """A panel of a page: a third of the time for its axes."""
+
+    def _init_axis(self) -> None:
+        super()._init_axis()  # type: ignore[misc]
+        self.xaxis.__class__, self.yaxis.__class__ = _X, _Y
 
 
 def line_style(k: int) -> dict[str, Any]:
