@@ -275,19 +275,19 @@ class _Derivation:
         core = _Core(self, self._algebra(None), False) if order is None else linear
         algebra, m = core.algebra, len(self.platform.rotors)
         full = [self._row(linear, j) for j in range(n)]
-        select, first = linear.algebra.select, len(self.known)
+        select, first = linear.algebra.selected, len(self.known)
         kept = [k for k, s in enumerate(self.known) if s.kind in ("momentum", "element")]
         rows = {
             "partially_linear": full,
             # (19): linear in the angles and in Omega and Omega' together.
-            "linear": [select(row, lambda at, powers: sum(powers[first : first + 6]) <= (at is None)) for row in full],
+            "linear": [select(row, lambda powers: sum(powers[first:]) <= 1) for row in full],
             # (15): only what contains a momentum or the strength of a force element.
-            "precession": [select(row, lambda at, powers: any(powers[k] for k in kept)) for row in full],
+            "precession": [select(row, lambda powers: any(powers[k] for k in kept)) for row in full],
         }
         coupled = np.zeros((n, n), dtype=bool)
         for j, row in enumerate(full):
-            for at in row:
-                coupled[j, (at - len(self.known) - 6) % max(n, 1) if at is not None else j] = True
+            for at in linear.algebra.split(row, first + 6):
+                coupled[j, (at - first - 6) % n if at is not None else j] = True
         groups = tuple(map(tuple, connected(coupled)))
         B0, N = algebra.at_zero(core.B), self._slopes(algebra, core.BtL)  # N of (14)
         shown = {
@@ -300,9 +300,7 @@ class _Derivation:
             "G_R": algebra.cut(np.asarray(N - N.T), order),
             "G_root": algebra.cut(self._root_turning(core), order),
         }
-        used = algebra.used(shown["A"]) | linear.algebra.used(
-            *(np.array([p], dtype=object) for row in full for p in row.values())
-        )
+        used = algebra.used(*shown["A"].ravel()) | linear.algebra.used(*full)
         listed = [s for k, s in enumerate(self.known) if k in used or s.kind != "inertia"]
         A_R = [sympy.S.Zero if k is None else self._symbols[k] for k in self.C]
         return Equations(
@@ -319,7 +317,7 @@ class _Derivation:
             forces=_column(motion.root_torques + motion.torques),
             L=sympy.ImmutableDenseMatrix(m, 1, [self._symbols[k] for k in self.L]),
             A_R=sympy.ImmutableDenseMatrix(m, m, lambda i, j: A_R[i] if i == j else 0),
-            rows={key: tuple(self._written(linear, row) for row in some) for key, some in rows.items()},
+            rows={key: tuple(self._written(linear.algebra, row) for row in some) for key, some in rows.items()},
             groups=tuple(tuple(self.platform.gimbal_names[k] for k in group) for group in groups),
             notes=(*self._notes, *self._singular(groups)),
             **{key: algebra.matrix(array) for key, array in shown.items()},
@@ -328,8 +326,7 @@ class _Derivation:
     def _velocity(self, algebra: symbolic.Polynomials) -> symbolic.Array:
         """Return u = [Omega, q̇]."""
         first, n = len(self.known), self._n
-        places = [*range(first, first + 3), *range(first + 6 + n, first + 6 + 2 * n)]
-        return np.array([algebra.symbol(k) for k in places], dtype=object)
+        return algebra.symbols([*range(first, first + 3), *range(first + 6 + n, first + 6 + 2 * n)])
 
     def _slopes(self, algebra: symbolic.Polynomials, column: symbolic.Array) -> symbolic.Array:
         """∂/∂q of a column, root columns zero."""
@@ -344,7 +341,7 @@ class _Derivation:
         A_star = core.algebra.cut(core.A_star, self.order) if self.terms == "paper" else core.A_star
         momentum = A_star @ self._velocity(core.algebra)
         N = self._slopes(core.algebra, momentum)
-        return np.asarray(N - N.T * core.algebra.numbers(np.array(0.5)).item())
+        return np.asarray(N - N.T * sympy.QQ(1, 2))
 
     def _root_turning(self, core: _Core) -> symbolic.Array:
         """−[∂T/∂Omega]× in the root's block; with the paper's terms of the rotors' momentum alone."""
@@ -357,29 +354,26 @@ class _Derivation:
             out[a, b], out[b, a] = h[c], -h[c]
         return out
 
-    def _row(self, core: _Core, j: int) -> dict[int | None, symbolic.Polynomial]:
-        """Return the left side of a gimbal row, linear in the angles and their derivatives, by their places."""
+    def _row(self, core: _Core, j: int) -> symbolic.Polynomial:
+        """Return the left side of a gimbal row, linear in the angles and their derivatives."""
         algebra, n, first = core.algebra, self._n, len(self.known)
-        u, rates = self._velocity(algebra), range(first + 6 + n, first + 6 + 2 * n)
-        changes = np.array([algebra.symbol(first + 3 + k) for k in range(3 + n)], dtype=object)
-        momentum, half = core.BtL, algebra.numbers(np.array(0.5)).item()
+        u, changes = self._velocity(algebra), algebra.symbols(range(first + 3, first + 6 + n))
+        q, rates = algebra.symbols(range(first + 6 + 2 * n, first + 6 + 3 * n)), u[3:]
+        momentum, half = core.BtL, sympy.QQ(1, 2)
         out = core.A_star[3 + j] @ changes - u @ algebra.slope(core.BtL, j)
         if self.terms == "exact":
             momentum = momentum + core.A_star @ u
             out = out - u @ algebra.slope(core.A_star, j) @ u * half
         own = momentum[3 + j : 4 + j]
         for k in range(n):
-            out = out + algebra.slope(own, k)[0] * algebra.symbol(rates[k])
+            out = out + algebra.slope(own, k)[0] * rates[k]
         for place, element in enumerate(self._elements, first - len(self._elements)):
-            symbol = algebra.symbol(place)
-            angle, rate = algebra.numbers(element.angle[j]), algebra.numbers(element.rate[j])
-            out = out + algebra.numbers(element.constant[j : j + 1])[0] * symbol
-            for k in range(n):
-                out = (
-                    out + angle[k] * symbol * algebra.symbol(rates[k] + n) + rate[k] * symbol * algebra.symbol(rates[k])
-                )
-        row = algebra.split(algebra.cut(np.array([out], dtype=object))[0], range(first + 6, first + 6 + 3 * n))
-        return {at: row[at] for at in sorted(row, key=lambda at: (at is None, at)) if row[at]}
+            constant, angle, rate = map(
+                algebra.numbers, (element.constant[j : j + 1], element.angle[j], element.rate[j])
+            )
+            out = out + (constant[0] + angle @ q + rate @ rates) * algebra.symbol(place)
+        out = algebra.cut(np.array([out], dtype=object))[0]
+        return algebra.selected(out, lambda powers: sum(powers[first + 6 :]) <= 1)
 
     def _singular(self, groups: tuple[tuple[int, ...], ...]) -> list[str]:
         """Return a note where G_R, which is skew, is singular: (15) without dampers does not determine the rates."""
@@ -387,9 +381,9 @@ class _Derivation:
         singular = "is singular, for it is skew and of odd order; without dampers (15) does not determine the rates"
         return [f"G_R of {'; of '.join(odd)} {singular}"] if odd and self.platform.rotors else []
 
-    def _written(self, core: _Core, row: dict[int | None, symbolic.Polynomial]) -> RowTerms:
-        variables = {None: sympy.S.One} | dict(enumerate(self._symbols))
-        return tuple((core.algebra.written(p), variables[at]) for at, p in row.items() if p)
+    def _written(self, algebra: symbolic.Polynomials, row: symbolic.Polynomial) -> RowTerms:
+        parts = algebra.split(row, len(self.known) + 6).items()
+        return tuple((algebra.written(p), sympy.S.One if at is None else self._symbols[at]) for at, p in parts)
 
 
 def _cross(a: symbolic.Array, b: symbolic.Array) -> symbolic.Array:

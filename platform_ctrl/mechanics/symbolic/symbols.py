@@ -274,37 +274,35 @@ def rational(number: float) -> Fraction:
     return near if abs(number - near) <= _ROUNDING * abs(number) else Fraction(number)
 
 
-class Polynomials:
-    """Polynomials in parameters, in what moves, and in the angles.
+def _each(array: np.ndarray[Any, Any], function: Callable[[Any], Any]) -> Array:
+    return np.asarray(np.frompyfunc(function, 1, 1)(array), dtype=object)
 
-    Attributes
-    ----------
-    symbols
-        Of the parameters and of what moves, then of the angles.
-    """
+
+class Polynomials:
+    """Polynomials in `fixed` parameters, in what moves, and in the angles, whose symbols are the last ones."""
 
     def __init__(self, fixed: int, symbols: Sequence[Expression], angles: int, order: int | None) -> None:
-        self.symbols, self._fixed, self._n, self._order = tuple(symbols), fixed, angles, order
-        names = [*self.symbols[: len(symbols) - angles]]
-        # Exact: sines, then cosines, in place of the angles.
-        names += self.symbols[-angles:] * (1 if order is not None else 2) if angles else ()
-        self._first = len(symbols) - angles
-        self._ring = PolyRing([f"x{k}" for k in range(len(names))], sympy.QQ)
-        self._shown = [*self.symbols[: self._first]]
-        turns = self.symbols[self._first :]
-        self._shown += turns if order is not None else [sympy.sin(q) for q in turns] + [sympy.cos(q) for q in turns]
+        self._fixed, self._n, self._order, self._first = fixed, angles, order, len(symbols) - angles
+        turns = [*symbols[self._first :]]
+        if order is None:
+            turns = [*map(sympy.cos, turns), *map(sympy.sin, turns)]
+        self._shown = [*symbols[: self._first], *turns]
+        self._ring = PolyRing([f"x{k}" for k in range(len(self._shown))], sympy.QQ)
+        own = self._ring.gens[self._first :]
+        # What is zero with sines and cosines: remainders of it are of one form, cos² being 1 − sin².
+        self._squares = [c**2 + s**2 - 1 for c, s in zip(own[:angles], own[angles:], strict=False)]
 
     def symbol(self, k: int) -> Polynomial:
         """Return a symbol by its place; not an angle of an exact form."""
         return self._ring.gens[k]
 
+    def symbols(self, places: Sequence[int]) -> Array:
+        """Return symbols by their places."""
+        return np.array([self.symbol(k) for k in places], dtype=object)
+
     def numbers(self, array: FloatArray) -> Array:
         """Return an array of numbers as polynomials."""
-        exact = np.array(
-            [self._ring.ground_new(sympy.QQ(*rational(float(x)).as_integer_ratio())) for x in array.ravel()],
-            dtype=object,
-        )
-        return exact.reshape(array.shape)
+        return _each(array, lambda x: self._ring.ground_new(sympy.QQ(*rational(float(x)).as_integer_ratio())))
 
     def zeros(self, *shape: int) -> Array:
         """Return zeros."""
@@ -312,54 +310,38 @@ class Polynomials:
 
     def cut(self, array: Array, order: int | None = None) -> Array:
         """Return the array without what lies beyond the order in the angles, and without residues of rounding."""
-        return self._each(array, lambda p: self._kept(p, self._order if order is None else order))
+        return _each(array, lambda p: self._kept(p, self._order if order is None else order))
 
     def product(self, left: Array, right: Array) -> Array:
         """Return a matrix product, cut off."""
         return self.cut(np.asarray(left @ right, dtype=object))
 
-    def _each(self, array: Array, function: Any) -> Array:
-        out = np.empty(array.shape, dtype=object)
-        for place, polynomial in np.ndenumerate(array):
-            out[place] = function(polynomial)
-        return out
-
     def _kept(self, polynomial: Polynomial, order: int | None) -> Polynomial:
-        terms: dict[tuple[int, ...], Any] = {}
-        waiting = list(self._ring(polynomial).items())
-        while waiting:
-            powers, c = waiting.pop()
-            cosine = next((k for k in range(len(powers) - self._n, len(powers)) if powers[k] > 1), None)
-            if self._order is None and cosine is not None:
-                # cos² = 1 − sin², so that the form is unique.
-                rest = [*powers]
-                rest[cosine] -= 2
-                waiting.append((tuple(rest), c))
-                rest[cosine - self._n] += 2
-                waiting.append((tuple(rest), -c))
-            elif order is None or sum(powers[self._first :]) <= order:
-                terms[powers] = terms.get(powers, 0) + c
-        return self._ring.from_dict({m: c for m, c in terms.items() if abs(c) > _RESIDUE})
+        whole = self._ring(polynomial)
+        terms = (whole.rem(self._squares) if self._squares else whole).items()
+        kept = {m: c for m, c in terms if abs(c) > _RESIDUE and (order is None or sum(m[self._first :]) <= order)}
+        return self._ring.from_dict(kept)
 
     def slope(self, array: Array, angle: int) -> Array:
         """Return the derivative in an angle."""
         at = self._first + angle
         if self._order is not None:
-            return self._each(array, lambda p: p.diff(self._ring.gens[at]))
-        sine, cosine = self._ring.gens[at], self._ring.gens[at + self._n]
-        return self.cut(self._each(array, lambda p: p.diff(sine) * cosine - p.diff(cosine) * sine))
+            return _each(array, lambda p: p.diff(self._ring.gens[at]))
+        cosine, sine = self._ring.gens[at], self._ring.gens[at + self._n]
+        return self.cut(_each(array, lambda p: p.diff(sine) * cosine - p.diff(cosine) * sine))
 
     def at_zero(self, array: Array) -> Array:
         """Return the value at zero angles."""
-        zeros = [(gen, 0) for gen in self._ring.gens[self._first : self._first + self._n]]
-        ones = [(gen, 1) for gen in self._ring.gens[self._first + self._n :]]
-        return self._each(array, lambda p: p.subs(zeros + ones) if zeros else p)
+        turns = [
+            (gen, int(self._order is None and k < self._n)) for k, gen in enumerate(self._ring.gens[self._first :])
+        ]
+        return _each(array, lambda p: p.subs(turns) if turns else p)
 
     def rotation(self, angle: int, axis: FloatArray) -> Array:
         """Return the rotation by an angle about an axis (3,)."""
         turn, at = cross_matrix(axis), self._first + angle
         if self._order is None:
-            sine, cosine = self._ring.gens[at], self._ring.gens[at + self._n]
+            cosine, sine = self._ring.gens[at], self._ring.gens[at + self._n]
             square = self.numbers(turn @ turn)
             return np.asarray(self.numbers(np.eye(3)) + square + self.numbers(turn) * sine - square * cosine)
         power, out = np.eye(3), self.numbers(np.eye(3))
@@ -368,25 +350,17 @@ class Polynomials:
             out = out + self.numbers(power) * self._ring.gens[at] ** degree
         return out
 
-    def split(self, polynomial: Polynomial, places: Sequence[int]) -> dict[int | None, Polynomial]:
-        """Return the coefficients of the symbols at these places, and without any of them, of a linear polynomial."""
+    def selected(self, polynomial: Polynomial, wanted: Callable[[tuple[int, ...]], bool]) -> Polynomial:
+        """Return the terms that are wanted, by their powers of the symbols."""
+        return self._ring.from_dict({m: c for m, c in polynomial.items() if wanted(m)})
+
+    def split(self, polynomial: Polynomial, first: int) -> dict[int | None, Polynomial]:
+        """Return the coefficients of the symbols from the place `first` on, in which it is linear, then the rest."""
         out: dict[int | None, dict[tuple[int, ...], Any]] = {}
         for powers, c in polynomial.items():
-            degree = sum(powers[k] for k in places)
-            if degree <= 1:
-                at = next((k for k in places if powers[k]), None)
-                rest = tuple(0 if k == at else power for k, power in enumerate(powers))
-                out.setdefault(at, {})[rest] = c
-        return {at: self._ring.from_dict(terms) for at, terms in out.items()}
-
-    def select(
-        self, row: dict[int | None, Polynomial], wanted: Callable[[int | None, tuple[int, ...]], bool]
-    ) -> dict[int | None, Polynomial]:
-        """Return the terms of a split polynomial that are wanted, by their places and powers of the symbols."""
-        return {
-            at: self._ring.from_dict({m: c for m, c in polynomial.items() if wanted(at, m)})
-            for at, polynomial in row.items()
-        }
+            at = next((k for k in range(first, len(powers)) if powers[k]), None)
+            out.setdefault(at, {})[tuple(0 if k == at else power for k, power in enumerate(powers))] = c
+        return {at: self._ring.from_dict(out[at]) for at in sorted(out, key=lambda at: (at is None, at))}
 
     def written(self, polynomial: Polynomial) -> Expression:
         """Return the polynomial in SymPy's symbols: parameters collected before what moves."""
@@ -411,6 +385,6 @@ class Polynomials:
         """Return an array as a matrix of SymPy."""
         return sympy.ImmutableDenseMatrix(*array.shape, [self.written(polynomial) for polynomial in array.ravel()])
 
-    def used(self, *arrays: Array) -> set[int]:
+    def used(self, *polynomials: Polynomial) -> set[int]:
         """Return the places of the symbols that occur."""
-        return {k for array in arrays for p in array.ravel() for powers in p for k, power in enumerate(powers) if power}
+        return {k for p in polynomials for powers in p for k, power in enumerate(powers) if power}
