@@ -122,7 +122,7 @@ class Platform(GimbalTree):
         self._add_motor_sides()
         if all(sensor.name for sensor in self.sensors):
             return
-        for kind in _sensor_fields():
+        for kind in sensor_tables().values():
             named = (
                 sensor if sensor.name else replaced(sensor, {"name": next(iter(sensor.signals(self)))})
                 for sensor in getattr(self, kind)
@@ -228,7 +228,7 @@ class Platform(GimbalTree):
     @property
     def sensors(self) -> tuple[Sensor, ...]:
         """All that measures, kind by kind in the order of the fields: the pick-offs first."""
-        return tuple(chain.from_iterable(getattr(self, kind) for kind in _sensor_fields()))
+        return tuple(chain.from_iterable(getattr(self, kind) for kind in sensor_tables().values()))
 
     @property
     def outputs(self) -> dict[str, Mapping[str, float]]:
@@ -326,10 +326,12 @@ class Platform(GimbalTree):
 
 
 @cache
-def _sensor_fields() -> tuple[str, ...]:
-    """Return the fields of a platform that hold sensors."""
-    made = ((key.field, key.holds.make) for key in shape(Platform).keys.values() if isinstance(key.holds, Shape))
-    return tuple(name for name, part in made if isinstance(part, type) and issubclass(part, Sensor))
+def sensor_tables() -> dict[str, str]:
+    """Return the tables of a plant file that hold sensors, with the fields of a platform that have them."""
+    made = (
+        (name, key.field, key.holds.make) for name, key in shape(Platform).keys.items() if isinstance(key.holds, Shape)
+    )
+    return {name: own for name, own, part in made if isinstance(part, type) and issubclass(part, Sensor)}
 
 
 def is_rate(signal: str) -> bool:

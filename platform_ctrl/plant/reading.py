@@ -22,7 +22,7 @@ from platform_ctrl.plant.flexible import Compliance, with_mode_table
 from platform_ctrl.plant.gimbals import Gimbal, mass_misfits
 from platform_ctrl.plant.locking import carried_inertia, with_rigid_drives
 from platform_ctrl.plant.mistakes import Mistake, Path, at, given, report, strange, suggestion, wrong
-from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, plant_data
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, plant_data, sensor_tables
 from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.plant.source import InputData, is_shipped_name, open_file, open_mapping, open_shipped, path_of
 from platform_ctrl.plant.tables import Key, Shape, made, read_table, references, shape
@@ -33,8 +33,6 @@ _SIGNALS = {
     "mode": "coordinate",
     "torquer": "torque",
     "rate_sensor": "rate",
-    "angle_sensor": "reading",
-    "attitude_sensor": "reading",
 }
 # Cosine below which two axes count as normal to each other, and sine below which they count as parallel.
 _NORMAL = 1e-6
@@ -375,7 +373,7 @@ def _signals(platform: Platform) -> Iterator[Mistake]:
         elif name in taken and not own:
             yield Mistake(where, f"{what} is the name of {taken[name]} already; choose another")
         else:
-            taken[name] = f"the {_SIGNALS[str(path[0])]} of [[{path[0]}]] {int(path[1]) + 1}"
+            taken[name] = f"the {_SIGNALS.get(str(path[0]), 'reading')} of [[{path[0]}]] {int(path[1]) + 1}"
 
 
 def _signal_names(platform: Platform) -> Iterator[tuple[Path, str, str, str]]:
@@ -386,8 +384,7 @@ def _signal_names(platform: Platform) -> Iterator[tuple[Path, str, str, str]]:
         yield ("mode", k), "name", mode.name, ""
     for k, torquer in enumerate(platform.torquers):
         yield ("torquer", k), "name", torquer.name, default_torquer(torquer.gimbal, torquer.root_axis)
-    for kind, sensors in (("rate_sensor", platform.rate_sensors), ("attitude_sensor", platform.attitude_sensors)):
-        for k, sensor in enumerate(sensors):
-            yield (kind, k), "name", sensor.name, next(iter(sensor.signals(platform)))
-    for k, angle in enumerate(platform.angle_sensors):
-        yield ("angle_sensor", k), "name", angle.name, ""
+    for kind, sensors in sensor_tables().items():
+        for k, sensor in enumerate(getattr(platform, sensors)):
+            if name := shape(type(sensor)).keys.get("name"):  # a pick-off has that of its angle
+                yield (kind, k), "name", sensor.name, "" if name.needed else next(iter(sensor.signals(platform)))
