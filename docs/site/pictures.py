@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from blocks import Picture, pictures, pieces
+from blocks import Picture, commands, pictures, pieces
 
 from platform_ctrl.common.palette import PALETTE, declarations
 
@@ -62,7 +62,9 @@ def of_page(page: str, name: str, digest: str) -> list[str]:
 
 
 def _draw(page: str, name: str) -> list[str]:
-    """Run a page as far as its last picture, but for its commands: the tests run them."""
+    """Run a page as far as its last picture; of its commands those that make files to start from, the tests run all."""
+    from platform_ctrl.cli import main
+
     out: list[str] = []
     wanted = len(pictures(page))
     namespace: dict[str, Any] = {"__name__": "__page__"}
@@ -76,6 +78,10 @@ def _draw(page: str, name: str) -> list[str]:
                 Path(piece.title).write_text(piece.text, encoding="utf-8")
             elif piece.language == "python":
                 exec(compile(piece.text, name, "exec"), namespace)
+            elif piece.language == "console":
+                for arguments, _ in commands(piece):
+                    if arguments[0] == "new":
+                        main(arguments)
     return out
 
 
