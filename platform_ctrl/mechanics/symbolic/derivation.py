@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.kinematics import Topology, topology
+from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.mechanics.linearisation import Terms, connected
 from platform_ctrl.mechanics.symbolic import symbols as symbolic
 from platform_ctrl.plant.platform import Platform
@@ -202,17 +202,17 @@ class _Core:
     def _mass(self, work: _Derivation, turned: list[symbolic.Array], axes: symbolic.Array) -> symbolic.Array:
         tree, algebra = work.tree, self.algebra
         n = len(tree.parents)
-        forms, joints, moments = algebra.zeros(1 + n, 3, 3), algebra.zeros(n, 3), algebra.zeros(1 + n, 3)
-        for place, (_, (body, i, j)) in enumerate(work.inertias):
-            forms[body, i, j] = forms[body, j, i] = algebra.symbol(place)
-        others = {at: algebra.symbol(place) for place, (_, at) in enumerate(work.masses, len(work.inertias))}
-        for (kind, k, i), symbol in others.items():
+        forms, joints, moments = algebra.zeros(1 + n, 3, 3), algebra.zeros(1 + n, 3), algebra.zeros(1 + n, 3)
+        of_bodies = {at: algebra.symbol(place) for place, at in enumerate(work.of_bodies)}
+        for (kind, body, i, j), symbol in of_bodies.items():
+            if kind == "inertia":
+                forms[body, i, j] = forms[body, j, i] = symbol
             if kind in ("moment", "joint"):
-                (moments[1 + k] if kind == "moment" else joints[k])[i] = symbol
+                (moments if kind == "moment" else joints)[body, i] = symbol
         # Inertia and first moment of what each body carries, about its joint, in its axes.
         J, S = [*forms], [*moments]
         for k in reversed(tree.order):
-            above, d = 1 + int(tree.parents[k]), joints[k]
+            above, d = 1 + int(tree.parents[k]), joints[1 + k]
             change = algebra.product(turned[k], S[1 + k]) - moments[1 + k]
             both = np.outer(d, change)
             whole = algebra.product(algebra.product(turned[k], J[1 + k]), turned[k].T) - forms[1 + k]
@@ -226,10 +226,10 @@ class _Core:
             while i >= 0:
                 out[3 + i, 3 + k] = out[3 + k, 3 + i] = momentum @ axes[i]
                 momentum, push = algebra.product(turned[i], momentum), algebra.product(turned[i], push)
-                momentum, i = momentum + _cross(joints[i], push), int(tree.parents[i])
+                momentum, i = momentum + _cross(joints[1 + i], push), int(tree.parents[i])
             out[:3, 3 + k] = out[3 + k, :3] = momentum
             P[:, 3 + k] = push
-        for (kind, j, _), symbol in others.items():
+        for (kind, j, *_), symbol in of_bodies.items():
             if kind == "motor":
                 k = int(tree.geared[j])
                 b = self._direction(work, turned, axes, axes[k], 1 + int(tree.parents[k]))
@@ -246,23 +246,24 @@ class _Derivation:
     def __init__(self, platform: Platform, order: int | None, terms: Terms) -> None:
         self.platform, self.order, self.terms = platform, order, terms
         self.tree = tree = topology(platform)
-        if order is None:
-            _not_too_large(platform, tree)
+        n, depth = len(platform.gimbals), int(tree.on_path.sum(axis=1).max(initial=0))
+        if order is None and (n > _MOST_GIMBALS or depth > _DEEPEST):
+            raise ArgumentError(
+                f"order: None is possible up to {_MOST_GIMBALS} gimbals, {_DEEPEST} deep, not for {n}, {depth} deep; "
+                f"take an order from 0 to 3"
+            )
         names = symbolic.SymbolNames()
         self.motion = motion = symbolic.motion_symbols(platform, names)
-        self.inertias = symbolic.inertia_symbols(platform, tree, names)
-        self.masses = symbolic.mass_symbols(platform, tree, names)
+        self.of_bodies = symbolic.body_symbols(platform, tree, names)
         C, L = symbolic.rotor_symbols(platform, names)
         self._elements, self._notes = symbolic.elements(platform, names)
-        self.known = (
-            [symbol for symbol, _ in (*self.inertias, *self.masses)] + [one for one in C if one is not None] + L
-        )
+        self.known = [*self.of_bodies.values(), *(one for one in C if one is not None), *L]
         self.known += [one.symbol for one in self._elements]
         places = {symbol.name: k for k, symbol in enumerate(self.known)}
         self.C = [None if one is None else places[one.name] for one in C]
         self.L = [places[one.name] for one in L]
         self._symbols = [sympy.Symbol(s.name) for s in (*self.known, *motion.moving)]
-        self._n = len(platform.gimbals)
+        self._n = n
 
     def _algebra(self, order: int | None) -> symbolic.Polynomials:
         return symbolic.Polynomials(len(self.known), self._symbols, self._n, order)
@@ -392,12 +393,3 @@ def _cross(a: symbolic.Array, b: symbolic.Array) -> symbolic.Array:
 
 def _column(symbols: tuple[symbolic.NamedSymbol, ...]) -> symbolic.Expression:
     return sympy.ImmutableDenseMatrix(len(symbols), 1, [sympy.Symbol(s.name) for s in symbols])
-
-
-def _not_too_large(platform: Platform, tree: Topology) -> None:
-    n, depth = len(platform.gimbals), int(tree.on_path.sum(axis=1).max(initial=0))
-    if n > _MOST_GIMBALS or depth > _DEEPEST:
-        raise ArgumentError(
-            f"order: None is possible up to {_MOST_GIMBALS} gimbals, {_DEEPEST} deep, not for {n}, {depth} deep; "
-            f"take an order from 0 to 3"
-        )

@@ -85,6 +85,10 @@ def joined(head: str, label: str, part: str = "") -> str:
     return f"{head}{'' if digits else '_'}{label}{'_' * bool(part)}{part}"
 
 
+# Kind; body (0: the root) or geared motor; row or axis, column.
+BodyNumber = tuple[Literal["inertia", "moment", "joint", "motor", "whole"], int, int, int]
+
+
 class Motion(NamedTuple):
     """Symbols of what changes with time: Omega, Omega' and M by root axis, the others by gimbal."""
 
@@ -122,15 +126,19 @@ def motion_symbols(platform: Platform, names: SymbolNames) -> Motion:
     return Motion(Omega, Omega_dot, accelerations, rates, angles, Q, M)
 
 
-def inertia_symbols(
-    platform: Platform, tree: Topology, names: SymbolNames
-) -> list[tuple[NamedSymbol, tuple[int, int, int]]]:
-    """Return the symbols of what turns with each body at zero angles, without C; their body (0: all), row, column."""
-    out = []
-    for body, composite in enumerate(_composites(tree)):
+def body_symbols(platform: Platform, tree: Topology, names: SymbolNames) -> dict[BodyNumber, NamedSymbol]:
+    """Return the symbols of what turns with each body at zero angles, without C, by what they are and of which body.
+
+    Inertias, then first moments, joints, geared rotors and 1/m.
+    """
+    out: dict[BodyNumber, NamedSymbol] = {}
+    bodies = [Body(float(m), c, J) for m, c, J in zip(tree.masses, tree.centres, tree.inertias, strict=True)]
+    for k in reversed(tree.order):
+        bodies[1 + tree.parents[k]] |= bodies[1 + k].moved(tree.joints[k])
+    labels = ["", *platform.gimbal_names]
+    carried = ["the whole platform", *(f"all that turns with gimbal {name}" for name in platform.gimbal_names)]
+    for body, composite in enumerate(bodies):
         S = composite.inertia_about_origin
-        label = "" if body == 0 else platform.gimbals[body - 1].name
-        of = "the whole platform" if body == 0 else f"all that turns with gimbal {label}"
         along = np.flatnonzero(platform.gimbals[body - 1].axis).tolist() if body else []
         own = along[0] if len(along) == 1 else None
         for i, j in sorted(_ENTRIES, key=lambda entry: entry != (own, own)):  # that about the gimbal's axis first
@@ -139,47 +147,27 @@ def inertia_symbols(
             part = f"{i + 1}" if i == j else f"{i + 1}{j + 1}"
             about = f"inertia about axis {part}" if i == j else f"product of inertia, entry {i + 1}, {j + 1},"
             about += ", its own," * (i == j == own)
-            shown = joined("J", part) if body == 0 else joined("J", label, "" if i == j == own else part)
-            symbol = names.symbol(shown, "inertia", f"{about} of {of}", "kg m²", float(S[i, j]))
-            out.append((symbol, (body, i, j)))
-    return out
+            shown = joined("J", part) if body == 0 else joined("J", labels[body], "" if i == j == own else part)
+            meaning = f"{about} of {carried[body]}"
+            out["inertia", body, i, j] = names.symbol(shown, "inertia", meaning, "kg m²", float(S[i, j]))
 
+    def listed(kind: Literal["moment", "joint"], body: int, head: str, meaning: str, unit: str, x: FloatArray) -> None:
+        for i in np.flatnonzero(np.abs(x) > _ZERO * np.abs(x).max()).tolist():
+            name, about = joined(head, labels[body], f"{i + 1}"), f"{meaning} along axis {i + 1}"
+            out[kind, body, i, 0] = names.symbol(name, "inertia", about, unit, float(x[i]))
 
-def _composites(tree: Topology) -> list[Body]:
-    """Return what turns with each body at zero angles, from the body's joint."""
-    out = [Body(float(m), c, inertia) for m, c, inertia in zip(tree.masses, tree.centres, tree.inertias, strict=True)]
-    for k in reversed(tree.order):
-        out[1 + tree.parents[k]] |= out[1 + k].moved(tree.joints[k])
-    return out
-
-
-def mass_symbols(
-    platform: Platform, tree: Topology, names: SymbolNames
-) -> list[tuple[NamedSymbol, tuple[Literal["moment", "joint", "motor", "whole"], int, int]]]:
-    """Return the symbols of first moments, joints, geared rotors and 1/m, and what they are: kind, number, axis."""
-    out: list[tuple[NamedSymbol, tuple[Literal["moment", "joint", "motor", "whole"], int, int]]] = []
-
-    def listed(kind: Literal["moment", "joint"], k: int, head: str, words: str, unit: str, vector: FloatArray) -> None:
-        label = "" if k < 0 else platform.gimbals[k].name
-        for i in np.flatnonzero(np.abs(vector) > _ZERO * np.abs(vector).max()).tolist():
-            meaning = f"{words.format(label)} along axis {i + 1}"
-            symbol = names.symbol(joined(head, label, f"{i + 1}"), "inertia", meaning, unit, float(vector[i]))
-            out.append((symbol, (kind, k, i)))
-
-    composites = _composites(tree)
-    for k in range(-1 if tree.floating else 0, len(tree.joints)):
-        of = "the whole platform" if k < 0 else "all that turns with gimbal {}"
-        body = composites[1 + k]
-        listed("moment", k, "S", f"first moment of {of}", "kg m", body.mass * body.centre)
-    for k, joint in enumerate(tree.joints):
-        listed("joint", k, "d", "joint of gimbal {} from that of its parent", "m", joint)
+    for body in range(0 if tree.floating else 1, len(bodies)):
+        moment = bodies[body].mass * bodies[body].centre
+        listed("moment", body, "S", f"first moment of {carried[body]}", "kg m", moment)
+    for body, joint in enumerate(tree.joints, 1):
+        listed("joint", body, "d", f"joint of gimbal {labels[body]} from that of its parent", "m", joint)
     for j, (k, J) in enumerate(zip(tree.geared, tree.gear_inertias, strict=True)):
         label = platform.gimbals[k].name
         meaning = f"inertia of the motor's rotor at gimbal {label}"
-        out.append((names.symbol(joined("Jm", label), "inertia", meaning, "kg m²", float(J)), ("motor", j, 0)))
+        out["motor", j, 0, 0] = names.symbol(joined("Jm", label), "inertia", meaning, "kg m²", float(J))
     if tree.floating:
         meaning = "reciprocal of the whole platform's mass"
-        out.append((names.symbol("w", "inertia", meaning, "1/kg", 1.0 / tree.mass), ("whole", 0, 0)))
+        out["whole", 0, 0, 0] = names.symbol("w", "inertia", meaning, "1/kg", 1.0 / tree.mass)
     return out
 
 
