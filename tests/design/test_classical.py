@@ -107,7 +107,7 @@ def test_channels_of_the_three_gyro_platform(model):
     np.testing.assert_allclose(found.inertias, [J9, J10])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(platforms(max_gimbals=5))
 def test_channels_bring_every_skew_matrix_to_pairs(platform):
     model = linearise(platform)

@@ -139,7 +139,7 @@ def test_the_default_is_the_riccati_route_where_its_assumptions_hold_and_the_res
         hinf(without(P, [4, 5]), 2, 2, time_limit=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     seed=st.integers(0, 50),
     exponents=st.lists(st.floats(-4, 4), min_size=6, max_size=6),

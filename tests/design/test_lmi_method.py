@@ -1,6 +1,7 @@
 """The method "lmi" of jobs: limits on a plant written by hand from (27), bounds, and what it says of failures."""
 
 import copy
+import functools
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -28,12 +29,14 @@ def job_of(loop: str, **changes: dict[str, float]) -> dict[str, object]:
     return job | {"loop": [spec | {"use": "LMI"}]}
 
 
-@pytest.fixture(scope="module", params=LOOPS)
-def made(request: pytest.FixtureRequest) -> Any:
-    return design.loops(job_of(request.param))[0]
+@functools.cache
+def designed(name: str) -> Any:
+    return design.loops(job_of(name))[0]
 
 
-def test_the_claims_are_the_performance_and_the_plants_that_share_one_lyapunov_matrix(made):
+@pytest.mark.parametrize("name", LOOPS)
+def test_the_claims_are_the_performance_and_the_plants_that_share_one_lyapunov_matrix(name):
+    made = designed(name)
     claims = made.closed.claims
     backoff, slack = made.closed.options["backoff"], 0.03
     assert claims["gamma_optimal"] <= claims["gamma"] <= (1 + backoff) * (1 + slack) * claims["gamma_optimal"] * 1.001
@@ -57,7 +60,7 @@ def test_the_tuner_brings_weights_that_miss_a_limit_within_it():
 
 def test_python_control_designs_on_the_generalised_plant_and_the_loop_judges():
     name = "caging 9-10"
-    loop = design.loops(job_of(name))[0]
+    loop = designed(name)
     k = len(LOOPS[name])
     P = design.generalised_plant(loop, torque=0.06)
     assert P.input_labels == [f"{kind}{j + 1}" for kind in ("n", "d", "u") for j in range(k)]
@@ -84,7 +87,7 @@ def test_python_control_designs_on_the_generalised_plant_and_the_loop_judges():
 
 
 def test_a_controller_or_a_weight_that_does_not_fit_is_refused():
-    loop = design.loops(job_of("caging 9-10"))[0]
+    loop = designed("caging 9-10")
     with pytest.raises(ArgumentError, match="must have 2 inputs and 2 outputs, as the generalised plant has"):
         design.with_controller(loop, control.ss([], [], [], np.eye(3)))
     with pytest.raises(ArgumentError, match=r"generalised_plant: option 'bandwidth' has no meaning .* did you mean"):

@@ -68,7 +68,7 @@ def test_a_jitter_below_that_of_the_given_design_is_tuned():
 def test_a_structured_design_makes_jitter_small_within_its_limits():
     one = job()
     given = design.loops(one)[0].closed
-    structured = {"name": "pi", "method": "structured", "structure": "pid", "evaluations": 80}
+    structured = {"name": "pi", "method": "structured", "structure": "pid", "evaluations": 40}
     goal = job(soft={"jitter": 1e-7}, design=[structured])
     found = design.loops(goal)[0].closed
     reached = budget_of(goal, found)["line-of-sight jitter"]
@@ -81,7 +81,7 @@ def test_a_structured_design_leaves_the_contrast_that_is_asked():
     one = job()
     given = design.loops(one)[0].closed
     reached = budget_of(one, given)["contrast of the image"]
-    structured = {"name": "pi", "method": "structured", "structure": "pid", "evaluations": 80}
+    structured = {"name": "pi", "method": "structured", "structure": "pid", "evaluations": 40}
     asked = 1.0 - 0.6 * (1.0 - reached)
     found = design.loops(job(limits={"disk_margin": 0.5, "contrast": asked}, design=[structured]))[0].closed
     assert found.passed

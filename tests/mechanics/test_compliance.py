@@ -190,17 +190,3 @@ def test_sensors_friction_and_springs_may_be_on_the_motor_side():
     }
     with pytest.raises(pc.PlatformCtrlError, match="parent must be the name of the root or a gimbal"):
         pc.read_platform(drive() | carried)
-
-
-@pytest.mark.parametrize(
-    ("compliance", "words"),
-    [
-        ({"inertia": 0.0}, "it has no motor side: give its inertia, or a"),
-        ({"stiffness": -1.0}, "stiffness must be a number > 0"),
-        ({"frequency_hz": 3.0}, 'give either "stiffness" or "frequency_hz", not both'),
-        ({"gimbal": "k"}, "gimbal must be the name of a gimbal"),
-    ],
-)
-def test_a_drive_that_cannot_be_is_refused(compliance, words):
-    with pytest.raises(pc.PlatformCtrlError, match=words):
-        pc.read_platform(drive(**compliance))

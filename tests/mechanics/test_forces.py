@@ -12,7 +12,7 @@ from plant_parts import Friction, Unbalance
 from platform_ctrl import element_forces, forward_dynamics, inverse_dynamics, linearise, read_platform, state_space
 from tree_cases import platforms, slope, with_elements
 
-quick = settings(max_examples=30, deadline=None)
+quick = settings(max_examples=15, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
 
 

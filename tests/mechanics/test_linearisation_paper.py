@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from platform_ctrl import linearise, matrices
 from tree_cases import platforms, slope
 
-quick = settings(max_examples=30, deadline=None)
+quick = settings(max_examples=12, deadline=None)
 
 
 def root_and_gimbal_torques(platform, q, u, u_dot):

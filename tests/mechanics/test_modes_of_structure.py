@@ -181,28 +181,6 @@ def test_a_run_on_a_shaken_base_is_that_of_the_linear_model():
     assert np.ptp(expected[:, 0] - expected[:, 1]) > 1e-4
 
 
-@pytest.mark.parametrize(
-    ("mode", "words"),
-    [
-        ({"damping": -0.1}, "damping must be a number >= 0"),
-        ({"participation": {"Qg": 1.0}}, "is no torquer, sensor or line-of-sight angle of the plant"),
-        ({"participation": {}}, "participation must be a table"),
-        ({"participation": {"Q": "much"}}, "Q = much is no number"),
-        ({"frequency": 0.0}, "frequency must be a number > 0"),
-        ({"name": "q"}, "is the name of the angle"),
-        ({"participation": {"lod": 1.0}}, r"did you mean \"load\""),
-        ({"joints": {"g": 0.1}}, "joints .* has no effect without interface"),
-        ({"interface": "fixed", "joints": {"g": 0.1}}, 'torquer "Q" does not excite a mode whose joints are locked'),
-        ({"interface": "fixed", "participation": {"load": 1.0}}, '"joints" is missing'),
-        ({"interface": "fixed", "participation": {"load": 1.0}, "joints": {"h": 1.0}}, '"h" is no gimbal of the plant'),
-        ({"interface": "fixed", "participation": {"load": 1.0}, "joints": {"g": 1.0}}, "they have to be less"),
-    ],
-)
-def test_a_mode_that_cannot_be_is_refused(mode, words):
-    with pytest.raises(pc.PlatformCtrlError, match=words):
-        pc.read_platform(drive(**mode))
-
-
 def table(tmp_path, text):
     """A plant whose modes are in a file."""
     (tmp_path / "modes.csv").write_text(text, encoding="utf-8")

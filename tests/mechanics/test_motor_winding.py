@@ -190,34 +190,3 @@ def test_a_speed_constant_stands_for_the_torque_constant():
     data = drive(kv=60.0 / (2.0 * np.pi * K))
     del data["motor"][0]["torque_constant"]
     assert pc.read_platform(data).torquers[0].stall == pytest.approx(N * K * SUPPLY / R, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("motor", "words"),
-    [
-        (
-            {"loop": {"bandwidth_hz": 1500.0, "rate_hz": 5e3}},
-            "bandwidth_hz must be at most a tenth of rate_hz, 500",
-        ),
-        (
-            {"loop": {"bandwidth_hz": 1e3, "proportional": 1.0}},
-            'give either "bandwidth_hz" or "proportional", not both',
-        ),
-        ({"loop": {"proportional": 1.0, "integral": 1.0}}, 'the key "rate_hz" is missing; gains need the rate'),
-        # z² − z + κ = 0 of a loop that cancels the winding is stable up to κ = 1, here 25 V/A.
-        (
-            {"loop": {"proportional": 25.2, "integral": 25.2 * R / L, "rate_hz": 2e4}},
-            "current_loop is not stable: take",
-        ),
-        ({"kv": 190.0}, 'give either "torque_constant" or "kv", not both'),
-        ({"gear": 0.0}, "gear must be a number other than 0"),
-        ({"cogging": [[7.0, -1.0, 0.0]]}, "cogging must be rows"),
-        ({"ripple": [[7.0, 1.0, 0.0]]}, "ripple must be rows"),
-        ({"loop": {"bandwidth_hz": 1e3}, "ripple": [[7.0, 0.1, 0.0]]}, "ripple must be with rate_hz"),
-        ({"thermal_time": 3.0}, 'the key "continuous_current" is missing; thermal_time'),
-        ({"continuous_current": 1.0, "continuous_torque": 1.0}, 'give either "continuous_current" or'),
-    ],
-)
-def test_a_motor_that_cannot_be_is_refused(motor, words):
-    with pytest.raises(pc.PlatformCtrlError, match=words):
-        pc.read_platform(drive(**motor))

@@ -144,7 +144,7 @@ def test_rates_of_the_platform_are_no_obstacle_and_the_root_is_the_gyroscopic_re
 # The rule itself.
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(platforms(max_gimbals=5, controls=("regulated",)), st.integers(0, 2**32 - 1))
 def test_subsystems_of_odd_order_are_always_singular_and_always_cured(platform, seed):
     Omega = np.random.default_rng(seed).normal(size=3)
@@ -196,7 +196,7 @@ def test_what_is_admissible_under_soft_springs_errs_by_a_third_at_the_most():
     assert max(errors) > 0.3
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
 def test_the_error_is_the_distance_of_the_two_state_space_models(platform, seed):
     rng = np.random.default_rng(seed)

@@ -16,7 +16,7 @@ from platform_ctrl import (
 from rotors_as_gimbals import with_rotors_as_gimbals
 from tree_cases import platforms, state
 
-quick = settings(max_examples=40, deadline=None)
+quick = settings(max_examples=15, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -39,7 +39,7 @@ from three_gyro_energy import (
 )
 from tree_cases import platforms, slope, state
 
-quick = settings(max_examples=25, deadline=None)
+quick = settings(max_examples=12, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
 H = 1e-6
 

@@ -100,7 +100,7 @@ def test_every_angle_and_every_rotor_is_named(model):
     assert {rotor.name for rotor in platform.rotors} <= names
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(platforms())
 def test_arrows_point_along_the_axes_of_any_platform(platform):
     figure = drawn(platform)
@@ -135,7 +135,7 @@ def test_up_is_where_the_specific_force_points(k, sign):
     assert angle_between(sign * rows[:, k], np.array([0.0, 1.0])) < 1.0
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.text(st.characters(codec="latin-1", exclude_categories=["C"]), max_size=12))
 def test_any_name_is_well_formed(name):
     plain = plant([("g", "base", [0, 0, 1])], [("r", "g", [1, 0, 0], 1.0)])

@@ -7,10 +7,11 @@ import re
 import numpy as np
 import pytest
 
+from analysis.test_disk_pairs import inside
 from camera_job import camera_job
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
-from platform_ctrl.job.quantities import compared
+from platform_ctrl.job.quantities import compared, disk_words
 from platform_ctrl.report import first_screen, style, tables
 from platform_ctrl.report.blocks import Cell, Columns, PageContent, Plate, Subsection, Table
 from platform_ctrl.report.figures.nichols import nichols_figure
@@ -165,3 +166,8 @@ def test_a_figure_carries_its_scales_for_the_script() -> None:
     [scales] = re.findall(r'data-axes="([^"]*)"', drawn)
     assert "[1,2,0],[3,4,0]]" in scales
     assert "[1,10,1],[0.1,100,1]]" in scales
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.4, 0.5, 0.81, 1.0 / 3.0, 1.5, 1.9])
+def test_what_a_report_says_of_a_disk_margin_lies_inside_its_disk(alpha: float) -> None:
+    assert inside(disk_words(alpha), alpha) == 4

@@ -1,16 +1,15 @@
-"""How well the kernel integrates: order, what a torque-free run keeps, and other programs' integrators beside it."""
+"""How well the kernel integrates: its order, and what a torque-free run keeps."""
 
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from kernel_entries import momenta, whole_state
-from oracle_trees import MujocoTree, rotation
+from oracle_trees import rotation
 from platform_ctrl import Platform, matrices
 from platform_ctrl.simulation import rollout
 from simulation.test_forces import furnished, three_gimbals
@@ -84,38 +83,3 @@ def test_many_torque_free_steps_lose_less_than_1e_10_of_energy_and_momentum():
     energy, momentum = drifts(*kept(SOME_FREE, out))
     assert energy < 1e-10
     assert momentum < 1e-10
-
-
-def in_mujoco(q: np.ndarray, velocity: np.ndarray, step: float, counts: list[int]) -> SimpleNamespace:
-    """Run FREE by MuJoCo's own rollout; recorded at the start and after each of `counts` further steps."""
-    mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
-    from mujoco import rollout as theirs
-
-    tree = MujocoTree(FREE)
-    tree.model.opt.timestep = step
-    tree.set(q, np.array([1.0, 0.0, 0.0, 0.0]), tree.vector(velocity, tree.spins(FREE, matrices(FREE, q).B @ velocity)))
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    state = np.empty((1, mujoco.mj_stateSize(tree.model, kind)))
-    mujoco.mj_getState(tree.model, tree.data, state[0], kind)
-    states = [state[0]]
-    for count in counts:
-        steps, _ = theirs.rollout(tree.model, tree.data, states[-1][None], nstep=count)
-        states.append(steps[0, -1].copy())
-    along = np.array(states)
-    qpos, qvel = along[:, 1 : 1 + tree.model.nq], along[:, 1 + tree.model.nq : 1 + tree.model.nq + tree.model.nv]
-    return SimpleNamespace(
-        q_history=qpos[None, :, 1 + tree.gimbals],
-        velocity_history=qvel[None, :, tree.platform_places],
-        attitude_history=qpos[None, :, :4],
-    )
-
-
-def test_five_seconds_of_a_spinning_platform_are_those_of_mujoco():
-    q, velocity = a_start(FREE)
-    theirs = in_mujoco(q[0], velocity[0], 2e-4, 5 * [5000])
-    ours = rollout(FREE, q, velocity, step=2e-4, steps=25000, every=5000)
-    assert np.ptp(ours.q_history[0], axis=0).min() > 0.4
-    np.testing.assert_allclose(ours.q_history, theirs.q_history, rtol=0.0, atol=1e-8)
-    np.testing.assert_allclose(ours.velocity_history, theirs.velocity_history, rtol=0.0, atol=1e-7)
-    turned = [[rotation(e / np.linalg.norm(e)) for e in run.attitude_history[0]] for run in (ours, theirs)]
-    np.testing.assert_allclose(*turned, rtol=0.0, atol=1e-8)

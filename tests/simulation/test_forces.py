@@ -84,7 +84,7 @@ def a_state(platform, seed):
 trees = st.builds(along_coordinates, platforms(), seeds)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(trees, seeds)
 def test_with_a_free_root_the_elements_accelerate_as_their_forces_do(platform, seed):
     platform = furnished(platform, seed)
@@ -95,7 +95,7 @@ def test_with_a_free_root_the_elements_accelerate_as_their_forces_do(platform, s
     np.testing.assert_allclose(acceleration, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(trees, seeds)
 def test_with_a_prescribed_rate_the_elements_feed_the_momenta(platform, seed):
     bare, platform = platform, furnished(platform, seed)

@@ -81,24 +81,3 @@ def test_a_torque_is_over_its_limit_where_the_supply_does_not_leave_it_at_the_ra
     assert share == pytest.approx((np.abs(command) / left).max(), rel=1e-9)
     assert share > 1.2 * np.abs(command).max() / motor.limit
     assert out.saturated[0] == np.sum(np.abs(command) >= left)
-
-
-@pytest.mark.parametrize(
-    ("motor", "words"),
-    [
-        ({"gear": 0.0}, "gear must be a number other than 0"),
-        ({"efficiency": 1.2}, "efficiency must be a share > 0, up to 1"),
-        ({"current_loop": {"bandwidth_hz": 0.0}}, "bandwidth_hz must be a number > 0"),
-        ({"current_loop": {"bandwidth": 10.0}}, "unknown key"),
-    ],
-)
-def test_a_motor_that_cannot_be_is_refused(motor, words):
-    with pytest.raises(pc.PlatformCtrlError, match=words):
-        pc.read_platform(plant(**motor))
-
-
-def test_a_current_loop_needs_the_numbers_of_its_motor():
-    data = plant()
-    del data["motor"][0]["resistance"]
-    with pytest.raises(pc.PlatformCtrlError, match='key "resistance" is missing; a current loop needs it'):
-        pc.read_platform(data)

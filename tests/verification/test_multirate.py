@@ -21,7 +21,6 @@ from generated_c import Machine, compiled
 from given_controllers import verdict
 from platform_ctrl import read_job
 from platform_ctrl.design import loops
-from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_c
 from platform_ctrl.simulation import simulate
 from platform_ctrl.verification import check_job
@@ -281,23 +280,6 @@ def test_the_generated_code_is_the_simulated_computer(
     assert "1000 Hz (every 0.001 s)" in header
     assert "track, at one sample in 20" in header
     assert "50 Hz (every 0.02 s)" in (tmp_path / "track.h").read_text()
-
-
-@pytest.mark.parametrize(
-    ("loop", "rate", "words"),
-    [
-        (1, 300.0, r"rate_hz must be 1000 Hz, .* over a whole number, got 300; the nearest: 333.333 or 250"),
-        (1, 0.5, r"repeat after 2000 samples, more than 1000"),
-        (0, 10.0, r"rate_hz must be that of the loop inside, 10 Hz, over a whole number, got 50; try 10"),
-    ],
-)
-def test_rates_that_do_not_fit_are_one_line(loop: int, rate: float, words: str) -> None:
-    data = tracking_job()
-    data["loop"][loop]["rate_hz"] = rate
-    data["loop"][1]["design"][0]["crossover_hz"] = 0.1
-    with pytest.raises(InputError, match=words) as caught:
-        read_job(data)
-    assert "\n" not in str(caught.value)
 
 
 def shaken_data(slow: int) -> dict[str, Any]:

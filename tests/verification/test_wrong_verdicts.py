@@ -192,98 +192,9 @@ def test_a_mode_that_is_a_passive_gimbal_takes_part_in_the_loop() -> None:
     assert margins[False] < 0.6 * margins[True]
 
 
-UNEXERCISED = {
-    "command table after the end": "value stays zero before the run ends",
-    "Omega_table after the end": "Omega_table: Omega1, Omega2, Omega3 stay zero before the run ends",
-    "fault after the end": "faults: 'f' happens at 100 s, and not before the run ends",
-    "initial zero": "initial: all of it is zero",
-    "sine at twice the step rate": "frequency_hz = 20000: samples at 1000 Hz see it at one and the same phase",
-}
-
-
-@pytest.mark.parametrize("name", UNEXERCISED)
-def test_what_happens_after_the_end_or_never_is_a_mistake(name: str) -> None:
-    raw = data("after-the-end")
-    raw["manoeuvre"] = [one for one in raw["manoeuvre"] if one["name"] == name]
-    with pytest.raises(InputError) as caught:
-        pc.read_job(raw)
-    assert UNEXERCISED[name] in str(caught.value)
-
-
-FAULT = {"name": "f", "part": "Qpitch", "at": 0.1}
-PULSE = {"t": [0.1, 0.1001, 0.1002], "Omega2": [0.0, 1.0, 0.0]}
-
-
-@pytest.mark.parametrize(
-    ("change", "fault", "words"),
-    [
-        ({"initial": {"q_pitch": 1e-12}}, None, "all of it is zero"),
-        ({"sine": [{"kind": "rate", "axis": 2, "frequency_hz": 5.0, "amplitude": 1e-14}]}, None, "next to nothing"),
-        ({"axis": 2, "rate": 1e-12, "rise": 0.1, "hold": 0.1}, None, "next to nothing"),
-        ({"Omega_table": {"t": [0.1, 0.2, 0.3], "Omega2": [0.0, 1e-13, 0.0]}}, None, "stay zero"),
-        ({"Omega_table": PULSE}, None, "stay zero"),
-        ({"command": [{"reading": "track", "step": 1e-15}]}, None, "command of track stays zero"),
-        ({"command": [{"reading": "track", "step": 0.1, "at": 0.4999}]}, None, "command of track stays zero"),
-        ({}, FAULT | {"kind": "torquer weak", "share": 1.0}, "changes nothing"),
-        ({}, FAULT | {"kind": "torquer dead", "until": 0.1001}, "less than a sample"),
-        ({}, FAULT | {"kind": "torquer dead", "at": 0.4999999}, "not before the run ends"),
-        ({}, FAULT | {"kind": "pick-off dropout", "part": "gyro", "probability": 1e-9}, "changes nothing"),
-        ({"Omega_table": PULSE | {"t": [0.1, 0.2, 0.3]}}, FAULT | {"kind": "torquer weak", "share": 0.9}, None),
-    ],
-)
-def test_what_is_next_to_nothing_or_shorter_than_a_sample_exercises_no_limit(
-    change: dict[str, Any], fault: dict[str, Any] | None, words: str | None
-) -> None:
-    raw = data("after-the-end")
-    raw["fault"] = [] if fault is None else [fault]
-    run = {"name": "m", "mode": "caged", "duration": 0.5, "limits": {"angle": 0.1}, "faults": ["f"] if fault else []}
-    raw["manoeuvre"] = [run | change]
-    if words is None:
-        assert pc.read_job(raw).manoeuvres
-        return
-    with pytest.raises(InputError, match=words):
-        pc.read_job(raw)
-
-
 def test_a_mean_over_one_sample_is_a_mistake() -> None:
     with pytest.raises(InputError, match="settle leaves 1e-07 s of the run, less than 20 samples"):
         pc.read_job(data("settle"))
-
-
-def changed(**changes: Any) -> dict[str, Any]:
-    raw = data("settle")
-    raw.pop("manoeuvre")
-    loop = raw["loop"][0]
-    loop["limits"] = changes.pop("limits")
-    for kind in ("pickoff", "rate_sensor"):
-        for sensor in raw["plant"][kind] if changes.pop("silent", False) else ():
-            for key in ("noise_rms", "noise_density"):
-                sensor.pop(key, None)
-    if changes.pop("unlimited", False):
-        raw["plant"]["torquer"][0].pop("limit")
-    return raw | changes
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"limits": {"torque_limit": 1.0}, "unlimited": True}, "torque_limit does not count torquer Qpitch"),
-        ({"limits": {"torque_noise": 1.0}, "silent": True}, None),
-        ({"limits": {"disk_margin_worst_case": 0.3}, "uncertainty": {}, "operation": {"Omega": [0, 0, 0]}}, "differ"),
-        ({"limits": {"Omega_rejection": 0.3}, "operation": {"Omega": [0, 0, 0]}}, "the platform never turns"),
-        ({"limits": {"torque_limit": 0.3}, "operation": {"Omega": [0, 0, 0]}}, "the platform never turns"),
-    ],
-)
-def test_a_limit_that_cannot_be_missed_is_a_mistake(changes: dict[str, Any], words: str | None) -> None:
-    if words is None:
-        raw = changed(**changes)
-        for sensor in raw["plant"]["rate_sensor"]:
-            sensor.pop("noise_density", None)
-        words = "no sensor of this loop has noise"
-    else:
-        raw = changed(**changes)
-    with pytest.raises(InputError, match=words):
-        pc.read_job(raw)
 
 
 def test_a_sine_faster_than_the_substep_is_followed() -> None:
@@ -295,3 +206,14 @@ def test_a_sine_faster_than_the_substep_is_followed() -> None:
     run = check_job(read, design.loops(read)).runs[0]
     assert run.trajectory.step == pytest.approx(1.0 / (6.0 * 19_913.0))
     assert np.abs(run.trajectory.Omega[:, 1]).max() == pytest.approx(5.0, rel=0.01)
+
+
+def unexercised_job() -> dict[str, Any]:
+    """A job with a run, for the table of wrong inputs."""
+    run = {"name": "m", "mode": "caged", "duration": 0.5, "limits": {"angle": 0.1}, "faults": []}
+    return data("after-the-end") | {"fault": [], "manoeuvre": [run]}
+
+
+def settled_job() -> dict[str, Any]:
+    """A job without runs, for the table of wrong inputs."""
+    return {key: item for key, item in data("settle").items() if key != "manoeuvre"}
