@@ -12,28 +12,13 @@ import pytest
 from given_controllers import outcomes
 from platform_ctrl import platform_source, read_job
 from platform_ctrl.design import loops
+from report_jobs import caging, classical, job
 
-DATA: dict[str, Any] = {
-    "schema": 2,
-    "name": "one gyro",
-    "plant": "three_gyro_platform",
-    "operation": {"Omega": [0.0, 0.0, 0.0]},
-    "uncertainty": {"spin": 0.1},
-    "sampling": {"rate_hz": 2000, "delay": 0.0005},
-    "loop": [
-        {
-            "name": "caging 9-10",
-            "kind": "caging",
-            "gimbals": ["9", "10"],
-            "use": "closed",
-            "limits": {"bandwidth_hz": 20},
-            "design": [
-                {"name": "other", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
-                {"name": "closed", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
-            ],
-        }
-    ],
-}
+DATA: dict[str, Any] = job(
+    operation={"Omega": [0.0, 0.0, 0.0]},
+    uncertainty={"spin": 0.1},
+    loop=[caging(classical("other", 30), classical("closed", 40), limits={"bandwidth_hz": 20})],
+)
 
 
 NOMINAL, WORST = "largest Omega{} without saturation, rad/s", "largest Omega{} without saturation, worst case, rad/s"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from one_axis import job_of, loop_of
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design import tuning
 from platform_ctrl.design.cases import rows_of
@@ -184,23 +185,13 @@ def test_rotors_of_two_spins_need_a_given_one(model):
 
 
 GIMBALS = ("outer", "inner")
-JOB = {
-    "schema": 2,
-    "name": "a margin that no loop has",
-    "plant": "gimballed_gyro",
-    "operation": {"Omega": [0.0, 0.0, 0.0]},
-    "sampling": {"rate_hz": 2000, "delay": 0.0005},
-    "loop": [
-        {
-            "name": "caging",
-            "kind": "caging",
-            "gimbals": list(GIMBALS),
-            "use": "classical",
-            "limits": {"disk_margin": 1.9},
-            "design": [{"name": "classical", "method": "classical", "tune": True}],
-        }
-    ],
-}
+JOB = job_of(
+    "gimballed_gyro",
+    loop_of(GIMBALS, kind="caging", limits={"disk_margin": 1.9}, design={"tune": True}),
+    rate_hz=2000,
+    delay=0.0005,
+    operation={"Omega": [0.0, 0.0, 0.0]},
+)
 
 
 @pytest.fixture(scope="module")

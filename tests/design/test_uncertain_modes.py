@@ -6,6 +6,7 @@ import pytest
 
 import platform_ctrl as pc
 from given_controllers import outcomes
+from one_axis import job_of, loop_of, one_axis
 from platform_ctrl import design
 
 J, OMEGA, ZETA, PERIOD = 0.07, 150.0, 0.02, 1e-3
@@ -14,31 +15,17 @@ SHARES = {"Q": 1.5, "gyro": -1.2}
 
 def job(uncertainty, mode=None, own=None, others=(), **more):
     """A rate loop on one gimbal with a mode that its gyro sees with the other sign."""
-    gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, J], "angle": "q"}
-    plant = {
-        "schema": 1,
-        "name": "drive",
-        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
-        "gimbal": [gimbal],
-        "torquer": [{"gimbal": "g", "name": "Q"}],
-        "rate_sensor": [{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
-        "mode": [{"name": "arm", "frequency": OMEGA, "damping": ZETA, "participation": SHARES} | (mode or {}), *others],
-    }
-    loop = {
-        "name": "rate",
-        "kind": "rate",
-        "gimbals": ["g"],
-        "sensors": ["gyro"],
-        "use": "pi",
-        "limits": {"disk_margin": 0.3, "disk_margin_worst_case": 0.3},
-        "design": [{"name": "pi", "method": "pi", "crossover_hz": 1.0, "integral_hz": 0.1, "rolloff_hz": 300.0}],
-    }
-    loop |= own or {}
-    data = {"schema": 2, "name": "one axis", "plant": plant, "operation": {"Omega": [0, 0, 0]}, "loop": [loop]}
-    sampling = {"rate_hz": 1 / PERIOD, "delay": 0.0}
-    return pc.read_job(
-        data | {"uncertainty": uncertainty, "sampling": sampling, "coupled": {"disk_margin": 0.3}} | more
+    plant = one_axis(
+        [0.05, 0.05, J],
+        torquer=[{"gimbal": "g", "name": "Q"}],
+        rate_sensor=[{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
+        mode=[{"name": "arm", "frequency": OMEGA, "damping": ZETA, "participation": SHARES} | (mode or {}), *others],
     )
+    options = {"name": "pi", "crossover_hz": 1.0, "integral_hz": 0.1, "rolloff_hz": 300.0}
+    limits = {"disk_margin": 0.3, "disk_margin_worst_case": 0.3}
+    loop = loop_of("g", ["gyro"], "pi", kind="rate", limits=limits, design=options) | (own or {})
+    tables = {"operation": {"Omega": [0, 0, 0]}, "uncertainty": uncertainty, "coupled": {"disk_margin": 0.3}}
+    return pc.read_job(job_of(plant, loop, rate_hz=1 / PERIOD, **tables | more))
 
 
 def swings(plants):
@@ -130,12 +117,11 @@ def test_the_coupled_check_sees_both_ends_of_the_frequency():
 
 def test_a_drive_that_gives_way_has_its_frequency_off():
     plant = pc.read_platform("telescope_mount")
-    data = {"schema": 2, "plant": plant, "name": "mount", "operation": {"Omega": [0.0, 0.0, 0.0]}}
-    motor = {"name": "motor", "kind": "rate", "gimbals": ["azimuth_motor"], "sensors": ["azimuth_motor_rate"]}
-    motor |= {"use": "pi", "design": [{"name": "pi", "method": "pi", "crossover_hz": 10.0}]}
-    motor["limits"] = {"disk_margin_worst_case": 0.3}
-    data |= {"loop": [motor], "sampling": {"rate_hz": 2000, "delay": 0.0}}
-    one = pc.read_job(data | {"uncertainty": {"mode_frequency": {"azimuth": 0.1}}})
+    motor = loop_of(
+        ["azimuth_motor"], ["azimuth_motor_rate"], "pi", kind="rate", limits={"disk_margin_worst_case": 0.3}
+    )
+    tables = {"operation": {"Omega": [0.0, 0.0, 0.0]}, "uncertainty": {"mode_frequency": {"azimuth": 0.1}}}
+    one = pc.read_job(job_of(plant, motor, rate_hz=2000, **tables))
     damper = control.ss([], [], [], [[-1.0]], 5e-4, inputs=["azimuth_motor_rate"], outputs=["Qazimuth"])
     plants = outcomes(one, [damper])[0].closed.plants
     own = [k for k, label in enumerate(plants.labels) if label in ("nominal", "f_azimuth-10%", "f_azimuth+10%")]
@@ -160,17 +146,6 @@ def test_uncertainty_that_no_mode_can_have_is_refused(uncertainty, words):
 
 def test_uncertain_modes_need_a_mode():
     data = pc.read_platform("gimballed_gyro")
-    loop = {"name": "c", "kind": "caging", "gimbals": list(data.gimbal_names), "use": "d"}
-    loop["design"] = [{"name": "d", "method": "lqg"}]
+    loop = loop_of(data.gimbal_names, method="lqg", kind="caging")
     with pytest.raises(pc.PlatformCtrlError, match=r"mode_frequency = 0\.1 has no effect without"):
-        pc.read_job(
-            {
-                "schema": 2,
-                "name": "gyro",
-                "plant": data,
-                "operation": {"Omega": [0, 0, 0]},
-                "uncertainty": {"mode_frequency": 0.1},
-                "sampling": {"rate_hz": 1000, "delay": 0.0},
-                "loop": [loop],
-            }
-        )
+        pc.read_job(job_of(data, loop, uncertainty={"mode_frequency": 0.1}))

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
+from one_axis import job_of, loop_of
 from platform_ctrl import analysis, design, simulation
 
 J1, J2, K, C = 0.02, 0.05, 300.0, 0.04
@@ -134,40 +135,15 @@ def test_a_start_in_equilibrium_winds_the_drive_up_by_the_weight_that_it_holds()
 
 def test_a_loop_that_names_the_load_is_told_of_the_motor_side():
     plant = hanging()
-    for kind, sensors in (("caging", {}), ("pointing", {"sensors": ["q"]})):
-        loop = {
-            "name": "l",
-            "kind": kind,
-            "gimbals": ["g"],
-            "use": "d",
-            "design": [{"name": "d", "method": "classical"}],
-        }
-        job = {"schema": 2, "name": "j", "plant": plant, "loop": [loop | sensors]}
-        job |= {"operation": {"Omega": [0.0, 0.0, 0.0]}, "sampling": {"rate_hz": 1000, "delay": 0.0}}
+    for kind, sensors in (("caging", ()), ("pointing", "q")):
         with pytest.raises(pc.PlatformCtrlError, match='torquer on "g_motor": take a rate or pointing loop'):
-            pc.read_job(job)
+            pc.read_job(job_of(plant, loop_of("g", sensors, kind=kind)))
 
 
 def test_a_loop_reads_the_load_of_a_drive_that_it_turns_by_its_motor_side():
-    job = {
-        "schema": 2,
-        "name": "drive",
-        "plant": hanging() | {"line_of_sight": {"body": "g", "direction": [1, 0, 0]}},
-        "operation": {"Omega": [0.01, 0.01, 0.01]},
-        "sampling": {"rate_hz": 1000, "delay": 0.0},
-        "loop": [
-            {
-                "name": "load",
-                "kind": "pointing",
-                "gimbals": ["g_motor"],
-                "sensors": ["q"],
-                "use": "d",
-                "design": [{"name": "d", "method": "hinf", "inertial_bandwidth_hz": 0.5}],
-                "limits": {"disk_margin": 0.3},
-            }
-        ],
-    }
-    [found] = design.loops(job)
+    plant = hanging() | {"line_of_sight": {"body": "g", "direction": [1, 0, 0]}}
+    loop = loop_of(["g_motor"], "q", "hinf", limits={"disk_margin": 0.3}, design={"inertial_bandwidth_hz": 0.5})
+    [found] = design.loops(job_of(plant, loop, operation={"Omega": [0.01, 0.01, 0.01]}))
     plants = found.closed.plants
     assert plants.sight == ("los_rate1",)
     # At 10 Hz, below the resonance, the motor turns motor side and load together.

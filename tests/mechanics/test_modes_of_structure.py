@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from one_axis import one_axis
 from platform_ctrl import analysis, simulation
 from sensed import sensed
 
@@ -16,18 +17,14 @@ MOTOR, LOAD = np.sqrt(J2 / (J1 * (J1 + J2))), -np.sqrt(J1 / (J2 * (J1 + J2)))
 
 def drive(**mode):
     """A motor and a load on a shaft as one rigid gimbal and its mode; encoders on both sides, a gyro on the load."""
-    gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, J1 + J2], "angle": "q"}
     shapes = {"Q": MOTOR, "motor": MOTOR, "load": LOAD, "gyro": LOAD}
-    return {
-        "schema": 1,
-        "name": "drive",
-        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
-        "gimbal": [gimbal],
-        "torquer": [{"gimbal": "g", "name": "Q"}],
-        "angle_sensor": [{"name": "motor", "gimbal": "g"}, {"name": "load", "gimbal": "g"}],
-        "rate_sensor": [{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
-        "mode": [{"name": "shaft", "frequency": OMEGA, "damping": ZETA, "participation": shapes} | mode],
-    }
+    return one_axis(
+        [0.05, 0.05, J1 + J2],
+        torquer=[{"gimbal": "g", "name": "Q"}],
+        angle_sensor=[{"name": "motor", "gimbal": "g"}, {"name": "load", "gimbal": "g"}],
+        rate_sensor=[{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
+        mode=[{"name": "shaft", "frequency": OMEGA, "damping": ZETA, "participation": shapes} | mode],
+    )
 
 
 def locked(**mode):

@@ -6,6 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import platform_ctrl as pc
+from one_axis import job_of, loop_of, one_axis
 from platform_ctrl import analysis, design, simulation
 from platform_ctrl.verification import check_job
 
@@ -16,15 +17,9 @@ LOOP = {"bandwidth_hz": 1500.0, "rate_hz": 20e3}
 def drive(loop=LOOP, **motor):
     """A load, a geared motor, an encoder."""
     own = {"gimbal": "g", "gear": N, "rotor_inertia": JM, "torque_constant": K, "resistance": R, "inductance": L}
-    return {
-        "schema": 1,
-        "name": "drive",
-        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0], "mode": "held"},
-        "gimbal": [{"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J, J, J], "angle": "q"}],
-        "pickoff": [{"gimbal": "g"}],
-        "friction": [{"gimbal": "g", "viscous": 0.05}],
-        "motor": [own | {"supply": SUPPLY, "current_loop": loop} | motor],
-    }
+    motors = [own | {"supply": SUPPLY, "current_loop": loop} | motor]
+    friction = [{"gimbal": "g", "viscous": 0.05}]
+    return one_axis([J, J, J], {"mode": "held"}, pickoff=[{"gimbal": "g"}], friction=friction, motor=motors)
 
 
 @pytest.mark.parametrize("rate_hz", [15e3, 20e3, 1e6])
@@ -142,10 +137,8 @@ def test_a_loop_that_is_weaker_than_cogging_does_not_pass(crossover_hz, holds):
     # 0.4 N m and 120 periods a turn at the joint: a spring of up to ± 48 N m/rad. A loop of 30 Hz has 600 N m/rad.
     design_ = {"name": "d", "method": "classical", "inertial_crossover_hz": crossover_hz, "integral_hz": 0.2}
     design_ |= {"inertial_lead_hz": crossover_hz / 3, "inertial_rolloff_hz": 10 * crossover_hz}
-    loop = {"name": "L", "kind": "pointing", "gimbals": ["g"], "sensors": ["q"], "use": "d", "design": [design_]}
-    data = {"schema": 2, "name": "teeth", "operation": {"Omega": [0.1, 0.1, 0.1]}, "loop": [loop], "coupled": {}}
-    data |= {"sampling": {"rate_hz": 1000.0, "delay": 2e-4}, "plant": drive(cogging=[[6.0, 0.02, 0.0]])}
-    job = pc.read_job(data)
+    plant, loop = drive(cogging=[[6.0, 0.02, 0.0]]), loop_of("g", "q", design=design_)
+    job = pc.read_job(job_of(plant, loop, rate_hz=1000.0, delay=2e-4, coupled={}))
     outcomes = design.loops(job)
     [found] = [one for one in check_job(job, outcomes).coupled.results if one.name == "minimum decay rate"]
     assert found.passed == holds

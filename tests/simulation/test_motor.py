@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from one_axis import job_of, loop_of, one_axis
 from platform_ctrl import simulation
 
 KT, R, SUPPLY, GEAR, ETA = 0.05, 2.0, 12.0, -10.0, 0.8
@@ -12,17 +13,9 @@ J, JM = 0.02, 1e-5
 
 
 def plant(**motor):
-    gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J, J, J], "angle": "q"}
     keys = {"torque_constant": KT, "resistance": R, "supply": SUPPLY, "gear": GEAR, "efficiency": ETA}
     own = {"gimbal": "g", "rotor_inertia": JM, "current_limit": 4.0, "current_loop": {"bandwidth_hz": 1500.0}}
-    return {
-        "schema": 1,
-        "name": "motor",
-        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
-        "gimbal": [gimbal],
-        "pickoff": [{"gimbal": "g"}],
-        "motor": [keys | own | motor],
-    }
+    return one_axis([J, J, J], pickoff=[{"gimbal": "g"}], motor=[keys | own | motor])
 
 
 def test_a_motor_with_a_current_loop_is_the_torquer_of_its_gimbal():
@@ -55,19 +48,9 @@ def test_a_torque_is_over_its_limit_where_the_supply_does_not_leave_it_at_the_ra
     # Full command up to the idling speed, then braking: there the supply adds to the back-EMF.
     data = plant(current_limit=100.0) | {"rate_sensor": [{"body": "g", "axis": [0, 0, 1], "name": "gyro"}]}
     torque = 0.3 * ETA * 10.0 * KT * SUPPLY / R
-    loop = {"name": "rate", "kind": "rate", "gimbals": ["g"], "sensors": ["gyro"], "use": "pi"}
     run = {"name": "spin up", "mode": "caged", "duration": 0.3, "initial": {"q": 0.1}, "limits": {"torque_share": 1.0}}
-    job = pc.read_job(
-        {
-            "schema": 2,
-            "name": "motor",
-            "plant": data,
-            "operation": {"Omega": [0.0, 0.0, 1.0]},
-            "sampling": {"rate_hz": 1000.0, "delay": 0.0},
-            "loop": [loop | {"limits": {"disk_margin": 0.1}, "design": [{"name": "pi", "method": "pi"}]}],
-            "manoeuvre": [run],
-        }
-    )
+    loop = loop_of("g", ["gyro"], "pi", kind="rate", limits={"disk_margin": 0.1})
+    job = pc.read_job(job_of(data, loop, operation={"Omega": [0.0, 0.0, 1.0]}, manoeuvre=[run]))
     # 30 % of the stall torque: more than is left beyond 70 % of the idling speed.
     steady = control.StateSpace([], [], [], [[10.0 * torque]], 1e-3, inputs=["q"], outputs=["Qg"])
     scenario = job.scenario(job.manoeuvres[0])

@@ -1,8 +1,4 @@
-"""Loops of gimbals 9 and 10 with a narrow notch or resonance in the controller, and a search for the worst of them.
-
-The search makes the largest value over all frequencies as large as it can, compared with what a grid of frequencies
-sees: there a verdict is most likely to be wrong.
-"""
+"""Loops of gimbals 9 and 10 with a narrow notch or resonance in the controller: what a grid of frequencies misses."""
 
 from __future__ import annotations
 
@@ -10,23 +6,16 @@ from functools import cache
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.optimize import differential_evolution
 
 from platform_ctrl import read_job
 from platform_ctrl.analysis.loop import Loop
-from platform_ctrl.analysis.loop_metrics import measured
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.design.sections import first_order, notch, side_by_side
-from platform_ctrl.job.requirements import LoopRequirement
 
 PERIOD = 5e-4
 L, J9, J10 = 0.15, 5e-4, 2e-4
-# Zeros, rad/s, and rates, 1/s, of the leads of 9 and 10; cross gain, rad/s; notch: centre, Hz, depth and width.
-LOWEST = np.log([5.0, 60.0, 5.0, 60.0, 20.0, 2.0, 0.05, 3e-4])
-HIGHEST = np.log([100.0, 600.0, 100.0, 600.0, 250.0, 300.0, 20.0, 5e-2])
 
 
 @cache
@@ -68,29 +57,3 @@ class OnGrid(Loop):
     """Figures at the frequencies of the grid, and nothing else."""
 
     narrow: dict[int, np.ndarray] = {}  # type: ignore[assignment]  # noqa: RUF012
-
-
-def hidden(asked: LoopRequirement, K: System, among: PlantSet) -> float:
-    """Return ln of how much worse a figure is next to the closed loops' poles than on the grid; −1 if not stable."""
-    loops = OnGrid(among, K)
-    if loops.decay.min() < 0.05:
-        return -1.0
-    grid, seen = measured(loops, asked), Loop(among, K)
-    s = np.abs(continuous_poles(loops.poles, among.period).imag)
-    seen.narrow = {k: np.unique(s[k][np.isfinite(s[k]) & (s[k] > 0.0)]) for k in range(len(s))}  # type: ignore[misc]
-    ratio = np.array([asked.ratio(float(one)) for one in (*grid, *measured(seen, asked))]).reshape(2, -1).max(axis=1)
-    return float(np.log(ratio[1] / ratio[0]))
-
-
-def worst_found(asked: LoopRequirement, delay: float, seed: int) -> tuple[np.ndarray, float]:
-    """Search for the loop whose figure a grid misses the most: numbers of its controller, and ln of the factor."""
-    among = plants(delay).only(range(9))
-    found = differential_evolution(
-        lambda x: -hidden(asked, controller(np.exp(x)), among),
-        list(zip(LOWEST, HIGHEST, strict=True)),
-        seed=seed,
-        maxiter=12,
-        popsize=5,
-        polish=False,
-    )
-    return np.exp(found.x), -float(found.fun)

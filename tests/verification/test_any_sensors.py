@@ -12,6 +12,7 @@ from scipy.linalg import expm
 import platform_ctrl as pc
 from cli.test_cli import leave_out_figures
 from given_controllers import outcomes, verdict
+from one_axis import one_axis
 from platform_ctrl import design
 from platform_ctrl.cli import main
 from platform_ctrl.errors import DesignError
@@ -97,17 +98,14 @@ def test_check_takes_such_a_controller_from_a_file_and_runs_it(tmp_path, monkeyp
     assert found["largest error behind a commanded angle"]["stage"] == "simulated"
 
 
-DRIVE = {
-    "schema": 1,
-    "name": "drive",
-    "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
-    "gimbal": [{"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, 0.05], "angle": "q"}],
-    "torquer": [{"gimbal": "g"}],
-    "pickoff": [{"gimbal": "g"}],
-    "angle_sensor": [{"name": "encoder", "gimbal": "g_motor"}],
-    "rate_sensor": [{"name": "motor", "gimbal": "g_motor"}],
-    "compliance": [{"gimbal": "g", "stiffness": 300.0, "damping": 0.04, "inertia": 0.02}],
-}
+DRIVE = one_axis(
+    [0.05, 0.05, 0.05],
+    torquer=[{"gimbal": "g"}],
+    pickoff=[{"gimbal": "g"}],
+    angle_sensor=[{"name": "encoder", "gimbal": "g_motor"}],
+    rate_sensor=[{"name": "motor", "gimbal": "g_motor"}],
+    compliance=[{"gimbal": "g", "stiffness": 300.0, "damping": 0.04, "inertia": 0.02}],
+)
 
 
 def test_a_cascade_of_the_encoders_on_both_sides_of_a_drive_is_that_of_two_inertias_on_a_shaft():

@@ -6,6 +6,7 @@ import pytest
 
 import platform_ctrl as pc
 from given_controllers import verdict
+from one_axis import job_of, loop_of, one_axis
 from platform_ctrl import simulation
 
 J1, J2, K, C, PLAY = 0.02, 0.05, 300.0, 0.04, 2e-3
@@ -24,25 +25,20 @@ def law(inertia, w, rate=False):
 def checked(sensor, crossover, weight=0.0, play=PLAY, stiffness=K, **coupled):
     """A motor and a load on a shaft with play, a loop on an encoder or a gyro on the load; the coupled check."""
     rate = sensor == "gyro"
-    gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J2] * 3, "angle": "q"}
-    plant = {
-        "schema": 1,
-        "name": "drive",
-        "root": {"name": "base", "inertia": [1, 1, 1], "mode": "held", "specific_force": [0, 9.81, 0]},
-        "gimbal": [gimbal],
-        "torquer": [{"gimbal": "g"}],
-        "pickoff": [{"gimbal": "g"}],
-        "angle_sensor": [{"name": "motor", "gimbal": "g_motor"}],
-        "rate_sensor": [{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
-        "friction": [{"gimbal": "g", "viscous": 0.02}],
-        "unbalance": [{"body": "g", "moment": [weight / 9.81, 0, 0]}],
-        "compliance": [{"gimbal": "g", "stiffness": stiffness, "damping": C, "inertia": J1, "play": play}],
-    }
-    loop = {"name": "L", "gimbals": ["g_motor"], "sensors": [sensor], "use": "d"}
-    loop |= {"kind": "rate" if rate else "pointing", "design": [{"name": "d", "method": "pi" if rate else "classical"}]}
-    job = {"schema": 2, "name": "drive", "plant": plant, "operation": {"Omega": [0.1, 0.1, 0.1]}, "coupled": coupled}
-    job |= {"sampling": {"rate_hz": 1 / PERIOD, "delay": DELAY}}
-    read = pc.read_job(job | {"loop": [loop]})
+    plant = one_axis(
+        [J2] * 3,
+        {"mode": "held", "specific_force": [0, 9.81, 0]},
+        torquer=[{"gimbal": "g"}],
+        pickoff=[{"gimbal": "g"}],
+        angle_sensor=[{"name": "motor", "gimbal": "g_motor"}],
+        rate_sensor=[{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
+        friction=[{"gimbal": "g", "viscous": 0.02}],
+        unbalance=[{"body": "g", "moment": [weight / 9.81, 0, 0]}],
+        compliance=[{"gimbal": "g", "stiffness": stiffness, "damping": C, "inertia": J1, "play": play}],
+    )
+    kind, method = ("rate", "pi") if rate else ("pointing", "classical")
+    loop = loop_of(["g_motor"], [sensor], method, kind=kind)
+    read = pc.read_job(job_of(plant, loop, rate_hz=1 / PERIOD, delay=DELAY, coupled=coupled))
     one = law(J1 + J2, crossover, rate)
     controller = control.StateSpace(one.A, one.B, one.C, one.D, PERIOD, inputs=[sensor], outputs=["Qg"])
     check = verdict(read, [controller]).coupled
@@ -113,10 +109,8 @@ def test_a_limit_cycle_counts_where_it_moves_a_gimbal_most():
             {"gimbal": name, "stiffness": k, "damping": 0.05, "inertia": J, "play": play} for name, k, J, play in sides
         ],
     }
-    loop = {"name": "L", "kind": "pointing", "gimbals": ["a_motor", "b_motor"], "sensors": ["qa", "qb"], "use": "d"}
-    job = {"schema": 2, "name": "two drives", "plant": plant, "operation": {"Omega": [0.1, 0.1, 0.1]}, "coupled": {}}
-    job |= {"sampling": {"rate_hz": 1 / PERIOD, "delay": DELAY}}
-    read = pc.read_job(job | {"loop": [loop | {"design": [{"name": "d", "method": "classical"}]}]})
+    loop = loop_of(["a_motor", "b_motor"], ["qa", "qb"])
+    read = pc.read_job(job_of(plant, loop, rate_hz=1 / PERIOD, delay=DELAY, coupled={}))
     one = control.append(law(0.19, 8.0), law(0.06, 10.4))
     matrices = (one.A, one.B, one.C, one.D, PERIOD)
     controller = control.StateSpace(*matrices, inputs=["qa", "qb"], outputs=["Qa", "Qb"])

@@ -9,6 +9,7 @@ import pytest
 
 import platform_ctrl as pc
 from camera_job import camera_job
+from one_axis import job_of, loop_of, one_axis
 from platform_ctrl import design
 from platform_ctrl.report import write_page
 from platform_ctrl.verification.bounds import loop_bounds
@@ -129,21 +130,16 @@ J, RATE = 0.07, 2000.0
 
 def bounded_job(delay=0.0, noise=0.0, modes=(), crossover=1.0, uncertainty=None, **limits):
     """A rate loop, almost pure gain over an inertia."""
-    gimbal = {"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.05, J], "angle": "q"}
-    plant = {
-        "schema": 1,
-        "name": "one axis",
-        "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
-        "gimbal": [gimbal],
-        "torquer": [{"gimbal": "g", "name": "Q", "limit": 1.0}],
-        "rate_sensor": [{"name": "gyro", "body": "g", "axis": [0, 0, 1], "noise_rms": noise}],
-        "mode": list(modes),
-    }
+    plant = one_axis(
+        [0.05, 0.05, J],
+        torquer=[{"gimbal": "g", "name": "Q", "limit": 1.0}],
+        rate_sensor=[{"name": "gyro", "body": "g", "axis": [0, 0, 1], "noise_rms": noise}],
+        mode=list(modes),
+    )
     options = {"crossover_hz": crossover, "integral_hz": 1e-3, "rolloff_hz": 0.44 * RATE}
-    loop = {"name": "rate", "kind": "rate", "gimbals": ["g"], "sensors": ["gyro"], "use": "pi", "limits": limits}
-    loop["design"] = [{"name": "pi", "method": "pi", **options}]
-    data = {"schema": 2, "name": "one axis", "plant": plant, "operation": {"Omega": [0.0, 0.0, 0.0]}, "loop": [loop]}
-    return pc.read_job(data | {"sampling": {"rate_hz": RATE, "delay": delay}, "uncertainty": uncertainty or {}})
+    loop = loop_of("g", ["gyro"], "pi", kind="rate", limits=limits, design=options)
+    more = {"operation": {"Omega": [0.0, 0.0, 0.0]}, "uncertainty": uncertainty or {}}
+    return pc.read_job(job_of(plant, loop, rate_hz=RATE, delay=delay, **more))
 
 
 def bounds_of(one):

@@ -8,6 +8,8 @@ import pytest
 
 from given_controllers import verdict
 from mechanics.test_motor_winding import drive
+from one_axis import job_of as joined
+from one_axis import loop_of
 from platform_ctrl import design, linearise, read_job, read_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import CoupledLimits, Job, Sampling
@@ -83,29 +85,11 @@ def test_a_light_root_that_reacts_on_an_encoders_loop_is_a_cost_and_said_to_be_h
         "torquer": [{"gimbal": "g"}],
         "pickoff": [{"gimbal": "g"}],
     }
-    loop = {"name": "antenna", "kind": "pointing", "gimbals": ["g"], "sensors": ["angle"], "use": "c"}
-    data = {
-        "schema": 2,
-        "name": "antenna",
-        "plant": plant,
-        "operation": {"Omega": [0.0, 0.0, 0.0]},
-        "sampling": {"rate_hz": 100, "delay": 0.0},
-        "loop": [loop | {"design": [{"name": "c", "method": "classical", "crossover_hz": 4}]}],
-        "coupled": {"coupling_cost": 0.1},
-        "manoeuvre": [
-            {
-                "name": "turn",
-                "mode": "caged",
-                "duration": 0.3,
-                "axis": 3,
-                "rate": 0.1,
-                "rise": 0.1,
-                "hold": 0.1,
-                "limits": {"angle": 1},
-            }
-        ],
-    }
-    job = read_job(data)
+    turn = {"name": "turn", "mode": "caged", "duration": 0.3, "axis": 3, "rate": 0.1, "rise": 0.1, "hold": 0.1}
+    tables = {"operation": {"Omega": [0.0, 0.0, 0.0]}, "coupled": {"coupling_cost": 0.1}}
+    tables["manoeuvre"] = [turn | {"limits": {"angle": 1}}]
+    loop = loop_of("g", ["angle"], design={"crossover_hz": 4})
+    job = read_job(joined(plant, loop, rate_hz=100, **tables))
     [outcome] = design.loops(job)
     assert all("; held: bus" in one.evidence for one in outcome.closed.results)
     K = outcome.closed.controller

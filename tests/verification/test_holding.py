@@ -6,6 +6,7 @@ import pytest
 
 import platform_ctrl as pc
 from given_controllers import verdict
+from one_axis import job_of, loop_of
 from platform_ctrl import design
 from platform_ctrl.verification import check_job
 
@@ -22,18 +23,9 @@ def job(plant, **operation):
         "gimbal": [gimbal | weight],
         "pickoff": [{"gimbal": "g"}],
     }
-    side = "g_motor" if "compliance" in plant else "g"
-    loop = {"name": "L", "kind": "pointing", "gimbals": [side], "sensors": ["q"], "use": "c"}
-    return pc.read_job(
-        {
-            "schema": 2,
-            "name": "arm",
-            "plant": data | plant,
-            "operation": {"Omega": [0.1, 0.1, 0.1]} | operation,
-            "sampling": {"rate_hz": 2000.0, "delay": 1e-4},
-            "loop": [loop | {"limits": {"disk_margin": 0.3}, "design": [{"name": "c", "method": "classical"}]}],
-        }
-    )
+    loop = loop_of(["g_motor" if "compliance" in plant else "g"], ["q"], limits={"disk_margin": 0.3})
+    operation = {"Omega": [0.1, 0.1, 0.1]} | operation
+    return pc.read_job(job_of(data | plant, loop, rate_hz=2000.0, delay=1e-4, operation=operation))
 
 
 def motor(**numbers):

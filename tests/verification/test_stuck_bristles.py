@@ -6,6 +6,7 @@ import pytest
 
 import platform_ctrl as pc
 from given_controllers import verdict
+from one_axis import job_of, loop_of, one_axis
 from platform_ctrl import simulation
 
 J, STIFFNESS, DAMPING, VISCOUS = 0.05, 2000.0, 0.2, 0.02
@@ -14,19 +15,9 @@ PERIOD, DELAY = 1e-3, 5e-3
 
 def checked(**friction):
     """A gimbal with a lead of 60 rad/s that is 5 ms late; its coupled check."""
-    plant = {
-        "schema": 1,
-        "name": "bearing",
-        "root": {"name": "base", "inertia": [1, 1, 1], "mode": "held"},
-        "gimbal": [{"name": "g", "parent": "base", "axis": [0, 0, 1], "inertia": [J] * 3, "angle": "q"}],
-        "torquer": [{"gimbal": "g"}],
-        "pickoff": [{"gimbal": "g"}],
-        "friction": [{"gimbal": "g", "viscous": VISCOUS, "coulomb": 0.5} | friction],
-    }
-    loop = {"name": "L", "kind": "pointing", "gimbals": ["g"], "sensors": ["q"], "use": "d"}
-    job = {"schema": 2, "name": "bearing", "plant": plant, "operation": {"Omega": [0.1, 0.1, 0.1]}}
-    job |= {"sampling": {"rate_hz": 1 / PERIOD, "delay": DELAY}}
-    read = pc.read_job(job | {"loop": [loop | {"design": [{"name": "d", "method": "classical"}]}]})
+    own = {"friction": [{"gimbal": "g", "viscous": VISCOUS, "coulomb": 0.5} | friction]}
+    plant = one_axis([J] * 3, {"mode": "held"}, torquer=[{"gimbal": "g"}], pickoff=[{"gimbal": "g"}], **own)
+    read = pc.read_job(job_of(plant, loop_of("g", "q"), rate_hz=1 / PERIOD, delay=DELAY))
     s, w = control.tf("s"), 60.0
     law = control.ss(control.sample_system(-J * w**2 * (1 + 1.4 * s / w) / (1 + s / (8 * w)), PERIOD, "tustin"))
     controller = control.StateSpace(law.A, law.B, law.C, law.D, PERIOD, inputs=["q"], outputs=["Qg"])
