@@ -23,18 +23,11 @@ def greek(name: str) -> str:
     return _LETTER.sub(lambda found: LETTERS[found[0]], name)
 
 
-def initial(name: str) -> tuple[str, str]:
-    """Return the letters at the head of a name (its first character where it begins with no letter), and the rest."""
-    found = re.match(r"[^\W\d_]+", name)
-    end = found.end() if found else 1
-    return name[:end], name[end:]
-
-
 def dotted(angle: str, derivative: int) -> str:
-    """Return an angle or its derivative, the dots over its first letter: ``alpha4``, 2 is α̈4, ``roll``, 1 is ṙoll."""
-    head, rest = initial(angle)
-    letters = LETTERS.get(head, head)
-    return letters[:1] + DOTS[derivative] + letters[1:] + rest
+    """Return an angle or its derivative: ``alpha4``, 2 is α̈4; a word has primes instead: ``pan``, 1 is pan'."""
+    head = re.split(r"[\W\d_]", angle, maxsplit=1)[0]
+    letter, rest = LETTERS.get(head, head), angle[len(head) :]
+    return letter + DOTS[derivative] + rest if len(letter) == 1 else letter + rest + "'" * derivative
 
 
 def width(text: str) -> int:
