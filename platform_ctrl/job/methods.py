@@ -16,7 +16,7 @@ from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, given, wrong
 from platform_ctrl.plant.tables import TABLE, Collected, unknown_key
 
-Structure = Literal["cross-axis", "pid", "state-space"]
+Structure = Literal["cross-axis", "pid", "sections", "state-space"]
 LoopKind = Literal["caging", "rate", "pointing", "tracking", "stabilisation"]
 
 

@@ -302,6 +302,7 @@ def gyro_job(limits, soft=None, faults=None, rate_hz=5000, **design_options):
         ({"structure": "pid", "order": 3}, "option 'order' has no meaning"),
         ({"structure": "cross-axis", "starts": 2}, "option 'starts' has no meaning"),
         ({"structure": "state-space", "order": 1.5}, "order must be a whole number, got 1.5"),
+        ({"structure": "sections"}, '"sections" is for loops of rates: choose "pid"'),
         ({"reserve": 1.0}, "reserve must be less than 1, got 1"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -67,6 +68,8 @@ class Series(Structure):
         return out
 
 
+# Least damping of a section: with less it follows one plant's resonance.
+_SECTION_DAMPING = 0.05
 # Relative step of the differences that replace it where a function takes real numbers alone.
 _STEP = 1e-5
 
@@ -222,4 +225,51 @@ class PID(Structure):
         if integral:
             C[..., 1, -1] = 1.0
             (A if whole else B)[..., -1, 0] = 1.0
+        return System(A, B, C, D)
+
+
+@input_value
+class Sections(Structure):
+    """Second-order sections in parallel, beside a gain of one, on every measurement.
+
+    v = (1 + Σ (c + e s/ω) ω²/(s² + 2 ζ ω s + ω²)) y. Parameters c1_1, e1_1, filter1_1 (ω, rad/s), damping1_1 (ζ), ...
+    (measurement, section). Gains start at zero: there the slopes of the requirements say at which frequencies gain and
+    phase help, which those of a notch without depth do not.
+
+    Attributes
+    ----------
+    rates
+        ω of the sections at the start, rad/s, on every measurement.
+    start, bounds, fixed
+        As in `Structure`.
+    """
+
+    rates: Sequence[float]
+
+    def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
+        """Return those of all sections, measurement by measurement."""
+        if nmeas != ncon:
+            raise ArgumentError(f"Sections: there must be as many outputs as measurements, got {ncon} and {nmeas}")
+        out: list[Parameter] = []
+        for j, (k, rate) in product(range(nmeas), enumerate(self.rates)):
+            end = f"{j + 1}_{k + 1}"
+            out += [Parameter(name=f"{gain}{end}", start=0.0, size=1.0) for gain in "ce"]
+            out += [
+                Parameter(name=f"{name}{end}", start=start, size=1.0, positive=True, lower=low, upper=high)
+                for name, start, low, high in (
+                    ("filter", rate, 0.2 * rate, 5.0 * rate),
+                    ("damping", 0.5, _SECTION_DAMPING, 2.0),
+                )
+            ]
+        return tuple(out)
+
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> System:
+        """Return the sections beside one another."""
+        count = nmeas * len(self.rates)
+        c, e, w, damping = np.moveaxis(p.reshape(*p.shape[:-1], count, 4), -1, 0)
+        first, own = 2 * np.arange(count), np.arange(count) // max(len(self.rates), 1)
+        A, B = zeros(p, 2 * count, 2 * count), zeros(p, 2 * count, nmeas)
+        C, D = zeros(p, nmeas, 2 * count), zeros(p, nmeas, nmeas) + np.eye(nmeas)
+        A[..., first, first + 1], A[..., first + 1, first], A[..., first + 1, first + 1] = w, -w, -2.0 * damping * w
+        B[..., first + 1, own], C[..., own, first], C[..., own, first + 1] = w, c, e
         return System(A, B, C, D)

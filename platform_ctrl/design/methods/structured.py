@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
@@ -20,8 +21,8 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure.descent import Found, Search
-from platform_ctrl.design.fixed_structure.sections import PID, Named, Sampled, Series
-from platform_ctrl.design.fixed_structure.structures import Parametrised, StateSpaceOrder, Units, entry
+from platform_ctrl.design.fixed_structure.sections import PID, Named, Sampled, Sections, Series
+from platform_ctrl.design.fixed_structure.structures import Parametrised, StateSpaceOrder, Static, Units, entry
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Method, Option, SectionedMethod, hertz, number
@@ -46,12 +47,18 @@ _NEGLIGIBLE = 1e-7
 _INTEGRATOR = 1e-5
 # Shares of the evaluations that a structure gets on the way to the next one, which has the rest.
 _SHARES = {"cross-axis": 0.05, "pid": 0.3}
+# Sections start between these multiples of the slowest and the fastest resonance: of poles with less damping than the
+# third number that are faster than the last share of the reference frequency.
+_SLOWEST, _FASTEST, _RESONANT, _SLOW = 0.5, 2.5, 0.2, 0.05
+# Fastest start of a filter or a section, rad in a sample period.
+_SAMPLED = 0.8 * np.pi
 
 
 # Options of some structures alone.
 _STRUCTURES: dict[str, tuple[Structure, ...]] = {
     "order": ("state-space",),
-    "starts": ("pid", "state-space"),
+    "sections": ("sections",),
+    "starts": ("pid", "sections", "state-space"),
     "rolloff_hz": ("pid", "state-space"),
 }
 DEFAULT: Structure = "pid"
@@ -59,6 +66,7 @@ DEFAULT: Structure = "pid"
 OPTIONS: dict[str, Option] = {
     "order": number("order", "states beside the integrators", 1, 30, whole=True, logarithmic=False),
     "starts": number("starts", "starting points of the search", 1, 8, whole=True, logarithmic=False),
+    "sections": number("sections", "second-order sections on every reading", 1, 12, whole=True, logarithmic=False),
     "integral_hz": hertz("integral", "design", "corner of the integral at the start", high=0.4, below_nyquist=True),
     "rolloff_hz": hertz("roll-off", "design", "where the filter starts", high=0.45, below_nyquist=True),
     "reserve": number("reserve", "share by which limits are met", 1e-3, 0.5),
@@ -73,7 +81,7 @@ class Structured(Method):
     any_sensors = True
     options = OPTIONS
     advice = "weaker limits, or another structure"
-    structures = ("cross-axis", "pid", "state-space")
+    structures = ("cross-axis", "pid", "sections", "state-space")
     libraries = ("clarabel",)
     goals = True
 
@@ -83,6 +91,7 @@ class Structured(Method):
         defaults = {
             "order": 3.0 * len(channel.basis),
             "starts": 1.0,
+            "sections": 6.0,
             "integral_hz": 0.024 * nutation / (2.0 * np.pi),
             "rolloff_hz": 0.4 / period,
             "reserve": 0.01,
@@ -105,6 +114,8 @@ class Structured(Method):
                 'structured: structure = "cross-axis" works axis by axis, and this loop has further readings: choose '
                 '"pid" or "state-space", or give the design sensors of its own'
             )
+        if structure == "sections" and channel.order != 1:
+            raise DesignError('structured: structure = "sections" is for loops of rates: choose "pid" or "state-space"')
         full_order = dataclasses.replace(problem, design=DesignSpec(name=design.name, method="hinf", options={}))
 
         def progress(limits: float, goals: float) -> None:
@@ -160,14 +171,13 @@ def tuned_controller(
     first = search(cross_axis, 1.0 if alone else _SHARES["cross-axis"], sketch=not alone)
     tried: list[tuple[Found, Parametrised]] = [(first, cross_axis)]
     starts = [] if alone else [lambda: cross_axis.block(first.x), *others][: int(options["starts"])]
-    rolloff = min(2.0 * np.pi * options.get("rolloff_hz", np.inf), 0.8 * np.pi / plants.period)
     for start in starts:
         try:
             block = start()
         except DesignError:
             # Another method that finds nothing is no reason to give up the first start.
             continue
-        pid = pid_structure(block, channel, plants.period, plants.nutation, integral, rolloff, shown)
+        pid = started_structure(structure, options, block, channel, plants)
         found = search(pid, _SHARES["pid"] if structure == "state-space" else 1.0 - _SHARES["cross-axis"])
         tried.append((found, pid))
         if structure == "state-space":
@@ -221,6 +231,17 @@ def cross_axis_structure(integral_hz: float, channel: Channels, plants: PlantSet
     return Parametrised(structure, read, size, Units(gain=np.ones((size, read)), rate=1.0))
 
 
+def started_structure(
+    structure: Structure, options: dict[str, float], like: System, channel: Channels, plants: PlantSet
+) -> Parametrised:
+    """Return the structure that the search goes on with from the classical loop, started near a controller."""
+    integral = 2.0 * np.pi * options["integral_hz"]
+    rolloff = min(2.0 * np.pi * options.get("rolloff_hz", np.inf), _SAMPLED / plants.period)
+    if structure == "sections":
+        return sectioned_structure(like, channel, plants, integral, rolloff, int(options["sections"]))
+    return pid_structure(like, channel, plants.period, plants.nutation, integral, rolloff, channel.shown(plants))
+
+
 def pid_structure(
     like: System,
     channel: Channels,
@@ -259,6 +280,34 @@ def pid_structure(
     return Parametrised(structure, read, n, Units(gain=gain, rate=nutation, integral=integral))
 
 
+def sectioned_structure(
+    like: System,
+    channel: Channels,
+    plants: PlantSet,
+    integral: float,
+    rolloff: float,
+    count: int,
+) -> Parametrised:
+    """Return gains behind a PI, 1 + integral/s, and so many second-order sections on every reading of rates.
+
+    The gains start at those of the PID that is nearest to `like`, the sections about the nominal plant's resonances.
+    """
+    n, read = like.D.shape
+    K_P = _fitted(like, channel, plants.period, plants.nutation, rolloff)[0]
+    poles = np.log(np.linalg.eigvals(plants.A[0]).astype(np.complex128) + 1e-300) / plants.period
+    resonant = (poles.imag > _SLOW * plants.nutation) & (-poles.real < _RESONANT * np.abs(poles))
+    fast = np.abs(poles[resonant]) if resonant.any() else plants.nutation * np.array([0.4, 1.0])
+    last = min(_FASTEST * float(fast.max()), _SAMPLED / plants.period)
+    sections = Sections(rates=[float(w) for w in np.geomspace(_SLOWEST * float(fast.min()), last, count)])
+    gains = Static(start={entry("k", K_P.shape, i, j): float(K_P[i, j]) for i, j in np.ndindex(n, read)})
+    series = Series(blocks=(_pi(np.arange(read) < n, integral, plants.period), sections, gains))
+    structure = Sampled(inner=series, period=plants.period, basis=channel.basis, read=channel.turned(read))
+    unit = float(np.abs(K_P).max()) or 1.0
+    return Parametrised(
+        structure, read, n, Units(gain=np.tile(unit / channel.shown(plants), (n, 1)), rate=plants.nutation)
+    )
+
+
 def _fitted(like: System, channel: Channels, period: float, nutation: float, rolloff: float) -> FloatArray:
     """Return the gains K_P, K_I, K_D of the PID whose response is nearest to a controller's, by least squares.
 
@@ -295,13 +344,17 @@ def free_structure(
     scale = float(np.sqrt(np.linalg.norm(C) * rate / (np.linalg.norm(B) * unit))) if len(A) else 1.0
     entries = (("a", A), ("b", B * scale), ("c", C / scale), ("d", D))
     start = {entry(name, K.shape, i, j): float(K[i, j]) for name, K in entries for i, j in np.ndindex(*K.shape)}
-    # 1 + integral/s by Tustin's rule.
-    gains = {f"kp{k + 1}{k + 1}": 1.0 + 0.5 * integral * period * (k < n) for k in range(read)}
-    gains |= {f"ki{k + 1}{k + 1}": integral for k in range(n)}
-    pi = PID(P="diagonal", I=np.diag(np.arange(read) < n), D="none", filter_order=0, fixed=gains)
+    pi = _pi(np.arange(read) < n, integral, period)
     series = Series(blocks=(pi, StateSpaceOrder(states=len(A), start=start)))
     structure = Sampled(inner=series, period=period, basis=channel.basis, read=channel.turned(read), forward=True)
     return Parametrised(structure, read, n, Units(gain=np.tile(unit / shown, (n, 1)), rate=rate))
+
+
+def _pi(integrated: NDArray[np.bool_], integral: float, period: float) -> PID:
+    """Return 1 + integral/s by Tustin's rule, in channels that are integrated, fixed."""
+    gains = {f"kp{k + 1}{k + 1}": 1.0 + 0.5 * integral * period * one for k, one in enumerate(integrated)}
+    gains |= {f"ki{k + 1}{k + 1}": integral for k in np.flatnonzero(integrated)}
+    return PID(P="diagonal", I=np.diag(integrated), D="none", filter_order=0, fixed=gains)
 
 
 def without_integrators(controller: System, channel: Channels, integral: float, period: float) -> System | None:
