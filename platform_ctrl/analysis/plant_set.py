@@ -266,7 +266,7 @@ class PlantSet:
         inner = K.part(slice(None), every[: len(own)])
         inner = inner._replace(A=K.A[:n, :n], B=inner.B[:n], C=K.C[:, :n])
         made = fed.joined_to(inner.part(of, slice(None)))
-        if not _alike(K.part(of, every), made):
+        if not K.part(of, every).alike(made, _ALIKE):
             raise ArgumentError(
                 f"controller: its feedforward from {', '.join(fed.sensors)} is not the one that follows from the "
                 "plant; design it again"
@@ -344,14 +344,6 @@ class PlantSet:
             disturbances=self.disturbances.only(index),
             disturbed=None if self.disturbed is None else Disturbed(*(one[index] for one in self.disturbed)),
         )
-
-
-def _alike(one: System, other: System) -> bool:
-    """Return whether two systems have the same matrices but for rounding."""
-    pairs = [(getattr(one, name), getattr(other, name)) for name in "ABCD"]
-    return all(
-        a.shape == b.shape and bool(np.all(np.abs(a - b) <= _ALIKE * np.abs(b).max(initial=0.0))) for a, b in pairs
-    )
 
 
 def members(groups: Sequence[str], of: Sequence[str]) -> BoolArray:

@@ -79,6 +79,11 @@ class System(NamedTuple):
         """Return a system of a stack, or a stack of some of its systems."""
         return System(self.A[index], self.B[index], self.C[index], self.D[index], self.dt)
 
+    def alike(self, other: System, rounding: float) -> bool:
+        """Return whether both have the same matrices but for rounding, a share of the largest entry of each."""
+        pairs = [(a, b, rounding * np.abs(b).max(initial=0.0)) for a, b in zip(self[:4], other[:4], strict=True)]
+        return all(a.shape == b.shape and bool(np.all(np.abs(a - b) <= most)) for a, b, most in pairs)
+
     def part(self, outputs: Index, inputs: Index) -> System:
         """Return the systems from some inputs to some outputs, with all states."""
         D = self.D[..., outputs, :][..., inputs]

@@ -23,8 +23,7 @@ from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.settings import Settings, of_loop, with_limits
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.design.budget_loop import with_resolvers
-from platform_ctrl.design.loop import Design
+from platform_ctrl.design.loop import Design, with_resolvers
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, designed, shaped
 from platform_ctrl.design.methods import METHODS

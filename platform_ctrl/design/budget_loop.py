@@ -21,7 +21,7 @@ from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.sections import gain
+from platform_ctrl.design.loop import moves_freely, with_resolvers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import BudgetSpec, Source
 from platform_ctrl.job.drive import DriveLaw
@@ -276,17 +276,3 @@ def _thinned(knots: FloatArray) -> FloatArray:
             kept.append(float(one))
     kept[-1] = float(knots[-1])
     return np.array(kept)
-
-
-def moves_freely(job: Job, controllers: Sequence[StateSpace]) -> bool:
-    """Return whether the platform is free: the plant says how it moves, or a controller sets a torque on the root."""
-    return job.platform.moves_freely(any(set(job.platform.root_torquers) & set(K.output_labels) for K in controllers))
-
-
-def with_resolvers(job: Job, controllers: Sequence[StateSpace], q: FloatArray) -> list[StateSpace]:
-    """Return controllers behind what turns readings to joint axes at gimbal angles (n,), a constant matrix each."""
-    read = {name for K in controllers for name in K.input_labels}
-    laws = [law for law in job.resolvers if not read.isdisjoint(law.names)]
-    period = job.sampling.period
-    static = [gain(law.matrix(q))._replace(dt=period).to_control(law.sensors, law.names) for law in laws]
-    return [*static, *controllers]

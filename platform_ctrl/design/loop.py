@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import field
 
 import numpy as np
@@ -13,11 +14,11 @@ from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
-from platform_ctrl.common.values import value
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.sections import Section, gain
 from platform_ctrl.errors import reason
-from platform_ctrl.job.job import LoopSpec
+from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import LoopRequirement
 from platform_ctrl.plant.platform import OMEGA_NAMES
@@ -225,6 +226,20 @@ def commanded(design: Design) -> Design:
     rest = (one._replace(inputs=tuple(errors.get(name, name) for name in one.inputs)) for one in design.sections)
     sections = (first, *rest) if design.sections else ()
     return dataclasses.replace(design, controller=controller, sections=sections)
+
+
+def moves_freely(job: Job, controllers: Sequence[StateSpace]) -> bool:
+    """Return whether the platform is free: the plant says how it moves, or a controller sets a torque on the root."""
+    return job.platform.moves_freely(any(set(job.platform.root_torquers) & set(K.output_labels) for K in controllers))
+
+
+def with_resolvers(job: Job, controllers: Sequence[StateSpace], q: FloatArray) -> list[StateSpace]:
+    """Return controllers behind what turns readings to joint axes at gimbal angles (n,), a constant matrix each."""
+    read = {name for K in controllers for name in K.input_labels}
+    laws = [law for law in job.resolvers if not read.isdisjoint(law.names)]
+    period = job.sampling.period
+    static = [gain(law.matrix(q))._replace(dt=period).to_control(law.sensors, law.names) for law in laws]
+    return [*static, *controllers]
 
 
 def closed_loop_poles(plants: PlantSet, controller: StateSpace) -> ComplexArray:

@@ -294,8 +294,9 @@ class TunedMethod(Method):
         return plants
 
     def upper_bounds(self, period: float) -> dict[str, float]:
-        """Return the largest values that the tuner may use."""
-        return {}
+        """Return the largest values that the tuner may use: the ends of the options' sliders."""
+        ends = {name: self.options[name] for name in self.tunable if self.options[name].high < math.inf}
+        return {name: one.high / period if one.unit == "Hz" else one.high for name, one in ends.items()}
 
     def movable(self, options: dict[str, float], channel: Channels) -> list[str]:
         """Return the options that the tuner moves."""

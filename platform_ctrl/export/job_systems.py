@@ -20,8 +20,7 @@ from platform_ctrl.analysis.poles import continuous_poles, following_grid, poles
 from platform_ctrl.common.arguments import one_of, short
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.budget_loop import with_resolvers
-from platform_ctrl.design.loop import sampled_plant
+from platform_ctrl.design.loop import sampled_plant, with_resolvers
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export.systems import ExportedSystem, signal_units

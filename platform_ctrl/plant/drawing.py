@@ -123,14 +123,11 @@ def signs(platform: Platform, gimbal: str) -> tuple[str, ...]:
 def levels(platform: Platform) -> dict[str, int]:
     """Return how many joints lie between the root and each body."""
     parent = {g.name: g.parent for g in platform.gimbals}
-    out = {platform.root_name: 0}
-    for name in parent:
-        chain = [name]
-        while chain[-1] not in out:
-            chain.append(parent[chain[-1]])
-        for above, below in itertools.pairwise(reversed(chain)):
-            out[below] = out[above] + 1
-    return out
+
+    def level(name: str) -> int:
+        return 1 + level(parent[name]) if name in parent else 0
+
+    return {name: level(name) for name in (platform.root_name, *parent)}
 
 
 def _carried(platform: Platform, name: str, toward: FloatArray) -> list[Item]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.kinematics import topology
+from platform_ctrl.mechanics.kinematics import Topology, topology
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 from platform_ctrl.simulation.kernel import arrays
@@ -32,37 +32,6 @@ def joint_frame(axis: FloatArray) -> FloatArray:
     return np.array([across, np.cross(axis, across), axis])
 
 
-def tree_links(
-    parents: list[int],
-    order: tuple[int, ...],
-    frames: FloatArray,
-    drives: tuple[tuple[int, int], ...],
-    erections: list[tuple[int, int]],
-    carriers: list[int],
-) -> Links:
-    """Return how bodies hang together: parents in the file's order, joints' frames, gimbals of drives, erections."""
-    n = len(parents)
-    rows = np.zeros((n, 13), dtype=np.int64)
-    turns = np.zeros((n, 3, 3))
-    slot = {(0, 1): 3, (0, 2): 4, (1, 2): 5}
-    for m, k in enumerate(order):
-        parent = parents[k] + 1
-        turn = frames[k + 1] @ frames[parent].T
-        renamed = bool(np.isin(turn, (0.0, 1.0)).all())
-        x, y, z = (int(row.argmax()) for row in turn) if renamed else (0, 1, 2)
-        mixed = [slot[min(i, j), max(i, j)] for i, j in ((x, y), (x, z), (y, z))]
-        rows[m] = (k, parent, x, y, z, x, y, z, *mixed, not renamed, order.index(parent - 1) if parent else -1)
-        turns[m] = turn
-    # Not read-only: to numba these would be arrays of another type, and the kernel would be compiled once more.
-    return Links(
-        tree=rows,
-        turn=turns,
-        servo_carrier=np.array(carriers, dtype=np.int64),
-        drive=np.array(drives, dtype=np.int64).reshape(-1, 2),
-        erection=np.array(erections, dtype=np.int64).reshape(-1, 2),
-    )
-
-
 # Laws of dry friction by the names of `Friction.law`; a viscous one is a smooth one without a dry part.
 _LAWS = {
     "viscous": arrays.SMOOTH,
@@ -75,6 +44,7 @@ _SIX = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 
 
 Terms = tuple[tuple[int, float], ...]
+Pairs = Sequence[tuple[int, int]]
 
 
 @value
@@ -216,16 +186,15 @@ def _skeleton(parts: _Parts) -> Skeleton:
     modes = turns + 3 * len(tree.parents) + 3
     controls = tuple(r.control for r in platform.rotors)
     servos = tuple(k for k, control in enumerate(controls) if control == "servo")
-    carriers = tuple(tree.carriers.tolist())
     erections = [(gimbal(one.gimbal), body(one.senses)) for one in platform.erections]
     drives = (*platform.sides, *((k, k) for k, _ in (*platform.windings, *platform.cogging)))
     drives += tuple((k, m) for k, m, _ in platform.ripples)
-    links = tree_links(tree.parents.tolist(), tree.order, frames, drives, erections, [carriers[k] for k in servos])
+    links = _links(tree, frames, drives, erections, list(servos))
     return Skeleton(
         links=PlacedLinks(*links) if _placed(platform) else links,
         at=_at(platform, len(tree.parents), len(servos)),
         frames=frames,
-        carriers=carriers,
+        carriers=tuple(tree.carriers.tolist()),
         spin_axes=tree.spin_axes,
         controls=controls,
         servos=servos,
@@ -240,6 +209,30 @@ def _skeleton(parts: _Parts) -> Skeleton:
             t.root_axis - 1 if t.root_axis is not None else 3 + gimbal(str(t.gimbal)) for t in platform.torquers
         ),
         stops=any(g.stops is not None for g in platform.gimbals),
+    )
+
+
+def _links(tree: Topology, frames: FloatArray, drives: Pairs, erections: Pairs, servos: list[int]) -> Links:
+    """Return how bodies hang together: joints' frames, gimbals of drives, erections, which rotors are servos."""
+    n = len(tree.parents)
+    rows = np.zeros((n, 13), dtype=np.int64)
+    turns = np.zeros((n, 3, 3))
+    slot = {(0, 1): 3, (0, 2): 4, (1, 2): 5}
+    for m, k in enumerate(tree.order):
+        parent = int(tree.parents[k]) + 1
+        turn = frames[k + 1] @ frames[parent].T
+        renamed = bool(np.isin(turn, (0.0, 1.0)).all())
+        x, y, z = (int(row.argmax()) for row in turn) if renamed else (0, 1, 2)
+        mixed = [slot[min(i, j), max(i, j)] for i, j in ((x, y), (x, z), (y, z))]
+        rows[m] = (k, parent, x, y, z, x, y, z, *mixed, not renamed, tree.order.index(parent - 1) if parent else -1)
+        turns[m] = turn
+    # Not read-only: to numba these would be arrays of another type, and the kernel would be compiled once more.
+    return Links(
+        tree=rows,
+        turn=turns,
+        servo_carrier=np.array(tree.carriers[servos], dtype=np.int64),
+        drive=np.array(drives, dtype=np.int64).reshape(-1, 2),
+        erection=np.array(erections, dtype=np.int64).reshape(-1, 2),
     )
 
 

@@ -28,8 +28,8 @@ from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_absci
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, replaced, value
-from platform_ctrl.design.budget_loop import moves_freely, with_resolvers
 from platform_ctrl.design.cases import at_angles, near_keyhole, swung
+from platform_ctrl.design.loop import moves_freely, with_resolvers
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement, drifting
 from platform_ctrl.job.resolve import KEYHOLE

@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.analysis.system import System, seen_states, state_scaling
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.budget_loop import moves_freely
+from platform_ctrl.design.loop import moves_freely
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.outputs import observed

@@ -22,7 +22,7 @@ from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db, run_metr
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.budget_loop import moves_freely
+from platform_ctrl.design.loop import moves_freely
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.budget import BudgetLimits, BudgetSpec, Source
 from platform_ctrl.job.job import Job

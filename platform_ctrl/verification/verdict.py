@@ -8,9 +8,8 @@ from collections.abc import Iterator, Sequence
 from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.values import replaced, value
-from platform_ctrl.design.budget_loop import with_resolvers
 from platform_ctrl.design.cases import subsystems_over
-from platform_ctrl.design.loop import FailedDesign, LoopOutcome
+from platform_ctrl.design.loop import FailedDesign, LoopOutcome, with_resolvers
 from platform_ctrl.errors import NotFoundError, reason
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement

@@ -29,6 +29,7 @@ from platform_ctrl.errors import DesignError
 from platform_ctrl.job.methods import DesignSpec
 
 # Highest frequencies are shares of the sample rate.
+# A roll-off at 0.45 of the sample rate: beyond 1/π of it Tustin's pole turns negative, and near −1 it rings.
 OPTIONS: dict[str, Option] = {
     "crossover_hz": hertz(
         "crossover ωc", "gains", "cross-axis gain of the gyroscopic pairs: where the loop crosses over, about"
@@ -103,20 +104,6 @@ class Classical(SectionedMethod):
     def movable(self, options: dict[str, float], channel: Channels) -> list[str]:
         """Return the options that the tuner moves: without a gyroscopic pair nothing crosses over across."""
         return [name for name in super().movable(options, channel) if name != "crossover_hz" or len(channel.momenta)]
-
-    def upper_bounds(self, period: float) -> dict[str, float]:
-        """Return the largest values that the tuner may use.
-
-        A roll-off at 0.45 of the sample rate: beyond 1/π of it Tustin's pole turns negative, and near −1 it rings.
-        """
-        rate_hz = 1.0 / period
-        return {
-            "rolloff_hz": 0.45 * rate_hz,
-            "inertial_rolloff_hz": 0.45 * rate_hz,
-            "notch_hz": 0.4 * rate_hz,
-            "notch_depth": 0.999,
-            "notch_width": 1.0,
-        }
 
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
         """Return all options, those that are not given from rules of thumb: the nutation frequency sets the scale."""

@@ -57,10 +57,6 @@ class PI(SectionedMethod):
         "robustness": dict.fromkeys(("integral_hz", "double_integral_hz", "lag_hz"), -1.0),
     }
 
-    def upper_bounds(self, period: float) -> dict[str, float]:
-        """Return the largest values that the tuner may use."""
-        return {"crossover_hz": 0.2 / period, "notch_hz": 0.4 / period, "notch_depth": 0.999, "notch_width": 1.0}
-
     def defaults(self, design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
         """Return all options, those that are not given by rules of thumb."""
         given = design.options

@@ -33,7 +33,7 @@ from __future__ import annotations
 from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Number, choose, load, root, store
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel import arrays, forces
 from platform_ctrl.simulation.kernel.arithmetic import (
     Vector,
     add,
@@ -47,15 +47,6 @@ from platform_ctrl.simulation.kernel.arithmetic import (
 )
 from platform_ctrl.simulation.kernel.arrays import At, Links
 from platform_ctrl.simulation.kernel.flexible import drive_torques, mode_derivatives
-from platform_ctrl.simulation.kernel.forces import (
-    erection_torques,
-    felt_by_root,
-    joint_torque,
-    servo_drives,
-    servo_momenta,
-    stand_still,
-    unbalance_moments,
-)
 from platform_ctrl.simulation.kernel.placed import placed_derivative, placed_momenta
 
 
@@ -71,7 +62,7 @@ def _outward(links: Links, mem: FloatArray, at: At, free: bool, bare: bool, y: i
     w0, w1, w2 = vector(mem, y + n)
     put(mem, at.work + arrays.RATE, w0, w1, w2)
     if at.weight != 0:
-        f0, f1, f2 = felt_by_root(mem, at, y, around)
+        f0, f1, f2 = forces.felt_by_root(mem, at, y, around)
         put(mem, at.work + arrays.FORCE, f0, f1, f2)
     for m in range(n):
         k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
@@ -96,7 +87,7 @@ def _outward(links: Links, mem: FloatArray, at: At, free: bool, bare: bool, y: i
             h0, h1, h2 = 0.0 * h0, 0.0 * h1, 0.0 * h2
         put(mem, slot + arrays.MOMENT, h0, h1, h2)
     if not bare:
-        servo_momenta(links, mem, at, y, arrays.MOMENT)
+        forces.servo_momenta(links, mem, at, y, arrays.MOMENT)
     if free:
         for b in range(n + 1):
             slot = at.work + b * arrays.WORK
@@ -216,7 +207,7 @@ def _momenta(links: Links, mem: FloatArray, at: At, y: int, around: int) -> None
         w0, w1, w2 = vector(mem, slot + arrays.RATE)
         H0, H1, H2 = times(mem, at.body + b * arrays.BODY, w0, w1, w2)
         put(mem, slot + arrays.MOMENT, H0 + h0, H1 + h1, H2 + h2)
-    servo_momenta(links, mem, at, y, arrays.MOMENT)
+    forces.servo_momenta(links, mem, at, y, arrays.MOMENT)
     _sum_moments(links, mem, at)
 
 
@@ -257,15 +248,15 @@ def derivative(
             store(mem, dy + k, rate)
             Q = load(mem, around + 3 + k)
             if at.joints != 0 and not bare:
-                Q = Q + joint_torque(mem, at, y, k, rate)
+                Q = Q + forces.joint_torque(mem, at, y, k, rate)
             store(mem, torque + k, Q)
         if not bare:
             drive_torques(links, mem, at, y, around, dy)
         if at.weight != 0 and not bare:
-            unbalance_moments(mem, at)
-            erection_torques(links, mem, at, torque)
+            forces.unbalance_moments(mem, at)
+            forces.erection_torques(links, mem, at, torque)
         if at.servos != 0 and not bare:
-            servo_drives(links, mem, at, at.yes, y, dy)
+            forces.servo_drives(links, mem, at, at.yes, y, dy)
         _inward(links, mem, at, at.yes, locking, torque)
         x, v, z = _root_acceleration(mem, at, around)
         put(mem, dy + n, x, v, z)
@@ -277,7 +268,7 @@ def derivative(
         for k in range(n):
             Q = load(mem, around + 3 + k)
             if at.joints != 0:
-                Q = Q + joint_torque(mem, at, y, k, load(mem, dy + k))
+                Q = Q + forces.joint_torque(mem, at, y, k, load(mem, dy + k))
             store(mem, torque + k, Q)
         drive_torques(links, mem, at, y, around, dy)
         if at.weight != 0:
@@ -285,11 +276,11 @@ def derivative(
             zero = 0.0 * load(mem, y)
             for b in range(n + 1):
                 put(mem, at.work + b * arrays.WORK + arrays.MOMENT, zero, zero, zero)
-            unbalance_moments(mem, at)
+            forces.unbalance_moments(mem, at)
             _sum_moments(links, mem, at)
             for k in range(n):
                 add(mem, torque + k, -load(mem, at.work + (k + 1) * arrays.WORK + arrays.MOMENT + 2))
-            erection_torques(links, mem, at, torque)
+            forces.erection_torques(links, mem, at, torque)
         _momenta(links, mem, at, y, around)
         for k in range(n):
             slot = at.work + (k + 1) * arrays.WORK
@@ -297,7 +288,7 @@ def derivative(
             w0, w1, _ = vector(mem, slot + arrays.RATE)
             add(mem, torque + k, H0 * w1 - H1 * w0)
         if at.servos != 0:
-            servo_drives(links, mem, at, at.no, y, dy)
+            forces.servo_drives(links, mem, at, at.no, y, dy)
         for i in range(3):
             store(mem, dy + n + i, 0.0 * load(mem, y + n + i))
     if at.modes != 0:
@@ -375,7 +366,7 @@ def runge_kutta(links: Links, mem: FloatArray, at: At, free: bool, locking: bool
         source = y if stage == 0 else now
         derivative(links, mem, at, free, locking, at.no, source, around, dy)
         if at.keeps != 0:
-            stand_still(mem, at, source, dy)
+            forces.stand_still(mem, at, source, dy)
         ahead = step if stage == 2 else 0.5 * step
         if stage == 0:
             for i in range(size):
