@@ -296,10 +296,8 @@ def friction_balance(
         before = (x, y)
         rate = np.exp(x + (y - x) / (1.0 - np.clip(slope, -20.0, 0.9)))
     else:
-        raise NotFoundError(
-            f"friction balance: no rates found in {_ITERATIONS} loops, the last were {short(rate.tolist())}; "
-            "start from other rates, or simulate"
-        )
+        words = f"no rates found in {_ITERATIONS} loops, the last were {short(rate.tolist())}"
+        raise NotFoundError(f"friction balance: {words}; start from other rates, or simulate")
     J = len(frictions)
     measured, fed = np.zeros(J), np.zeros(J)
     measured[driven], fed[driven] = new[J:], gains[J:]

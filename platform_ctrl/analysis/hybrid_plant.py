@@ -314,10 +314,8 @@ class OpenLoop:
         z = poles(A)
         for one in z[np.abs(z) >= 1.0 - _BOUNDARY]:
             if self._counts(A, B, C, complex(one)):
-                raise ArgumentError(
-                    f"the sampled loop must be stable, it has a pole at |z| = {abs(one):.6g}; "
-                    "check the controller against the plant"
-                )
+                words = f"the sampled loop must be stable, it has a pole at |z| = {abs(one):.6g}"
+                raise ArgumentError(f"{words}; check the controller against the plant")
         return z
 
     def _counts(self, A: FloatArray, B: FloatArray, C: FloatArray, z: complex) -> bool:

@@ -224,10 +224,8 @@ def _joined(
             made[name] = where
     for name, where in made.items():
         if name not in outputs and name not in taken:
-            raise ArgumentError(
-                f"{where}: output {name!r} is neither a torquer nor an input of a later controller; "
-                f"use one of {', '.join(outputs)}"
-            )
+            words = f"output {name!r} is neither a torquer nor an input of a later controller"
+            raise ArgumentError(f"{where}: {words}; use one of {', '.join(outputs)}")
     final = np.array([rows[name] if name in made else np.zeros(size) for name in outputs]).reshape(len(outputs), size)
     final = np.vstack([final, *taken_apart])
     return System(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
@@ -240,10 +238,8 @@ def _expect_inputs(where: str, inputs: Sequence[str], known: Collection[str]) ->
             f"{where}: input {unknown[0]!r} is a rate that no sensor measures; add a rate sensor to the plant"
         )
     if unknown:
-        raise ArgumentError(
-            f"{where}: input {unknown[0]!r} is neither a pick-off nor an output of an earlier controller; "
-            f"use one of {', '.join(known) or 'none'}"
-        )
+        words = f"input {unknown[0]!r} is neither a pick-off nor an output of an earlier controller"
+        raise ArgumentError(f"{where}: {words}; use one of {', '.join(known) or 'none'}")
 
 
 def _where(k: int, system: StateSpace) -> str:

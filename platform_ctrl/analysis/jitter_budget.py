@@ -163,10 +163,8 @@ class JitterBudget:
             ]
             if not active:
                 return done
-        raise ArgumentError(
-            "jitter budget: a variance grows without bound towards zero frequency; "
-            "give the lowest frequency that counts"
-        )
+        words = "jitter budget: a variance grows without bound towards zero frequency"
+        raise ArgumentError(f"{words}; give the lowest frequency that counts")
 
     def _contribution(
         self, panels: list[integrals.Panel], controller: MultiRate, over_frequency: bool

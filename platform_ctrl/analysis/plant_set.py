@@ -267,10 +267,8 @@ class PlantSet:
         inner = inner._replace(A=K.A[:n, :n], B=inner.B[:n], C=K.C[:, :n])
         made = fed.joined_to(inner.part(of, slice(None)))
         if not K.part(of, every).alike(made, _ALIKE):
-            raise ArgumentError(
-                f"controller: its feedforward from {', '.join(fed.sensors)} is not the one that follows from the "
-                "plant; design it again"
-            )
+            words = f"its feedforward from {', '.join(fed.sensors)} is not the one that follows from the plant"
+            raise ArgumentError(f"controller: {words}; design it again")
         return inner, own
 
     def feedback(self, controller: System) -> System:

@@ -155,10 +155,8 @@ def split_delay(where: str, period: float, delay: float, inputs: int) -> tuple[f
     """Return the period, s, and the delay in periods: a whole number and the part that is left."""
     period, delay = positive(f"{where}: period", period), positive(f"{where}: delay", delay, zero=True)
     if delay / period * inputs > MOST_HELD:
-        raise ArgumentError(
-            f"{where}: delay = {delay:.4g} s needs {delay / period * inputs:.4g} states for held inputs; "
-            f"at most {MOST_HELD} are possible"
-        )
+        words = f"delay = {delay:.4g} s needs {delay / period * inputs:.4g} states for held inputs"
+        raise ArgumentError(f"{where}: {words}; at most {MOST_HELD} are possible")
     whole = math.floor(delay / period + 1e-9)
     part = delay / period - whole
     # A delay given as a decimal fraction is rarely a multiple of the period to the last bit.

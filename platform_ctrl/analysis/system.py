@@ -170,10 +170,8 @@ def _batch(one: System, other: System) -> tuple[int, ...]:
 def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
     smallest = np.linalg.svd(matrix, compute_uv=False).min(initial=np.inf)
     if not smallest > 1e-12 * max(1.0, float(np.abs(matrix).max())):
-        raise ArgumentError(
-            "closed_loop: the algebraic loop I - D_K D_P is singular (smallest singular value "
-            f"{smallest:.1e}); add a lag or a delay, or change a direct gain"
-        )
+        words = f"the algebraic loop I - D_K D_P is singular (smallest singular value {smallest:.1e})"
+        raise ArgumentError(f"closed_loop: {words}; add a lag or a delay, or change a direct gain")
     return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
 
 

@@ -278,10 +278,8 @@ def campaign_summary(job: Job, controllers: Sequence[StateSpace], folder: Path) 
         raise InputError(f"{where}: is not complete; the same platform-ctrl campaign continues it")
     made, changed = recorded_plan(job, controllers, record)
     if changed:
-        raise InputError(
-            f"{where}: was simulated with {'; '.join(changed)}; repeat it with platform-ctrl campaign, or leave the "
-            "option out"
-        )
+        words = f"{where}: was simulated with {'; '.join(changed)}"
+        raise InputError(f"{words}; repeat it with platform-ctrl campaign, or leave the option out")
     return summarise(made, folder / TABLE)
 
 

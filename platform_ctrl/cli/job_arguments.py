@@ -147,10 +147,8 @@ def _expect_newest(file: Path, result: Path, path: Path, job: Job) -> None:
     for made in dict.fromkeys((result, path.parent / DESIGNED / RESULT)):
         newer = file != made and made.is_file() and made.stat().st_mtime_ns > file.stat().st_mtime_ns
         if newer and is_of_job(made, job):
-            raise InputError(
-                f"{file}: is older than {made}, which platform-ctrl design {path} wrote for this job; name one of the "
-                f"two with --controllers, or remove {file}"
-            )
+            words = f"{file}: is older than {made}, which platform-ctrl design {path} wrote for this job"
+            raise InputError(f"{words}; name one of the two with --controllers, or remove {file}")
 
 
 def one_of(option: str, given: str, known: tuple[Word, ...]) -> Word:

@@ -150,10 +150,8 @@ def _campaign_run(job: Job, number: int, controllers: list[StateSpace], folder: 
     record = read_campaign_record(folder)
     plan, changed = recorded_plan(job, controllers, record)
     if changed:
-        raise InputError(
-            f"{folder / RECORD}: the campaign there was simulated with {'; '.join(changed)}; its runs cannot be "
-            "simulated again with what there is now"
-        )
+        words = f"{folder / RECORD}: the campaign there was simulated with {'; '.join(changed)}"
+        raise InputError(f"{words}; its runs cannot be simulated again with what there is now")
     if not 0 <= number < plan.runs:
         raise InputError(f"--run {number}: the campaign has the runs 0 to {plan.runs - 1}")
     arguments.prepare_folder(folder)

@@ -32,10 +32,8 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
         with replaced_file(target) as file:
             file.write_bytes(content.encode() if isinstance(content, str) else content)
     except OSError as error:
-        raise InputError(
-            f"{target}: cannot be written: {error.strerror or error}; name a path in a folder that exists and is "
-            "writable"
-        ) from None
+        words = f"{target}: cannot be written: {error.strerror or error}"
+        raise InputError(f"{words}; name a path in a folder that exists and is writable") from None
     return target
 
 

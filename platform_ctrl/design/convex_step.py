@@ -206,10 +206,8 @@ def _minimised(
     if status == "MaxTime":
         raise TimeLimitError(f"measured_pid: no convex step in {time_limit:.3g} s; give a larger time_limit", problem)
     if status not in ("Solved", "AlmostSolved") or not np.all(np.isfinite(x)):
-        raise UnscalableError(
-            f"measured_pid: a convex step ended with {status!r}; give another start or pattern, or looser limits",
-            problem,
-        )
+        words = f"measured_pid: a convex step ended with {status!r}"
+        raise UnscalableError(f"{words}; give another start or pattern, or looser limits", problem)
     return x
 
 

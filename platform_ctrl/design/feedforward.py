@@ -81,10 +81,8 @@ def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedfo
         path = _filtered(w * rates, [(w * ~rates, _LEAK)], period)
         scale = _worst_scale(w, weights, seen, sensors, signals.sensors)
     if not path.D.any():
-        raise InputError(
-            f"{where}: with into = {fed.into!r} the rates {', '.join(fed.sensors)} add nothing to this loop; "
-            "leave it out, or choose other sensors"
-        )
+        words = f"with into = {fed.into!r} the rates {', '.join(fed.sensors)} add nothing to this loop"
+        raise InputError(f"{where}: {words}; leave it out, or choose other sensors")
     late = [sensor.periods_late(job.sampling.period, every) for sensor in sensors]
     smooth = _measured(model, signals, sensors, scale)
     return RateFeedforward(
@@ -201,10 +199,8 @@ def _expect_whole(where: str, weights: FloatArray, supplied: FloatArray, signals
     lacking = np.abs(weights - supplied).max(axis=0) > _ROUNDING * np.abs(weights).max()
     if lacking.any():
         names = ", ".join(name for name, one in zip(OMEGA_NAMES, lacking, strict=True) if one)
-        raise InputError(
-            f"{where}: its sensors do not measure {names}, which the readings lack to become inertial; "
-            "add rate sensors of the root about these axes"
-        )
+        words = f"its sensors do not measure {names}, which the readings lack to become inertial"
+        raise InputError(f"{where}: {words}; add rate sensors of the root about these axes")
 
 
 def _worst_scale(

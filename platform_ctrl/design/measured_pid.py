@@ -119,11 +119,8 @@ def measured_pid(
     worst, name, at = search.worst(gains)
     counts = search.unstable_poles(gains)
     if worst > 1.0 or any(counts):
-        raise NotCertifiedError(
-            f"measured_pid: {name} is {worst:.6g} times its limit at {at * _HZ:.4g} Hz, with {max(counts)} unstable "
-            "poles; give more steps",
-            data,
-        )
+        words = f"{name} is {worst:.6g} times its limit at {at * _HZ:.4g} Hz, with {max(counts)} unstable poles"
+        raise NotCertifiedError(f"measured_pid: {words}; give more steps", data)
     noise, T = [], []
     for path, sample in zip(search.contours, search.samples, strict=True):
         measured = sample.only(np.flatnonzero(path.residue == 0.0))

@@ -225,10 +225,8 @@ def autoscaled_with_gain(plant: Partition) -> ScaledPlant:
     scaled = autoscale(plant)
     p = scaled.plant
     if not all(np.all(np.isfinite(M)) for M in (p.A, p.B1, p.B2, p.C1, p.C2, p.D11, p.D12, p.D21)):
-        raise UnscalableError(
-            "the plant's numbers are so far apart that no units make all of them finite; leave out what is faster or "
-            "slower than the loop by many decades"
-        )
+        words = "the plant's numbers are so far apart that no units make all of them finite"
+        raise UnscalableError(f"{words}; leave out what is faster or slower than the loop by many decades")
     disturbance = float(np.linalg.norm(p.B1) * np.linalg.norm(p.C1))
     loop = float(np.linalg.norm(p.B2) * np.linalg.norm(p.C2))
     if not (0.0 < disturbance < np.inf and 0.0 < loop < np.inf):
@@ -354,17 +352,11 @@ def require_assumptions(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
     controls = named(np.abs(scaled.control[:, r:]).sum(axis=1), P.input_labels[-nu:])
     measured = named(np.abs(scaled.measurement[s:]).sum(axis=0), P.output_labels[-ny:])
     if r < nu:
-        raise IllPosedError(
-            f"{where}: D12 must have full column rank {nu}, but has {r}: z does not contain {controls} directly; add a "
-            f"small weight on every control to z{cure}",
-            P,
-        )
+        words = f"D12 must have full column rank {nu}, but has {r}: z does not contain {controls} directly"
+        raise IllPosedError(f"{where}: {words}; add a small weight on every control to z{cure}", P)
     if s < ny:
-        raise IllPosedError(
-            f"{where}: D21 must have full row rank {ny}, but has {s}: no w disturbs {measured} directly; add a small "
-            f"noise on every measurement to w{cure}",
-            P,
-        )
+        words = f"D21 must have full row rank {ny}, but has {s}: no w disturbs {measured} directly"
+        raise IllPosedError(f"{where}: {words}; add a small noise on every measurement to w{cure}", P)
     if (found := zero_on_boundary(scaled.plant)) is None:
         return
     what, zero, states = found
@@ -372,11 +364,8 @@ def require_assumptions(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
         place = f"the unit circle, but {what} at z = {zero.real:.4g}{zero.imag:+.4g}j"
     else:
         place = f"the imaginary axis, but {what} at {abs(zero) * scaled.rate:.4g} rad/s" + " (w-plane)" * bool(P.dt)
-    raise IllPosedError(
-        f"{where}: there must be no zero on {place} in the states {named(states * scaled.state, P.state_labels)}; "
-        f"shift the weight with that pole or zero to the left{cure}",
-        P,
-    )
+    words = f"there must be no zero on {place} in the states {named(states * scaled.state, P.state_labels)}"
+    raise IllPosedError(f"{where}: {words}; shift the weight with that pole or zero to the left{cure}", P)
 
 
 def zero_on_boundary(p: Partition) -> tuple[str, complex, FloatArray] | None:

@@ -183,11 +183,8 @@ def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[Syste
     gamma = (1 + backoff) * least
     found = _trial(sides, gamma)
     if found is None or not 0.0 <= found.radius < gamma**2:
-        raise UnscalableError(
-            f"{WHERE}: no solution at {1 + backoff:.6g} times the least gamma {least * scaled.gain:.6g}; "
-            'give a larger backoff, or method="lmi"',
-            P,
-        )
+        words = f"no solution at {1 + backoff:.6g} times the least gamma {least * scaled.gain:.6g}"
+        raise UnscalableError(f'{WHERE}: {words}; give a larger backoff, or method="lmi"', P)
     X, Y = (
         refined(equation, V, f"{WHERE}: the Riccati equation of {name}")
         for name, equation, V in zip("XY", _equations(sides, gamma), (found.X, found.Y), strict=True)
@@ -197,11 +194,8 @@ def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[Syste
     around = np.linalg.cond(np.eye(len(made.D)) + scaled.control @ made.D @ scaled.measurement @ scaled.D22)
     if around < LARGEST_LOOP_CONDITION:
         return unscale(made, scaled), least * scaled.gain
-    raise UnscalableError(
-        f"{WHERE}: the loop of u and y is not well posed with the controller at gamma = {gamma * scaled.gain:.6g}; "
-        'give a larger backoff, or method="lmi"',
-        P,
-    )
+    words = f"the loop of u and y is not well posed with the controller at gamma = {gamma * scaled.gain:.6g}"
+    raise UnscalableError(f'{WHERE}: {words}; give a larger backoff, or method="lmi"', P)
 
 
 def _normal_form(plant: Partition) -> Partition:

@@ -117,10 +117,8 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
     """
     names = tuple(dict.fromkeys(platform.loads.get(name, name) for name in gimbals))
     if not 1 <= len(names) == len(sensors) <= MOST_AXES:
-        raise ArgumentError(
-            f"resolve = true needs a sensor for each gimbal, {MOST_AXES} at most; here are the sensors "
-            f"{', '.join(sensors)} and the gimbals {', '.join(names)}"
-        )
+        words = f"resolve = true needs a sensor for each gimbal, {MOST_AXES} at most"
+        raise ArgumentError(f"{words}; here are the sensors {', '.join(sensors)} and the gimbals {', '.join(names)}")
     measured = _encoders(platform)
     known = {one.name: one for one in platform.sensors}
     encoders: list[str] = []
@@ -131,10 +129,8 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
         path = _path(platform, name, getattr(sensor, "body", None), getattr(sensor, "frame", "inertial"))
         columns = [names.index(g) if (g := platform.gimbal_names[k]) in names else -1 for k in path]
         if max(columns, default=-1) < 0:
-            raise ArgumentError(
-                f"{name} is on {sensor.body!r}, which none of the gimbals {', '.join(names)} carries; resolve = true "
-                "needs sensors of bodies that these turn"
-            )
+            words = f"{name} is on {sensor.body!r}, which none of the gimbals {', '.join(names)} carries"
+            raise ArgumentError(f"{words}; resolve = true needs sensors of bodies that these turn")
         # The angles of this gimbal, and of those nearer to the root, turn sensor and axes alike.
         last = max(k for k, column in enumerate(columns) if column >= 0)
         steps = []
@@ -197,10 +193,8 @@ def resolve_misfits(loop: Mapping[str, Any]) -> Iterator[Misfit]:
 def _path(platform: Platform, name: str, body: str | None, frame: str) -> list[int]:
     """Return the indices of the gimbals from a sensor's body to the root."""
     if body is None or frame != "inertial":
-        raise ArgumentError(
-            f"{name} measures about an axis of the root or of a joint already; resolve = true turns readings of "
-            "sensors of bodies against inertial space"
-        )
+        words = f"{name} measures about an axis of the root or of a joint already"
+        raise ArgumentError(f"{words}; resolve = true turns readings of sensors of bodies against inertial space")
     k, out = platform.body(body) - 1, []
     while k >= 0:
         out.append(k)

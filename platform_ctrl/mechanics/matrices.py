@@ -213,10 +213,8 @@ def solved_inertia(mass: FloatArray, momenta: FloatArray, names: Sequence[str]) 
     if values.size and values[0] < _SINGULAR * values[-1]:
         # What moves in the null direction, by its share of the scaled motion.
         joint = [name for name, part in zip(names, np.abs(vectors[:, 0]), strict=True) if part > 0.3]
-        raise MechanicsError(
-            f"A* is singular at these angles: {', '.join(joint)} can move without moving any inertia (gimbal lock); "
-            "choose other angles, or add inertia about that axis"
-        )
+        words = f"A* is singular at these angles: {', '.join(joint)} can move without moving any inertia (gimbal lock)"
+        raise MechanicsError(f"{words}; choose other angles, or add inertia about that axis")
     # Elimination keeps more digits of rows of very different size than the eigenvectors do.
     return np.asarray((scale * np.linalg.solve(unit, (scale * momenta.T).T).T).T)
 

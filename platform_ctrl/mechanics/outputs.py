@@ -82,10 +82,8 @@ def observed_system(
     known = outputs.keys() | model.rows.keys() | model.rates.keys()
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise ArgumentError(
-            f"observed: there is no output {unknown[0]!r} of platform {platform.name!r}; "
-            f"known: {', '.join((*outputs, *model.rows))}"
-        )
+        words = f"observed: there is no output {unknown[0]!r} of platform {platform.name!r}"
+        raise ArgumentError(f"{words}; known: {', '.join((*outputs, *model.rows))}")
     wanted = [outputs.get(name, {name: 1.0}) for name in names]
     rows, integrated = model.integrated(wanted)
     filters = [sensors.get(name) for name in names]

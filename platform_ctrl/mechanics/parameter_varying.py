@@ -250,10 +250,8 @@ class ParameterVaryingModel:
         limits = np.concatenate([_limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)])
         counts = [number if limit > 0.0 else 1 for number, limit in zip(_points(points), limits, strict=True)]
         if (count := math.prod(counts)) > _MOST_POINTS:
-            raise ArgumentError(
-                f"points: {short(points)} are {count} points, at most {_MOST_POINTS} are possible; take fewer, or a "
-                "limit of zero for an axis that hardly turns"
-            )
+            words = f"points: {short(points)} are {count} points, at most {_MOST_POINTS} are possible"
+            raise ArgumentError(f"{words}; take fewer, or a limit of zero for an axis that hardly turns")
         axes = [
             np.linspace(-end, end, number) if number > 1 else np.zeros(1)
             for end, number in zip(limits, counts, strict=True)

@@ -245,10 +245,8 @@ def merged_controller(
     taken = {name for system in active for name in system.input_labels}
     useless = [name.removesuffix(COMMAND) for name in commands if name not in taken]
     if useless:
-        raise ArgumentError(
-            f"commands: no controller takes a command of {useless[0]!r}; design the loop that reads it again, in a job "
-            "whose manoeuvre commands it"
-        )
+        words = f"commands: no controller takes a command of {useless[0]!r}"
+        raise ArgumentError(f"{words}; design the loop that reads it again, in a job whose manoeuvre commands it")
     limited = [t.name for t in platform.torquers if t.limit is not None]
     by_sample = interconnected_by_sample(active, [*readings, *commands], torquers, period, limited)
     rates = np.zeros((len(scenario.drives), by_sample[0].B.shape[1]))

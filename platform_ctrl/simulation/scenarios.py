@@ -348,10 +348,8 @@ def equilibrium_torques(scenario: Scenario) -> FloatArray:
     scale = float(np.abs(out).max(initial=0.0))
     for place in np.flatnonzero(np.abs(forces) > 1e-9 * max(scale, 1e-9)).tolist():
         what = f"root axis {place + 1}" if place < 3 else f"gimbal {platform.gimbal_names[place - 3]!r}"
-        raise ArgumentError(
-            f"start: {what} is not in equilibrium, {forces[place]:.3g} N m act on it and no torquer turns it; "
-            "give it a torquer, balance it or start at rest"
-        )
+        words = f"{what} is not in equilibrium, {forces[place]:.3g} N m act on it and no torquer turns it"
+        raise ArgumentError(f"start: {words}; give it a torquer, balance it or start at rest")
     return out
 
 
