@@ -85,11 +85,9 @@ def closed_loop(plant: NamedSystem, controller: NamedSystem) -> StateSpace:
     """
     P, K, at, seen = _matched(plant, controller, "closed_loop")
     of_plant, of_controller = _states(plant, P, controller, K)
-    return P.feedback(K, at, seen).to_control(
-        list(plant.input_labels) + [f"noise_{plant.output_labels[i]}" for i in seen],
-        [plant.input_labels[i] for i in at] + list(plant.output_labels),
-        of_plant + of_controller,
-    )
+    inputs = [*plant.input_labels, *(f"noise_{plant.output_labels[i]}" for i in seen)]
+    outputs = [*(plant.input_labels[i] for i in at), *plant.output_labels]
+    return P.feedback(K, at, seen).to_control(inputs, outputs, of_plant + of_controller)
 
 
 def _states(plant: NamedSystem, P: System, controller: NamedSystem, K: System) -> tuple[list[str], list[str]]:
@@ -148,20 +146,14 @@ def _matched(plant: NamedSystem, controller: NamedSystem, where: str) -> tuple[S
         dt = max(P.dt, K.dt)
         P, K = P._replace(dt=dt), K._replace(dt=dt)
     if abs(P.dt - K.dt) > 1e-9 * max(P.dt, K.dt):
-        raise ArgumentError(
-            f"{where}: plant and controller must have the same sample period, got {P.dt} s and {K.dt} s; "
-            "see platform_ctrl.analysis.sampled"
-        )
+        words = f"plant and controller must have the same sample period, got {P.dt} s and {K.dt} s"
+        raise ArgumentError(f"{where}: {words}; see platform_ctrl.analysis.sampled")
     if isinstance(plant, System) or isinstance(controller, System):
         raise ArgumentError(f"{where}: plant and controller must both have named signals, or both be System")
     inputs, outputs = list(plant.input_labels), list(plant.output_labels)
     if set(controller.output_labels) <= set(inputs) and set(controller.input_labels) <= set(outputs):
-        return (
-            P,
-            K,
-            [inputs.index(name) for name in controller.output_labels],
-            [outputs.index(name) for name in controller.input_labels],
-        )
+        at = [inputs.index(name) for name in controller.output_labels]
+        return P, K, at, [outputs.index(name) for name in controller.input_labels]
     if (K.D.shape[1], K.D.shape[0]) != P.D.shape:
         raise ArgumentError(
             f"{where}: the controller has inputs {list(controller.input_labels)} and outputs "

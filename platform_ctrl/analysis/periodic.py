@@ -69,11 +69,8 @@ def joined(first: CostateStep, second: CostateStep) -> CostateStep:
     core = np.linalg.inv(np.eye(len(gain)) - gain)
     seen = second.Q @ B
     middle, G, Q = np.eye(len(first.A)) + B @ core @ seen.T, B @ core @ B.T, second.Q + seen @ core @ seen.T
-    return CostateStep(
-        second.A @ middle @ first.A,
-        _symmetric(second.G + second.A @ G @ second.A.T),
-        _symmetric(first.Q + first.A.T @ Q @ first.A),
-    )
+    G, Q = second.G + second.A @ G @ second.A.T, first.Q + first.A.T @ Q @ first.A
+    return CostateStep(second.A @ middle @ first.A, _symmetric(G), _symmetric(Q))
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:
@@ -211,11 +208,8 @@ def pruned(systems: Sequence[System]) -> list[System]:
     for k, (one, now) in enumerate(zip(systems, live, strict=True)):
         after = live[(k + 1) % len(live)]
         own = one._replace(A=one.A[np.ix_(after, now)], B=one.B[after], C=one.C[:, now])
-        out.append(
-            made.setdefault(
-                (str(own.A.shape).encode(), *(matrix.tobytes() for matrix in (own.A, own.B, own.C, own.D))), own
-            )
-        )
+        key = (str(own.A.shape).encode(), *(matrix.tobytes() for matrix in (own.A, own.B, own.C, own.D)))
+        out.append(made.setdefault(key, own))
     return out
 
 

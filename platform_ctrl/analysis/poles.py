@@ -70,11 +70,8 @@ def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
         return z
     # By parts: no complex infinities with undefined angles, and no digits lost next to z = 1.
     with np.errstate(divide="ignore", over="ignore"):
-        growth = np.where(
-            np.abs(z - 1.0) < 0.5,
-            0.5 * np.log1p(np.maximum((z.real - 1.0) * (z.real + 1.0) + z.imag**2, -1.0)),
-            np.log(np.abs(z)),
-        )
+        near = 0.5 * np.log1p(np.maximum((z.real - 1.0) * (z.real + 1.0) + z.imag**2, -1.0))
+        growth = np.where(np.abs(z - 1.0) < 0.5, near, np.log(np.abs(z)))
     out = np.empty(z.shape, dtype=np.complex128)
     out.real = growth / dt
     out.imag = np.where(z == 0.0, 0.0, np.angle(z) / dt)

@@ -91,13 +91,8 @@ def _prewarped(
         for c2, c1, c0 in (numerator, denominator)
     )
     a, b = a / a[0], b / a[0]
-    return System(
-        np.array([[-a[1], -a[2]], [1.0, 0.0]]),
-        np.array([[1.0], [0.0]]),
-        np.array([[b[1] - b[0] * a[1], b[2] - b[0] * a[2]]]),
-        np.array([[b[0]]]),
-        period,
-    )
+    A, C = np.array([[-a[1], -a[2]], [1.0, 0.0]]), np.array([[b[1] - b[0] * a[1], b[2] - b[0] * a[2]]])
+    return System(A, np.array([[1.0], [0.0]]), C, np.array([[b[0]]]), period)
 
 
 def gain(matrix: FloatArray | float) -> System:

@@ -6,7 +6,7 @@ The job's reader, campaigns, reports, the simulation and the documentation are m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 from platform_ctrl.plant import fields
@@ -147,9 +147,6 @@ FAULT_KINDS: dict[str, FaultKind] = {
 
 def part_names(platform: Platform, kind: PartKind) -> list[str]:
     """Return the names of the parts of a plant that a fault may happen to."""
-    return {
-        "rotor": [rotor.name for rotor in platform.rotors],
-        "torquer": [torquer.name for torquer in platform.torquers],
-        "pick-off": [sensor.name for sensor in platform.sensors],
-        "gimbal": list(platform.gimbal_names),
-    }[kind]
+    kinds: dict[str, Sequence[Any]]
+    kinds = {"rotor": platform.rotors, "torquer": platform.torquers, "pick-off": platform.sensors}
+    return [one.name for one in kinds.get(kind, platform.gimbals)]

@@ -235,12 +235,8 @@ def linear_system(
     n = len(names)
     mobility = inverse_inertia(M, names)
     A = np.block([[np.zeros((n, n)), mobility], [-K, -G @ mobility]])
-    B = np.block(
-        [
-            [np.zeros((n, len(torquers))), -mobility @ M_Omega, np.zeros((n, 3))],
-            [torque_map, G @ mobility @ M_Omega - G_Omega, Q_force],
-        ]
-    )
+    of_rates = [np.zeros((n, len(torquers))), -mobility @ M_Omega, np.zeros((n, 3))]
+    B = np.block([of_rates, [torque_map, G @ mobility @ M_Omega - G_Omega, Q_force]])
     C = np.eye(len(rows), 2 * n)
     inputs = [*torquers, *OMEGA_NAMES, *FORCE_NAMES]
     states = [*names, *(f"p_{name}" for name in names)]

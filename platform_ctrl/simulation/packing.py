@@ -265,7 +265,9 @@ def _at(platform: Platform, n: int, servos: int) -> At:
     bare = currents + 3 * windings
     keeps = bare if laws > 1 << arrays.SMOOTH else 0
     size = bare + (n * arrays.FRICTION if keeps else 0)
-    shape, block = arrays.INERTIAL + 3 + n, arrays.slots_of_block(n, windings, modes)
+    # A block of the surroundings: [M, Q], Omega, specific force, of every body its rotors' momentum and how fast that
+    # changes, the torques wanted of currents, and what the torquers excite the modes with.
+    shape, block = arrays.INERTIAL + 3 + n, 7 * n + 15 + windings + modes
     take = arrays.Slots()
     return At(
         yes=True,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -129,12 +130,9 @@ def _check_speed_loops(platforms: Sequence[Platform], steps: ArrayLike, free: bo
     low = 0 if free else 3
     A = _masses(shape, platforms, at, ("regulated",))[:, low:, low:]
     B = directions(at)[servos, low:]
-    C, gain, integral = np.array(
-        [
-            [(p.rotors[k].axial_inertia, p.rotors[k].speed_gain, p.rotors[k].speed_integral) for k in servos]
-            for p in platforms
-        ]
-    ).transpose(2, 0, 1)
+    loop = attrgetter("axial_inertia", "speed_gain", "speed_integral")
+    loops = [[loop(p.rotors[k]) for k in servos] for p in platforms]
+    C, gain, integral = np.array(loops).transpose(2, 0, 1)
     # Spin per momentum that the motor exchanges. A joint that moves nothing (a singular A) is for the run to find.
     compliance = 1.0 / C + np.einsum("ri,nij,rj->nr", B, np.linalg.pinv(A, hermitian=True), B)
     half, product = 0.5 * gain * compliance, integral * compliance

@@ -115,12 +115,8 @@ class Classical(SectionedMethod):
         slowest = min(given.get(name, 0.6 * nutation_hz) for name in acting or ["crossover_hz"])
         out["integral_hz"] = 0.04 * slowest
         if len(channel.momenta):
-            out |= {
-                "damping_hz": 0.9 * nutation_hz,
-                "damping2_hz": 1.1 * nutation_hz,
-                "lead_hz": 0.12 * nutation_hz,
-                "rolloff_hz": 0.4 * rate_hz,
-            }
+            out |= {"damping_hz": 0.9 * nutation_hz, "damping2_hz": 1.1 * nutation_hz}
+            out |= {"lead_hz": 0.12 * nutation_hz, "rolloff_hz": 0.4 * rate_hz}
             if any(name.startswith("notch") for name in given):
                 out |= {"notch_hz": nutation_hz, "notch_depth": 0.7, "notch_width": 0.3}
         if any(name.startswith("lag") for name in given):
@@ -128,11 +124,8 @@ class Classical(SectionedMethod):
         if any(name.startswith("spin_notch") for name in given):
             out |= {"spin_notch_hz": _spin_hz(given, channel), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
         if channel.inertial:
-            out |= {
-                "inertial_crossover_hz": 0.6 * nutation_hz,
-                "inertial_lead_hz": 0.2 * nutation_hz,
-                "inertial_rolloff_hz": 0.4 * rate_hz,
-            }
+            out |= {"inertial_crossover_hz": 0.6 * nutation_hz, "inertial_lead_hz": 0.2 * nutation_hz}
+            out["inertial_rolloff_hz"] = 0.4 * rate_hz
         out = self.completed(given, out, period)
         if not out.get("lag_ratio", 2.0) > 1.0:
             raise DesignError(

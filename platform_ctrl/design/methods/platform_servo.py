@@ -52,12 +52,8 @@ class PlatformServo(Method):
         """
         design, period = problem.design, problem.job.sampling.period
         crossover = design.options.get("crossover_hz", 5.0)
-        defaults = {
-            "crossover_hz": crossover,
-            "position_hz": 0.3 * crossover,
-            "filter_hz": 10.0 * crossover,
-            "filter_damping": 0.7,
-        }
+        defaults = {"crossover_hz": crossover, "position_hz": 0.3 * crossover}
+        defaults |= {"filter_hz": 10.0 * crossover, "filter_damping": 0.7}
         options = self.completed(design.options, defaults, period)
         sections = self.sections(problem, options)
         inputs, outputs = sections[0].inputs, sections[-1].outputs

@@ -241,11 +241,8 @@ class Code:
         K, code = self.controller, "".join(line for _, lines in self.step.paragraphs for line in lines)
         numbers = len(K.inputs) + len(K.states) + len(K.outputs)
         # Two comparisons for each number that has to be finite; two to limit and two for the status.
-        return (
-            code.count(" * "),
-            code.count(" + ") + code.count(" - "),
-            2 * numbers + 4 * int(np.isfinite(K.limits).sum()),
-        )
+        comparisons = 2 * numbers + 4 * int(np.isfinite(K.limits).sum())
+        return code.count(" * "), code.count(" + ") + code.count(" - "), comparisons
 
     @cached_property
     def step(self) -> StepCode:

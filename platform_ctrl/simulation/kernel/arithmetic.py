@@ -30,34 +30,15 @@ def cosine_and_sine(x: Number) -> tuple[Number, Number]:
     k = whole(x * _TWO_OVER_PI + 0.5)
     r = ((x - k * _HALF_PI[0]) - k * _HALF_PI[1]) - k * _HALF_PI[2]
     z = r * r
-    s = r + r * z * (
-        -1.0 / 6.0
-        + z
-        * (
-            1.0 / 120.0
-            + z
-            * (
-                -1.0 / 5040.0
-                + z * (1.0 / 362880.0 + z * (-1.0 / 39916800.0 + z * (1.0 / 6227020800.0 - z / 1307674368000.0)))
-            )
-        )
-    )
-    c = 1.0 - z * (
-        0.5
-        - z
-        * (
-            1.0 / 24.0
-            - z
-            * (
-                1.0 / 720.0
-                - z
-                * (
-                    1.0 / 40320.0
-                    - z * (1.0 / 3628800.0 - z * (1.0 / 479001600.0 - z * (1.0 / 87178291200.0 - z / 20922789888000.0)))
-                )
-            )
-        )
-    )
+    # The series by Horner's rule, two terms a line.
+    s = 1.0 / 6227020800.0 - z / 1307674368000.0
+    s = 1.0 / 362880.0 + z * (-1.0 / 39916800.0 + z * s)
+    s = 1.0 / 120.0 + z * (-1.0 / 5040.0 + z * s)
+    s = r + r * z * (-1.0 / 6.0 + z * s)
+    c = 1.0 / 87178291200.0 - z / 20922789888000.0
+    c = 1.0 / 3628800.0 - z * (1.0 / 479001600.0 - z * c)
+    c = 1.0 / 720.0 - z * (1.0 / 40320.0 - z * c)
+    c = 1.0 - z * (0.5 - z * (1.0 / 24.0 - z * c))
     quarter = k - 4.0 * whole(0.25 * k)
     odd = (quarter == 1.0) | (quarter == 3.0)
     cosine, sine = choose(odd, s, c), choose(odd, c, s)
@@ -126,11 +107,8 @@ def add(mem: FloatArray, slot: int, number: Number) -> None:
 def from_parent(links: Links, mem: FloatArray, m: int, slot: int) -> Vector:
     """A vector of the parent, in the axes that gimbal m of the order has at q = 0."""
     tree, turn = links.tree, links.turn
-    x, y, z = (
-        load(mem, slot + tree[m, arrays.X]),
-        load(mem, slot + tree[m, arrays.Y]),
-        load(mem, slot + tree[m, arrays.Z]),
-    )
+    i, j, k = slot + tree[m, arrays.X], slot + tree[m, arrays.Y], slot + tree[m, arrays.Z]
+    x, y, z = load(mem, i), load(mem, j), load(mem, k)
     if tree[m, arrays.SKEW] != 0:
         return (
             turn[m, 0, 0] * x + turn[m, 0, 1] * y + turn[m, 0, 2] * z,

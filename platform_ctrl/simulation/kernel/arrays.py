@@ -10,20 +10,8 @@ from numpy.typing import NDArray
 from platform_ctrl.common.values import FloatArray
 
 # Effects of a fault on a part. Actions on one part follow each other in this order.
-(
-    RUN_DOWN,
-    RUN_UP,
-    RIPPLE,
-    TORQUER_WEAK,
-    TORQUER_STUCK,
-    TORQUER_DEAD,
-    PICKOFF_DRIFT,
-    PICKOFF_DROPOUT,
-    PICKOFF_STUCK,
-    PICKOFF_DEAD,
-    OVERRUN,
-    CONTACT,
-) = range(12)
+RUN_DOWN, RUN_UP, RIPPLE, TORQUER_WEAK, TORQUER_STUCK, TORQUER_DEAD = range(6)
+PICKOFF_DRIFT, PICKOFF_DROPOUT, PICKOFF_STUCK, PICKOFF_DEAD, OVERRUN, CONTACT = range(6, 12)
 # The same by the names that `platform_ctrl.job.faults.FaultKind.action` gives.
 ACTIONS = {
     "run-down": RUN_DOWN,
@@ -287,12 +275,3 @@ class At(NamedTuple):
     spare_state: int
     spare_block: int
     end: int
-
-
-# A block of the surroundings: [M, Q], Omega, specific force, of every body its rotors' momentum and how fast that
-# changes, the torques wanted of currents, and what the torquers excite the modes with. Where the parts begin:
-
-
-def slots_of_block(n: int, windings: int, modes: int) -> int:
-    """Return the number of slots of a block of the surroundings of n gimbals, torques wanted of currents, and modes."""
-    return 7 * n + 15 + windings + modes

@@ -326,11 +326,9 @@ def resolve(shared: Shared, mem: FloatArray, layout: Layout) -> None:
                     angle = load(mem, layout.sensor + encoder * arrays.SENSOR + arrays.LAST)
                     cosine, sine = cosine_and_sine(angle)
                     rest = (1.0 - cosine) * along
-                    x, y, z = (
-                        cosine * x + sine * (b * z - c * y) + rest * a,
-                        cosine * y + sine * (c * x - a * z) + rest * b,
-                        cosine * z + sine * (a * y - b * x) + rest * c,
-                    )
+                    u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
+                    x, y = cosine * x + sine * u + rest * a, cosine * y + sine * v + rest * b
+                    z = cosine * z + sine * w + rest * c
         _solve(mem, layout.turned, least, layout.turned + arrays.TO_TURN)
         _solve(mem, layout.turned, least, layout.turned + arrays.ERRORS)
         for i in range(size):
@@ -355,10 +353,5 @@ def _solve(mem: FloatArray, turned: int, least: Number, at: int) -> None:
     m00, m11, m22 = g11 * g22 - g12 * g12, g00 * g22 - g02 * g02, g00 * g11 - g01 * g01
     m01, m02, m12 = g02 * g12 - g01 * g22, g01 * g12 - g02 * g11, g01 * g02 - g00 * g12
     per: Number = 1.0 / (g00 * m00 + g01 * m01 + g02 * m02)
-    put(
-        mem,
-        at,
-        per * (m00 * x + m01 * y + m02 * z),
-        per * (m01 * x + m11 * y + m12 * z),
-        per * (m02 * x + m12 * y + m22 * z),
-    )
+    x, y, z = m00 * x + m01 * y + m02 * z, m01 * x + m11 * y + m12 * z, m02 * x + m12 * y + m22 * z
+    put(mem, at, per * x, per * y, per * z)
