@@ -80,7 +80,7 @@ def in_pieces(slope: Callable[[float, np.ndarray], np.ndarray], y: np.ndarray) -
     for begin, end in ((0.0, AT), (AT, 0.08), (0.08, END)):
         # An instant inside: at the corners themselves a course belongs to the other side.
         inside = lambda t, y, begin=begin, end=end: slope(min(max(t, begin + 1e-12), end - 1e-12), y)  # noqa: E731
-        y = solve_ivp(inside, (begin, end), y, rtol=1e-10, atol=1e-12).y[:, -1]
+        y = solve_ivp(inside, (begin, end), y, method="DOP853", rtol=1e-9, atol=1e-11).y[:, -1]
     return y
 
 
