@@ -98,6 +98,13 @@ def put(mem: FloatArray, slot: int, x: Number, y: Number, z: Number) -> None:
 
 
 @inlined
+def copy(mem: FloatArray, slot: int, source: int, count: int) -> None:
+    """Store the numbers at some slots, from `source` on, at as many from `slot` on."""
+    for i in range(count):
+        store(mem, slot + i, load(mem, source + i))
+
+
+@inlined
 def add(mem: FloatArray, slot: int, number: Number) -> None:
     """Add to the number at a slot."""
     store(mem, slot, load(mem, slot) + number)

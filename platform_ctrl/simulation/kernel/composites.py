@@ -12,6 +12,7 @@ from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import (
     Vector,
     add,
+    copy,
     cosine_and_sine,
     from_parent,
     put,
@@ -55,13 +56,9 @@ def gather(links: Links, mem: FloatArray, at: At, y: int, around: int) -> None:
     """Joints' cosines and sines, specific force, and what the subtrees are about their joints: J, m, S, unbalance."""
     for b in range(at.n + 1):
         work, place, own = at.work + b * arrays.WORK, at.place + b * arrays.PLACE, at.moving + b * arrays.MOVING
-        for i in range(6):
-            store(mem, work + arrays.INERTIA + i, load(mem, at.body + b * arrays.BODY + i))
-        for i in range(4):
-            store(mem, own + arrays.WHOLE + i, load(mem, place + arrays.MASS + i))
-        for i in range(3):
-            moment = load(mem, at.body + b * arrays.BODY + arrays.UNBALANCE + i)
-            store(mem, own + arrays.LOPSIDED + i, moment)
+        copy(mem, work + arrays.INERTIA, at.body + b * arrays.BODY, 6)
+        copy(mem, own + arrays.WHOLE, place + arrays.MASS, 4)
+        copy(mem, own + arrays.LOPSIDED, at.body + b * arrays.BODY + arrays.UNBALANCE, 3)
     f0, f1, f2 = felt_by_root(mem, at, y, around)
     put(mem, at.work + arrays.FORCE, f0, f1, f2)
     for m in range(at.n):

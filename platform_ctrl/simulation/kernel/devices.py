@@ -11,7 +11,7 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import LANES, Mask, Number, choose, greater, lesser, load, root, store, store_one
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine, logarithm, put
+from platform_ctrl.simulation.kernel.arithmetic import copy, cosine_and_sine, logarithm, put
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Shared
 
 
@@ -121,8 +121,7 @@ def new_torque(shared: Shared, mem: FloatArray, layout: Layout, segment: int, so
 def put_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, row: int) -> None:
     """Put [M, Q] into block `row`."""
     T = at.surroundings + row * at.block
-    for i in range(3):
-        store(mem, T + i, load(mem, layout.table + 3 * row + i))
+    copy(mem, T, layout.table + 3 * row, 3)
     pushed = layout.pushed + row * at.n - 3
     for i in range(3, at.n + 3):
         store(mem, T + i, load(mem, layout.steady + i) + load(mem, pushed + i))

@@ -37,6 +37,7 @@ from platform_ctrl.simulation.kernel import arrays, forces
 from platform_ctrl.simulation.kernel.arithmetic import (
     Vector,
     add,
+    copy,
     cosine_and_sine,
     from_parent,
     put,
@@ -57,10 +58,8 @@ def _outward(links: Links, mem: FloatArray, at: At, free: bool, bare: bool, y: i
     momenta = around + n + 9
     for b in range(n + 1):
         slot = at.work + b * arrays.WORK
-        for i in range(6):
-            store(mem, slot + arrays.INERTIA + i, load(mem, at.body + b * arrays.BODY + i))
-    w0, w1, w2 = vector(mem, y + n)
-    put(mem, at.work + arrays.RATE, w0, w1, w2)
+        copy(mem, slot + arrays.INERTIA, at.body + b * arrays.BODY, 6)
+    copy(mem, at.work + arrays.RATE, y + n, 3)
     if at.weight != 0:
         f0, f1, f2 = forces.felt_by_root(mem, at, y, around)
         put(mem, at.work + arrays.FORCE, f0, f1, f2)
@@ -301,8 +300,7 @@ def at_rest(mem: FloatArray, at: At) -> None:
     """Fill the spare state with the angles of the state, without rates, and the spare block with nothing that acts."""
     n = at.n
     zero = 0.0 * load(mem, at.state)
-    for i in range(at.size):
-        store(mem, at.spare_state + i, load(mem, at.state + i))
+    copy(mem, at.spare_state, at.state, at.size)
     for i in range(n + 3):
         store(mem, at.spare_state + n + i, zero)
     for i in range(2 * at.modes):
@@ -323,8 +321,7 @@ def response(links: Links, mem: FloatArray, at: At, free: bool, k: int, dy: int)
         store(mem, state + n + 3 + k, zero + 1.0)
     derivative(links, mem, at, free, at.no, at.yes, state, block, dy)
     if free:
-        for i in range(n):
-            store(mem, dy + i, load(mem, dy + n + 3 + i))
+        copy(mem, dy, dy + n + 3, n)
 
 
 @inlined
@@ -357,8 +354,7 @@ def runge_kutta(links: Links, mem: FloatArray, at: At, free: bool, locking: bool
     now, dy, total = at.stages, at.stages + size, at.stages + 2 * size
     block = at.block
     if not free:
-        for i in range(3):
-            store(mem, y + n + i, load(mem, at.surroundings + n + 3 + i))
+        copy(mem, y + n, at.surroundings + n + 3, 3)
     for stage in range(4):
         around = at.surroundings + (stage + 1) // 2 * block
         if at.keeps != 0:
@@ -385,11 +381,9 @@ def runge_kutta(links: Links, mem: FloatArray, at: At, free: bool, locking: bool
                 store(mem, y + i, load(mem, y + i) + sixth * both)
         if not free and stage < 3:
             block_ahead = at.surroundings + (stage + 2) // 2 * block
-            for i in range(3):
-                store(mem, now + n + i, load(mem, block_ahead + n + 3 + i))
+            copy(mem, now + n, block_ahead + n + 3, 3)
     if not free:
-        for i in range(3):
-            store(mem, y + n + i, load(mem, at.surroundings + 2 * block + n + 3 + i))
+        copy(mem, y + n, at.surroundings + 2 * block + n + 3, 3)
     e = y + 2 * n + 3
     square = 0.0 * load(mem, e)
     for i in range(4):

@@ -23,6 +23,7 @@ from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arithmetic import (
     Vector,
     add,
+    copy,
     cosine_and_sine,
     exponential,
     hyperbolic_tangent,
@@ -319,8 +320,7 @@ def follow_rotors(shared: Shared, mem: FloatArray, at: At, layout: Layout, t: Nu
     n = at.n
     _shares(shared, mem, layout, t)
     first, block = at.surroundings + n + 9, at.block
-    for i in range(3 * (n + 1)):
-        store(mem, first + 2 * block + i, load(mem, layout.steady + n + 9 + i))
+    copy(mem, first + 2 * block, layout.steady + n + 9, 3 * (n + 1))
     for r in range(shared.rotors.shape[0]):
         rotor, body, servo = layout.rotor + r * arrays.ROTOR, shared.rotors[r, 0], shared.rotors[r, 1]
         share = load(mem, rotor + arrays.SHARE)
@@ -343,10 +343,8 @@ def follow_rotors(shared: Shared, mem: FloatArray, at: At, layout: Layout, t: Nu
 def begin_surroundings(shared: Shared, mem: FloatArray, at: At, layout: Layout) -> None:
     """Fill all three blocks with what does not change."""
     for row in range(3):
-        for i in range(at.block):
-            store(mem, at.surroundings + row * at.block + i, load(mem, layout.steady + i))
-        for i in range(3):
-            store(mem, layout.table + 3 * row + i, load(mem, layout.steady + i))
+        copy(mem, at.surroundings + row * at.block, layout.steady, at.block)
+        copy(mem, layout.table + 3 * row, layout.steady, 3)
 
 
 @internal
@@ -355,18 +353,13 @@ def hand_on(shared: Shared, mem: FloatArray, at: At, layout: Layout, free: bool)
     n, block = at.n, at.surroundings
     end = block + 2 * at.block
     if not free:
-        for i in range(n + 3, n + 6):
-            store(mem, block + i, load(mem, end + i))
+        copy(mem, block + n + 3, end + n + 3, 3)
     if shared.lines.shape[0] > 0:
-        for i in range(n + 6, n + 9):
-            store(mem, block + i, load(mem, end + i))
-    for i in range(n):
-        store(mem, layout.pushed + i, load(mem, layout.pushed + 2 * n + i))
+        copy(mem, block + n + 6, end + n + 6, 3)
+    copy(mem, layout.pushed, layout.pushed + 2 * n, n)
     if at.course != 0:
-        for i in range(n + 9, 4 * n + 12):
-            store(mem, block + i, load(mem, end + i))
-    for i in range(3):
-        store(mem, layout.table + i, load(mem, layout.table + 6 + i))
+        copy(mem, block + n + 9, end + n + 9, 3 * n + 3)
+    copy(mem, layout.table, layout.table + 6, 3)
 
 
 @internal
@@ -407,8 +400,7 @@ def surround(
         for i in range(3, shared.pieces.shape[1]):
             store(mem, layout.pushed + row * n + i - 3, load(mem, layout.random + 1 + i))
     if shared.lines.shape[0] > 0:
-        for i in range(3):
-            store(mem, force + i, load(mem, layout.steady + n + 6 + i))
+        copy(mem, force, layout.steady + n + 6, 3)
         there = zero + 1.0
         if layout.fade != 0:
             there = _faded(mem, layout, t)

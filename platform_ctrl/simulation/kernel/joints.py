@@ -6,6 +6,7 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, lesser, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arithmetic import copy
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.dynamics import at_rest, derivative, joint_momenta, push, response, runge_kutta
 from platform_ctrl.simulation.kernel.forces import deflection, dry_torque
@@ -115,8 +116,7 @@ def _put_back(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool,
     before, after, root = layout.velocity + n, at.stages, at.work + arrays.MOMENT
     if free:
         joint_momenta(links, mem, at, at.state, end, before + 3)
-        for i in range(3):
-            store(mem, before + i, load(mem, root + i))
+        copy(mem, before, root, 3)
     for k in range(n):
         stop, q = layout.stop + k * arrays.STOP, load(mem, at.state + k)
         inside = lesser(greater(q, load(mem, stop + arrays.LOW)), load(mem, stop + arrays.HIGH))
@@ -124,8 +124,7 @@ def _put_back(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool,
     if not free:  # the momenta are the state
         return
     joint_momenta(links, mem, at, at.state, end, after + 3)
-    for i in range(3):
-        store(mem, after + i, load(mem, root + i))
+    copy(mem, after, root, 3)
     at_rest(mem, at)
     for i in range(n + 3):
         missing = load(mem, before + i) - load(mem, after + i)
@@ -175,8 +174,7 @@ def meet_stops(
     if anywhere(hit > 0.5):
         _put_back(links, mem, at, layout, free, hit > 0.5)
         derivative(links, mem, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
-        for k in range(n):
-            store(mem, layout.velocity + k, load(mem, dy + k))
+        copy(mem, layout.velocity, dy, n)
         # Impulses in turn until no gimbal that touches moves outwards; one pass does it for one contact.
         for _ in range(100):
             settled = True

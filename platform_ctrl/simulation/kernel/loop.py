@@ -8,7 +8,7 @@ from platform_ctrl.common.compiling import compiled, inlined, internal
 from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser, load, load_one, slots, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine
+from platform_ctrl.simulation.kernel.arithmetic import copy, cosine_and_sine
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.devices import (
     LOSS,
@@ -148,8 +148,7 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, at: At, layout: Layout
                 total = _driven(shared, mem, layout, row - nx, total)
             total = total + load(mem, layout.torquer + (row - nx) * arrays.TORQUER + arrays.EQUILIBRIUM)
             store(mem, command, choose(lost, load(mem, command), total))
-    for i in range(nx):
-        store(mem, layout.controller + i, load(mem, layout.controller + nx + i))
+    copy(mem, layout.controller, layout.controller + nx, nx)
 
 
 @inlined
@@ -159,8 +158,7 @@ def _survey(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool) -
     v = layout.velocity
     if free:
         joint_momenta(links, mem, at, at.state, at.surroundings + 2 * at.block, v + n + 3)
-        for i in range(n + 3):
-            store(mem, v + i, load(mem, at.state + n + i))
+        copy(mem, v, at.state + n, n + 3)
     else:
         for i in range(3):
             rate = load(mem, at.surroundings + 2 * at.block + n + 3 + i)
@@ -205,8 +203,7 @@ def _segment(
                 surround(shared, mem, at, layout, free, row, segment, at.yes, start + (m + 0.5 * row) * step)
             put_torques(shared, mem, at, layout, row)
         if contact:
-            for i in range(at.size):
-                store(mem, layout.begun + i, load(mem, at.state + i))
+            copy(mem, layout.begun, at.state, at.size)
         runge_kutta(links, mem, at, free, at.no, at.state, step)
         if layout.stops != 0:
             held = at.no
@@ -231,8 +228,7 @@ def _begin(links: Links, shared: Shared, keys: Keys, mem: FloatArray, at: At, la
     n, zero = at.n, 0.0 * load(mem, layout.start)
     for i in range(layout.given, layout.end):
         store(mem, i, zero)
-    for i in range(at.size):
-        store(mem, at.state + i, load(mem, layout.start + i))
+    copy(mem, at.state, layout.start, at.size)
     store(mem, layout.alive, zero + 1.0)
     ready_torquers(shared, mem, layout)
     hold_equilibrium(shared, mem, at, layout)
@@ -253,13 +249,10 @@ def _begin(links: Links, shared: Shared, keys: Keys, mem: FloatArray, at: At, la
             hand_on(shared, mem, at, layout, free)
     if not free:
         end = at.surroundings + 2 * at.block
-        for i in range(3):
-            store(mem, at.state + n + i, load(mem, end + n + 3 + i))
+        copy(mem, at.state + n, end + n + 3, 3)
         joint_momenta(links, mem, at, at.state, end, layout.velocity)
-        for i in range(n):
-            store(mem, at.state + n + 3 + i, load(mem, layout.velocity + i))
-        for i in range(at.size):
-            store(mem, layout.start + i, load(mem, at.state + i))
+        copy(mem, at.state + n + 3, layout.velocity, n)
+        copy(mem, layout.start, at.state, at.size)
 
 
 @inlined

@@ -20,7 +20,7 @@ from platform_ctrl.common.compiling import internal, overloading
 from platform_ctrl.common.simd import Number, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import Vector, add, put, times, vector
+from platform_ctrl.simulation.kernel.arithmetic import Vector, add, copy, put, times, vector
 from platform_ctrl.simulation.kernel.arrays import At, Links, PlacedLinks
 from platform_ctrl.simulation.kernel.composites import add_vector, gather, in_gimbal, in_parent, mass_matrix, solve
 from platform_ctrl.simulation.kernel.flexible import drive_torques, mode_derivatives, mode_rates, of_modes
@@ -56,8 +56,7 @@ def _move(links: Links, mem: FloatArray, at: At, Omega: int, rates: int) -> None
 def _rotors(links: Links, mem: FloatArray, at: At, y: int, around: int, rates: int) -> None:
     """Momenta of the rotors against their carriers into MOMENT, of geared ones too."""
     for b in range(at.n + 1):
-        h0, h1, h2 = vector(mem, around + at.n + 9 + 3 * b)
-        put(mem, at.work + b * arrays.WORK + arrays.MOMENT, h0, h1, h2)
+        copy(mem, at.work + b * arrays.WORK + arrays.MOMENT, around + at.n + 9 + 3 * b, 3)
     servo_momenta(links, mem, at, y, arrays.MOMENT)
     for m in range(at.n):
         k, parent = links.tree[m, arrays.GIMBAL], links.tree[m, arrays.PARENT]
@@ -278,8 +277,7 @@ def _derivative(
     if not bare:
         drive_torques(links, mem, at, y, around, dy)
     if free:
-        for i in range(3):
-            store(mem, dy + n + i, load(mem, around + i))
+        copy(mem, dy + n, around, 3)
         _accelerations(links, mem, at, locking, bare, y, around, dy)
     else:
         for i in range(3):

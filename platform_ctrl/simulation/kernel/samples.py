@@ -9,7 +9,7 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, lesser, load, root, store, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine, from_parent, put, vector
+from platform_ctrl.simulation.kernel.arithmetic import copy, cosine_and_sine, from_parent, put, vector
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.devices import LOSS, PICKOFF, Keys, acts, normals, uniforms
 
@@ -38,8 +38,7 @@ def turn_bodies(links: Links, mem: FloatArray, at: At, layout: Layout, k: int) -
             put(mem, axes + 9 * body + 3 * j, c * x + s * y, c * y - s * x, z)
     start = axes + 9 * bodies
     if k == 0:
-        for i in range(9 * bodies):
-            store(mem, start + i, load(mem, axes + i))
+        copy(mem, start, axes, 9 * bodies)
     for body in range(bodies):
         r0 = 0.0 * w
         r1, r2 = r0, r0
