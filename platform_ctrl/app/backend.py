@@ -115,7 +115,6 @@ class Backend:
         known_name("design", design, names)
         channels = self._loops.plants.read.channels_of(spec)
         return settings.but(
-            mode="caged" if spec.has_plants else "stabilised",
             loop=name,
             design=design,
             closed={**settings.closed, name: design},
@@ -168,7 +167,6 @@ class Backend:
         choices: dict[str, tuple[Any, ...]] = {
             "loop": tuple(one.name for one in self.read.loops),
             "design": tuple(one.name for one in self._loops.spec(settings.loop).designs),
-            "mode": tuple({"caged" if one.has_plants else "stabilised": "" for one in self.read.loops}),
             "channel": self.channels(settings),
             "plant": self.plants(settings),
             "axis": (1, 2, 3),
@@ -179,11 +177,7 @@ class Backend:
             raise ArgumentError(f"{name} must be one of {', '.join(map(str, choices[name]))}, got {short(value)}")
         if name in ("loop", "design"):
             return self.chosen(settings, **{name: value})
-        if name != "mode":
-            return settings.but(**{name: value})
-        if value == settings.mode:
-            return settings
-        return self.chosen(settings, loop=next(o.name for o in self.read.loops if o.has_plants == (value == "caged")))
+        return settings.but(**{name: value})
 
     def with_limit(self, settings: Settings, key: str, number: Any) -> Settings:
         """Return the settings with another limit, in the units of the job file."""

@@ -140,7 +140,6 @@ class DesignOptions:
         first = self.read.loops[0]
         return Settings(
             axis=self._plants.loading_axis(first, first_axis(self.read)),
-            mode="caged" if first.has_plants else "stabilised",
             loop=first.name,
             design=closed[first.name],
             options=options,

@@ -46,18 +46,21 @@ def gain_crossings(frequency: FloatArray, response: ComplexArray) -> tuple[Float
     return w, np.asarray((phase + 180.0) % 360.0 - 180.0)
 
 
-def gain_range(response: ComplexArray) -> tuple[float, float]:
-    """Return the factors nearest to 1, below and above, that bring the response (F,) to -1: 0 and inf without any."""
+def gain_factors(frequency: FloatArray, response: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return where the phase passes -180 degrees, rad/s, and the factor that brings the response (F,) to -1 there.
+
+    At both ends of the grid, next to 0 and to the Nyquist frequency, the response may be nearly real: there too.
+    """
     imaginary, real = response.imag, response.real
     at = np.flatnonzero((imaginary[:-1] > 0.0) != (imaginary[1:] > 0.0))
     with np.errstate(all="ignore"):
         share = imaginary[at] / (imaginary[at] - imaginary[at + 1])
         crossing = (1.0 - share) * real[at] + share * real[at + 1]
-    # At both ends of the grid, next to 0 and to the Nyquist frequency, the response is nearly real.
-    ends = [real[k] for k in (0, -1) if abs(imaginary[k]) < 1e-2 * abs(real[k])]
-    crossing = np.append(crossing, ends)
-    factors = -1.0 / crossing[np.isfinite(crossing) & (crossing < 0.0)]
-    return (float(factors[factors <= 1.0].max(initial=0.0)), float(factors[factors > 1.0].min(initial=np.inf)))
+        ends = [k for k in (0, -1) if abs(imaginary[k]) < 1e-2 * abs(real[k])]
+        w = np.append(frequency[at] * (frequency[at + 1] / frequency[at]) ** share, frequency[ends])
+        factors = -1.0 / np.append(crossing, real[ends])
+    known = np.isfinite(factors) & (factors > 0.0)
+    return w[known], factors[known]
 
 
 # Sampled loops are shown up to this share of the Nyquist frequency: at its edge sensitivities have no meaning.
@@ -303,12 +306,12 @@ def _per(unit: str, other: str) -> str:
 def channel_margins(bode: Bode, stable: bool) -> dict[str, Any]:
     """Return those of the `Margins` that a channel has by its loop transfer on a grid."""
     w, above = gain_crossings(bode.frequency, bode.response)
-    down, up = gain_range(bode.response) if stable else (math.nan, math.nan)
+    factors = gain_factors(bode.frequency, bode.response)[1]
     # Phase that may be lost: how far above -180 degrees, taken upwards from there.
     lead = np.radians(above % 360.0)
     return {
-        "gain_up": up,
-        "gain_down": down,
+        "gain_up": float(factors[factors > 1.0].min(initial=math.inf)) if stable else math.nan,
+        "gain_down": float(factors[factors <= 1.0].max(initial=0.0)) if stable else math.nan,
         "phase": float(np.abs(above).min(initial=math.inf)) if stable else math.nan,
         "delay": float((lead / w).min(initial=math.inf)) if stable else math.nan,
         "crossover": float(w[-1]) if len(w) else None,

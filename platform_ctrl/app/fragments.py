@@ -14,9 +14,8 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.job_parts import BUDGET, BudgetState, ChipState
 from platform_ctrl.app.loops import LATER
 from platform_ctrl.app.pictures import Margins, Picture
-from platform_ctrl.app.settings import Mode, Settings, Slider
+from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.tuning import SHARE, OptionEffects, OptionValue, candidates
 from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.judging import CheckResult
@@ -66,9 +65,10 @@ def number(x: float | None, digits: int = 3) -> str:
 def selectors(backend: Backend, settings: Settings, plants: Sequence[str], view: str) -> str:
     """Return the lists that say what is shown; `view` is empty where the job has no budget."""
     loops = backend.read.loops
-    kinds = {kind for loop in loops for one in loop.designs for kind in METHODS[one.method].kinds}
+    # The first loop of each kind, the one that is shown in place of its own.
+    modes = {one.has_plants: one.name for one in (*reversed(loops), backend.spec(settings))}
     choices = {
-        "mode": ["caged", "stabilised"] if "stabilisation" in kinds else ["caged"],
+        "mode": [modes[True], modes[False]] if len(modes) == 2 else [],
         "loop": [one.name for one in loops],
         "design": [one.name for one in backend.spec(settings).designs],
         "channel": backend.channels(settings),
@@ -130,10 +130,10 @@ def _chip(one: ChipState, loop: str) -> dict[str, Any]:
     }
 
 
-def figures(picture: Picture) -> str:
+def figures(picture: Picture, caged: bool) -> str:
     """Return the verdict on the loop that is shown, and its margins."""
     verdict, words, more = loop_verdict(picture)
-    numbers = _numbers(picture.measured.margins, picture.stable, picture.settings.mode)
+    numbers = _numbers(picture.measured.margins, picture.stable, caged)
     return fragment("figures", verdict=verdict, words=words, more=more, numbers=numbers)
 
 
@@ -158,15 +158,15 @@ def loop_verdict(picture: Picture) -> tuple[str, str, str]:
     return "good", f"This loop's {met} met" + ", sampled" * sampled, left
 
 
-# What the numbers are of, caged and stabilised: channels, angles, and what poles have to be faster than to count.
-_OF = {
-    "caged": ("all channels of the loop at once", "all angles of the loop", "loop's reference frequency"),
-    "stabilised": ("broken at the torquer that is shown, all others closed", "the platform's axes", "crossover"),
-}
+# What the numbers are of, stabilised and caged: channels, angles, and what poles have to be faster than to count.
+_OF = (
+    ("broken at the torquer that is shown, all others closed", "the platform's axes", "crossover"),
+    ("all channels of the loop at once", "all angles of the loop", "loop's reference frequency"),
+)
 
 
-def _numbers(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]:
-    channels, axes, above = _OF[mode]
+def _numbers(margins: Margins, stable: bool, caged: bool) -> list[dict[str, Any]]:
+    channels, axes, above = _OF[caged]
     sampled = margins.worst_sampled
     worst = f"Disk margin of {margins.worst_plant}" + ", the least at the frequencies of a grid" * sampled
     damping = f"Least of the closed-loop poles beyond a tenth of the {above}"

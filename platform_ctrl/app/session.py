@@ -295,13 +295,14 @@ class Session:
         """Return the HTML that follows from the settings alone, by the ids of the elements."""
         every, plants = self.backend.sliders(settings), self.backend.plants(settings)
         known = self._effects if self._effects_of is settings else None
-        tunable = settings.mode == "caged" and any(one.tunable and not one.fixed for one in every)
+        spec = self.backend.spec(settings)
+        tunable = spec.has_plants and any(one.tunable and not one.fixed for one in every)
         undo, redo = self.history.can_undo, self.history.can_redo
         return {
             "selectors": fragments.selectors(
                 self.backend, settings, plants, self._view if self.backend.read.budget is not None else ""
             ),
-            "overlays": fragments.fragment("overlays", designs=self.backend.spec(settings).designs, settings=settings),
+            "overlays": fragments.fragment("overlays", designs=spec.designs, settings=settings),
             "edits": fragments.fragment("edits", undo=undo, redo=redo, tunable=tunable),
             "sliders": fragments.sliders(self.backend, settings, known),
             "next": fragments.fragment("step", **fragments.next_step(known, every)),
@@ -320,7 +321,7 @@ class Session:
         return {
             **self._chosen(settings),
             **self._headings(),
-            "figures": fragments.figures(picture),
+            "figures": fragments.figures(picture, self.backend.spec(settings).has_plants),
             "requirements": fragments.table(every, sliders, self._effects, names, stale, self.backend.read.budget),
             "strip": self.strip(),
             "elapsed": f"{1e3 * picture.elapsed:.0f} ms",

@@ -113,7 +113,6 @@ def _rows(job: Job) -> Iterator[tuple[tuple[str, str], str]]:
 # Largest number that a page may be given.
 LARGEST = 1e50
 
-Mode = Literal["caged", "stabilised"]
 Group = Literal["main", "gains", "lead", "notch", "lag", "design"]
 
 # Option → number, in the units of the job file; by design; by loop.
@@ -127,11 +126,9 @@ class Settings:
 
     Attributes
     ----------
-    mode
-        ``"caged"``: Omega is prescribed, a caging loop is shown; ``"stabilised"``: the platform is free, all loops are
-        closed, and the servo on the platform is shown.
     loop, design
-        Names of the loop and of its design that are shown.
+        Names of the loop and of its design that are shown. With a caging loop Omega is prescribed; with a servo on the
+        platform the platform is free, and all loops are closed.
     options
         Loop → design → option → number, in the units of the job file.
     optional
@@ -150,7 +147,6 @@ class Settings:
         Name of a limit (`limits.stated_limits`) → number, in the units of the job file.
     """
 
-    mode: Mode
     loop: str
     design: str
     options: LoopOptions

@@ -25,7 +25,6 @@ DAMPING = 20.0
 
 def settings() -> Settings:
     return Settings(
-        mode="caged",
         loop="caging",
         design="classical",
         options={},

@@ -10,14 +10,13 @@ import numpy as np
 
 from platform_ctrl.analysis.curves import Curve, Curves, Level, Words, decibels
 from platform_ctrl.analysis.system import ComplexArray
+from platform_ctrl.app.curves import gain_crossings, gain_factors
 from platform_ctrl.app.pictures import Bode, Drawing
 from platform_ctrl.app.plots.painter import Axis, Panel, Theme, Trace
 from platform_ctrl.app.plots.views import View, decades, extent, joined, stepped, thinned
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import HZ, plain
 
-# Words of the button while the open loop is shown, and while the closed one is.
-_TOGGLE = {False: "S, T, KS, PS", True: "loop L"}
 # Of KS and PS: words, colour, and what is drawn below this share of the largest gain only when zoomed.
 _GAINS = {"KS": ("noise → torque", 2), "PS": ("torque → readings", 3)}
 _LEAST = 1e-4
@@ -39,10 +38,10 @@ def designs(picture: Drawing) -> Iterator[tuple[dict[str, Any], Drawing]]:
 class BodePanel(Panel):
     """The Bode diagram, or what the loop that it shows is when it is closed."""
 
+    others = ("S, T, KS, PS", "loop L")
+
     def __init__(self, theme: Theme, frequency: Axis) -> None:
         super().__init__("bode", "Bode", theme)
-        self._closed = False
-        self._picture: Drawing | None = None
         self._frequency = frequency
         for view, number, unit, last in (
             (View(-40.0, 40.0, stepped(20.0, -80.0, 80.0)), "{0.0} dB", "dB", False),
@@ -51,14 +50,15 @@ class BodePanel(Panel):
             one = self.add(frequency, view, number, "bands levels verticals lines points words", last=last)
             one.rounded(one.plot.yaxis[0], unit)
 
-    @property
-    def other(self) -> str:  # type: ignore[override]
-        """What the panel can show instead."""
-        return _TOGGLE[self._closed]
-
-    def turn(self) -> None:
-        """Show the closed loop in place of the open one, or the open one again."""
-        self._closed = not self._closed
+    def show(self, picture: Drawing) -> None:
+        """Follow a picture."""
+        super().show(picture)
+        bode = picture.bode
+        finite = extent([np.abs(bode.response)]) is not None and extent([bode.phase]) is not None
+        message = _trouble(picture) if finite else "no finite response of this loop"
+        if not self.turned:
+            self.put(dict(enumerate(open_loop(picture))), f"L at {bode.channel}, others closed", message)
+            return
         if len(self.figures) == 2:
             # Most pages never show them.
             level = View(-40.0, 20.0, stepped(10.0, -40.0, 30.0))
@@ -67,19 +67,7 @@ class BodePanel(Panel):
             for last in (False, True):
                 view = View(1e-3, 1.0, decades, logarithmic=True)
                 self.add(self._frequency, view, "{0.[0000]}", "lines", last=last)
-        if self._picture is not None:
-            self.show(self._picture)
-
-    def show(self, picture: Drawing) -> None:
-        """Follow a picture."""
-        self._picture = picture
-        bode = picture.bode
-        finite = extent([np.abs(bode.response)]) is not None and extent([bode.phase]) is not None
-        message = _trouble(picture) if finite else "no finite response of this loop"
-        if self._closed:
-            self.put(dict(enumerate(closed_loop(picture), 2)), f"closed loop at {bode.channel}", "")
-        else:
-            self.put(dict(enumerate(open_loop(picture))), f"L at {bode.channel}, others closed", message)
+        self.put(dict(enumerate(closed_loop(picture), 2)), f"closed loop at {bode.channel}", "")
 
 
 def _trouble(picture: Drawing) -> str:
@@ -129,29 +117,20 @@ def _over_frequency(picture: Drawing, of: Callable[[Bode], FloatArray]) -> list[
 
 def _margins(bode: Bode) -> list[tuple[float, float, float, str]]:
     """Return the least phase and gain margins as lengths: frequency, from, to, and in which diagram."""
-    f, gain, phase = bode.frequency, np.abs(bode.response), bode.phase
-    fine = np.isfinite(f) & np.isfinite(gain) & np.isfinite(phase) & (gain > 0.0) & (f > 0.0)
-    if fine.sum() < 2:
+    if not np.isfinite(bode.response).all():
         return []
-    x, level, phase = np.log(f[fine]), 20.0 * np.log10(gain[fine]), phase[fine]
     rows = []
-    crossovers = bode.crossovers[np.isfinite(bode.crossovers) & (bode.crossovers > 0.0)]
-    if crossovers.size:
-        at = np.interp(np.log(crossovers), x, phase)
-        critical = 360.0 * np.round((at + 180.0) / 360.0) - 180.0
-        k = int(np.argmin(np.abs(at - critical)))
-        rows.append((float(crossovers[k] * HZ), float(critical[k]), float(at[k]), "phase"))
-    turns = np.floor((phase + 180.0) / 360.0)
-    jumps = np.flatnonzero(np.diff(turns))
-    if jumps.size:
-        critical = 360.0 * np.maximum(turns[jumps], turns[jumps + 1]) - 180.0
-        share = np.clip((critical - phase[jumps]) / (phase[jumps + 1] - phase[jumps]), 0.0, 1.0)
-        where = x[jumps] + share * (x[jumps + 1] - x[jumps])
-        level_there = level[jumps] + share * (level[jumps + 1] - level[jumps])
-        for side in (level_there < 0.0, level_there > 0.0):
-            if side.any():
-                k = int(np.flatnonzero(side)[np.argmin(np.abs(level_there[side]))])
-                rows.append((math.exp(where[k]) * HZ, 0.0, float(level_there[k]), "gain"))
+    w, above = gain_crossings(bode.frequency, bode.response)
+    if len(w):
+        k = int(np.argmin(np.abs(above)))
+        at = float(np.interp(np.log(w[k]), np.log(bode.frequency), bode.phase))
+        rows.append((float(w[k] * HZ), at - float(above[k]), at, "phase"))
+    w, factors = gain_factors(bode.frequency, bode.response)
+    levels = -20.0 * np.log10(factors)
+    for side in (levels < 0.0, levels > 0.0):
+        if side.any():
+            k = int(np.flatnonzero(side)[np.argmin(np.abs(levels[side]))])
+            rows.append((float(w[k] * HZ), 0.0, float(levels[k]), "gain"))
     return rows
 
 

@@ -359,23 +359,30 @@ class Panel:
     ----------
     title, detail, keys
         Texts above the figures: the quantity, the loop or plant, and a legend.
-    other
-        Text of the button for the panel's other content; empty: it has none.
+    turned
+        Whether it shows its other content, if `others` has texts for the button that shows it, and that takes it back.
     """
 
-    other = ""
+    others: tuple[str, ...] = ()
     # Pixels from the upper edge to a message.
     down = 5
 
     def __init__(self, name: str, title: str, theme: Theme) -> None:
         self.name, self.title, self.theme = name, title, theme
         self.detail, self.keys, self._said = "", list[Key](), ""
+        self.turned = False
+        self.picture: Any = None
         self.figures: list[Figure] = []
         self.layout: Any = models.Column(sizing_mode="stretch_both", margin=0, spacing=2, name=name)
 
     def show(self, picture: Any) -> None:
         """Follow a picture."""
-        raise NotImplementedError
+        self.picture = picture
+
+    @property
+    def other(self) -> str:
+        """What the panel can show instead, in words; empty: nothing."""
+        return self.others[self.turned] if self.others else ""
 
     @property
     def caption(self) -> str:
@@ -402,6 +409,9 @@ class Panel:
 
     def turn(self) -> None:
         """Show what the panel can show instead."""
+        self.turned = not self.turned
+        if self.picture is not None:
+            self.show(self.picture)
 
     def add(self, *given: Any, **more: Any) -> Figure:
         """Return a new figure below the others."""

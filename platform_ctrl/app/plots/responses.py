@@ -128,6 +128,7 @@ class TimePanel(Panel):
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
+        super().show(picture)
         response: TimeResponse = getattr(picture, self._response)
         shown = over_time(picture, self._response, not self._fitted)
         known = bool(np.isfinite(column(response.values)).any())
@@ -139,31 +140,21 @@ class TimePanel(Panel):
 class DisturbancePanel(TimePanel):
     """Response to Omega, or of the free platform to a torque on it, over time or over frequency."""
 
+    others = ("frequency", "time")
+
     def __init__(self, theme: Theme, frequency: Axis) -> None:
         super().__init__(theme, "Omega", "Disturbance", "Omega_time", "strips bands ground levels lines")
-        self._over_frequency, self._frequency = False, frequency
-        self._picture: Drawing | None = None
-
-    @property
-    def other(self) -> str:  # type: ignore[override]
-        """What the panel can show instead."""
-        return "time" if self._over_frequency else "frequency"
-
-    def turn(self) -> None:
-        """Show the response over frequency in place of that over time, or over time again."""
-        self._over_frequency = not self._over_frequency
-        if len(self.figures) == 2:
-            view = View(1e-3, 1.0, decades, logarithmic=True)
-            self.add(self._frequency, view, "{0.[0000]}", "strips bands levels lines")
-        if self._picture is not None:
-            self.show(self._picture)
+        self._frequency = frequency
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture with the figures that are visible."""
-        self._picture = picture
-        if not self._over_frequency:
+        if not self.turned:
             super().show(picture)
             return
+        self.picture = picture
+        if len(self.figures) == 2:
+            view = View(1e-3, 1.0, decades, logarithmic=True)
+            self.add(self._frequency, view, "{0.[0000]}", "strips bands levels lines")
         response = picture.Omega_frequency
         known = extent([positive(response.gain)]) is not None
         trouble = "" if picture.stable else "closed loop not stable"
