@@ -124,19 +124,6 @@ class Backend:
             overlays=tuple(o for o in settings.overlays if o in names and o != design),
         )
 
-    def check_names(self, settings: Settings) -> None:
-        """Raise where a name that no list of a page offers is unknown: plant, channel, fixed sliders."""
-        spec, _ = self._loops.design(settings)
-        labels = self.plants(settings)
-        if settings.plant not in labels:
-            raise ArgumentError(f"plant: {short(settings.plant)} is none of the {len(labels)} plants of the loop")
-        known_name("channel", settings.channel, self._loops.plants.read.channels_of(spec))
-        # Sliders of other loops and of parts that are off stay fixed.
-        methods = sorted({one.method for loop in self.read.loops for one in loop.designs})
-        sliders = tuple(dict.fromkeys(option for method in methods for option in METHODS[method].options))
-        for name in sorted(settings.fixed):
-            known_name("fixed", name, sliders)
-
     def plants(self, settings: Settings) -> tuple[str, ...]:
         """Return the labels of the plants that may be shown."""
         return self._loops.plants.labels(self._loops.spec(settings.loop))

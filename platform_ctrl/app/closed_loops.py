@@ -259,8 +259,7 @@ class ClosedLoops:
     def closed_key(self, settings: Settings, spec: LoopSpec) -> Hashable:
         """Return all that the closed design of a loop depends on besides the plants."""
         name = self.closed(settings)[spec.name]
-        design = self._named_design(spec, name)
-        there = built_directly(design) or self.found(settings, spec.name, name) is not None
+        there = self.is_available(settings, spec, name)
         return self.design_key(settings, spec.name, name), there, settings.parts_on(spec.name, name)
 
     def shown_key(self, settings: Settings, spec: LoopSpec) -> Hashable:

@@ -192,13 +192,10 @@ class CagedCurves(drawn.LoopCurves):
         loop, spec = self.loop, self.loop.spec
         assert self._metrics is not None, "of a loop that is drawn over another one nothing is measured"
         metrics = self._metrics(self.whole, quick=True)
-        known = {one.kind for one in spec.requests if not METRICS[one.kind].of_sight}
-        known |= {kind for kind, *_ in metrics.requested}
-        late = [one for one in spec.requests if one.kind not in known]
-        own, soft = (
-            {key: x for key, x in of.items() if key not in [METRICS[one.kind].key for one in late]}
-            for of in (spec.limits, spec.soft)
-        )
+        known = {kind for kind, *_ in metrics.requested}
+        late = [one for one in spec.requests if METRICS[one.kind].of_sight and one.kind not in known]
+        keys = {METRICS[one.kind].key for one in late}
+        own, soft = ({key: x for key, x in of.items() if key not in keys} for of in (spec.limits, spec.soft))
         measured = dataclasses.replace(spec, limits=own, soft=soft)
         requirements, goals = limits_and_goals(measured, loop.design, loop.plants, metrics)
         requirements += tuple(

@@ -30,7 +30,7 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.arguments import known_name, known_names, short
 from platform_ctrl.common.values import value
 from platform_ctrl.design.methods import METHODS
-from platform_ctrl.errors import ArgumentError, InputError, PlatformCtrlError
+from platform_ctrl.errors import InputError, PlatformCtrlError
 
 if TYPE_CHECKING:
     from bokeh.document import Document
@@ -353,15 +353,17 @@ def checked_settings(backend: Backend, changed: object) -> Settings:
         known_name("loop", given["loop"], [one.name for one in backend.read.loops])
         designs = [one.name for one in backend.read.loop(given["loop"]).designs]
         known_names("overlays", given["overlays"], designs)
-        if given["axis"] not in (1, 2, 3):
-            raise ArgumentError(f"axis must be 1, 2 or 3, got {short(given['axis'])}")
+        # Sliders of other loops and of parts that are off stay fixed.
+        methods = [METHODS[one.method] for loop in backend.read.loops for one in loop.designs]
+        known_names("fixed", sorted(given["fixed"]), tuple({option: 0 for one in methods for option in one.options}))
         parts = {
             loop: {name: tuple(sorted(set(parts))) for name, parts in designs.items()}
             for loop, designs in given["optional"].items()
         }
-        more = {"axis": int(given["axis"]), "fixed": frozenset(given["fixed"]), "overlays": tuple(given["overlays"])}
-        settings = backend.chosen(Settings(**(given | more | {"optional": parts})), design=given["design"])
-        backend.check_names(settings)
+        more = {"optional": parts, "fixed": frozenset(given["fixed"]), "overlays": tuple(given["overlays"])}
+        settings = backend.chosen(Settings(**(given | more)), design=given["design"])
+        for name in ("plant", "axis"):
+            settings = backend.with_choice(settings, name, given[name])
     except PlatformCtrlError as error:
         raise InputError(f"state: {error}") from None
     return settings

@@ -31,36 +31,38 @@ def gone(process: int) -> bool:
 
 
 def test_the_newest_request_of_a_key_wins_and_an_urgent_one_interrupts() -> None:
-    requests, done, go = Requests("test"), list[str](), threading.Event()
+    requests, done, begun, go = Requests("test"), list[str](), list[str](), threading.Event()
 
-    def work(name: str, patient: bool = True) -> Callable[[threading.Event], None]:
+    def work(name: str) -> Callable[[threading.Event], None]:
         def run(over: threading.Event) -> None:
-            while patient and not (go.is_set() or over.wait(0.001)):
+            begun.append(name)
+            while not (go.is_set() or over.wait(0.001)):
                 pass
             done.append(f"{name} over" if over.is_set() else name)
 
         return run
 
+    def until(met: Callable[[], bool]) -> None:
+        end = time.monotonic() + 30.0
+        while not met():
+            assert time.monotonic() < end, "it did not come"
+            time.sleep(0.001)
+
     first = requests.add("design", work("first"), content=1)
+    until(lambda: begun == ["first"])
     assert requests.add("design", work("the same"), content=1) is first
     requests.add("other", work("other"))
     requests.add("other", work("newer"))
     requests.add("design", work("second"), content=2)
-    assert first.is_set()
-    while requests._now is None or requests._now.content != 2:
-        time.sleep(0.001) if done else None
-        if requests._now is not None and requests._now.key == "other":
-            requests.add("urgent", work("urgent", patient=False), urgent=True)
-            break
+    until(lambda: begun == ["first", "newer"])
+    requests.add("urgent", work("urgent"), urgent=True)
+    until(lambda: begun == ["first", "newer", "urgent"])
     go.set()
-    while requests._now is not None:
-        time.sleep(0.001)
-    assert done[0] == "first over"
-    assert sorted(done[1:]) == ["newer", "newer over", "second", "urgent"]
-    assert done.index("newer over") < done.index("urgent") < done.index("newer")
+    until(lambda: len(done) == 5)
+    assert done == ["first over", "newer over", "urgent", "second", "newer"]
     requests.end()
     assert requests.add("design", work("late")).is_set()
-    assert "late" not in done
+    assert "late" not in begun
 
 
 @pytest.fixture(scope="module")

@@ -137,31 +137,6 @@ def _ends(low: float, high: float) -> tuple[float, float]:
     return 0.0, next(k * decade for k in (1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 5.5, 7.5, 10.0) if k * decade >= 0.999 * high)
 
 
-class BudgetPlots:
-    """The plots of a budget, in the order of the page: two axes over frequency, then the waterfalls below them."""
-
-    def __init__(self, budget: BudgetSpec, theme: Theme) -> None:
-        self._budget = budget
-        frequency = View(budget.from_hz, budget.to_hz, lambda low, high: (low, high), logarithmic=True)
-        frequency.fit((budget.from_hz, budget.to_hz))
-        self._over_frequency = [CumulativePanel(theme, budget, frequency, axis) for axis in (0, 1)]
-        self._falls = [WaterfallPanel(theme, f"waterfall{k}") for k in (0, 1, 2)]
-        self.panels: tuple[Panel, ...] = (*self._over_frequency, *self._falls)
-        # The sources with colours: those that were largest first, so that none changes its colour while a slider moves.
-        self._largest: tuple[str, ...] = ()
-
-    def show(self, found: LineOfSightBudget) -> None:
-        """Follow a budget."""
-        if not set(self._largest) <= set(found.names) or not self._largest:
-            self._largest = tuple(found.names[k] for k in found.ranking[:_CURVES])
-        for panel in self._over_frequency:
-            panel.show_budget(found, self._largest)
-        falls = waterfalls(self._budget, found)
-        room = max(_ROWS, *(1 + len(one.names) for one in falls))
-        for fall, one in zip(self._falls, falls, strict=True):
-            fall.show_budget(one, self._largest, room)
-
-
 class Plots:
     """All plots of a page; they belong to one document.
 
@@ -187,8 +162,17 @@ class Plots:
             TimePanel(self._theme, "step", "Step response", "step"),
             DisturbancePanel(self._theme, frequency),
         )
-        self._budget = None if budget is None else BudgetPlots(budget, self._theme)
-        self.panels = self._loop if self._budget is None else (*self._loop, *self._budget.panels)
+        self.panels: tuple[Panel, ...] = self._loop
+        if budget is not None:
+            self._budget = budget
+            ends = (budget.from_hz, budget.to_hz)
+            view = View(*ends, lambda low, high: (low, high), logarithmic=True)
+            view.fit(ends)
+            self._over_frequency = [CumulativePanel(self._theme, budget, view, axis) for axis in (0, 1)]
+            self._falls = [WaterfallPanel(self._theme, f"waterfall{k}") for k in (0, 1, 2)]
+            self.panels += (*self._over_frequency, *self._falls)
+        # The sources with colours: those that were largest first, so that none changes its colour while a slider moves.
+        self._largest: tuple[str, ...] = ()
         self.layout: dict[str, LayoutDOM] = {one.name: one.layout for one in self.panels}
 
     def show(self, picture: Drawing) -> None:
@@ -216,9 +200,15 @@ class Plots:
 
     def show_budget(self, found: LineOfSightBudget) -> None:
         """Follow the budget of the line of sight, of a job that has one."""
-        if self._budget is not None:
-            with self._combined():
-                self._budget.show(found)
+        if not set(self._largest) <= set(found.names) or not self._largest:
+            self._largest = tuple(found.names[k] for k in found.ranking[:_CURVES])
+        falls = waterfalls(self._budget, found)
+        room = max(_ROWS, *(1 + len(one.names) for one in falls))
+        with self._combined():
+            for panel in self._over_frequency:
+                panel.show_budget(found, self._largest)
+            for fall, one in zip(self._falls, falls, strict=True):
+                fall.show_budget(one, self._largest, room)
 
     @contextmanager
     def _combined(self) -> Iterator[None]:
