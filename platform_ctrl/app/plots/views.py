@@ -13,7 +13,6 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.job.quantities import handy_unit
 
 FONT = 'system-ui, -apple-system, "Segoe UI", "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif'
 SMALL, NORMAL = "11px", "12px"
@@ -88,6 +87,10 @@ def extent(columns: Sequence[Any]) -> tuple[float, float] | None:
     return (float(numbers.min()), float(numbers.max())) if numbers.size else None
 
 
+_PREFIXES = ((1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+_PREFIXED = frozenset({"rad", "rad/s", "N m", "s", "rad/(rad/s)"})
+
+
 class Unit:
     """A unit with a prefix for readable numbers, which changes only when the numbers have become awkward.
 
@@ -102,7 +105,10 @@ class Unit:
         if unit == self._plain and (not 0.0 < size < math.inf or 0.2 <= size * self.scale < 2000.0):
             return
         self._plain = unit
-        self.scale, self.name = handy_unit(unit, size)
+        self.scale, self.name = 1.0, unit
+        if unit in _PREFIXED and 0.0 < size < 0.5:
+            scale, prefix = next((one for one in _PREFIXES if size >= 0.5 * one[0]), _PREFIXES[-1])
+            self.scale, self.name = 1.0 / scale, f"{prefix}{unit}"
 
 
 def inner_size(plot: Any) -> tuple[float, float]:
