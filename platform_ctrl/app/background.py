@@ -63,11 +63,6 @@ class Requests:
         self._now: _Request | None = None
         self._ended = False
 
-    @property
-    def busy(self) -> bool:
-        """Whether work is being done or waits."""
-        return self._now is not None
-
     def add(self, key: Hashable, work: Work, *, content: Hashable = None, urgent: bool = False) -> threading.Event:
         """Have `work` done, which is called with the event that it is over, and return that event.
 
