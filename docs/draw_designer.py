@@ -43,7 +43,7 @@ COLOURS = 256
 # Seconds that the page has to work out everything that it shows.
 PATIENCE = 120.0
 # Whether the arrows are there that say which way to move a slider: they come last.
-ARROWS = "[...document.querySelectorAll('#requirements td.cell')].some(cell => cell.textContent.trim())"
+ARROWS = "document.querySelector('#requirements table:not(.stale)') !== null"
 # The loop, and a crossover with which it meets all its requirements.
 LOOP, CROSSOVER = "caging 9-10", "70"
 

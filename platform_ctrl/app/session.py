@@ -316,13 +316,16 @@ class Session:
         if self._effects_of is settings or not {(one.subject, one.name) for one in every} <= self._order.keys():
             self._order = {(one.subject, one.name): k for k, one in enumerate(fragments.tightest_first(every))}
         every.sort(key=lambda one: self._order[one.subject, one.name])
-        sliders, stale = self.backend.sliders(settings), self._effects_of is not settings
-        names = self.backend.limit_names
+        before = self._effects_of
+        # Of another loop or design there is nothing to be shown, not even dimmed.
+        same = before is not None and (before.loop, before.design) == (settings.loop, settings.design)
+        effects, stale = self._effects if same else None, before is not settings
+        sliders, names = self.backend.sliders(settings), self.backend.limit_names
         return {
             **self._chosen(settings),
             **self._headings(),
             "figures": fragments.figures(picture, self.backend.spec(settings).has_plants),
-            "requirements": fragments.table(every, sliders, self._effects, names, stale, self.backend.read.budget),
+            "requirements": fragments.table(every, sliders, effects, names, stale, self.backend.read.budget),
             "strip": self.strip(),
             "elapsed": f"{1e3 * picture.elapsed:.0f} ms",
         }
