@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -141,7 +142,7 @@ def _document(result: JobResult, command: str | None, campaign: Summary | None, 
             page.PageSection(name="coupled", title="Coupled system", blocks=_coupled(result), **_judged(together)),
             *([page.PageSection(name="budget", title="Line-of-sight budget", blocks=budget)] if budget else []),
             *_runs(result, of_runs),
-            *_campaign(result, campaign, again),
+            *_campaign(result, campaign, command, again),
             page.PageSection(name="again", title="Inputs and versions", blocks=_again(result, command, campaign)),
         ]
     return page.PageContent(
@@ -322,11 +323,14 @@ def _run_blocks(run: Run, result: JobResult) -> tuple[page.Block, ...]:
     return (page.Subsection(title=name, blocks=(nothing,)),)
 
 
-def _campaign(result: JobResult, campaign: Summary | None, again: str | None) -> list[page.PageSection]:
+def _campaign(
+    result: JobResult, campaign: Summary | None, command: str | None, again: str | None
+) -> list[page.PageSection]:
     if campaign is not None:
         blocks = page.made("Campaign", lambda: campaign_blocks(campaign, result, again))
     elif result.job.campaign is not None:
-        blocks = (page.Paragraph(text=sentences("no_campaign")),)
+        file = "job.toml" if command is None else shlex.split(command)[2]
+        blocks = (page.Paragraph(text=sentences("no_campaign", file=file)),)
     else:
         return []
     return [page.PageSection(name="campaign", title="Campaign", blocks=blocks)]
