@@ -92,6 +92,7 @@ class Loop:
         # By what they are of: exact values with their frequencies, rad/s, and levels that are shown not to be exceeded.
         self._exact: dict[Hashable, tuple[float, float]] = {}
         self._below: dict[Hashable, float] = {}
+        self._alone: dict[Hashable, Loop] = {}
         self._steps: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     @cached_property
@@ -321,8 +322,13 @@ class Loop:
         sampled = tuple(one for one in parts if not self.between(one))
         found = [norms.gains(one, frequency) for one in self.parts(sampled, k)]
         if continuous:
-            controller = self.controller if self.two_degrees is None else self.two_degrees
-            alone = Loop(replaced(self.plants.only([k]), {"disturbed": None}).on(frequency), controller)
+            # Several gains are taken at the same frequencies.
+            at = (k, frequency.tobytes())
+            if at not in self._alone:
+                controller = self.controller if self.two_degrees is None else self.two_degrees
+                one_plant = replaced(self.plants.only([k]), {"disturbed": None})
+                self._alone[at] = Loop(one_plant.on(frequency), controller)
+            alone = self._alone[at]
             first = np.zeros(1, dtype=np.intp)
             found += [largest_singular_values(one[0]) for part in continuous for one in alone.responses(part, first)]
         return np.asarray(np.max(found, axis=0))
