@@ -61,7 +61,8 @@ FULL_WIDTH = 9.6
 _LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
 _TITLE, _NO_TITLE, _LEGEND_ROW = 0.26, 0.08, 0.22
 _LABEL_AWAY, _LABEL_BELOW = 0.5, 0.25
-_TICKS = {"x": 3, "y": 0}  # markers of matplotlib: down, and to the left
+# Markers of matplotlib: down, and to the left; their length in points.
+_TICKS, _TICK = {"x": 3, "y": 0}, 3.0
 
 _COLOURS: Any = {
     "text.color": INK,
@@ -147,47 +148,48 @@ class _Scale:
     minorTicks: Any = cached_property(lambda axis: [])
 
     def draw(self: Any, renderer: Any) -> None:
-        """Draw what locator and formatter say, if it is visible."""
-        if not self.get_visible():
-            return
-        look: Any = mpl.rcParams
-        name, scale = self.axis_name, self.get_transform().transform
-        every, formatter = np.asarray(self.get_majorticklocs()), self.get_major_formatter()
+        """Draw what locator and formatter say."""
+        name, box, formatter, points = (
+            self.axis_name,
+            self.axes.bbox,
+            self.get_major_formatter(),
+            renderer.points_to_pixels,
+        )
+        every, scale = np.asarray(self.get_majorticklocs()), self.get_transform().transform
         low, high = np.sort(scale(np.asarray(self.get_view_interval())))
-        at, slack = scale(every) if len(every) else every, 1e-9 * (high - low)
-        inside = (at >= low - slack) & (at <= high + slack)
-        numbers, at = np.array(formatter.format_ticks(every), dtype=object)[inside], every[inside]
-        place, order = getattr(self.axes, f"get_{name}axis_transform"), 1 if name == "x" else -1
-        size, pad, width = (look[f"{name}tick.major.{one}"] for one in ("size", "pad", "width"))
-        tick = {"marker": _TICKS[name], "markersize": size, "markeredgewidth": width}
-        tick |= {"color": look[f"{name}tick.color"], "linestyle": ""}
-        grid = {"color": look["grid.color"], "linewidth": look["grid.linewidth"]}
+        slack, order = 1e-9 * (high - low), 1 if name == "x" else -1
+        inside = [low - slack <= scale(x) <= high + slack for x in every]
+        at, place = every[inside], getattr(self.axes, f"get_{name}axis_transform")
         through = [np.repeat(at, 3), np.tile([0.0, 1.0, np.nan], len(at))][::order]
-        lines = [Line2D(*through, transform=place("grid"), **grid)] if self.get_tick_params()["gridOn"] else []
-        lines.append(Line2D(*[at, np.zeros(len(at))][::order], transform=place("tick1"), **tick))
-        transform, va, ha = getattr(self.axes, f"get_{name}axis_text1_transform")(size + pad)
-        font = {"color": look[f"{name}tick.labelcolor"], "fontsize": look[f"{name}tick.labelsize"]}
-        text = Text(transform=transform, va=va, ha=ha, **font)
+        tick: dict[str, Any] = {
+            "marker": _TICKS[name],
+            "markersize": _TICK,
+            "markeredgewidth": 0.8,
+            "color": FRAME,
+            "linestyle": "",
+        }
+        lines = [Line2D(*[at, 0.0 * at][::order], transform=place("tick1"), **tick)]
+        if self.get_tick_params()["gridOn"]:
+            lines.insert(0, Line2D(*through, transform=place("grid"), color=GRID, linewidth=0.6))
+        transform, va, ha = getattr(self.axes, f"get_{name}axis_text1_transform")(_TICK + 3.5)
+        text = Text(transform=transform, va=va, ha=ha, color=MUTED, fontsize=7.5)
         for one in (*lines, text):
             one.set_figure(self.axes.figure)
         for line in lines if len(at) else []:
             line.draw(renderer)
-        for where, words in zip(at, numbers, strict=True):
-            text.set(position=[where, 0.0][::order], text=words)
+        for x, words in zip(at, np.array(formatter.format_ticks(every), dtype=object)[inside], strict=True):
+            text.set(position=[x, 0.0][::order], text=words)
             text.draw(renderer)
         self.label.draw(renderer)
-        box, points = self.axes.bbox, renderer.points_to_pixels
         self.offsetText.set_text(formatter.get_offset())
         self.offsetText.set_position((1, box.ymin - points(17.0)) if name == "x" else (0, box.ymax + points(3.0)))
         self.offsetText.draw(renderer)
 
 
-class _X(_Scale, XAxis):
-    pass
+class _X(_Scale, XAxis): ...
 
 
-class _Y(_Scale, YAxis):
-    pass
+class _Y(_Scale, YAxis): ...
 
 
 class _Panel(Axes):
