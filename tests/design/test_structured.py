@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis, design
-from platform_ctrl.design.fixed_structure.structures import Units
 
 PROBLEMS = json.loads((Path(__file__).parents[1] / "data" / "compleib.json").read_text())["problems"]
 
@@ -81,17 +80,3 @@ def test_an_infimum_at_infinite_gain_is_approached() -> None:
     P = control.ss([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [1, 0, 0], [0, 0, 0]])
     found = design.structured(P, 1, 1, structure=design.Static(), starts=2)
     assert 1.0 <= found.gamma < 1.0 + 1e-6
-
-
-def test_sections_have_the_transfer_function_that_they_say() -> None:
-    structure, units = design.Sections(rates=[10.0, 30.0]), Units(gain=np.ones((2, 2)), rate=1.0)
-    given = {"c2_1": 0.5, "e2_1": -2.0, "damping2_1": 0.3, "c2_2": 1.5, "filter2_2": 40.0}
-    p = np.array([given.get(one.name, one.start) for one in structure.parameters(2, 2, units)])
-    s = 1j * np.array([1.0, 10.0, 35.0])
-    A, B, C, D, _ = structure.block(p, 2, 2)
-    found = np.array([C @ np.linalg.solve(one * np.eye(len(A)) - A, B) + D for one in s])
-    expected = 1.0 + (0.5 - 2.0 * s / 10.0) * 100.0 / (s**2 + 0.6 * 10.0 * s + 100.0)
-    expected += 1.5 * 1600.0 / (s**2 + 40.0 * s + 1600.0)
-    np.testing.assert_allclose(found[:, 1, 1], expected, rtol=1e-12)
-    # Sections without gains do nothing.
-    np.testing.assert_allclose(found[:, 0], np.tile([1.0, 0.0], (3, 1)), atol=1e-15)

@@ -450,3 +450,17 @@ def test_forms_in_the_controller_are_the_budget_and_their_slopes_those_of_differ
         here, high, low = (at(M + sign * step).sight(forms[key], 1e-5) for sign in (0.0, 1.0, -1.0))
         slopes = np.sum(here.gradient * step, axis=(1, 2))
         np.testing.assert_allclose(slopes, 0.5 * (high.ratio - low.ratio), rtol=1e-4, atol=1e-12)
+
+
+def test_sections_have_the_transfer_function_that_they_say():
+    structure, units = design.Sections(rates=[10.0, 30.0]), Units(gain=np.ones((2, 2)), rate=1.0)
+    given = {"c2_1": 0.5, "e2_1": -2.0, "damping2_1": 0.3, "c2_2": 1.5, "filter2_2": 40.0}
+    p = np.array([given.get(one.name, one.start) for one in structure.parameters(2, 2, units)])
+    s = 1j * np.array([1.0, 10.0, 35.0])
+    A, B, C, D, _ = structure.block(p, 2, 2)
+    found = np.array([C @ np.linalg.solve(one * np.eye(len(A)) - A, B) + D for one in s])
+    expected = 1.0 + (0.5 - 2.0 * s / 10.0) * 100.0 / (s**2 + 0.6 * 10.0 * s + 100.0)
+    expected += 1.5 * 1600.0 / (s**2 + 40.0 * s + 1600.0)
+    np.testing.assert_allclose(found[:, 1, 1], expected, rtol=1e-12)
+    # Sections without gains do nothing.
+    np.testing.assert_allclose(found[:, 0], np.tile([1.0, 0.0], (3, 1)), atol=1e-15)

@@ -133,6 +133,10 @@ class ContinuousLoop:
 
     def poles(self):
         """Poles of the closed loop in z, with the readings late."""
+        return np.linalg.eigvals(self.closed()[0])
+
+    def closed(self):
+        """From one sample to the next, (S, S), and the torques, (m, S): plant, late readings, controller."""
         A, B, C, N, _ = self._discrete()
         p = len(self.C_y)
         late = int(self.late.max(initial=0))
@@ -156,4 +160,4 @@ class ContinuousLoop:
                 out[N + j * p : N + (j + 1) * p, N + (j - 1) * p : N + j * p] = np.eye(p)
         out[N + late * p :] = B_K @ read
         out[N + late * p :, N + late * p :] += A_K
-        return np.linalg.eigvals(out)
+        return out, u

@@ -349,26 +349,10 @@ class Truth:
 
     def _step(self, channel: int) -> tuple[float, float]:
         loop, T, fine = self.loop, self.one.period, 24
-        A, B, C, N, m = loop._discrete()
-        late, p = int(loop.late.max()), self.p
-        A_K, B_K, C_K, D_K = self.own
-        size = N + late * p + len(A_K)
-        read = np.zeros((p, size))
-        if late:
-            read[:, N + (late - 1) * p : N + late * p] = np.eye(p)
-        else:
-            read[:, :N] = C
-        u = D_K @ read
-        u[:, N + late * p :] += C_K
-        whole = np.zeros((size, size))
-        whole[:N, :N] = A
-        whole[:N] += B @ u
-        if late:
-            whole[N : N + p, :N] = C
-            for j in range(1, late):
-                whole[N + j * p : N + (j + 1) * p, N + (j - 1) * p : N + j * p] = np.eye(p)
-        whole[N + late * p :] = B_K @ read
-        whole[N + late * p :, N + late * p :] += A_K
+        _, B, C, N, m = loop._discrete()
+        late, p, (_, B_K, _, D_K) = int(loop.late.max()), self.p, self.own
+        whole, u = loop.closed()
+        size = len(whole)
         drive = np.zeros(size)
         drive[:N] -= (B @ D_K)[:, channel]
         drive[N + late * p :] -= B_K[:, channel]
