@@ -1,6 +1,7 @@
 """The jobs as shipped: every claim is proved; every design of the main one meets what is asked, and the whole does."""
 
 import dataclasses
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import design, read_job, simulation, verification
+from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
 MAIN = Path("examples/three_gyro_platform.toml")
 
@@ -260,3 +262,52 @@ def test_straight_down_the_job_of_the_drone_gimbal_fails_with_readings_in_the_ax
     verdict = verification.check_job(down, design.loops(down))
     missed = {r.name for r in verdict.requirements if not r.passed}
     assert {"minimum decay rate, worst case", "disk margin, worst case"} <= missed
+
+
+BENDING = Path("examples/camera_gimbal_modes.toml")
+
+
+def least_crossovers(outcome):
+    """Where the gain of the loop broken at a torque, the other closed, first falls below 1, least over all plants."""
+    found, plants = {}, None
+    w = 2.0 * np.pi * np.geomspace(5.0, 100.0, 300)
+    for one in outcome.designs:
+        plants = one.plants.on(w) if plants is None else plants
+        K = one.own_controller(np.exp(1j * w * plants.period)).transpose(2, 0, 1)
+        broken = 1.0 / np.einsum("nfkk->nfk", np.linalg.inv(np.eye(2) - K @ plants.response)) - 1.0
+        found[one.name] = w[np.argmax(np.abs(broken) < 1.0, axis=1)].min() / (2.0 * np.pi)
+    return found
+
+
+def test_the_camera_that_bends_is_the_shipped_camera_with_modes():
+    plant, shipped_plant = (
+        tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        for path in ("examples/camera_gimbal_modes_plant.toml", "models/camera_gimbal.toml")
+    )
+    modes = plant.pop("mode")
+    assert plant | {"name": "", "source": ""} == shipped_plant | {"name": "", "source": ""}
+    assert [one["participation"]["Qazimuth"] * one["participation"]["yaw_rate"] > 0.0 for one in modes] == [
+        True,
+        True,
+        False,
+    ]
+
+
+def test_the_loop_of_the_camera_that_bends_is_half_again_as_fast_as_a_pid_with_a_notch():
+    """The controllers that the job led to, measured again over its plants."""
+    job, accepted = read_job(BENDING), Path(__file__).parent / "data" / "camera_gimbal_modes.json"
+    given = [read_controllers(accepted, job, key) for key in ("controllers", "alternatives")]
+    [outcome] = outcomes_from(job, *given)
+    assert outcome.spec.limits["disk_margin_worst_case"] == 0.4
+    assert (job.uncertainty.mode_frequency, job.uncertainty.mode_damping) == (0.1, 0.5)
+    assert [one.passed for one in outcome.designs] == [True, True]
+    crossover = least_crossovers(outcome)
+    assert crossover["sections"] >= max(0.4 * 75.0, 1.5 * crossover["pid and notch"])
+
+
+@pytest.mark.slow
+def test_the_job_of_the_camera_that_bends_leads_there():
+    _, [outcome] = designed(BENDING)
+    assert [one.passed for one in outcome.designs] == [True, True]
+    crossover = least_crossovers(outcome)
+    assert crossover["sections"] >= max(0.4 * 75.0, 1.5 * crossover["pid and notch"])

@@ -293,7 +293,7 @@ def sectioned_structure(
     The gains start at those of the PID that is nearest to `like`, the sections about the nominal plant's resonances.
     """
     n, read = like.D.shape
-    K_P = _fitted(like, channel, plants.period, plants.nutation, rolloff)[0]
+    K_P, _, K_D = _fitted(like, channel, plants.period, plants.nutation, rolloff)
     poles = np.log(np.linalg.eigvals(plants.A[0]).astype(np.complex128) + 1e-300) / plants.period
     resonant = (poles.imag > _SLOW * plants.nutation) & (-poles.real < _RESONANT * np.abs(poles))
     fast = np.abs(poles[resonant]) if resonant.any() else plants.nutation * np.array([0.4, 1.0])
@@ -302,7 +302,7 @@ def sectioned_structure(
     gains = Static(start={entry("k", K_P.shape, i, j): float(K_P[i, j]) for i, j in np.ndindex(n, read)})
     series = Series(blocks=(_pi(np.arange(read) < n, integral, plants.period), sections, gains))
     structure = Sampled(inner=series, period=plants.period, basis=channel.basis, read=channel.turned(read))
-    unit = float(np.abs(K_P).max()) or 1.0
+    unit = float(np.abs(K_P[:, :n]).max() + plants.nutation * np.abs(K_D).max()) or 1.0
     return Parametrised(
         structure, read, n, Units(gain=np.tile(unit / channel.shown(plants), (n, 1)), rate=plants.nutation)
     )
