@@ -25,7 +25,7 @@ from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export.systems import ExportedSystem, signal_units
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.uncertainty import Faults, Uncertainty
+from platform_ctrl.job.variation import Faults, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.verification.controllers import outcomes_from

@@ -21,8 +21,7 @@ from platform_ctrl.job.methods import DesignSpec, LoopKind, kind_misfits
 from platform_ctrl.job.requirements import LoopRequirement, limit_misfits, loop_goals, loop_requirements, out_of_reach
 from platform_ctrl.job.resolve import Resolver, reading_units, resolve_misfits, resolver
 from platform_ctrl.job.scenario import HalfCosine, Scenario
-from platform_ctrl.job.uncertainty import Faults, Uncertainty
-from platform_ctrl.job.variation import Campaign
+from platform_ctrl.job.variation import Campaign, Faults, Uncertainty
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, suggestion, useless, within, wrong
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform

@@ -11,7 +11,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import cases
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.uncertainty import Faults, Uncertainty
+from platform_ctrl.job.variation import Faults, Uncertainty
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 PERIOD = 5e-4

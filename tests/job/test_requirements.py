@@ -27,7 +27,7 @@ from platform_ctrl.job.requirements import (
     loop_requirements,
     requirement,
 )
-from platform_ctrl.job.uncertainty import Faults
+from platform_ctrl.job.variation import Faults
 
 KINDS = tuple(METRICS)
 # The plants here have no line of sight.

@@ -13,7 +13,7 @@ from one_axis import loop_of
 from platform_ctrl import design, linearise, read_job, read_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import CoupledLimits, Job, Sampling
-from platform_ctrl.job.uncertainty import Uncertainty
+from platform_ctrl.job.variation import Uncertainty
 from platform_ctrl.plant.locking import with_cogging
 from platform_ctrl.verification.coupled import coupled_check
 
