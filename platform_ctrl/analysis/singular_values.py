@@ -24,9 +24,8 @@ from platform_ctrl.errors import ArgumentError
 # Points of a grid in the time in which what is oldest turns once; halvings of a step between two of them.
 _IN_A_TURN, _HALVINGS = 8, 40
 
-# Sums of squares between this and its inverse keep their digits; so does a cosine above the second. Matrices from
-# which on the cosine is faster than LAPACK.
-_TINY, _NEARLY_ONE, _MANY = 1e-200, -0.999, 24
+# Sums of squares between this and its inverse keep their digits.
+_TINY = 1e-200
 
 # Relative real part of a Hamiltonian eigenvalue from which on it is off the axis, and its error in sizes of the matrix.
 _OFF, _UNSURE = 0.1, 1e-6
@@ -157,29 +156,9 @@ def largest_singular_values(matrices: ComplexArray) -> FloatArray:
     if min(p, m) == 2:
         a, b, c = gram[..., 0, 0].real, gram[..., 1, 1].real, gram[..., 0, 1]
         square = 0.5 * trace + np.sqrt(0.25 * (a - b) ** 2 + c.real**2 + c.imag**2)
-    elif min(p, m) == 3 and trace.size > _MANY:
-        square = _largest_of_three(gram, trace / 3.0)
     elif min(p, m) > 2:
         square = np.linalg.eigvalsh(gram)[..., -1]
     return np.asarray(np.sqrt(square))
-
-
-def _largest_of_three(gram: ComplexArray, mean: FloatArray) -> FloatArray:
-    """Return the largest eigenvalue of Hermitian matrices (..., 3, 3) by the cosine that solves the cubic equation.
-
-    Where the two largest are nearly one, the cosine has half the digits.
-    """
-    a, b, c = (gram[..., i, i].real - mean for i in range(3))
-    u, v, w = gram[..., 0, 1], gram[..., 1, 2], gram[..., 0, 2]
-    x, y, z = (one.real**2 + one.imag**2 for one in (u, v, w))
-    spread = np.sqrt((a * a + b * b + c * c) / 6.0 + (x + y + z) / 3.0)
-    with np.errstate(all="ignore"):
-        cosine = (a * (b * c - y) - b * z - c * x + 2.0 * (u * v * w.conj()).real) / (2.0 * spread**3)
-    out = mean + 2.0 * spread * np.cos(np.arccos(np.clip(cosine, -1.0, 1.0)) / 3.0)
-    close = ~(cosine > _NEARLY_ONE)
-    if close.any():
-        out[close] = np.linalg.eigvalsh(gram[close])[..., -1]
-    return np.asarray(out)
 
 
 def hamiltonian_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray:
