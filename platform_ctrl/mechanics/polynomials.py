@@ -16,6 +16,7 @@ from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.mechanics.linearisation import Terms, inertia_rounding, linearise, momentum_rounding
 from platform_ctrl.mechanics.matrices import inverse_inertia
+from platform_ctrl.mechanics.state_space import NamedMatrices
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 if TYPE_CHECKING:
@@ -184,11 +185,9 @@ class AffineModel:
 
     def system(self, parameters: ArrayLike) -> control.StateSpace:
         """Return the system at values of the monomials (parameters,), which need not belong to any Omega."""
-        import control
-
-        names = {kind: distinct(kind, getattr(self, kind)) for kind in ("states", "inputs", "outputs")}
+        names = (distinct(kind, getattr(self, kind)) for kind in ("inputs", "outputs", "states"))
         A, D = self.state_matrix(parameters), np.zeros((len(self.C), self.B.shape[1]))
-        return control.StateSpace(A, self.B, self.C, D, remove_useless_states=False, **names)
+        return NamedMatrices(A, self.B, self.C, D, *names).state_space()
 
 
 @value

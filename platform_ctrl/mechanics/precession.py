@@ -15,7 +15,13 @@ from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.reduction import Rows
-from platform_ctrl.mechanics.state_space import ComplexArray, gimbal_torquers, subsystems, whole_subsystems
+from platform_ctrl.mechanics.state_space import (
+    ComplexArray,
+    NamedMatrices,
+    gimbal_torquers,
+    subsystems,
+    whole_subsystems,
+)
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
@@ -193,8 +199,6 @@ class Precession:
         ArgumentError
             Two signals would have the same name.
         """
-        import control
-
         for part in self.parts:
             if not (momentum_states or part.admissible):
                 raise MechanicsError(f"precession theory is not admissible: {part.reasons[0]}; {part.cures[0]}")
@@ -216,16 +220,9 @@ class Precession:
             A[np.ix_(at, at)] = to_file @ found[:, : n + k] @ np.linalg.inv(to_file)
             into = to_file @ found[:, n + k :]
             B[at] = np.hstack([into[:, :n] @ torque_map[mine], into[:, n:]])
-        return control.StateSpace(
-            A,
-            B,
-            np.eye(len(angles), len(names)),
-            np.zeros((len(angles), len(torquers) + 3)),
-            inputs=[*torquers, *OMEGA_NAMES],
-            outputs=angles,
-            states=distinct("states", names),
-            remove_useless_states=False,
-        )
+        C, D = np.eye(len(angles), len(names)), np.zeros((len(angles), len(torquers) + 3))
+        inputs, states = [*torquers, *OMEGA_NAMES], distinct("states", names)
+        return NamedMatrices(A, B, C, D, inputs, angles, states).state_space()
 
     def error(self, frequency: ArrayLike, momentum_states: bool = False) -> FloatArray:
         """Return the relative error of the precession model against the full one.
