@@ -168,19 +168,14 @@ class Plan:
         """How many numbers in (0, 1) a run is made of: one for each of `input_names`."""
         return len(self.input_names)
 
-    def points(self, first: int, last: int) -> FloatArray:
-        """Return the numbers in (0, 1) that runs `first` to `last` − 1 are made of, (last − first, dimensions)."""
-        first = whole("first run", first, 0, self.runs)
-        last = whole("end of the runs", last, first, self.runs)
-        return unit_points(self.sampling, _seed_of(self.seed, "inputs"), self.runs, self.dimensions, first, last)
-
-    def inputs_at(self, points: FloatArray) -> Columns:
-        """Return the inputs at points (N, dimensions) of the unit cube: columns (N,) by `input_names`, in SI units.
+    def inputs(self, first: int, last: int) -> Columns:
+        """Return the inputs of runs `first` to `last` − 1: columns (N,) by `input_names`, in SI units.
 
         The number of a relative parameter is the factor; the column of a fault says whether it happens.
         """
-        if points.ndim != 2 or points.shape[1] != self.dimensions:
-            raise ArgumentError(f"Plan.inputs_at: points must be (N, {self.dimensions}), got {points.shape}")
+        first = whole("first run", first, 0, self.runs)
+        last = whole("end of the runs", last, first, self.runs)
+        points = unit_points(self.sampling, _seed_of(self.seed, "inputs"), self.runs, self.dimensions, first, last)
         names = np.array([one.name for one, _ in self.job.campaign_manoeuvres], dtype=np.str_)
         columns: Columns = {"manoeuvre": names[chosen(self.weights, points[:, 0])]}
         for k, vary in enumerate(self.campaign.vary, 1):
@@ -189,15 +184,8 @@ class Plan:
             columns[f"fault.{fault.fault}"] = points[:, k] < fault.probability
         return columns
 
-    def inputs(self, first: int, last: int) -> Columns:
-        """Return the inputs of runs `first` to `last` − 1 as columns by their names."""
-        return self.inputs_at(self.points(first, last))
-
     def scenarios_with(self, inputs: Mapping[str, NDArray[Any]], runs: Sequence[int]) -> list[Scenario]:
         """Return the scenarios of given inputs, columns as of `inputs`; noise depends on the numbers of the `runs`."""
-        for name in self.input_names:
-            if name not in inputs or len(inputs[name]) != len(runs):
-                raise ArgumentError(f"Plan.scenarios_with: inputs must have {len(runs)} numbers of {name!r}, one a run")
         place = {manoeuvre.name: k for k, (manoeuvre, _) in enumerate(self.job.campaign_manoeuvres)}
         # Python's numbers: a dataclass keeps what it is given.
         columns = [inputs[name].tolist() for name in self.input_names]

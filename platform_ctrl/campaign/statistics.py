@@ -15,9 +15,7 @@ from platform_ctrl.campaign.store import (
     PASSED,
     RUN,
     Array,
-    Table,
-    column_names,
-    read_columns,
+    Columns,
     was_simulated,
 )
 from platform_ctrl.common.arguments import whole
@@ -186,34 +184,26 @@ class CampaignStatistics:
         )
 
 
-def statistics(table: Table, limits: Limits) -> CampaignStatistics:
-    """Return the statistics of each requirement from a campaign's table.
+def statistics(columns: Columns, limits: Limits) -> CampaignStatistics:
+    """Return the statistics of each requirement from the columns of a campaign's table.
 
     Parameters
     ----------
-    table
-        Parquet files, or a dict of columns: `run`, `manoeuvre`, the metrics `angle`, `attitude`, `torque_share`, for
+    columns
+        As of `store.read_columns`: `run`, `manoeuvre`, the metrics `angle`, `attitude`, `torque_share`, for
         each its `..._passed` (null where the manoeuvre has no such limit), `passed` and `ended`.
     limits
         Limits of each manoeuvre by metric: `Manoeuvre.limits` by name, SI units.
-
-    Raises
-    ------
-    ArgumentError
-        A column is missing.
-    InputError
-        The files cannot be read.
     """
-    answers = answer_columns(table)
-    metrics = tuple(name for name in RUN_METRICS if name in column_names(table))
-    data = read_columns(table, (RUN, MANOEUVRE, *metrics, *answers.values(), ENDED))
-    runs, rows = len(data[RUN]), was_simulated(data)
+    answers = answer_columns(columns)
+    metrics = tuple(name for name in RUN_METRICS if name in columns)
+    runs, rows = len(columns[RUN]), was_simulated(columns)
     endings: dict[str, int] = {}
-    for text, number in zip(*np.unique(data[ENDED].astype(str), return_counts=True), strict=True):
+    for text, number in zip(*np.unique(columns[ENDED].astype(str), return_counts=True), strict=True):
         kind = DIVERGED if text.startswith(DIVERGED) else str(text)
         kind = kind if kind in endings or len(endings) < _MOST_ENDINGS else "other reasons"
         endings[kind] = endings.get(kind, 0) + int(number)
-    data = {name: column[rows] for name, column in data.items()}
+    data = {name: column[rows] for name, column in columns.items()}
     compared = over_limits(data, metrics, limits)
     found: list[RequirementStatistics] = []
     for manoeuvre in (None, *in_order(np.unique(data[MANOEUVRE].astype(str)).tolist(), limits)):
@@ -300,7 +290,6 @@ def in_order(names: Iterable[str], limits: Limits) -> list[str]:
     return sorted(names, key=lambda name: list(limits).index(name) if name in limits else len(limits))
 
 
-def answer_columns(table: Table) -> dict[str, str]:
+def answer_columns(columns: Columns) -> dict[str, str]:
     """Return the columns that say whether requirements are met."""
-    present = column_names(table)
-    return {name: f"{name}_passed" for name in RUN_METRICS if f"{name}_passed" in present} | {PASSED: PASSED}
+    return {name: f"{name}_passed" for name in RUN_METRICS if f"{name}_passed" in columns} | {PASSED: PASSED}

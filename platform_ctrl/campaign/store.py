@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl import __version__
-from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.files import remove_unfinished, replaced_file, write_json
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import InputError
 from platform_ctrl.job.reading import data_hash, job_data, job_hashes
 
 if TYPE_CHECKING:
@@ -36,15 +35,10 @@ if TYPE_CHECKING:
 RUN, MANOEUVRE, PASSED, ENDED = "run", "manoeuvre", "passed", "ended"
 # How a run ended begins with one of these words.
 COMPLETED, DIVERGED, NOT_SIMULATED = "completed", "diverged", "not simulated"
-OUTCOMES = frozenset(
-    {RUN, *RUN_METRICS, *(f"{name}_passed" for name in RUN_METRICS), "stop_contacts", "saturated", PASSED, ENDED}
-)
 
 Array = NDArray[Any]
 Columns = dict[str, Array]
 Kind = Literal["whole", "number", "answer", "word"]  # of a column
-# A folder or file of Parquet, several files, or the columns themselves.
-Table = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Mapping[str, Any]
 
 
 def arrow() -> Any:
@@ -59,68 +53,32 @@ def arrow() -> Any:
     return pyarrow
 
 
-def column_names(table: Table) -> tuple[str, ...]:
-    """Return the names of the table's columns."""
-    return tuple(table) if isinstance(table, Mapping) else tuple(_dataset(table).schema.names)
-
-
-def input_names(table: Table) -> tuple[str, ...]:
-    """Return the columns that went into the runs: all that are no outcome."""
-    return tuple(name for name in column_names(table) if name not in OUTCOMES)
-
-
-def read_columns(table: Table, names: Sequence[str]) -> dict[str, Array]:
-    """Return the named columns (N,), in the table's order.
-
-    Numbers are float64 (`run` is int64), words objects, yes and no int8 where −1 says neither.
-    """
-    known = column_names(table)
-    for name in names:
-        if name not in known:
-            raise ArgumentError(f"table has no column {name!r}: it must have {short(tuple(names))}")
-    if isinstance(table, Mapping):
-        columns = {name: np.asarray(table[name]) for name in names}
-        lengths = {name: column.shape for name, column in columns.items()}
-        if len(set(lengths.values())) != 1 or any(len(shape) != 1 for shape in lengths.values()):
-            raise ArgumentError(f"table: columns must be vectors of one length, got {short(lengths)}")
-    else:
-        data = _dataset(table).to_table(columns=list(names))
-        columns = {name: data.column(name).to_numpy() for name in names}
-    return {name: _column(name, column) for name, column in columns.items()}
-
-
-def _column(name: str, column: Array) -> Array:
-    if name == RUN:
-        return column.astype(np.int64)
-    if name == PASSED or name.endswith("_passed"):
-        return _answers(column)
-    if column.dtype.kind == "b":
-        return column.astype(np.int8)
-    if column.dtype.kind in "iuf":
-        return column.astype(np.float64)
-    if column.dtype.kind in "US":
-        return column.astype(object)
-    if all(isinstance(item, bool | np.bool_ | None) for item in column):
-        return _answers(column)
-    return column
-
-
-def _answers(column: Array) -> Array:
-    """Return 1 for yes, 0 for no, −1 where there is no answer (None, a missing number)."""
-    if column.dtype.kind in "biu":
-        return column.astype(np.int8)
-    return np.fromiter((-1 if item is None or item != item else int(bool(item)) for item in column), np.int8)
-
-
-def _dataset(table: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> Any:
+def read_columns(table: str | os.PathLike[str]) -> Columns:
+    """Return the columns (N,) of a campaign's table, Parquet, by their names, as of `typed`."""
     pa = arrow()
     from pyarrow import dataset
 
-    given = os.fspath(table) if isinstance(table, str | os.PathLike) else [os.fspath(path) for path in table]
+    where = short(os.fspath(table))
     try:
-        return dataset.dataset(given, format="parquet")
+        found = dataset.dataset(os.fspath(table), format="parquet").to_table()
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(f"{short(given)}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+        raise InputError(f"{where}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+    for name in {RUN, MANOEUVRE, PASSED, ENDED}.difference(found.column_names):
+        raise InputError(f"{where}: has no column {name!r}; give the table that a campaign has written")
+    return typed({name: found.column(name).to_numpy() for name in found.column_names})
+
+
+def typed(columns: Mapping[str, Array]) -> Columns:
+    """Return columns with numbers in float64 (`run`: int64), words as objects, yes and no in int8: −1 is neither."""
+    return {name: _typed(column) for name, column in columns.items()} | {RUN: columns[RUN].astype(np.int64)}
+
+
+def _typed(column: Array) -> Array:
+    if column.dtype.kind in "biuf":
+        return column.astype(np.int8 if column.dtype.kind == "b" else np.float64)
+    if all(isinstance(item, bool | np.bool_ | None) for item in column):
+        return np.fromiter((-1 if item is None else int(item) for item in column), np.int8)
+    return column
 
 
 def was_simulated(columns: Mapping[str, Array]) -> NDArray[np.bool_]:

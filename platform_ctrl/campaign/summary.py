@@ -6,6 +6,7 @@ With causes that violating runs have in common and drivers of each requirement, 
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -78,21 +79,15 @@ class Influence:
         return self.present.events > 0 and self.absent.events == 0
 
 
-def influences(
-    table: store.Table, limits: counted.Limits, *, inputs: Sequence[str] | None = None
-) -> tuple[Influence, ...]:
+def influences(columns: store.Columns, limits: counted.Limits, inputs: Sequence[str]) -> tuple[Influence, ...]:
     """Return the influence of every input on every requirement, the largest first.
 
     Every requirement over all manoeuvres comes first, then within each manoeuvre. An input that is the same in all runs
-    is left out. Arguments and errors are those of `statistics`; `inputs` are the columns of inputs, by default all that
-    are no outcome.
+    is left out. `columns` and `limits` are those of `statistics`, `inputs` the names of the columns of inputs.
     """
-    names = tuple(store.input_names(table) if inputs is None else inputs)
-    answers = counted.answer_columns(table)
+    answers = counted.answer_columns(columns)
     metrics = [name for name in answers if name != store.PASSED]
-    wanted = tuple(dict.fromkeys((store.MANOEUVRE, *names, *metrics, *answers.values(), store.ENDED)))
-    data = store.read_columns(table, wanted)
-    data = {name: column[store.was_simulated(data)] for name, column in data.items()}
+    data = {name: column[store.was_simulated(columns)] for name, column in columns.items()}
     manoeuvres = np.unique(data[store.MANOEUVRE].astype(str)).tolist()
     ratios = dict(zip(metrics, counted.over_limits(data, metrics, limits)[:, 2], strict=True))
     ratios[store.PASSED] = np.max([*ratios.values()], axis=0) if ratios else np.zeros(len(data[store.MANOEUVRE]))
@@ -103,7 +98,7 @@ def influences(
         )
         for requirement, column in answers.items():
             rows = here & (data[column] >= 0)
-            given = {name: data[name][rows] for name in names if _varies(data[name][rows])}
+            given = {name: data[name][rows] for name in inputs if _varies(data[name][rows])}
             violated = data[column][rows] == 0
             out += _of_one((requirement, manoeuvre), given, violated, ratios[requirement][rows])
     return tuple(out)
@@ -206,7 +201,7 @@ class Summary:
         return {name: column[0].item() for name, column in self.plan.inputs(run, run + 1).items()}
 
 
-def summarise(plan: Plan, table: store.Table) -> Summary:
+def summarise(plan: Plan, table: str | os.PathLike[str]) -> Summary:
     """Return the statistics and influences of a campaign's table.
 
     Parameters
@@ -214,7 +209,7 @@ def summarise(plan: Plan, table: store.Table) -> Summary:
     plan
         What was simulated.
     table
-        The runs: Parquet files or columns.
+        The folder of Parquet files with the runs.
 
     Returns
     -------
@@ -223,16 +218,15 @@ def summarise(plan: Plan, table: store.Table) -> Summary:
 
     Raises
     ------
-    ArgumentError
-        A column is missing.
     InputError
-        The files cannot be read.
+        The files cannot be read, or are not those of a campaign.
     """
+    columns = store.read_columns(table)
     limits = {manoeuvre.name: manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres}
     return Summary(
         plan=plan,
-        statistics=counted.statistics(table, limits),
-        influences=influences(table, limits, inputs=plan.input_names),
+        statistics=counted.statistics(columns, limits),
+        influences=influences(columns, limits, plan.input_names),
     )
 
 

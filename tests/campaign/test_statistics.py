@@ -9,8 +9,10 @@ import pytest
 from scipy import stats
 
 from platform_ctrl.campaign.statistics import clopper_pearson, statistics
+from platform_ctrl.campaign.store import typed
 from platform_ctrl.campaign.summary import influences
 
+INPUTS = ("manoeuvre", "rotor.11.spin", "root.inertia", "dead torquer")
 LIMITS = {"turn": {"angle": 0.003, "torque_share": 1.0}, "push": {"angle": 0.002, "attitude": 0.01}}
 
 
@@ -58,7 +60,7 @@ def test_bounds_are_those_that_scipy_calls_exact(events, runs):
 
 def test_every_requirement_is_counted_as_the_table_judges_it():
     table = table_of_runs()
-    found = statistics(table, LIMITS)
+    found = statistics(typed(table), LIMITS)
     turn = table["manoeuvre"] == "turn"
     for figure, rows in (("angle", turn | True), ("torque_share", turn), ("attitude", ~turn)):
         answers = table[f"{figure}_passed"][rows]
@@ -77,7 +79,7 @@ def test_every_requirement_is_counted_as_the_table_judges_it():
 
 
 def test_a_run_that_diverged_violates_what_is_asked_and_is_the_worst():
-    found = statistics(table_of_runs(), LIMITS)
+    found = statistics(typed(table_of_runs()), LIMITS)
     assert (found.diverged, found.endings["diverged"]) == (1, 1)
     assert found.worst[0].run == 7
     assert found.worst[0].ended.startswith("diverged")
@@ -87,7 +89,7 @@ def test_a_run_that_diverged_violates_what_is_asked_and_is_the_worst():
 def test_runs_that_were_not_simulated_count_neither_way_and_are_told():
     table = table_of_runs(200)
     table["ended"][[3, 4]] = "not simulated: a torquer has no limit"
-    found = statistics(table, LIMITS)
+    found = statistics(typed(table), LIMITS)
     assert (found.runs, found.simulated, found.not_simulated) == (200, 198, 2)
     assert found.violation.runs == 198
     assert found.endings["not simulated: a torquer has no limit"] == 2
@@ -97,7 +99,7 @@ def test_the_worst_runs_are_those_with_the_largest_ratios():
     table = table_of_runs()
     limit = np.array([LIMITS[name]["angle"] for name in table["manoeuvre"]])
     expected = np.lexsort((table["run"], -(table["angle"] / limit)))[:10]
-    found = statistics(table, LIMITS)
+    found = statistics(typed(table), LIMITS)
     assert [one.run for one in found.of("angle").worst] == expected.tolist()
     assert all(one.ratio >= other.ratio for one, other in zip(found.worst, found.worst[1:], strict=False))
     worst = found.of("angle", "turn").worst[1]
@@ -106,7 +108,10 @@ def test_the_worst_runs_are_those_with_the_largest_ratios():
 
 
 def test_what_drives_the_campaign_s_requirements_is_found():
-    found = {(one.requirement, one.manoeuvre, one.parameter): one for one in influences(table_of_runs(), LIMITS)}
+    found = {
+        (one.requirement, one.manoeuvre, one.parameter): one
+        for one in influences(typed(table_of_runs()), LIMITS, INPUTS)
+    }
     spin = found["angle", "push", "rotor.11.spin"]
     assert spin.driver
     assert spin.correlation < -0.7
@@ -129,7 +134,7 @@ def test_correlations_and_p_values_are_those_of_scipy():
     push = table["manoeuvre"] == "push"
     one = next(
         one
-        for one in influences(table, LIMITS, inputs=["rotor.11.spin"])
+        for one in influences(typed(table), LIMITS, inputs=["rotor.11.spin"])
         if (one.requirement, one.manoeuvre) == ("angle", "push")
     )
     exact = stats.spearmanr(table["rotor.11.spin"][push], table["angle"][push])
@@ -172,7 +177,7 @@ def found_of(found, parameter, manoeuvre=None, figure="passed"):
 def test_a_rare_fault_of_all_violations_is_seen_in_counts_where_no_rank_shows_it():
     table = rare_fault()
     limits = {"turn": {"angle": 0.003}, "push": {"angle": 0.003}, "step": {"angle": 0.003}}
-    found = influences(table, limits, inputs=["manoeuvre", "gain", "fault.weak", "fault.noise"])
+    found = influences(typed(table), limits, inputs=["manoeuvre", "gain", "fault.weak", "fault.noise"])
     one = found_of(found, "fault.weak")
     assert (one.present.events, one.present.runs, one.absent.events, one.absent.runs) == (4, 10, 0, 490)
     assert one.in_every_violation

@@ -18,7 +18,8 @@ import platform_ctrl as pc
 from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.campaign.statistics import clopper_pearson, statistics
-from platform_ctrl.campaign.summary import Summary, summarise
+from platform_ctrl.campaign.store import Columns, typed
+from platform_ctrl.campaign.summary import Summary, influences
 from platform_ctrl.cli.campaign_command import show_campaign
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.report import blocks, figures, job_page, style
@@ -57,6 +58,12 @@ def made(result: JobResult) -> Plan:
     return plan(result.job, tuple(outcome.closed.controller for outcome in result.loops))
 
 
+def summary_of(made: Plan, table: Columns) -> Summary:
+    columns, limits = typed(table), {one.name: one.limits for one, _ in made.job.campaign_manoeuvres}
+    found = influences(columns, limits, made.input_names)
+    return Summary(plan=made, statistics=statistics(columns, limits), influences=found)
+
+
 def counted(made: Plan, scale: float, odd: bool = False) -> Summary:
     """A campaign whose angles follow from the delay; an odd one has a run that diverged and one not simulated."""
     N, inputs = made.runs, made.inputs(0, made.runs)
@@ -73,7 +80,7 @@ def counted(made: Plan, scale: float, odd: bool = False) -> Summary:
         table["angle"][11] = table["torque_share"][11] = np.inf
     table["angle_passed"], table["torque_share_passed"] = table["angle"] <= 0.01, table["torque_share"] <= 2.0
     table["attitude_passed"] = np.array([None] * N)
-    return summarise(made, table | {"passed": table["angle_passed"] & table["torque_share_passed"]})
+    return summary_of(made, table | {"passed": table["angle_passed"] & table["torque_share_passed"]})
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +177,7 @@ def test_a_campaign_without_violations_passes_and_bounds_what_it_did_not_see(
 
 def test_the_worst_run_is_simulated_again_and_drawn_where_it_is_the_one_of_the_table(made: Plan) -> None:
     table = simulate_runs(made, range(4))
-    summary = summarise(made, table)
+    summary = summary_of(made, table)
     worst = summary.statistics.worst[0]
     name = f"run {worst.run}, {worst.manoeuvre}"
     [section] = [one for one in campaign_document(summary).sections if one.name == "trace"]
@@ -179,7 +186,7 @@ def test_the_worst_run_is_simulated_again_and_drawn_where_it_is_the_one_of_the_t
     assert drawn.title == name
     assert "gimbal angles" in re.sub(r"<[^>]+>", " ", drawn.svg)
     other = table | {worst.requirement: table[worst.requirement] * np.where(table["run"] == worst.run, 1.01, 1.0)}
-    [section] = [one for one in campaign_document(summarise(made, other)).sections if one.name == "trace"]
+    [section] = [one for one in campaign_document(summary_of(made, other)).sections if one.name == "trace"]
     assert section.blocks[0].text.startswith(f"{name.capitalize()} is not drawn")  # type: ignore[union-attr]
 
 
@@ -284,7 +291,7 @@ ANGLE_LIMIT = {"turn": {"angle": 1.2e-3}}
 def test_histograms_count_every_run_and_colour_those_beyond_the_limit():
     columns = columns_of_runs()
     beyond = int(np.count_nonzero(columns["angle"] > 1.2e-3))
-    figure = figures.campaign_histograms(statistics(columns, ANGLE_LIMIT))
+    figure = figures.campaign_histograms(statistics(typed(columns), ANGLE_LIMIT))
     [axes] = [axes for axes in figure.axes if axes.get_visible()]
     stairs = {to_hex(patch.get_facecolor()): patch.get_data() for patch in axes.patches if hasattr(patch, "get_data")}
     assert stairs[SERIES[0]].values.sum() == 200
