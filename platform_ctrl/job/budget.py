@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from pathlib import Path as FilePath
 from typing import Annotated, Any
@@ -372,7 +372,7 @@ def value_mistakes(budget: BudgetSpec) -> Iterator[mistake.Mistake]:
 
 
 def sight_misfits(
-    limits: Iterable[str], budget: BudgetSpec | None, platform: Platform, alone: bool
+    limits: Mapping[str, float], budget: BudgetSpec | None, platform: Platform, alone: bool
 ) -> Iterator[mistake.Misfit]:
     """Yield limits or goals of a loop on the budget of the line of sight that the job does not have.
 
@@ -385,6 +385,8 @@ def sight_misfits(
             yield key, f"{key} has no effect without exposure of [budget], the exposure times in s"
         elif key == "contrast" and not budget.spatial_frequencies:
             yield key, f"{key} has no effect without spatial_frequencies of [budget], in cycles/rad"
+        elif key == "contrast" and limits[key] >= 1.0:
+            yield mistake.wrong(limits, key, "a share between 0 and 1")
         elif not alone:
             words = f"{key} is a limit of a loop where the job has one loop, computed at every sample"
             yield key, f"{words}; else several loops together decide: use [budget.limits]"

@@ -305,8 +305,10 @@ class Motor:
             needed += ["inductance"] if "rate_hz" in loop else []
             lacking = [key for key in needed if key not in table and _INSTEAD.get(key) not in table]
             yield from (missing(key, "a current loop needs it") for key in lacking)
-            if not lacking and {"proportional", "integral", "rate_hz"} <= loop.keys() and "resistance" in table:
-                winding = _winding(CurrentLoop(**loop), table["resistance"], table["inductance"], 1.0, 0.0, 1.0)
+            if not lacking and {"proportional", "integral", "rate_hz"} <= loop.keys():
+                K = table.get("torque_constant") or _PER_VOLT.value(table["kv"], {})
+                R = table.get("resistance") or _FROM_HEAT.value(table["motor_constant"], {"torque_constant": K})
+                winding = _winding(CurrentLoop(**loop), R, table["inductance"], 1.0, 0.0, 1.0)
                 if np.abs(np.linalg.eigvals(_sampled(winding))).max() > 1.0:
                     yield "current_loop", "current_loop is not stable: take smaller gains, or a higher rate_hz"
             if "ripple" in table and "rate_hz" not in loop:

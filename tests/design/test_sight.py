@@ -102,3 +102,9 @@ def test_a_limit_that_the_job_has_no_budget_for_is_refused(changes, words):
     data = camera_job(budget=BUDGET, loop=camera_loop(limits={"jitter": 1e-5})) | changes
     with pytest.raises(InputError, match=words):
         pc.read_job({key: item for key, item in data.items() if item is not None})
+
+
+@pytest.mark.parametrize(("place", "most"), [("limits", 1.0), ("limits", 30.0), ("soft", 1.2)])
+def test_a_contrast_that_no_image_has_is_refused(place, most):
+    with pytest.raises(InputError, match=r"contrast must be a share between 0 and 1, got"):
+        job(**{place: {"contrast": most}})
