@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.common.values import replaced
+from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.plant.drives import Rotor
 from platform_ctrl.plant.flexible import Compliance
 from platform_ctrl.plant.force_elements import Friction, Spring
@@ -68,26 +68,43 @@ def _on_its_drive(platform: Platform, drive: Compliance) -> Platform:
     return replaced(platform, changes)
 
 
-def with_cogging(platform: Platform) -> list[tuple[str, Platform]]:
-    """Return the platform in words where cogging is steepest, a spring that pushes or holds, and ripple largest."""
-    slopes = dict.fromkeys(platform.gimbal_names, 0.0)
+def with_cogging(platform: Platform, held: FloatArray) -> list[tuple[str, Platform]]:
+    """Return the platform in words where cogging is steepest, a spring that pushes or holds, and ripple largest.
+
+    `held`: torques of the gimbals at rest (n,), N m; the ripple of a current that holds one is as steep as cogging.
+    """
+    names = platform.gimbal_names
+    cogging, ripple = (dict.fromkeys(names, 0.0) for _ in range(2))
     for k, (order, torque, _) in platform.cogging:
-        slopes[platform.gimbal_names[k]] += abs(order * torque)
+        cogging[names[k]] += abs(order * torque)
+    for k, _, (order, share, _) in platform.ripples:
+        ripple[names[k]] += abs(order * share * held[k])
 
-    def steepest(sign: float) -> Platform:
-        springs = (Spring(gimbal=name, stiffness=sign * size) for name, size in slopes.items() if size)
-        return replaced(platform, {"springs": (*platform.springs, *springs)})
+    def steepest(one: Platform, sign: float) -> Platform:
+        sizes = {name: cogging[name] + ripple[name] for name in names}
+        springs = (Spring(gimbal=name, stiffness=sign * size) for name, size in sizes.items() if size)
+        return replaced(one, {"springs": (*one.springs, *springs)})
 
-    def rippled(sign: float) -> Platform:
+    def rippled(one: Platform, sign: float) -> Platform:
         motors = (
             m if m.ripple is None else replaced(m, {"swell": 1.0 + sign * min(m.ripple[:, 1].sum(), 1.0)})
-            for m in platform.motors
+            for m in one.motors
         )
-        return replaced(platform, {"motors": tuple(motors)})
+        return replaced(one, {"motors": tuple(motors)})
 
-    words = {"cogging pushes away": -1.0, "cogging holds": 1.0} if any(slopes.values()) else {}
-    of_ripple = {"ripple takes torque away": -1.0, "ripple adds torque": 1.0} if platform.ripples else {}
-    return [(w, steepest(sign)) for w, sign in words.items()] + [(w, rippled(sign)) for w, sign in of_ripple.items()]
+    what = " with ".join(
+        word for word, sizes in (("cogging", cogging), ("ripple under load", ripple)) if any(sizes.values())
+    )
+    steep = {f"{what} pushes away": -1.0, f"{what} holds": 1.0} if what else {}
+    swollen = {"ripple takes torque away": -1.0, "ripple adds torque": 1.0} if platform.ripples else {}
+    cases = [(words, steepest(platform, sign)) for words, sign in steep.items()] or [("", platform)]
+    if not swollen:
+        return cases if what else []
+    return [
+        (", ".join(filter(None, (first, second))), rippled(one, sign))
+        for first, one in cases
+        for second, sign in swollen.items()
+    ]
 
 
 def with_stuck_bristles(platform: Platform) -> Platform:

@@ -156,7 +156,8 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
         return _Together(of, there, models.coupled_plant(of, linearise(platform, q=q), there))
 
     trims, at = [together], [""]
-    platforms, stuck = [*swung(job), *with_cogging(job.platform)], with_stuck_bristles(job.platform)
+    held = _torques_at_rest(job).max(axis=0)
+    platforms, stuck = [*swung(job), *with_cogging(job.platform, held)], with_stuck_bristles(job.platform)
     for label, platform in platforms if stuck is job.platform else [*platforms, ("bristles of bearings stick", stuck)]:
         for q in job.trims if label else job.trims[1:]:
             at.append("".join(f", {words}" for words in (label, at_angles(platform, q)) if words))
@@ -376,6 +377,13 @@ def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:
     return tuple(out)
 
 
+def _torques_at_rest(job: Job) -> FloatArray:
+    """Return the magnitudes of what turns each gimbal at rest at the job's angles, (angles, n), N m."""
+    platform, f = job.platform, specific_force_at(job.platform)
+    trims = [twisted(platform, q, f) for q in job.trims]
+    return np.abs([resting_forces(platform, q, f) for q in trims])[:, 3:]
+
+
 HOLDS = Requirement(name="torque at rest over its limit", limit=1.0, unit="", sense="at most")
 
 
@@ -386,13 +394,11 @@ def holding_results(job: Job, torquers: Collection[str], subject: str) -> Iterat
     breakaway of dry friction adds to them.
     """
     platform = job.platform
-    f = specific_force_at(platform)
     limits: dict[str, float] = {}
     for one in platform.torquers:
         if one.gimbal is not None and one.name in torquers:
             limits[one.gimbal] = limits.get(one.gimbal, 0.0) + (inf if one.limit is None else one.gain * one.limit)
-    trims = [twisted(platform, q, f) for q in job.trims]
-    forces = np.abs([resting_forces(platform, q, f) for q in trims])[:, 3:]
+    forces = _torques_at_rest(job)
     for gimbal, limit in limits.items():
         own = forces[:, platform.gimbal(gimbal)]
         worst = int(np.argmax(own))

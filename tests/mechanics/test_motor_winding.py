@@ -148,6 +148,23 @@ def test_a_loop_that_is_weaker_than_cogging_does_not_pass(crossover_hz, holds):
     assert (np.abs(run.q[-1000:]).max() < 1e-4) == holds
 
 
+@pytest.mark.parametrize(("crossover_hz", "holds"), [(3.0, False), (30.0, True)])
+def test_a_loop_that_is_weaker_than_ripple_under_load_does_not_pass(crossover_hz, holds):
+    # 1 N m of weight, 5 % of it 720 times a turn at the joint: a spring of up to ± 36 N m/rad.
+    design_ = {"name": "d", "method": "classical", "inertial_crossover_hz": crossover_hz, "integral_hz": 0.2}
+    design_ |= {"inertial_lead_hz": crossover_hz / 3, "inertial_rolloff_hz": 10 * crossover_hz}
+    plant = drive(ripple=[[36.0, 0.05, 0.0]]) | {"unbalance": [{"body": "g", "moment": [0.1, 0.0, 0.0]}]}
+    plant["root"] = plant["root"] | {"specific_force": [0.0, -10.0, 0.0]}
+    job = pc.read_job(job_of(plant, loop_of("g", "q", design=design_), rate_hz=1000.0, delay=2e-4, coupled={}))
+    outcomes = design.loops(job)
+    [found] = [one for one in check_job(job, outcomes).coupled.results if one.name == "minimum decay rate"]
+    assert found.passed == holds
+    assert holds or "ripple under load pushes away" in found.evidence
+    at = simulation.Scenario(platform=job.platform, mode="caged", duration=5.0, delay=2e-4, q=[1e-4])
+    run = simulation.simulate(at, [outcomes[0].closed.controller], period=1e-3, step=2.5e-5, noise=False)
+    assert (np.ptp(run.q[-1000:]) < 1e-4) == holds
+
+
 def test_ripple_is_a_share_of_what_the_current_does():
     rows = [[7.0, 0.2, 0.3], [14.0, 0.1, 0.0]]
     platform, period, k = pc.read_platform(drive(ripple=rows)), 1e-3, 5.0
@@ -177,6 +194,15 @@ def test_words_of_data_sheets_stand_for_values():
     assert [motor.resistance, motor.current_limit, motor.continuous_current] == pytest.approx([R, 10.0, 3.0])
     data["motor"][0]["kv"] = 60.0 / (2.0 * np.pi * data["motor"][0].pop("torque_constant"))
     assert pc.read_platform(data).motors[0].resistance == pytest.approx(R)
+
+
+def test_a_current_loop_that_is_not_stable_is_refused_with_words_of_data_sheets_too():
+    gains = {"proportional": 100.0, "integral": 1e4, "rate_hz": 20e3}
+    data = drive(loop=gains, motor_constant=K / np.sqrt(R), kv=60.0 / (2.0 * np.pi * K))
+    for key in ("torque_constant", "resistance"):
+        del data["motor"][0][key]
+    with pytest.raises(pc.PlatformCtrlError, match="current_loop is not stable"):
+        pc.read_platform(data)
 
 
 def test_a_speed_constant_stands_for_the_torque_constant():

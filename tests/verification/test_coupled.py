@@ -219,6 +219,17 @@ def test_a_rate_without_a_sensor_is_refused(name):
 
 
 def test_a_motor_with_ripple_is_checked_where_it_takes_away_and_where_it_adds():
-    platform = read_platform(drive(ripple=[[7.0, 0.2, 0.3], [14.0, 0.1, 0.0]]))
-    at_worst = {words: one.windings[0][1].swell for words, one in with_cogging(platform)}
-    assert at_worst == pytest.approx({"ripple takes torque away": 0.7, "ripple adds torque": 1.3})
+    rows = [[7.0, 0.2, 0.3], [14.0, 0.1, 0.0]]
+    at_worst = with_cogging(read_platform(drive(ripple=rows)), np.zeros(1))
+    assert [words for words, _ in at_worst] == ["ripple takes torque away", "ripple adds torque"]
+    assert [one.windings[0][1].swell for _, one in at_worst] == pytest.approx([0.7, 1.3])
+    assert not any(one.springs for _, one in at_worst)
+
+
+def test_cogging_and_the_ripple_of_a_held_torque_add_up_at_the_worst_of_their_phases():
+    platform = read_platform(drive(gear=-20.0, cogging=[[6.0, 0.02, 0.0]], ripple=[[36.0, 0.05, 0.0]]))
+    at_worst = with_cogging(platform, np.array([0.5]))
+    found = sorted([one.springs[0].stiffness, one.windings[0][1].swell] for _, one in at_worst)
+    steepest = 20.0**2 * 6.0 * 0.02 + 20.0 * 36.0 * 0.05 * 0.5
+    np.testing.assert_allclose(found, [[k * steepest, swell] for k in (-1, 1) for swell in (0.95, 1.05)])
+    assert at_worst[0][0] == "cogging with ripple under load pushes away, ripple takes torque away"
