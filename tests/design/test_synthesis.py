@@ -163,7 +163,7 @@ def test_loops_without_a_common_matrix_share_none():
     # Each is stable; their product is not.
     first, second = np.array([[0.5, 2.0], [0.0, 0.5]]), np.array([[0.5, 0.0], [2.0, 0.5]])
     assert np.abs(np.linalg.eigvals(first @ second)).max() > 1.0
-    assert sharing(np.array([first, second, 0.9 * first]), 10.0) == 2
+    assert sharing(np.array([first, second, 0.9 * first])) == 2
 
 
 def weighted() -> control.StateSpace:

@@ -114,7 +114,7 @@ class LMI(Method):
             controller, claims = synthesis(options)
         loops = Loop(plants, controller._replace(dt=plants.period))
         if loops.decay[0] > 0.0:
-            shared = sharing(loops.own_arrays.A, options["time_limit"])
+            shared = sharing(loops.own_arrays.A)
             claims |= {"plants with one Lyapunov matrix": float(shared), "plants": float(len(plants.labels))}
         return problem.made(controller, options, claims)
 
