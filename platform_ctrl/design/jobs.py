@@ -28,6 +28,7 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.processes import processes as pool
 from platform_ctrl.common.progress import Local, Progress, shown
+from platform_ctrl.common.values import replaced
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, commanded, with_commands, with_largest_rates
 from platform_ctrl.design.loop_signals import Channels
@@ -242,7 +243,11 @@ def _made(problem: LoopProblem) -> Made:
 
 
 def plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
-    """Return the plants of every design of a loop: those of designs that read the same are made once."""
+    """Return the plants of every design of a loop: those of designs that read the same are made once.
+
+    So are their responses to disturbances, where something is required of these.
+    """
+    disturbed = any(one.metric.of_disturbances for one in spec.requests)
     bare: dict[tuple[str, ...], PlantSet | None] = {}
     out = []
     for design in spec.designs:
@@ -250,7 +255,10 @@ def plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
         if read.sensors not in bare:
             bare[read.sensors] = plants_of(job, read)
         own = bare[read.sensors]
-        out.append(None if own is None else design_plants(job, spec, design, own))
+        made = None if own is None else design_plants(job, spec, design, own)
+        if disturbed and made is not None and made is own:
+            made = bare[read.sensors] = own.with_disturbances()
+        out.append(made)
     return out
 
 
@@ -300,7 +308,8 @@ def key_of(problem: LoopProblem, code: str) -> str | None:
     # Whether it is the design that is closed decides on some of its claims.
     spec = dataclasses.replace(problem.spec, designs=(problem.design,), use=problem.design.name)
     closed, sampling = problem.spec.use == problem.design.name, problem.job.sampling
-    parts = (code, spec, closed, sampling, problem.model, problem.directions, problem.plant_set)
+    plants = replaced(problem.plant_set, {"disturbed": None})
+    parts = (code, spec, closed, sampling, problem.model, problem.directions, plants)
     return hashlib.sha256(pickle.dumps(parts)).hexdigest()
 
 

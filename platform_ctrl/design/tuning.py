@@ -213,8 +213,6 @@ class Tuner:
             if best_ratio <= 1.0 - self.reserve:
                 break
             refined, plants = finer is not plants, finer
-            if refined:
-                measures = _on_grid(built(current), plants, self.requirements)
             added = [k for k in _worst_plants(measures, self.requirements) if k not in view]
             if current is not best and not added and not refined:
                 break
@@ -238,19 +236,22 @@ class Tuner:
         return start | {name: start[name] * float(one) for name, one in zip(self.movable, ratios, strict=True)}
 
     def _looked(self, controller: System, plants: PlantSet, beyond: float) -> tuple[LoopMetrics, PlantSet, float]:
-        """Return metrics of all plants, and the worst ratio, `beyond` added.
+        """Return metrics of all plants on the grid, the plants, and the worst ratio, `beyond` added.
 
-        Where exact values exceed a limit that those on the grid meet, the plants are on a grid that shows them.
+        The deciding plants are measured exactly. Where that exceeds a limit that is met on the grid, the plants are on
+        a grid that shows it.
         """
         measures = _on_grid(controller, plants, self.requirements)
         overall = _worst(measures, plants, self.requirements) + beyond
         if overall > 1.0:
             return measures, plants, overall
-        loops = Loop(plants, controller._replace(dt=plants.period))
-        exact = measure(plants, loops.controller, self.requirements, loops=loops)
-        exactly = _worst(exact, plants, self.requirements)
+        chosen = plants.only(deciding(measures, self.requirements))
+        loops = Loop(chosen, controller._replace(dt=plants.period))
+        exact = measure(chosen, loops.controller, self.requirements, loops=loops)
+        exactly = _worst(exact, chosen, self.requirements)
         if exactly > 1.0:
-            return exact, plants.finer(loops.peak_frequencies), exactly + beyond
+            plants = plants.finer(loops.peak_frequencies)
+            return _on_grid(controller, plants, self.requirements), plants, exactly + beyond
         return measures, plants, overall
 
 

@@ -175,11 +175,15 @@ class Search:
         return dataclasses.replace(best, x=best.x[: len(family.start)])
 
     def _missed(self, family: Parametrised, found: Found) -> FloatArray | None:
-        """Return the frequencies at which a limit is exceeded that seems to be met; None where none is, exactly."""
+        """Return the frequencies at which a limit is exceeded that seems to be met; None where none is, exactly.
+
+        Of the nominal plant and the worst ones.
+        """
         if found.hard > 1.0:
             return None
         K = family.block(found.x[: len(family.start)])
         plants = self._given.on(self._plants.frequency) if self._regular else self._plants
+        plants = plants.only(list(self._worst(found.at, _FIRST, -np.inf)))
         loops = Loop(plants, K)
         measures = measure(plants, K, self._limits, loops=loops)
         met = all(np.all(limit.ratios(measures) <= 1.0) for limit in self._limits)
