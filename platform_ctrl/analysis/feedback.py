@@ -173,12 +173,15 @@ def _inverses(X: ComplexArray) -> ComplexArray:
         if m == 1:
             out = np.asarray(1.0 / X, dtype=np.complex128)
         elif m == 2:
-            (a, b), (c, d) = np.moveaxis(X, (-2, -1), (0, 1))
+            a, b, c, d = X[..., 0, 0], X[..., 0, 1], X[..., 1, 0], X[..., 1, 1]
             out = np.stack([d, -b, -c, a], axis=-1).reshape(X.shape) / (a * d - b * c)[..., None, None]
         else:
-            fine = np.isfinite(X).all(axis=(-2, -1)) & (np.linalg.det(X) != 0.0)
-            out = np.linalg.inv(np.where(fine[..., None, None], X, np.eye(m))).astype(np.complex128)
-            out[~fine] = np.inf
+            try:
+                out = np.linalg.inv(X).astype(np.complex128)
+            except np.linalg.LinAlgError:
+                fine = (np.linalg.det(X) != 0.0)[..., None, None]
+                out = np.where(fine, np.linalg.inv(np.where(fine, X, np.eye(m))), np.inf).astype(np.complex128)
+            out[~np.isfinite(X).all(axis=(-2, -1))] = np.inf
     wrong = ~np.isfinite(out).all(axis=(-2, -1))
     if wrong.any():
         out[wrong] = np.inf

@@ -28,8 +28,8 @@ from platform_ctrl.analysis.between_samples import Disturbed
 from platform_ctrl.analysis.feedback import commanded_loop, sensitivities_of_plants, with_error_alone
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.singular_values import largest_singular_values
-from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
+from platform_ctrl.analysis.system import ComplexArray, Index, System
 from platform_ctrl.analysis.time_responses import step_responses
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import ArgumentError
@@ -94,6 +94,7 @@ class Loop:
         self._below: dict[Hashable, float] = {}
         self._alone: dict[Hashable, Loop] = {}
         self._steps: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._axis: dict[int, FrequencyAxis] = {}
 
     @cached_property
     def arrays(self) -> System:
@@ -206,7 +207,7 @@ class Loop:
                 return np.inf, 0.0
             if self._of_continuous(parts):
                 return self._refined(parts, band, k)
-            return max(norms.peak(part, band, self.poles[k]) for part in self.parts(parts, k))
+            return max(norms.peak(part, band) for part in self.axes(parts, k))
 
         return self._once(("peak", parts, band, k), found)
 
@@ -216,7 +217,7 @@ class Loop:
         def found() -> tuple[float, float]:
             if not self.decay[k] > 0.0:
                 return 0.0, 0.0
-            at = min(norms.bandwidth_of_sensitivity(part, self.poles[k]) for part in self.parts(SENSITIVITIES, k))
+            at = min(map(norms.bandwidth_of_sensitivity, self.axes(SENSITIVITIES, k)))
             return (1.0 - norms.PEAK_TOLERANCE) * at, (1.0 + _ABOVE) * at
 
         return self._once(("bandwidth", k), found)[0]
@@ -238,7 +239,7 @@ class Loop:
         if self._of_continuous(parts):
             exceeded = self._refined(parts, band, k)[0] > level
         else:
-            exceeded = any(norms.exceeds(part, level, self.poles[k], band) for part in self.parts(parts, k))
+            exceeded = any(norms.exceeds(part, level, band) for part in self.axes(parts, k))
         if not exceeded:
             self._below[of] = level
         return not exceeded
@@ -260,25 +261,31 @@ class Loop:
         """Return the systems of plant `k` whose gains count."""
         found = []
         for transfer in parts:
-            if transfer.target == "helping":
-                alone = [self.own_arrays.at(k).part([self.m + i], [self.m + i]) for i in range(self.kept, self.p)]
-                found += [one._replace(D=one.D + transfer.direct) for one in alone]
-            else:
-                found.append(self._system(transfer, k))
+            if transfer.source == "command":
+                loop = self.following.at(k).part(slice(self.kept), slice(None))
+                found.append(loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.kept) - loop.D))
+                continue
+            found += [self.own_arrays.at(k).part(*ends, transfer.direct) for ends in self._ends(transfer)]
         return [self.settled(one) for one in found]
 
-    def _system(self, transfer: Transfer, k: int) -> System:
-        if transfer.source == "command":
-            loop = self.following.at(k).part(slice(self.kept), slice(None))
-            return loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.kept) - loop.D)
+    def axes(self, parts: Parts, k: int) -> list[FrequencyAxis]:
+        """Return the same along the frequency axis; what does not depend on inputs and outputs is computed once."""
+        if self.plants.drifting or any(one.source == "command" for one in parts):
+            return [FrequencyAxis(one, self.poles[k]) for one in self.parts(parts, k)]
+        if k not in self._axis:
+            self._axis[k] = FrequencyAxis(self.own_arrays.at(k), self.poles[k])
+        return [self._axis[k].part(*ends, one.direct) for one in parts for ends in self._ends(one)]
+
+    def _ends(self, transfer: Transfer) -> list[tuple[Index, Index]]:
+        """Return outputs and inputs, among those of `own_arrays`, of a part that is not from commands."""
         m = self.m
+        if transfer.target == "helping":
+            return [([m + i], [m + i]) for i in range(self.kept, self.p)]
         if self.between(transfer):
             raise TypeError("what continuous disturbances do is not rational in z: see `gain_at`")
         kept = slice(m, m + self.kept)
         rows = slice(m) if transfer.target == "torque" else kept
-        columns = slice(m) if transfer.source == "torque" else kept if rows is kept else slice(m, None)
-        found = self.own_arrays.at(k).part(rows, columns)
-        return found._replace(D=found.D + transfer.direct * np.eye(*found.D.shape))
+        return [(rows, slice(m) if transfer.source == "torque" else kept if rows is kept else slice(m, None))]
 
     def between(self, transfer: Transfer) -> bool:
         """Return whether a part is from a continuous disturbance: between samples, not rational in z."""

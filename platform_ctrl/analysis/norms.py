@@ -72,19 +72,16 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float,
     >>> round(norm, 4), round(frequency, 4)
     (5.0252, 0.9899)
     """
-    return _norm(linear_arrays(system, "hinf_norm"), 1e-9, allow_unstable)
+    return _norm(FrequencyAxis(linear_arrays(system, "hinf_norm")), 1e-9, allow_unstable)
 
 
-def _norm(
-    system: System, tolerance: float, allow_unstable: bool, known: ComplexArray | None = None
-) -> tuple[float, float]:
-    A, B, C, D, dt = system
+def _norm(axis: FrequencyAxis, tolerance: float, allow_unstable: bool) -> tuple[float, float]:
+    A, B, C, D, dt = axis.system
     if B.shape[1] == 0 or len(C) == 0:
         return 0.0, 0.0
     if len(A) == 0:
         return float(np.linalg.norm(D, 2)), 0.0
-    axis = FrequencyAxis(system, known)
-    s, on_boundary = boundary_poles(axis.system.A, dt, axis.poles())
+    s, on_boundary = boundary_poles(A, dt, axis.poles())
     unstable = (s.real > 0.0) & ~on_boundary
     if not allow_unstable and np.any(unstable):
         worst = s[np.argmax(np.where(unstable, s.real, -math.inf))]
@@ -298,26 +295,22 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
     return X
 
 
-def peak(system: System, band: Band = WHOLE, known: ComplexArray | None = None) -> tuple[float, float]:
+def peak(system: System | FrequencyAxis, band: Band = WHOLE) -> tuple[float, float]:
     """Return an upper bound of the largest singular value over `band`, within 5e-10, and the peak's frequency, rad/s.
 
-    Stable where the band is the whole axis; poles may lie anywhere outside of the band. `known` are the system's poles
-    (n,) in s or z, where they are known already.
+    Stable where the band is the whole axis; poles may lie anywhere outside of the band.
     """
+    axis = FrequencyAxis(system) if isinstance(system, System) else system
     if band == WHOLE:
-        norm, frequency = _norm(system, PEAK_TOLERANCE, True, known)
+        norm, frequency = _norm(axis, PEAK_TOLERANCE, True)
     else:
-        axis = FrequencyAxis(system, known)
-        norm, frequency = peak_gain(axis, pole.continuous_poles(axis.poles(), system.dt), PEAK_TOLERANCE, band)
+        norm, frequency = peak_gain(axis, pole.continuous_poles(axis.poles(), axis.system.dt), PEAK_TOLERANCE, band)
     return norm * (1.0 + PEAK_TOLERANCE), frequency
 
 
-def exceeds(system: System, level: float, known: ComplexArray, band: Band = WHOLE) -> bool:
-    """Return whether the largest singular value is above `level` anywhere in `band`, or may be.
-
-    The system has no poles in the band; `known` (n,) are its poles in s or z.
-    """
-    axis, s = FrequencyAxis(system, known), pole.continuous_poles(known, system.dt)
+def exceeds(axis: FrequencyAxis, level: float, band: Band = WHOLE) -> bool:
+    """Return whether the largest singular value is above `level` anywhere in `band`, which has no poles, or may be."""
+    s = pole.continuous_poles(axis.poles(), axis.system.dt)
     crossings = level_frequencies(axis, level)
     if not crossings.size and level > 0.0 and axis.system.A.size:
         # The Hamiltonian leaves floating point: nothing is shown.
@@ -393,14 +386,14 @@ def bandwidth(plant: StateSpace, controller: StateSpace, at: At = "output") -> f
 
     S. Boyd, V. Balakrishnan, Systems & Control Letters 15, 1990.
     """
-    return bandwidth_of_sensitivity(closed_loop_with_sensitivity(plant, controller, at))
+    return bandwidth_of_sensitivity(FrequencyAxis(closed_loop_with_sensitivity(plant, controller, at)))
 
 
-def bandwidth_of_sensitivity(S: System, known: ComplexArray | None = None) -> float:
-    """Return the bandwidth, as `bandwidth` does, of a loop with the sensitivity `S`, whose poles may be known."""
+def bandwidth_of_sensitivity(axis: FrequencyAxis) -> float:
+    """Return the bandwidth, as `bandwidth` does, of a loop with this sensitivity."""
     from scipy.optimize import brentq
 
-    axis = FrequencyAxis(S, known)
+    S = axis.system
     s = pole.continuous_poles(axis.poles(), S.dt)
     if S.A.shape[0] and pole.spectral_abscissa(s) >= 0.0:
         return 0.0

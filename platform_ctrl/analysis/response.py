@@ -11,6 +11,7 @@ of delays leave the equations: a delay of d samples is a factor z^-d.
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -182,6 +183,40 @@ _LATE = 48
 _TOGETHER = 1 << 22
 
 
+class _Decomposed:
+    """A matrix (n, n) in modal and in Schur form, each computed when it is first needed."""
+
+    def __init__(self, A: FloatArray) -> None:
+        self.A = A
+
+    @cached_property
+    def modes(self) -> tuple[ComplexArray, ComplexArray]:
+        """Eigenvalues (n,), and eigenvectors of length one (n, n)."""
+        if not np.isfinite(self.A).all():  # as of a loop beyond floating-point numbers: no response is finite
+            return np.full(len(self.A), np.nan + 0j), np.full(self.A.shape, np.nan + 0j)
+        values, vectors = np.linalg.eig(self.A)
+        return values.astype(np.complex128), vectors.astype(np.complex128)
+
+    @cached_property
+    def left(self) -> ComplexArray | None:
+        """The inverse of the eigenvectors; None where modes do not tell them apart."""
+        with np.errstate(all="ignore"):
+            try:
+                inverse = np.linalg.inv(self.modes[1])
+            except np.linalg.LinAlgError:
+                return None
+            # Columns have length one: this is about the condition number.
+            told_apart = float(np.abs(inverse).max()) < _MODAL / np.sqrt(len(inverse))
+        return np.asarray(inverse, dtype=np.complex128) if told_apart else None
+
+    @cached_property
+    def schur(self) -> tuple[ComplexArray, ComplexArray]:
+        """T, upper triangular, and Q, unitary: A = Q T Q*."""
+        from scipy.linalg import schur
+
+        return schur(self.A, output="complex", check_finite=False)  # type: ignore[no-any-return]
+
+
 class AxisResponse:
     """The response of one system along its frequency axis; `balanced` says whether its states are balanced already.
 
@@ -198,6 +233,16 @@ class AxisResponse:
         self._own, self._B, self._C, self._D = (A.T, C.T, B.T, D.T) if self._turned else (A, B, C, D)
         self._A = self._own - np.eye(len(A)) if self._dt > 0.0 else self._own
         self._size = float(np.linalg.norm(self._A))
+        self._decomposed = _Decomposed(self._A)
+
+    def part(self, own: System) -> AxisResponse:
+        """Return the response of another balanced system with this A; what depends on A alone is computed once."""
+        if len(self._A) >= _LATE or self._turned:
+            return AxisResponse(own, balanced=True)
+        out = copy.copy(self)
+        out.__dict__.pop("_residues", None)
+        out._B, out._C, out._D = own.B, own.C, own.D
+        return out
 
     def at(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, complex (N, p, m); inf at a pole."""
@@ -216,21 +261,6 @@ class AxisResponse:
             H[~np.isfinite(H)] = np.inf
         return H.transpose(2, 1, 0) if self._turned else H.transpose(2, 0, 1)
 
-    @cached_property
-    def _modes(self) -> tuple[ComplexArray, ComplexArray]:
-        """Eigenvalues (n,) of A, and eigenvectors of length one (n, n)."""
-        if not np.isfinite(self._A).all():  # as of a loop beyond floating-point numbers: no response is finite
-            return np.full(len(self._A), np.nan + 0j), np.full(self._A.shape, np.nan + 0j)
-        values, vectors = np.linalg.eig(self._A)
-        return values.astype(np.complex128), vectors.astype(np.complex128)
-
-    @cached_property
-    def _schur(self) -> tuple[ComplexArray, ComplexArray]:
-        """T, upper triangular, and Q, unitary: A = Q T Q*."""
-        from scipy.linalg import schur
-
-        return schur(self._A, output="complex", check_finite=False)  # type: ignore[no-any-return]
-
     @property
     def oldest(self) -> int:
         """Age, in samples, of the oldest values on which the system depends, 0 where no long delay is in it."""
@@ -239,22 +269,17 @@ class AxisResponse:
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles, in the plane of s or z."""
-        own = self._modes[0] if self._late is None else np.linalg.eigvals(self._A).astype(np.complex128)
+        own = self._decomposed.modes[0] if self._late is None else np.linalg.eigvals(self._A).astype(np.complex128)
         return own + (1.0 if self._dt > 0.0 else 0.0)
 
     @cached_property
     def _residues(self) -> ComplexArray | None:
         """What each mode contributes, (p m, n) over z less its pole; None where modes do not tell them apart."""
-        vectors = self._modes[1]
+        vectors, left = self._decomposed.modes[1], self._decomposed.left
+        if left is None:
+            return None
         with np.errstate(all="ignore"):
-            try:
-                inverse = np.linalg.inv(vectors)
-            except np.linalg.LinAlgError:
-                return None
-            # Columns have length one: this is about the condition number.
-            if not float(np.abs(inverse).max()) < _MODAL / np.sqrt(len(vectors)):
-                return None
-        out = (self._C @ vectors)[:, None, :] * (inverse @ self._B).T
+            out = (self._C @ vectors)[:, None, :] * (left @ self._B).T
         return np.asarray(out.reshape(-1, len(vectors)), dtype=np.complex128)
 
     def _points(self, frequency: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any, Any]]:
@@ -270,7 +295,7 @@ class AxisResponse:
             growth = (np.linalg.norm(X, axis=0) / np.repeat(np.linalg.norm(self._B, axis=0), len(z))).reshape(m, -1)
             near = (size * growth > _GROWN).any(axis=0)
         else:
-            gap = z - self._modes[0][:, None]
+            gap = z - self._decomposed.modes[0][:, None]
             square = gap.real**2 + gap.imag**2
             nearest = square.min(axis=0)
             shares = gap.conj() * (1.0 / square)
@@ -287,7 +312,7 @@ class AxisResponse:
 
     def _by_schur(self, z: NDArray[np.complexfloating[Any, Any]]) -> ComplexArray:
         """Return (z I - A)^-1 B, (n, m N): for each input one column for each z."""
-        T, Q = self._schur
+        T, Q = self._decomposed.schur
         X, every = np.repeat(Q.conj().T @ self._B, len(z), axis=1), np.tile(z, self._B.shape[1])
         for i in range(len(T) - 1, -1, -1):
             if i + 1 < len(T):

@@ -7,6 +7,8 @@ thousands of eigenvalues, which lie close together.
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import math
 from functools import cached_property
 from typing import Literal
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.poles import continuous_poles, resonances
 from platform_ctrl.analysis.response import AxisResponse
 from platform_ctrl.analysis.sampling import to_w_plane
-from platform_ctrl.analysis.system import ComplexArray, System, block, scaled
+from platform_ctrl.analysis.system import ComplexArray, Index, System, block, scaled
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -45,8 +47,25 @@ class FrequencyAxis:
         self.edge = math.inf if dt == 0.0 else math.pi / dt
         self._known = known
         self.system = System(*scaled(A, B, C), D, dt)
-        self._w_plane: Matrices | None = None
+        self._w_plane: System | None = None
         self._along = AxisResponse(self.system, balanced=True)
+
+    def part(self, outputs: Index, inputs: Index, direct: float = 0.0) -> FrequencyAxis:
+        """Return the axis of a part (`System.part`); what depends on the states alone is computed once for all."""
+        out = copy.copy(self)
+        out.__dict__.pop("_grid", None)
+        out.system = self.system.part(outputs, inputs, direct)
+        out._along = self._along.part(out.system)
+        if self.system.dt > 0.0 and not out._along.oldest:
+            with contextlib.suppress(ArgumentError):
+                out._w_plane = self._in_w_plane().part(outputs, inputs, direct)
+        return out
+
+    def _in_w_plane(self) -> System:
+        """Return a sampled system in the w-plane; an ArgumentError where a pole would go to infinity."""
+        if self._w_plane is None:
+            self._w_plane = to_w_plane(self.system)
+        return self._w_plane
 
     def poles(self) -> ComplexArray:
         """Return the poles, (n,), in the plane of s or z."""
@@ -95,9 +114,7 @@ class FrequencyAxis:
         system: Matrices = self.system[:4]
         if dt > 0.0:
             try:
-                if self._w_plane is None:
-                    self._w_plane = to_w_plane(self.system)[:4]
-                system = self._w_plane
+                system = self._in_w_plane()[:4]
             except ArgumentError:
                 # A pole next to z = -1, which the map would send to infinity.
                 return pencil_crossings(*_over(level, system, scaling), dt)

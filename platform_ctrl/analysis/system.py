@@ -84,9 +84,10 @@ class System(NamedTuple):
         pairs = [(a, b, rounding * np.abs(b).max(initial=0.0)) for a, b in zip(self[:4], other[:4], strict=True)]
         return all(a.shape == b.shape and bool(np.all(np.abs(a - b) <= most)) for a, b, most in pairs)
 
-    def part(self, outputs: Index, inputs: Index) -> System:
-        """Return the systems from some inputs to some outputs, with all states."""
+    def part(self, outputs: Index, inputs: Index, direct: float = 0.0) -> System:
+        """Return the systems from some inputs to some outputs, with all states, and `direct` times the identity."""
         D = self.D[..., outputs, :][..., inputs]
+        D = D + direct * np.eye(*D.shape[-2:]) if direct else D
         return System(self.A, self.B[..., inputs], self.C[..., outputs, :], D, self.dt)
 
     def series(self, second: System, sign: float = 1.0) -> System:
