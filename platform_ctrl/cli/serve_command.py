@@ -101,7 +101,9 @@ def serve(
         shown = _opens_browser(browser, as_json)
         _announce(server, name, as_json, port)
         if shown:
-            _open(server.address)
+            import webbrowser
+
+            threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
 
     # The third Ctrl-C is raised at once, should the server not react.
     with interruptible(deferred=2) as check, warnings.catch_warnings():
@@ -136,16 +138,11 @@ def _announce(server: PageServer, name: str, as_json: bool, port: int | None) ->
             typer.echo(f"port {PORT} is taken: another one is used", err=True)
         typer.echo(f"{name}: {server.address} (Ctrl-C ends it)")
     if not server.hosts.local_only:
-        typer.echo(_network_warning(server), err=True)
+        names = ", ".join(sorted(server.hosts.names))
+        words = f"anybody who has the link and reaches this machine on port {server.port} as {names} can see this job"
+        more = "keep its processors busy and write files where the page saves"
+        typer.echo(f"listening on {server.hosts.listening}: {words}, {more}", err=True)
     sys.stdout.flush()
-
-
-def _network_warning(server: PageServer) -> str:
-    names = ", ".join(sorted(server.hosts.names))
-    return (
-        f"listening on {server.hosts.listening}: anybody who has the link and reaches this machine on port "
-        f"{server.port} as {names} can see this job, keep its processors busy and write files where the page saves"
-    )
 
 
 def _opens_browser(browser: bool | None, as_json: bool) -> bool:
@@ -154,9 +151,3 @@ def _opens_browser(browser: bool | None, as_json: bool) -> bool:
         return browser
     screen = sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     return screen and not as_json and sys.stdout.isatty()
-
-
-def _open(address: str) -> None:
-    import webbrowser
-
-    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

@@ -271,7 +271,8 @@ class StepCode:
         }
         self._excess = {name: e for name, e in zip(K.outputs, unit.excess.T, strict=True) if e.any()}
         limits = ("Limits of the torquers", [self._limit(name) for name in self.bounds])
-        excess = ("Anti-windup: the excess beyond the limits acts on the states", [*map(self._excess_of, self._excess)])
+        lines = [self._sum(self._names["excess", x], [f"{self._given(x)} - {self._reads[x]}"]) for x in self._excess]
+        excess = ("Anti-windup: the excess beyond the limits acts on the states", lines)
         self.paragraphs = [one for one in (*signals, limits, excess, *self._next_states()) if one[1]]
         # Field, command and limited command of every output; field and local of every state's next value.
         self.outputs = [(unit.signals[name], self._reads[name], self._given(name)) for name in K.outputs]
@@ -303,9 +304,6 @@ class StepCode:
         command, bound = self.bounds[name]
         call = f"{self._unit.prefix}_limited({command}, {bound})"
         return f"{_INDENT}const {self._kind} {self._given(name)} = {call}; /* {comment(self._unit.units[name])} */"
-
-    def _excess_of(self, name: str) -> str:
-        return self._sum(self._names["excess", name], [f"{self._given(name)} - {self._reads[name]}"])
 
     def _next_states(self) -> Iterator[Paragraph]:
         places = {name: k for k, name in enumerate(self._K.states)}
