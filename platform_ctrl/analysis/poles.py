@@ -113,10 +113,6 @@ _MINIMUM_DAMPING = 2e-3
 # Relative spacing below which two frequencies are one.
 _RESOLUTION = 2e-4
 
-# Offsets next to a pole or zero in units of its half-width, then growing by a factor.
-_NEAR = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0])
-_GROWTH = 1.5
-
 
 def tuning_grid(nutation: float, period: float, fine: bool = False) -> FloatArray:
     """Return frequencies, rad/s, dense where margins are lost: between a sixth and about twice the nutation."""
@@ -148,21 +144,6 @@ def following_grid(poles: ComplexArray, low: float, high: float, points: int = 2
         grid = grid[np.abs(grid - at) > 0.3 * _MINIMUM_DAMPING * at]
     kept = np.concatenate([[True], np.diff(np.log(grid)) > _RESOLUTION])
     return np.asarray(grid[kept])
-
-
-def around_resonances(s: ComplexArray, low: float, high: float, undamped: float, closest: float) -> FloatArray:
-    """Return frequencies around each resonance among poles (or zeros) `s`, out to a quarter of its frequency.
-
-    One with a damping ratio below `undamped` is approached to the relative distance `closest`.
-    """
-    s = np.unique(s[(np.abs(s.imag) > low) & (np.abs(s.imag) < high) & (np.abs(s.real) < 0.5 * np.abs(s.imag))])
-    out = [np.zeros(0)]
-    for centre, distance in sorted({(abs(one.imag), abs(one.real)) for one in s}):
-        width = distance if distance > undamped * centre else closest * centre
-        count = math.ceil(math.log(max(0.25 * centre / (4.0 * width), 1.0)) / math.log(_GROWTH))
-        offsets = width * np.concatenate([_NEAR, 4.0 * _GROWTH ** np.arange(1, count + 1)])
-        out += [centre + offsets, centre - offsets]
-    return np.concatenate(out)
 
 
 def damping_ratio(poles: ComplexArray) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.curves import refined
-from platform_ctrl.analysis.poles import around_resonances, continuous_poles, poles
+from platform_ctrl.analysis.poles import continuous_poles, following_grid, poles
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.system import ComplexArray, System, frequencies
 from platform_ctrl.common.arguments import short
@@ -30,8 +30,6 @@ Systems: TypeAlias = "LinearSystem | Sequence[LinearSystem] | Mapping[str, Linea
 
 # What python-control calls a system that nobody named, and what it adds to a name when it converts a system.
 _NAMELESS = re.compile(r"sys\[\d+\]|\$\w+$")
-# Damping ratio below which a pole counts as on the stability boundary, and how close the grid comes to it.
-_ON, _CLOSEST = 1e-10, 1e-6
 # The highest frequency that is drawn of a sampled system, over the Nyquist frequency.
 _LAST = 0.9995
 # Points of the plain grid, before poles add theirs; degrees from one point to the next.
@@ -125,7 +123,7 @@ def _along(system: System, given: FloatArray | None) -> tuple[FloatArray, Comple
     s = continuous_poles(poles(system.A), system.dt)
     s = s[np.isfinite(s)]
     low, high = _range(system, s, _LAST * last) if given is None else (float(given[0]), min(float(given[1]), last))
-    grid = np.concatenate([np.geomspace(low, high, _POINTS), around_resonances(s, low, high, _ON, _CLOSEST)])
+    grid = following_grid(s, low, high, _POINTS)
 
     def turned(h: ComplexArray) -> FloatArray:
         return np.asarray(np.degrees(np.abs(np.angle(h[1:] / h[:-1]))).max(axis=(1, 2)) / _TURN)
