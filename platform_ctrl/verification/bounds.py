@@ -16,7 +16,9 @@ from platform_ctrl.common.values import replaced, value
 from platform_ctrl.design.cases import changed, modes_of
 from platform_ctrl.design.loop import LoopOutcome, with_commands
 from platform_ctrl.design.plants import plants_of
+from platform_ctrl.design.sight import LoopSight
 from platform_ctrl.design.tuning import deciding
+from platform_ctrl.errors import ArgumentError, NotFoundError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.requirements import LoopRequirement
 
@@ -56,7 +58,7 @@ def loop_bounds(job: Job, outcome: LoopOutcome) -> LoopBounds | None:
     plants = design.plants
     if plants is None or design.measures is None or spec.kind == "tracking":
         return None
-    found = _reached(outcome, plants)
+    found = _reached(outcome, _quick(outcome, plants))
     if found is None:
         return None
     gain, bandwidth, one = found
@@ -64,7 +66,7 @@ def loop_bounds(job: Job, outcome: LoopOutcome) -> LoopBounds | None:
     for name, moved, eased in _eased(job, outcome):
         # With what another requirement alone depends on, the end of the rise stays where it is.
         again = moved() if _ALONE.get(name, one.kind) == one.kind else plants
-        end = found if again is plants else None if again is None else _reached(outcome, again, gain)
+        end = found if again is plants else None if again is None else _reached(outcome, _quick(outcome, again), gain)
         if end is not None:
             bounds.append(Bound(parameter=name, sensitivity=math.log(end[1] / bandwidth) / math.log(eased) + 0.0))
     bounds.sort(key=lambda bound: -abs(bound.sensitivity))
@@ -79,7 +81,11 @@ def _eased(job: Job, outcome: LoopOutcome) -> Iterator[tuple[str, Callable[[], P
 
     def of(other: Job) -> PlantSet | None:
         made = plants_of(other, spec)
-        return made if made is None or plants.feedforward is None else made.fed_forward(plants.feedforward)
+        if made is not None and plants.feedforward is not None:
+            made = made.fed_forward(plants.feedforward)
+        if made is None or plants.sight_budget is None:
+            return made
+        return dataclasses.replace(made, sight_budget=LoopSight(job=other, plants=made))
 
     if job.sampling.delay:
         sooner = dataclasses.replace(job.sampling, delay=less * job.sampling.delay)
@@ -92,6 +98,14 @@ def _eased(job: Job, outcome: LoopOutcome) -> Iterator[tuple[str, Callable[[], P
         yield "noise", lambda: dataclasses.replace(plants, noise=less * plants.noise), less
     if "torque limit" in kinds:
         yield "torque limit", lambda: dataclasses.replace(plants, torque_limit=more * plants.torque_limit), more
+
+
+def _quick(outcome: LoopOutcome, plants: PlantSet) -> PlantSet:
+    """Return plants whose line of sight is that of forms, the friction as it is now, not of a budget at every gain."""
+    try:
+        return plants.with_sight(plants.joined(outcome.closed.controller))
+    except (ArgumentError, NotFoundError):  # an unstable loop has no budget, whatever its gain
+        return plants
 
 
 def _reached(outcome: LoopOutcome, plants: PlantSet, near: float = 1.0) -> tuple[float, float, LoopRequirement] | None:
