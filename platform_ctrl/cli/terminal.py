@@ -273,7 +273,7 @@ def _as_good_as_can_be(one: CheckResult) -> bool:
 _LINES = 8
 
 
-def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requirement") -> str:
+def missed_text(requirements: Sequence[CheckResult], title: str) -> str:
     """Return a table of those `requirements` that are not met, the worst first; empty where all are."""
     missed = sorted((one for one in requirements if not one.passed), key=lambda one: one.margin)
     if not missed:
@@ -281,11 +281,9 @@ def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requ
     rows = [("", "value", "limit", "margin", "")]
     for one in missed:
         shown = quantities.compared(one)
-        where = f"{one.subject}, {one.design}" if one.design else one.subject
-        rows.append(
-            (f"{where}: {one.name}", shown[0], f"{one.sense} {shown[1]}", quantities.percent(one.margin), one.evidence)
-        )
-    head = f"{title}: {len(missed)} of {quantities.count(len(requirements), of)} not met"
+        name, limit = f"{subject_of(one)}: {one.name}", f"{one.sense} {shown[1]}"
+        rows.append((name, shown[0], limit, quantities.percent(one.margin), one.evidence))
+    head = f"{title}: {len(missed)} of {quantities.count(len(requirements), 'requirement')} not met"
     return "\n".join([head, *_table(rows)])
 
 

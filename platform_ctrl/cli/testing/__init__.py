@@ -13,15 +13,13 @@ if TYPE_CHECKING:
 __all__ = ["assert_requirements"]
 
 
-def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
+def assert_requirements(result: JobResult) -> None:
     """Assert that every requirement of a job is met.
 
     Parameters
     ----------
     result
         From the fixture ``closed_loop``, or from `verification.check_job`.
-    goals
-        Whether the goals of the closed designs have to be met too.
 
     Raises
     ------
@@ -31,10 +29,5 @@ def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
     __tracebackhide__ = True
     from platform_ctrl.cli.terminal import missed_text
 
-    texts = [missed_text([one for one in result.requirements if one.hard], result.job.name)]
-    if goals:
-        wanted = [goal for outcome in result.loops for goal in outcome.closed.goals]
-        texts.append(missed_text(wanted, result.job.name, "goal"))
-    text = "\n".join(filter(None, texts))
-    if text:
+    if text := missed_text([one for one in result.requirements if one.hard], result.job.name):
         raise AssertionError(text)
