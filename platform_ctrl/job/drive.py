@@ -11,7 +11,7 @@ import numpy as np
 from platform_ctrl.analysis.between_samples import Into
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.kinematics import configuration, topology
+from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.mistakes import Misfit, missing, strange, unknown, useless
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
@@ -211,5 +211,5 @@ def slide_rates(platform: Platform) -> FloatArray:
 
     At zero angles: a_k · (Omega + Σ a_j q̇_j) + q̇_k = 0, over the gimbals j between the root and k.
     """
-    at = configuration(topology(platform), np.zeros(len(platform.gimbals)))
+    at = kinematics(platform, np.zeros(len(platform.gimbals)))
     return np.asarray(-np.linalg.solve(np.where(at.tree.on_path[1:], at.axes @ at.axes.T, 0.0), at.axes))

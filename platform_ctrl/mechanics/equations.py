@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.forces import specific_force_at
-from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topology
+from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
 from platform_ctrl.mechanics.matrices import directions, mass_matrix, solved_inertia, world_inertias
 from platform_ctrl.plant.drives import RotorControl
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
@@ -124,7 +124,7 @@ def _motion(
     """Return the directions at q, the velocity, and another vector (3 + n,), called `name`."""
     tree = topology(platform)
     n = len(tree.parents)
-    at = configuration(tree, real_array("q", q, (n,)))
+    at = kinematics(platform, real_array("q", q, (n,)))
     return at, real_array("velocity", velocity, (3 + n,)), real_array(name, given, (3 + n,))
 
 
@@ -229,7 +229,7 @@ def rotor_momenta(platform: Platform, q: ArrayLike | None = None, velocity: Arra
     """
     tree = topology(platform)
     n = len(tree.parents)
-    at = configuration(tree, real_array("q", q, (n,), 0.0))
+    at = kinematics(platform, real_array("q", q, (n,), 0.0))
     carried = directions(at) @ real_array("velocity", velocity, (3 + n,), 0.0)
     spin = tree.L / tree.C - np.where(tree.regulated, 0.0, carried)
     return RotorMomenta(L=tree.C * spin, p=tree.C * (spin + carried), spin=spin, rate=spin + carried)

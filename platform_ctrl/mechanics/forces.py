@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import real_array, unit_quaternions
+from platform_ctrl.common.arguments import instance, real_array, unit_quaternions
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.mechanics.kinematics import Kinematics, configuration, cross_matrix, topology
+from platform_ctrl.mechanics.kinematics import Kinematics, cross_matrix, kinematics
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.platform import Platform
 
@@ -94,17 +94,16 @@ def element_forces(
 
     See docs/theory/mechanics.md.
     """
-    tree = topology(platform)
-    n = len(tree.parents)
+    n = len(instance("platform", platform, Platform).gimbals)
     angles = real_array("q", q, (n,), 0.0)
     rates = real_array("velocity", velocity, (3 + n,), 0.0)[3:]
     f = specific_force_at(platform, specific_force)
-    return ForceElements(platform, configuration(tree, angles), f).forces(angles, rates)
+    return ForceElements(platform, kinematics(platform, angles), f).forces(angles, rates)
 
 
 def resting_forces(platform: Platform, q: FloatArray, f: FloatArray) -> FloatArray:
     """Return [M, Q], (3 + n,) N m, of force elements and weight at rest at angles (n,), under specific force f (3,)."""
-    at = configuration(topology(platform), q)
+    at = kinematics(platform, q)
     forces = ForceElements(platform, at, f).forces(q, np.zeros(len(q)))
     return forces if at.tree.floating else np.asarray(forces - at.momentum.T @ f)
 

@@ -149,11 +149,7 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
 
 def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
     """Return the directions of everything at gimbal angles q (n,), rad, in root axes."""
-    return configuration(topology(platform), q)
-
-
-def configuration(tree: Topology, q: FloatArray) -> Kinematics:
-    """Return `kinematics` of a tree that is built already."""
+    tree = topology(platform)
     n = len(tree.parents)
     if q.shape != (n,):
         raise ArgumentError(f"kinematics: q must be ({n},), got {q.shape}")

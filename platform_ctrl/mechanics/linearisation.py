@@ -21,7 +21,7 @@ from platform_ctrl.common.arguments import one_of, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.forces import ForceElements, specific_force_at
-from platform_ctrl.mechanics.kinematics import Kinematics, Topology, configuration, cross_matrix, topology
+from platform_ctrl.mechanics.kinematics import Kinematics, Topology, cross_matrix, kinematics, topology
 from platform_ctrl.mechanics.matrices import derivatives, directions, mass_matrix, world_inertias
 from platform_ctrl.plant.platform import Platform
 
@@ -167,7 +167,7 @@ def linearise(
     amplitude = None if rate_amplitude is None else real_array("rate_amplitude", rate_amplitude, (n,))
     if amplitude is not None and not np.all(amplitude > 0.0):
         raise ArgumentError(f"rate_amplitude: must be {n} numbers > 0, rad/s, got {amplitude.tolist()}")
-    at = configuration(tree, q0)
+    at = kinematics(platform, q0)
     inertias = world_inertias(at)
     A_star, B = mass_matrix(at, inertias), directions(at)  # (12), (3)
     change, P = derivatives(at), at.momentum * (not tree.floating)  # free in space, bodies have no weight
@@ -263,6 +263,11 @@ def connected(coupled: ArrayLike) -> list[list[int]]:
 
     number, group = connected_components(np.asarray(coupled, dtype=bool), directed=False)
     return [np.flatnonzero(group == k).tolist() for k in range(number)]
+
+
+def beyond(part: FloatArray, rounding: FloatArray) -> FloatArray:
+    """Return an array without the entries that are no larger than rounding makes them."""
+    return np.where(np.abs(part) > rounding, part, 0.0)
 
 
 def inertia_rounding(tree: Topology) -> FloatArray:

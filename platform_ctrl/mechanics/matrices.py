@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import MechanicsError
-from platform_ctrl.mechanics.kinematics import Kinematics, configuration, cross_matrix, topology
+from platform_ctrl.mechanics.kinematics import Kinematics, cross_matrix, kinematics, topology
 from platform_ctrl.plant.platform import Platform
 
 
@@ -169,7 +169,7 @@ def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike
     tree = topology(platform)
     n = len(tree.parents)
     u = real_array("velocity", velocity, (3 + n,), 0.0)
-    at = configuration(tree, real_array("q", q, (n,), 0.0))
+    at = kinematics(platform, real_array("q", q, (n,), 0.0))
     C, L, regulated = tree.C, tree.L, tree.regulated
     A = mass_matrix(at, body_inertias(at))
     B = directions(at)  # (3)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import distinct, real_array
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topology
+from platform_ctrl.mechanics.kinematics import Kinematics, kinematics
 from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS, NamedMatrices
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, gimbal_rate
@@ -115,7 +115,7 @@ class _Signals:
                 place = system.state_labels.index(mode.name)
                 self.rows |= {mode.name: np.eye(1, n + m, place)[0], mode.rate: whole[place]}
         self.rates: dict[str, FloatArray] = {}
-        self._add_bodies(configuration(topology(platform), q))
+        self._add_bodies(kinematics(platform, q))
 
     def _add_bodies(self, at: Kinematics) -> None:
         """Add the bodies' rates, and which rates the rotations are the integrals of."""

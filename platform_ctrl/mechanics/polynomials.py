@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import distinct, known_name, real_array
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.mechanics.kinematics import topology
-from platform_ctrl.mechanics.linearisation import Terms, inertia_rounding, linearise, momentum_rounding
+from platform_ctrl.mechanics.linearisation import Terms, beyond, inertia_rounding, linearise, momentum_rounding
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.mechanics.state_space import NamedMatrices
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
@@ -75,9 +75,6 @@ def monomial_values(monomials: Sequence[str], Omega: ArrayLike, Omega_dot: Array
     Names are such as ``"1"``, ``"Omega1^2"``, ``"Omega1*Omega2"``, ``"Omega1'"``.
     """
     variables = np.concatenate([real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)])
-    for name in monomials:
-        if name not in _FACTORS:
-            known_name("monomial", name, tuple(_FACTORS))
     values = [math.prod(variables[k] for k in _FACTORS[name]) for name in monomials]
     return np.array(values, dtype=np.float64)
 
@@ -136,7 +133,7 @@ def row_polynomials(platform: Platform, q: FloatArray, terms: Terms) -> list[Mat
             found[f"{name}^2"] = 0.5 * (ahead[a][k] + back[a][k]) - still[k]
         for (a, b), sums in both.items():
             found[_name((a, b))] = sums[k] - ahead[a][k] - ahead[b][k] + still[k]
-        out.append(polynomial({name: clean(part, rounding) for name, part in found.items()}, still[k].shape))
+        out.append(polynomial({name: beyond(part, rounding) for name, part in found.items()}, still[k].shape))
     return out
 
 
@@ -144,12 +141,7 @@ def acceleration_part(platform: Platform, q: FloatArray, terms: Terms) -> Matrix
     """Return the coefficient of q from Omega' about the angles q (n,): all of it, or C alone as the paper has it."""
     turning = linearise(without_elements(platform), terms=terms, q=q).M_Omega_q
     shared = inertia_rounding(topology(platform))
-    return polynomial({f"{a}'": clean(turning[:, k], shared) for k, a in enumerate(OMEGA_NAMES)}, (len(q),) * 2)
-
-
-def clean(array: FloatArray, rounding: FloatArray) -> FloatArray:
-    """Return the array without the entries that are rounding alone."""
-    return np.where(np.abs(array) > rounding, array, 0.0)
+    return polynomial({f"{a}'": beyond(turning[:, k], shared) for k, a in enumerate(OMEGA_NAMES)}, (len(q),) * 2)
 
 
 @value

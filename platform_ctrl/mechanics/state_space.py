@@ -29,6 +29,7 @@ from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.kinematics import cross_matrix, topology
 from platform_ctrl.mechanics.linearisation import (
     LinearModel,
+    beyond,
     connected,
     force_rounding,
     inertia_rounding,
@@ -144,10 +145,6 @@ def _coefficients(model: LinearModel) -> tuple[FloatArray, FloatArray, FloatArra
     inertia, momentum = inertia_rounding(tree), momentum_rounding(tree)
     forces = force_rounding(platform, tree, float(np.linalg.norm(model.specific_force)))
     gyroscopic = momentum + inertia * rate
-
-    def beyond(part: FloatArray, rounding: FloatArray) -> FloatArray:
-        return np.where(np.abs(part) > rounding, part, 0.0)
-
     stiffness = beyond(model.K, gyroscopic * rate) - beyond(model.Q_angle, forces)
     return beyond(model.M, inertia), beyond(model.G, gyroscopic) - model.Q_rate, stiffness
 
