@@ -19,6 +19,8 @@ from platform_ctrl.plant.sensors import LOS_ANGLES
 _SMALL, _STEPS = 1e-3, 8
 # Shares that count as zero: rounding, and what is left of two budgets that were integrated apart.
 _ROUNDING, _COMMON = 1e-12, 1e-4
+# Names of limits that runs of the budget judge where the linear one cannot.
+_OF_RUNS = (BUDGET_METRICS["jitter"].name, BUDGET_METRICS["jitter_per_axis"].name)
 # Of a picture: a limit whose mean square is more than so many times the total is left out; room at the right, and
 # between the numbers of the axis, in its length.
 _FAR, _BEYOND, _APART = 4.0, 1.06, 0.15
@@ -318,7 +320,9 @@ def judged(
 
 
 def _not_valid(one: CheckResult) -> CheckResult:
-    cure = "state runs in [budget], or a limit of a manoeuvre"
+    cure = "feed the friction forward, or limit the jitter, which runs of [budget] show"
+    if one.name in _OF_RUNS:
+        cure = "state runs in [budget], or a limit of a manoeuvre"
     return replaced(
         one,
         {
@@ -333,8 +337,7 @@ def _not_valid(one: CheckResult) -> CheckResult:
 
 def left_to_runs(one: CheckResult, budget: BudgetSpec | None) -> bool:
     """Return whether `check` judges a limit by the runs of the budget, as the linear budget cannot: `by_simulation`."""
-    of_runs = (BUDGET_METRICS["jitter"].name, BUDGET_METRICS["jitter_per_axis"].name)
-    return budget is not None and bool(budget.runs) and one.name in of_runs and not one.valid
+    return budget is not None and bool(budget.runs) and one.name in _OF_RUNS and not one.valid
 
 
 def by_simulation(results: Sequence[CheckResult], simulated: SimulatedBudget) -> tuple[CheckResult, ...]:

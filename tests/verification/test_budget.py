@@ -433,10 +433,13 @@ def test_the_motion_rises_from_rest_so_that_no_step_saturates_a_motor(tmp_path: 
 
 
 def test_a_bearing_that_hardly_slides_is_simulated_where_the_budget_does_not_hold(tmp_path: Path) -> None:
-    stuck = job(tmp_path, friction=", coulomb = 0.05, coulomb_rate = 0.05")
+    limits = "limits = { jitter = 1.0, windowed_jitter = 1.0, contrast = 0.01 }\n"
+    stuck = job(tmp_path, more=limits, friction=", coulomb = 0.05, coulomb_rate = 0.05")
     budget = line_of_sight_budget(stuck, controllers())
     assert not budget.friction.valid[0]
     assert "simulate" in budget.friction.statement[0]
+    assert ["state runs in [budget]" in one.reason for one in budget.results] == [True, False, False]
+    assert not any(one.passed for one in budget.results)
     few, again = (simulated_budget(stuck, controllers(), 8, time=0.25) for _ in range(2))
     assert math.isfinite(few.ratio)
     np.testing.assert_array_equal(few.rms, again.rms)
