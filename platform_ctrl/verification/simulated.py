@@ -212,27 +212,34 @@ def _judged(
         )
         reasons = (lost, _filter_words(job, signal) if metric.commanded and not lost else "")
         out.append(result if result.passed else result.because("; ".join(filter(None, reasons))))
-    return (*out, *_heat(job, manoeuvre.name, trajectory))
+    return (*out, *_heat(job, manoeuvre, trajectory))
 
 
-def _heat(job: Job, subject: str, trajectory: Trajectory) -> Iterator[CheckResult]:
-    """Yield the rms current of each motor of which the plant says what it bears, over that."""
+def _heat(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> Iterator[CheckResult]:
+    """Yield the rms current of each motor of which the plant says what it bears, over that.
+
+    A run from equilibrium begins as warm as the current that holds it makes the motor.
+    """
     for motor in job.platform.motors:
         if motor.continuous_current is not None:
-            heat, over = (
-                (trajectory.torque[:, trajectory.torquer_names.index(motor.name)] / motor.per_ampere) ** 2,
-                "over the run",
-            )
+            place, over = trajectory.torquer_names.index(motor.name), "over the run"
+            heat = (trajectory.torque[:, place] / motor.per_ampere) ** 2
             square = float(np.mean(heat))
             if motor.thermal_time is not None:
-                kept = math.exp(-trajectory.period / motor.thermal_time)
-                square = float(lfilter([1.0 - kept], [1.0, -kept], heat).max())
+                kept, warm = math.exp(-trajectory.period / motor.thermal_time), 0.0
+                if manoeuvre.start == "equilibrium":
+                    warm = (equilibrium_torques(job.scenario(manoeuvre))[place] / motor.per_ampere) ** 2
+                square = float(lfilter([1.0 - kept], [1.0, -kept], heat, zi=[kept * warm])[0].max())
                 over = f"over {motor.thermal_time:g} s, at its largest"
             rms = math.sqrt(square)
             words = f"motor {motor.name}: {rms:.3g} A rms {over}, it bears {motor.continuous_current:.3g} A"
             name = f"rms current of {motor.name} over its continuous one"
             found = Requirement(name=name, limit=1.0, unit="", sense="at most").judge(
-                rms / motor.continuous_current, subject=subject, stage="simulated", evidence=words, method="simulated"
+                rms / motor.continuous_current,
+                subject=manoeuvre.name,
+                stage="simulated",
+                evidence=words,
+                method="simulated",
             )
             yield found if found.passed else found.because("take a larger motor or gear, or let it cool")
 

@@ -132,6 +132,19 @@ def test_a_job_with_a_winding_passes_and_says_what_current_its_motor_bears():
     assert found == pytest.approx([*[np.sqrt(np.mean(squares))] * 2, np.sqrt(max(warm))])
 
 
+def test_a_run_from_equilibrium_begins_with_the_heat_of_what_holds_it():
+    """1 N m of weight takes 1 A for ever; in 0.3 s a cold motor of 40 s would show 0.09 A."""
+    plant = drive(continuous_current=0.9, thermal_time=40.0) | {"unbalance": [{"body": "g", "moment": [0.1, 0.0, 0.0]}]}
+    plant["root"] = plant["root"] | {"specific_force": [0.0, -10.0, 0.0]}
+    design_ = {"name": "d", "method": "classical", "inertial_crossover_hz": 30.0, "integral_hz": 0.2}
+    run = {"name": "m", "mode": "caged", "start": "equilibrium", "axis": 1, "rate": 1e-6, "rise": 0.1, "hold": 0.1}
+    run |= {"duration": 0.3, "limits": {"angle": 0.2}}
+    read = pc.read_job(job_of(plant, loop_of("g", "q", design=design_), rate_hz=1000.0, delay=2e-4, manoeuvre=[run]))
+    [heat] = [one for one in check_job(read, design.loops(read)).requirements if one.name.startswith("rms current")]
+    assert heat.value == pytest.approx(1.0 / 0.9, rel=1e-6)
+    assert not heat.passed
+
+
 @pytest.mark.parametrize(("crossover_hz", "holds"), [(3.0, False), (30.0, True)])
 def test_a_loop_that_is_weaker_than_cogging_does_not_pass(crossover_hz, holds):
     # 0.4 N m and 120 periods a turn at the joint: a spring of up to ± 48 N m/rad. A loop of 30 Hz has 600 N m/rad.
