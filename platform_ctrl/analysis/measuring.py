@@ -131,7 +131,7 @@ class Bandwidth(Measure):
         if not loops.decay[k] > 0.0:
             return 0.0
         frequency = loops.plants.frequency
-        found = min(float(bandwidth_of_response(frequency, S[k])) for S in loops.sensitivities)
+        found = min(bandwidth_of_response(frequency, S[k]) for S in loops.sensitivities)
         w = loops.narrow.get(k, np.zeros(0))
         high = [w[gains(part, w) >= LEVEL] for part in loops.parts(SENSITIVITIES, k)] if w.size else []
         return min([found, *(float(part.min(initial=np.inf)) for part in high)])

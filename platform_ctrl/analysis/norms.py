@@ -389,20 +389,15 @@ def bandwidth_of_sensitivity(axis: FrequencyAxis) -> float:
     )
 
 
-def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
-    """Return the bandwidth, rad/s, from sensitivities (..., N, m, m) on a grid (N,), for a tuner: interpolated.
+def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> float:
+    """Return the bandwidth, rad/s, from sensitivities (N, m, m) on a grid (N,), for a tuner: interpolated.
 
     The first frequency if S is that large there already, the last if it never gets there.
     """
     sizes = largest_singular_values(S) / LEVEL
-    above = sizes >= 1.0
-    first = np.argmax(above, axis=-1)
-    never = ~np.any(above, axis=-1)
-    right = np.clip(first, 1, None)
-    y = np.log(np.maximum(sizes, np.finfo(float).tiny))
-    y0 = np.take_along_axis(y, right[..., None] - 1, -1)[..., 0]
-    y1 = np.take_along_axis(y, right[..., None], -1)[..., 0]
-    x = np.log(frequency)
-    share = np.where(first > 0, -y0 / np.where(y1 > y0, y1 - y0, 1.0), 0.0)
-    out = np.exp(x[right - 1] + np.clip(share, 0.0, 1.0) * (x[right] - x[right - 1]))
-    return np.asarray(np.where(never, frequency[-1], out), dtype=np.float64)
+    above = np.flatnonzero(sizes >= 1.0)
+    if not above.size:
+        return float(frequency[-1])
+    ends = slice(max(above[0] - 1, 0), above[0] + 1)
+    levels = np.log(np.maximum(sizes[ends], np.finfo(float).tiny))
+    return float(np.exp(np.interp(0.0, levels, np.log(frequency[ends]))))

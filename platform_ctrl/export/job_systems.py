@@ -211,20 +211,15 @@ def write_responses(
     header, columns = ["frequency_hz"], [w / _HZ]
     for i, output in enumerate(outputs):
         for j, name in enumerate(inputs):
-            header += [f"{output}/{name} {part}" for part in _PARTS[form]]
-            columns += _columns(values[i, j], form)
+            h = values[i, j]
+            parts = {"re": h.real, "im": h.imag}
+            if form == "polar":
+                parts = {"magnitude": np.abs(h), "phase_deg": np.degrees(np.unwrap(np.angle(h)))}
+            header += [f"{output}/{name} {part}" for part in parts]
+            columns += parts.values()
     out = io.StringIO()
     out.writelines(f"# {note}\n" for note in notes)
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(header)
     writer.writerows([repr(float(number)) for number in row] for row in zip(*columns, strict=True))
     return write_whole(path, out.getvalue())
-
-
-_PARTS = {"complex": ("re", "im"), "polar": ("magnitude", "phase_deg")}
-
-
-def _columns(values: np.ndarray[tuple[int], np.dtype[np.complex128]], form: Form) -> list[np.ndarray]:
-    if form == "complex":
-        return [values.real, values.imag]
-    return [np.abs(values), np.degrees(np.unwrap(np.angle(values)))]
