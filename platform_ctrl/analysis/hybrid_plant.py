@@ -266,11 +266,8 @@ class OpenLoop:
         if self.plant.cycle > 1:
             return at_several_rates(controller, self.plant.cycle, w, P, late)
         K, P = _signed_response(controller.fast, omega) * late, P[:, 0]
-        if p == 1:
-            M = K / (1.0 - P @ K)
-        else:
-            loop = np.eye(p) - P @ K
-            M = np.linalg.solve(loop.swapaxes(-1, -2), K.swapaxes(-1, -2)).swapaxes(-1, -2)
+        loop = np.eye(p) - P @ K
+        M = np.linalg.solve(loop.swapaxes(-1, -2), K.swapaxes(-1, -2)).swapaxes(-1, -2)
         N = len(omega)
         none = np.zeros((N, 1, m, 0), dtype=np.complex128), np.zeros((N, 1, 0, p), dtype=np.complex128)
         return Modulator(M[:, None].astype(np.complex128), *none, np.zeros((1, 0), dtype=np.intp))
