@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import schur, solve_sylvester
+from scipy.linalg import block_diag, schur, solve_sylvester
 
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System, block, scaled, state_scaling
@@ -59,8 +59,6 @@ class MultiRate(NamedTuple):
 
     def at(self, sample: int) -> System:
         """Return the controller of one sample. States: those of `fast`, then of each slower one with its outputs."""
-        from scipy.linalg import block_diag
-
         if not self.slow:
             return self.fast
         own = [_held(K, sample % n == 0) for K, n in zip(self.slow, self.every, strict=True)]
@@ -334,8 +332,6 @@ def _slower(controller: MultiRate, w: FloatArray, e: ComplexArray) -> tuple[Comp
 
     They read e (N, R, read, p + h): components that a slow loop cannot tell apart add up.
     """
-    from scipy.linalg import block_diag
-
     N, R, _, width = e.shape
     h, read = controller.held, controller.read
     p = width - h

@@ -10,7 +10,7 @@ import typer
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import noted, print_json
-from platform_ctrl.errors import InputError
+from platform_ctrl.errors import ArgumentError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -104,7 +104,6 @@ def _others(
     job: Job, closed: Sequence[StateSpace], alternatives: Sequence[StateSpace], say: Callable[[str], None]
 ) -> dict[str, LineOfSightBudget | None]:
     """Return the budget with each alternative in the place of the design that sets the same; None: not stable."""
-    from platform_ctrl.errors import ArgumentError
     from platform_ctrl.verification.budget import line_of_sight_budget
 
     out: dict[str, LineOfSightBudget | None] = {}

@@ -266,7 +266,6 @@ def import_description(
     platform-ctrl import gimbal.urdf --json | jq -r '.notes[]'
         what has no counterpart
     """  # noqa: D301
-    from platform_ctrl.common.files import write_whole
     from platform_ctrl.export.robots.plant_file import import_robot
 
     if out is not None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from platform_ctrl.cli.exits import noted
+from platform_ctrl.cli.exits import interruptible, noted
 from platform_ctrl.cli.job_arguments import Controllers, JobFile, Json, Quiet, job_of
 from platform_ctrl.errors import InputError
 
@@ -79,7 +79,6 @@ def serve(
     platform-ctrl serve job.toml --json
         the address as JSON, for another program
     """  # noqa: D301
-    from platform_ctrl.cli.exits import interruptible
     from platform_ctrl.cli.terminal import progress
 
     with progress(quiet or as_json, f"reading {job}"):
