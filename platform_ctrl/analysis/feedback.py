@@ -148,8 +148,6 @@ def _matched(plant: NamedSystem, controller: NamedSystem, where: str) -> tuple[S
     if abs(P.dt - K.dt) > 1e-9 * max(P.dt, K.dt):
         words = f"plant and controller must have the same sample period, got {P.dt} s and {K.dt} s"
         raise ArgumentError(f"{where}: {words}; see platform_ctrl.analysis.sampled")
-    if isinstance(plant, System) or isinstance(controller, System):
-        raise ArgumentError(f"{where}: plant and controller must both have named signals, or both be System")
     inputs, outputs = list(plant.input_labels), list(plant.output_labels)
     if set(controller.output_labels) <= set(inputs) and set(controller.input_labels) <= set(outputs):
         at = [inputs.index(name) for name in controller.output_labels]
