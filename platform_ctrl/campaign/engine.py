@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.campaign import single_run
-from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, kinds_of, row_not_simulated
+from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, row_not_simulated, types_of
 from platform_ctrl.campaign.store import DIVERGED, ENDED, NOT_SIMULATED, Columns, Record, Store, identity, run_versions
 from platform_ctrl.common.processes import processes, processors
 from platform_ctrl.common.progress import shown_runs
@@ -103,7 +103,7 @@ def run_campaign(
     if workers is not None and workers < 1:
         raise ArgumentError(f"workers must be at least one, got {workers}")
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
-    store = Store(Path(folder), identity(plan), about, plan.runs, kinds_of(plan), restart)
+    store = Store(Path(folder), identity(plan), about, plan.runs, types_of(plan), restart)
     pool = partial(cluster, scheduler) if scheduler is not None else partial(processes_here, workers or processors())
     failed = 0
     with (

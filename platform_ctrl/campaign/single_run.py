@@ -92,16 +92,17 @@ def _outcomes(scenarios: Sequence[Scenario], result: BatchResult, names: Sequenc
 SimulateRuns = Callable[..., store.Columns]
 
 _LONGEST = 200
-_KINDS: dict[str, store.Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answer", "U": "word", "O": "word"}
+# Arrow's names of types, by NumPy's kinds.
+_TYPES = {"i": "int64", "u": "int64", "f": "float64", "b": "bool", "U": "string", "O": "string"}
 
 
-def kinds_of(plan: Plan) -> dict[str, store.Kind]:
-    """Return the kinds of all columns by their names, in the table's order."""
-    inputs = {name: _KINDS[np.asarray(column).dtype.kind] for name, column in plan.inputs(0, 1).items()}
-    metrics: dict[str, store.Kind] = dict.fromkeys(metrics_of(plan), "number")
-    answers: dict[str, store.Kind] = {f"{name}_passed": "answer" for name in metrics}
-    rest: dict[str, store.Kind] = {"stop_contacts": "whole", "saturated": "number", **answers, store.PASSED: "answer"}
-    return {store.RUN: "whole", **inputs, **metrics, **rest, store.ENDED: "word"}
+def types_of(plan: Plan) -> dict[str, str]:
+    """Return Arrow's names of the types of all columns by the columns' names, in the table's order."""
+    inputs = {name: _TYPES[np.asarray(column).dtype.kind] for name, column in plan.inputs(0, 1).items()}
+    metrics = dict.fromkeys(metrics_of(plan), "float64")
+    answers = {f"{name}_passed": "bool" for name in metrics} | {store.PASSED: "bool"}
+    outcomes = {**metrics, "stop_contacts": "int64", "saturated": "float64", **answers, store.ENDED: "string"}
+    return {store.RUN: "int64", **inputs, **outcomes}
 
 
 def columns_of(plan: Plan, runs: Sequence[int], simulate: SimulateRuns) -> store.Columns:
@@ -121,7 +122,7 @@ def columns_of(plan: Plan, runs: Sequence[int], simulate: SimulateRuns) -> store
 def row_not_simulated(plan: Plan, run: int, why: str) -> store.Columns:
     """Return the row of a run that has its inputs, as far as they are known, and no outcome."""
     nothing = np.array([None], dtype=object)
-    columns = dict.fromkeys(kinds_of(plan), nothing) | {store.RUN: np.array([run], dtype=np.int64)}
+    columns = dict.fromkeys(types_of(plan), nothing) | {store.RUN: np.array([run], dtype=np.int64)}
     with suppress(PlatformCtrlError):  # where the draws themselves are what cannot be made
         columns |= inputs_of(plan, [run])
     return columns | {store.ENDED: np.array([f"{store.NOT_SIMULATED}: {why}"], dtype=object)}

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,6 @@ COMPLETED, DIVERGED, NOT_SIMULATED = "completed", "diverged", "not simulated"
 
 Array = NDArray[Any]
 Columns = dict[str, Array]
-Kind = Literal["whole", "number", "answer", "word"]  # of a column
 
 
 def arrow() -> Any:
@@ -169,8 +168,8 @@ class Store:
         What else the record says.
     runs
         How many runs the campaign will have: at least as many as it has.
-    kinds
-        Columns of the table.
+    types
+        Columns of the table, with Arrow's names of their types.
     restart
         Forget what is there.
     """
@@ -181,12 +180,10 @@ class Store:
         identity: Identity,
         about: Mapping[str, Any],
         runs: int,
-        kinds: Mapping[str, Kind],
+        types: Mapping[str, str],
         restart: bool,
     ) -> None:
-        pa = arrow()
-        types = {"whole": pa.int64(), "number": pa.float64(), "answer": pa.bool_(), "word": pa.string()}
-        self._schema = pa.schema([(name, types[kind]) for name, kind in kinds.items()])
+        self._schema = arrow().schema([*types.items()])
         self.folder, self.table, self.runs = folder, folder / TABLE, runs
         self.record: Record = {"schema": SCHEMA, **about, "runs": runs, "identity": identity, "complete": False}
         with self._told(folder):
