@@ -109,8 +109,7 @@ def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band
 
     best, frequency = axis.largest(points(pole.resonances(s)))
     for _ in range(_SEARCHES):
-        # Where a peak lies is known to the root of what its height is known to.
-        best, frequency = _climbed(axis, s, best, frequency, 1e-3 * tolerance, band)
+        best, frequency = _climbed(axis, s, best, frequency, 0.05 * tolerance, band)
         if not 0.0 < best < math.inf:
             break
         crossings = level_frequencies(axis, best * (1.0 + tolerance))
@@ -123,8 +122,10 @@ def peak_gain(axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band
     return best, frequency
 
 
-# Where a climb looks around the best frequency, in widths, which then become somewhat larger than the spacing.
-_FAN, _CLOSER = np.linspace(-1.0, 1.0, 15), 0.15
+# Where a climb looks around the best frequency, in widths: at first, and around where the top should be.
+_FAN, _AROUND = np.linspace(-1.0, 1.0, 15), np.array([-1.0, -0.2, 0.0, 0.2, 1.0])
+# How much closer it looks where a parabola says where the top is.
+_CLOSER = 0.05
 
 
 def _climbed(
@@ -138,8 +139,9 @@ def _climbed(
         return best, frequency
     # The peak cannot be much narrower than the distance to the nearest pole.
     width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
+    centre, offsets = frequency, _FAN
     for _ in range(12):
-        fan = np.abs(frequency + width * _FAN)
+        fan = np.abs(centre + width * offsets)
         fan = fan[(fan >= band[0]) & (fan <= min(band[1], axis.edge))]
         if not fan.size:
             break
@@ -148,10 +150,33 @@ def _climbed(
         if sizes[i] > best:
             best, frequency = float(sizes[i]), float(fan[i])
         # The top lies between the neighbours of the highest: it cannot rise much above where these are as high.
-        if best - float(sizes[max(i - 1, 0) : i + 2].min()) <= slack * best or width < 1e-15 * frequency:
+        three = sizes[max(i - 1, 0) : i + 2]
+        if best - float(three.min()) <= slack * best or width < 1e-15 * frequency:
             break
-        width *= _CLOSER
+        step = _to_top(fan[i - 1 : i + 2], three) if len(three) == 3 and sizes[i] >= best * (1.0 - slack) else None
+        if step is None:
+            centre, width = frequency, 0.5 * width
+        elif step[1] <= slack:
+            return best, float(fan[i] + step[0])
+        else:
+            centre, width, offsets = fan[i] + step[0], _CLOSER * width, _AROUND
     return best, frequency
+
+
+def _to_top(w: FloatArray, gains: FloatArray) -> tuple[float, float] | None:
+    """Return how far the top of the parabola through 1/gain² is from the middle of three, and how much it rises there.
+
+    Next to a single pole it is the gain itself. None where the parabola has no top.
+    """
+    below, _, above = (w - w[1]).tolist()
+    if not (gains.min() > 0.0 and below < 0.0 < above):
+        return None
+    left, _, right = ((gains[1] / gains) ** 2 - 1.0).tolist()
+    bend = (right / above - left / below) / (above - below)
+    slope = left / below - bend * below
+    if not (bend > 0.0 and slope * slope < 4.0 * bend):
+        return None
+    return -0.5 * slope / bend, 1.0 / math.sqrt(1.0 - 0.25 * slope * slope / bend) - 1.0
 
 
 def level_frequencies(axis: FrequencyAxis, level: float) -> FloatArray:
