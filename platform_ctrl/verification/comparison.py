@@ -120,19 +120,24 @@ def _change(now: Compared, before: Compared | None, tolerance: float) -> Compare
     return dataclasses.replace(now, before=accepted, allowed=allowed, state=state)  # type: ignore[arg-type]
 
 
-def _values(record: Record) -> dict[tuple[str, str, str, str], Compared]:
+def _values(record: Record) -> dict[tuple[str, ...], Compared]:
     """Return the values of a result, each once, by what they are recognised by; a value in another unit is another."""
-    found: dict[tuple[str, str, str, str], Compared] = {}
-    for one in _listed(record):
-        if not any(key[:2] == (one.subject, one.name) for key in found):
-            found[one.subject, one.name, one.unit, one.sense] = one
+    found: dict[tuple[str, ...], Compared] = {}
+    for stage, one in _listed(record):
+        # What is no requirement may repeat one; a loop and the line of sight may have one name.
+        if stage or not any(key[:2] == (one.subject, one.name) for key in found):
+            found.setdefault((one.subject, one.name, one.unit, one.sense, stage), one)
     return found
 
 
-def _listed(record: Record) -> Iterator[Compared]:
-    """Yield the values of a result; those of requirements first, as other entries may repeat them."""
+def _listed(record: Record) -> Iterator[tuple[str, Compared]]:
+    """Yield the values of a result; those of requirements first, with their stages, as others may repeat them."""
     for one in record["requirements"]:
-        yield _of(one["subject"], one["name"], one["unit"], one["sense"], one["value"], one["limit"])
+        yield one["stage"], _of(one["subject"], one["name"], one["unit"], one["sense"], one["value"], one["limit"])
+    yield from (("", one) for one in _others(record))
+
+
+def _others(record: Record) -> Iterator[Compared]:
     for K in record["controllers"]:
         for goal in K.get("goals", ()):
             yield _of(K["name"], goal["name"], goal["unit"], goal["sense"], goal["value"])
