@@ -223,7 +223,7 @@ def values(**named: float | None) -> dict[str, Any]:
         "coupled": {"stable": True},
         "runs": [],
         "requirements": [
-            {"subject": "loop", "name": name, "unit": "", "limit": 1.0, "value": number}
+            {"subject": "loop", "stage": "decoupled", "name": name, "unit": "", "limit": 1.0, "value": number}
             | {"sense": "at least" if name.startswith("bandwidth") else "at most"}
             for name, number in named.items()
         ],
