@@ -1,5 +1,4 @@
 from .fixed_structure.sections import PID as PID
-from .fixed_structure.sections import Sections as Sections
 from .fixed_structure.sections import Series as Series
 from .fixed_structure.structures import StateSpaceOrder as StateSpaceOrder
 from .fixed_structure.structures import Static as Static

@@ -26,6 +26,7 @@ from platform_ctrl.design.fixed_structure.maps import (
     torque_per_Omega,
 )
 from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm, augmented
+from platform_ctrl.design.fixed_structure.sections import Sections
 from platform_ctrl.design.fixed_structure.structures import Parametrised, Structure, Units
 from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.methods import read_job
@@ -453,7 +454,7 @@ def test_forms_in_the_controller_are_the_budget_and_their_slopes_those_of_differ
 
 
 def test_sections_have_the_transfer_function_that_they_say():
-    structure, units = design.Sections(rates=[10.0, 30.0]), Units(gain=np.ones((2, 2)), rate=1.0)
+    structure, units = Sections(rates=[10.0, 30.0]), Units(gain=np.ones((2, 2)), rate=1.0)
     given = {"c2_1": 0.5, "e2_1": -2.0, "damping2_1": 0.3, "c2_2": 1.5, "filter2_2": 40.0}
     p = np.array([given.get(one.name, one.start) for one in structure.parameters(2, 2, units)])
     s = 1j * np.array([1.0, 10.0, 35.0])
