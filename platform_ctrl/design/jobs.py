@@ -243,11 +243,7 @@ def _made(problem: LoopProblem) -> Made:
 
 
 def plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
-    """Return the plants of every design of a loop: those of designs that read the same are made once.
-
-    So are their responses to disturbances, where something is required of these.
-    """
-    disturbed = any(one.metric.of_disturbances for one in spec.requests)
+    """Return the plants of every design of a loop: those of designs that read the same are made once."""
     bare: dict[tuple[str, ...], PlantSet | None] = {}
     out = []
     for design in spec.designs:
@@ -255,10 +251,7 @@ def plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:
         if read.sensors not in bare:
             bare[read.sensors] = plants_of(job, read)
         own = bare[read.sensors]
-        made = None if own is None else design_plants(job, spec, design, own)
-        if disturbed and made is not None and made is own:
-            made = bare[read.sensors] = own.with_disturbances()
-        out.append(made)
+        out.append(None if own is None else design_plants(job, spec, design, own))
     return out
 
 

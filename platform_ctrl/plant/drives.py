@@ -25,21 +25,21 @@ _PER_BANDWIDTH = 10.0
 # Torques about the root's axes.
 ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 
+_SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
 # What data sheets state in place of a value, of which the motor's torque constant K is made first.
 _PER_VOLT = Instead("kv", POSITIVE, lambda rpm, _: 60.0 / (2.0 * math.pi * rpm))
 _FROM_HEAT = Instead("motor_constant", POSITIVE, lambda k, motor: (motor["torque_constant"] / k) ** 2)
-_PEAK = Instead("peak_torque", POSITIVE, lambda torque, motor: torque / motor["torque_constant"])
-_CONTINUOUS = Instead("continuous_torque", POSITIVE, lambda torque, motor: torque / motor["torque_constant"])
+_PEAK, _CONTINUOUS = (
+    Instead(key, POSITIVE, lambda torque, motor: torque / motor["torque_constant"])
+    for key in ("peak_torque", "continuous_torque")
+)
 _INSTEAD = {"torque_constant": "kv", "resistance": "motor_constant"}
+_CURRENTS = ("current_limit", "peak_torque", "continuous_current", "continuous_torque")
 
 
 def _harmonics(size: str, fit: Callable[[float], bool]) -> fields.Expected:
     judge = fields.rows(lambda x: x > 0, fit, lambda x: True)
     return fields.Expected(f"rows [order > 0, {size}, phase]", judge)
-
-
-_CURRENTS = ("current_limit", "peak_torque", "continuous_current", "continuous_torque")
-_SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
 
 
 @input_value

@@ -329,7 +329,7 @@ def _campaign(
     if campaign is not None:
         blocks = page.made("Campaign", lambda: campaign_blocks(campaign, result, again))
     elif result.job.campaign is not None:
-        file = "job.toml" if command is None else shlex.split(command)[2]
+        file = next(iter(shlex.split(command or "")[2:]), "job.toml")
         blocks = (page.Paragraph(text=sentences("no_campaign", file=file)),)
     else:
         return []
