@@ -15,7 +15,6 @@ pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
 
 from bokeh.document import Document
 
-from app.test_page import JOB
 from platform_ctrl.app import closed_loops
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import DesignPending, TaskCancelled
@@ -23,15 +22,6 @@ from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.session import Session
 from platform_ctrl.app.tasks import Connection
 from platform_ctrl.errors import DesignError
-
-
-@pytest.fixture(scope="module")
-def backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:
-    path = tmp_path_factory.mktemp("session") / "gyros.toml"
-    path.write_text(JOB, encoding="utf-8")
-    made = Backend(path)
-    yield made
-    made.close()
 
 
 def _until(met: Callable[[], bool]) -> None:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 import threading
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from app.test_page import JOB
 from app.test_saving import LOOP, TWO
 from camera_job import camera_job
 from commanded_gimbal import RATE_HZ, commanded_job
@@ -317,15 +315,6 @@ def test_a_slider_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Back
     servo = shipped.chosen(hidden, loop="stabilisation")
     for one in (hidden, servo):
         assert decode_state(shipped, encode_state(shipped, one)).data() == one.data()
-
-
-@pytest.fixture(scope="module")
-def backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:
-    path = tmp_path_factory.mktemp("parts") / "gyros.toml"
-    path.write_text(JOB, encoding="utf-8")
-    made = Backend(path)
-    yield made
-    made.close()
 
 
 def chips(backend: Backend, settings: Settings, measure: bool = True) -> dict[str, ChipState]:

@@ -145,37 +145,36 @@ def test_a_run_from_equilibrium_begins_with_the_heat_of_what_holds_it():
     assert not heat.passed
 
 
+def decay_and_run(plant, crossover_hz):
+    """The coupled decay rate of a loop around a motor, and the last second of a run from a small angle."""
+    own = {"name": "d", "method": "classical", "inertial_crossover_hz": crossover_hz, "integral_hz": 0.2}
+    own |= {"inertial_lead_hz": crossover_hz / 3, "inertial_rolloff_hz": 10 * crossover_hz}
+    job = pc.read_job(job_of(plant, loop_of("g", "q", design=own), rate_hz=1000.0, delay=2e-4, coupled={}))
+    outcomes = design.loops(job)
+    [found] = [one for one in check_job(job, outcomes).coupled.results if one.name == "minimum decay rate"]
+    at = simulation.Scenario(platform=job.platform, mode="caged", duration=5.0, delay=2e-4, q=[1e-4])
+    run = simulation.simulate(at, [outcomes[0].closed.controller], period=1e-3, step=2.5e-5, noise=False)
+    return found, run.q[-1000:]
+
+
 @pytest.mark.parametrize(("crossover_hz", "holds"), [(3.0, False), (30.0, True)])
 def test_a_loop_that_is_weaker_than_cogging_does_not_pass(crossover_hz, holds):
     # 0.4 N m and 120 periods a turn at the joint: a spring of up to ± 48 N m/rad. A loop of 30 Hz has 600 N m/rad.
-    design_ = {"name": "d", "method": "classical", "inertial_crossover_hz": crossover_hz, "integral_hz": 0.2}
-    design_ |= {"inertial_lead_hz": crossover_hz / 3, "inertial_rolloff_hz": 10 * crossover_hz}
-    plant, loop = drive(cogging=[[6.0, 0.02, 0.0]]), loop_of("g", "q", design=design_)
-    job = pc.read_job(job_of(plant, loop, rate_hz=1000.0, delay=2e-4, coupled={}))
-    outcomes = design.loops(job)
-    [found] = [one for one in check_job(job, outcomes).coupled.results if one.name == "minimum decay rate"]
+    found, q = decay_and_run(drive(cogging=[[6.0, 0.02, 0.0]]), crossover_hz)
     assert found.passed == holds
     assert holds or "cogging pushes away" in found.evidence
-    at = simulation.Scenario(platform=job.platform, mode="caged", duration=5.0, delay=2e-4, q=[1e-4])
-    run = simulation.simulate(at, [outcomes[0].closed.controller], period=1e-3, step=2.5e-5, noise=False)
-    assert (np.abs(run.q[-1000:]).max() < 1e-4) == holds
+    assert (np.abs(q).max() < 1e-4) == holds
 
 
 @pytest.mark.parametrize(("crossover_hz", "holds"), [(3.0, False), (30.0, True)])
 def test_a_loop_that_is_weaker_than_ripple_under_load_does_not_pass(crossover_hz, holds):
     # 1 N m of weight, 5 % of it 720 times a turn at the joint: a spring of up to ± 36 N m/rad.
-    design_ = {"name": "d", "method": "classical", "inertial_crossover_hz": crossover_hz, "integral_hz": 0.2}
-    design_ |= {"inertial_lead_hz": crossover_hz / 3, "inertial_rolloff_hz": 10 * crossover_hz}
     plant = drive(ripple=[[36.0, 0.05, 0.0]]) | {"unbalance": [{"body": "g", "moment": [0.1, 0.0, 0.0]}]}
     plant["root"] = plant["root"] | {"specific_force": [0.0, -10.0, 0.0]}
-    job = pc.read_job(job_of(plant, loop_of("g", "q", design=design_), rate_hz=1000.0, delay=2e-4, coupled={}))
-    outcomes = design.loops(job)
-    [found] = [one for one in check_job(job, outcomes).coupled.results if one.name == "minimum decay rate"]
+    found, q = decay_and_run(plant, crossover_hz)
     assert found.passed == holds
     assert holds or "ripple under load pushes away" in found.evidence
-    at = simulation.Scenario(platform=job.platform, mode="caged", duration=5.0, delay=2e-4, q=[1e-4])
-    run = simulation.simulate(at, [outcomes[0].closed.controller], period=1e-3, step=2.5e-5, noise=False)
-    assert (np.ptp(run.q[-1000:]) < 1e-4) == holds
+    assert (np.ptp(q) < 1e-4) == holds
 
 
 def test_ripple_is_a_share_of_what_the_current_does():
