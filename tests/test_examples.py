@@ -6,7 +6,7 @@ import re
 import runpy
 import struct
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,14 +15,11 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
 @pytest.fixture
-def run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Iterator[Callable[..., str]]:
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Run an example in an empty folder, as a script with these arguments; return what it prints."""
     import matplotlib
 
     matplotlib.use("Agg")
-    from matplotlib import pyplot
 
     def script(name: str, *arguments: str) -> str:
         monkeypatch.setattr(sys, "argv", [name, *arguments])
@@ -30,8 +27,7 @@ def run(
         return capsys.readouterr().out
 
     monkeypatch.chdir(tmp_path)
-    yield script
-    pyplot.close("all")
+    return script
 
 
 def drawn(file: Path) -> tuple[int, int]:

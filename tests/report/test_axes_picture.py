@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib import pyplot
 
 from platform_ctrl import read_platform, shipped_models
 from platform_ctrl.report.figures import axes_picture
@@ -48,12 +47,6 @@ def plant(gimbals=(), rotors=(), **tables):
         }
         | tables
     )
-
-
-def drawn(platform):
-    figure = axes_picture(platform)
-    pyplot.close(figure)
-    return figure
 
 
 def letters(name):
@@ -95,7 +88,7 @@ def turn_sense(figure):
 @MODEL
 def test_every_angle_and_every_rotor_is_named(model):
     platform = read_platform(model)
-    names = texts(drawn(platform))
+    names = texts(axes_picture(platform))
     assert {letters(name) for name in platform.angle_names} <= names
     assert {rotor.name for rotor in platform.rotors} <= names
 
@@ -103,7 +96,7 @@ def test_every_angle_and_every_rotor_is_named(model):
 @settings(max_examples=8, deadline=None)
 @given(platforms())
 def test_arrows_point_along_the_axes_of_any_platform(platform):
-    figure = drawn(platform)
+    figure = axes_picture(platform)
     rows = seen(figure)
     toward = np.cross(rows[0], rows[1]) / 0.8**2
     axes, spins = arrows(figure, "axis"), arrows(figure, "spin")
@@ -120,7 +113,7 @@ def test_arrows_point_along_the_axes_of_any_platform(platform):
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (2, -1, 0.5), (-1, 1, 1)])
 def test_the_turn_arrow_is_right_handed_about_the_axis(axis, sign):
-    figure = drawn(plant([("g", "base", [sign * x for x in axis])]))
+    figure = axes_picture(plant([("g", "base", [sign * x for x in axis])]))
     rows = seen(figure)
     toward = np.cross(rows[0], rows[1])
     assert turn_sense(figure) == np.sign(sign * toward @ axis)
@@ -131,7 +124,7 @@ def test_the_turn_arrow_is_right_handed_about_the_axis(axis, sign):
 def test_up_is_where_the_specific_force_points(k, sign):
     force = [0.1, 0.1, 0.1]
     force[k] = 9.81 * sign
-    rows = seen(drawn(plant(root={"specific_force": force})))
+    rows = seen(axes_picture(plant(root={"specific_force": force})))
     assert angle_between(sign * rows[:, k], np.array([0.0, 1.0])) < 1.0
 
 
@@ -148,7 +141,7 @@ def test_any_name_is_well_formed(name):
     )
     if name != "base":
         file = io.StringIO()
-        drawn(platform).savefig(file, format="svg")
+        axes_picture(platform).savefig(file, format="svg")
         ET.fromstring(file.getvalue())
 
 
@@ -156,4 +149,4 @@ def test_any_name_is_well_formed(name):
 def test_every_model_has_its_picture_in_docs(model):
     kept = (ROOT / "docs" / "pictures" / f"{model}.svg").read_text(encoding="utf-8")
     written = {text for text in ET.fromstring(kept).itertext() if text.strip()}
-    assert texts(drawn(read_platform(model))) - {""} <= written
+    assert texts(axes_picture(read_platform(model))) - {""} <= written

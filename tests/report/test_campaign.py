@@ -302,7 +302,6 @@ def test_histograms_count_every_run_and_colour_those_beyond_the_limit():
 
 
 def test_pyplot_knows_the_plots_of_scripts_and_those_of_pages_not(gyro):
-    pyplot.close("all")
     loop = figures.nichols(control.tf([1.0], [1.0, 1.0])).figure
     assert [pyplot.figure(number) for number in pyplot.get_fignums()] == [loop]
     bode = figures.bode(control.tf([1.0], [1.0, 1.0])).figure

@@ -15,13 +15,6 @@ HZ = 1.0 / (2.0 * np.pi)
 RPM = 60.0 * HZ
 
 
-@pytest.fixture(autouse=True)
-def no_figures_of_other_tests():
-    from matplotlib import pyplot
-
-    pyplot.close("all")
-
-
 @pytest.fixture(scope="module")
 def three():
     return pc.read_platform("three_gyro_platform")
