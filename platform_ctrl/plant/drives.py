@@ -318,6 +318,11 @@ class Motor:
                 yield missing("rotor_inertia", "a motor without current_loop is a rotor alone, of so many kg m²")
             if by_constant and not {"torque_constant", "kv"} & table.keys():
                 yield missing("torque_constant", f"{by_constant[0]} needs it")
+        for most, lasting in (("current_limit", "continuous_current"), ("peak_torque", "continuous_torque")):
+            if lasting in table and table[lasting] > table.get(most, math.inf):
+                yield wrong(table, lasting, f"at most {most}, {table[most]:g}")
+        if sum(share for _, share, _ in table.get("ripple", ())) >= 1.0:
+            yield wrong(table, "ripple", "of shares that sum to less than 1")
         if "thermal_time" in table and not {"continuous_current", "continuous_torque"} & table.keys():
             yield missing("continuous_current", "thermal_time is about how long a larger one may flow")
         for key in (*_CURRENTS, "efficiency", "ripple", "name"):

@@ -407,7 +407,12 @@ AtLeastOne = Annotated[float, Expected("a number >= 1", where(lambda x: x >= 1))
 Share = Annotated[float, Expected("a number from 0 to 0.9", where(lambda x: 0 <= x <= 0.9))]
 Part = Annotated[float, Expected("a share from 0 to 1", where(lambda x: 0 <= x <= 1))]
 # Teeth with more play do not mesh: a number meant in another unit.
-Play = Annotated[float, Expected("an angle from 0 to 0.2 rad; or write play_arcsec", where(lambda x: 0 <= x <= 0.2))]
+Play = Annotated[
+    float,
+    Expected(
+        "an angle from 0 to 0.2 rad (arc seconds: play_arcsec, degrees: play_deg)", where(lambda x: 0 <= x <= 0.2)
+    ),
+]
 InsidePart = Annotated[float, Expected("a share between 0 and 1", where(lambda x: 0 < x < 1))]
 SomePart = Annotated[float, Expected("a share > 0, up to 1", where(lambda x: 0 < x <= 1))]
 Samples = Annotated[int, Expected("a whole number from 0 to 1000", integer(0, 1000))]
