@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -128,10 +128,10 @@ def campaign(
 
 
 def _show_files(result: CampaignResult, page: Path | None) -> None:
-    from platform_ctrl.report.campaign_tables import count_words
+    from platform_ctrl.job.quantities import count
 
-    counts: dict[str, Any] = result.counts
-    typer.echo(f"{count_words(result.record['runs'])}: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
+    ended = ", ".join(f"{number:,} {name}" for name, number in result.counts.items() if number)
+    typer.echo(f"{count(result.record['runs'], 'run')}: {ended}")
     for reason, number in result.reasons.items():
         typer.echo(f"  {number:,} x {reason}")
     for word, file in (("page", page), ("runs", result.table), ("values", result.table.with_suffix(".json"))):
@@ -150,9 +150,10 @@ def write_campaign(
     from platform_ctrl.campaign.summary import summarise, summary_record
 
     def page(path: Path) -> None:
-        from platform_ctrl.report.campaign_page import write_campaign_page
+        from platform_ctrl.report import write_page
+        from platform_ctrl.report.campaign_page import campaign_document
 
-        write_campaign_page(summary, path, command=shlex.join(command), again=shlex.join(again))
+        write_page(campaign_document(summary, command=shlex.join(command), again=shlex.join(again)), path)
 
     folder: Path = result.table.parent
     summary = summarise(plan, result.table)

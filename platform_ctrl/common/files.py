@@ -14,9 +14,12 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.errors import InputError
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 UNFINISHED = ".unfinished-"
 _BARE = re.compile(r"[A-Za-z0-9_-]+")  # a key of a TOML file without quotes
@@ -35,6 +38,14 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
         words = f"{target}: cannot be written: {error.strerror or error}"
         raise InputError(f"{words}; name a path in a folder that exists and is writable") from None
     return target
+
+
+def templates(package: str, **options: bool) -> Environment:
+    """Return the templates of a package; a word that is not given is an error."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader(package)
+    return Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, **options)  # type: ignore[arg-type]
 
 
 @contextmanager

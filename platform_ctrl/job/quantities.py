@@ -171,8 +171,8 @@ def claimed(name: str, number: float) -> tuple[str, str]:
 
 
 def count(number: int, noun: str) -> str:
-    """Return ``1 loop``, ``2 loops``."""
-    return f"{number} {noun if number == 1 else noun + 's'}"
+    """Return ``1 loop``, ``10,000 loops``."""
+    return f"{number:,} {noun if number == 1 else noun + 's'}"
 
 
 def listed(words: list[str] | tuple[str, ...]) -> str:

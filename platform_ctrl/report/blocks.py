@@ -9,6 +9,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from platform_ctrl.common.files import templates
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import began_with_interrupt, reason
@@ -252,15 +253,6 @@ def missing(item: Any) -> list[str]:
 
 def html(document: PageContent) -> str:
     """Return a document as a page that needs nothing else."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-
-    environment = Environment(
-        loader=PackageLoader("platform_ctrl.report"),
-        autoescape=select_autoescape(default=True, default_for_string=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("page.html").render(
-        document=document, palette={theme: declarations(colours) for theme, colours in PALETTE.items()}
-    )
+    palette = {theme: declarations(colours) for theme, colours in PALETTE.items()}
+    pages = templates("platform_ctrl.report", autoescape=True)
+    return pages.get_template("page.html").render(document=document, palette=palette)

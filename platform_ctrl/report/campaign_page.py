@@ -3,33 +3,23 @@
 from __future__ import annotations
 
 import math
-import os
 from functools import partial
-from pathlib import Path
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.single_run import ROUNDING, rerun
 from platform_ctrl.campaign.store import identity, source_hashes
 from platform_ctrl.campaign.summary import Influence, Summary
-from platform_ctrl.common.files import write_whole
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.job.quantities import listed, plain
+from platform_ctrl.job.quantities import count, listed, plain
 from platform_ctrl.report import blocks as page
 from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report import style
 from platform_ctrl.report.captions import sentences
-from platform_ctrl.report.figures.runs import histogram_figure, time_run, with_limit
+from platform_ctrl.report.figures.runs import histograms, time_run, with_limit
 from platform_ctrl.report.tables import folded_facts, record_part, report_versions
 from platform_ctrl.verification.verdict import JobResult
 
 RERUN_COMMAND = "platform-ctrl simulate job.toml --run"
-
-
-def write_campaign_page(
-    summary: Summary, path: str | os.PathLike[str], *, command: str | None, again: str | None
-) -> Path:
-    """Write the page to `path`, the whole file or nothing: arguments as of `campaign_document`."""
-    return write_whole(path, page.html(campaign_document(summary, command=command, again=again)))
 
 
 def campaign_document(summary: Summary, *, command: str | None = None, again: str | None = None) -> page.PageContent:
@@ -45,7 +35,7 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
         record_part(job),
     )
     return page.PageContent(
-        kicker=f"platform_ctrl: campaign of {tables.count_words(summary.plan.runs).replace(' ', ' simulated ')}",
+        kicker=f"platform_ctrl: campaign of {count(summary.plan.runs, 'simulated run')}",
         title=job.name,
         source=". ".join(filter(None, [job.platform.name, job.platform.source])),
         passed=summary.statistics.passed,
@@ -75,15 +65,12 @@ def campaign_sections(summary: Summary, again: str) -> list[page.PageSection]:
     shown = (probability_table(summary), bounds)
     sections.append(page.PageSection(name="probabilities", title="Probability of a violation", blocks=shown))
     found, caption = summary.statistics, sentences("campaign_histogram")
-    each = [
-        page.drawn(metric.name.capitalize(), partial(histogram_figure, found, name), caption)
-        for name, metric in RUN_METRICS.items()
-        if with_limit(found, name)
-    ]
-    plates = tuple(block for blocks in each for block in blocks)
+    each = [(metric.name.capitalize(), with_limit(found, name)) for name, metric in RUN_METRICS.items()]
+    plates = tuple(block for title, of in each if of for block in page.drawn(title, partial(histograms, of), caption))
     if plates:
         sections.append(page.PageSection(name="figures", title="Figures", blocks=plates))
-    endings = page.table("ended|runs|share", tables.ending_rows(summary), numbers="runs|share", form="narrow")
+    ended = [(words, f"{runs:,}", tables.chance(runs / found.runs)) for words, runs in found.endings.items()]
+    endings = page.table("ended|runs|share", ended, numbers="runs|share", form="narrow")
     return [
         *sections,
         page.PageSection(name="worst", title="Worst runs", blocks=_worst(summary, again)),
@@ -208,7 +195,7 @@ def campaign_blocks(summary: Summary, result: JobResult, again: str | None) -> t
     """Return a campaign as part of a job's report, with a warning if its plant, sampling or controllers differ."""
     first, *others = campaign_sections(summary, again or RERUN_COMMAND)
     parts = (page.Subsection(title=section.title, blocks=section.blocks) for section in others)
-    runs = f"{tables.count_words(summary.plan.runs)} of the job with everything that may vary."
+    runs = f"{count(summary.plan.runs, 'run')} of the job with everything that may vary."
     different = differences(summary, result)
     blocks: list[page.Block] = [page.Paragraph(text=page.sentence(runs))]
     if different:

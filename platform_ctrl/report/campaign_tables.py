@@ -11,7 +11,7 @@ from platform_ctrl.campaign.store import DIVERGED, MANOEUVRE, PASSED
 from platform_ctrl.campaign.summary import Influence, Summary
 from platform_ctrl.common.text import Rounding, rounded
 from platform_ctrl.common.values import value
-from platform_ctrl.job.quantities import BOUND, DASH, MINUS, added_words, plain, quantity, simulated_words, times
+from platform_ctrl.job.quantities import BOUND, DASH, MINUS, added_words, count, plain, quantity, simulated_words, times
 from platform_ctrl.job.variation import Vary
 
 ALL_MANOEUVRES = "all manoeuvres, values relative to their limits"
@@ -114,13 +114,13 @@ def violation_words(summary: Summary) -> str:
     violation = summary.statistics.violation
     if violation.events:
         verb = "violates" if violation.events == 1 else "violate"
-        words = f"{violation.events:,} of {count_words(violation.runs)} {verb} a requirement"
+        words = f"{violation.events:,} of {count(violation.runs, 'run')} {verb} a requirement"
     elif violation.runs > 1:
-        words = f"none of {count_words(violation.runs)} violates a requirement"
+        words = f"none of {count(violation.runs, 'run')} violates a requirement"
     else:
         words = "the run violates no requirement" if violation.runs else "no run was simulated"
     lost = summary.statistics.not_simulated
-    return f"{words}, {count_words(lost)} could not be simulated" if lost and violation.runs else words
+    return f"{words}, {count(lost, 'run')} could not be simulated" if lost and violation.runs else words
 
 
 def campaign_words(summary: Summary | None) -> str:
@@ -140,15 +140,10 @@ def verdict_lines(summary: Summary) -> list[str]:
     if found.violation.events == 1:
         lines.append("one run violates it: no cause can be told")
     if found.diverged:
-        lines.append(f"{count_words(found.diverged)} diverged, counted as violating every requirement")
+        lines.append(f"{count(found.diverged, 'run')} diverged, counted as violating every requirement")
     if found.not_simulated:
-        lines.append(f"{count_words(found.not_simulated)} could not be simulated and are not counted")
+        lines.append(f"{count(found.not_simulated, 'run')} could not be simulated and are not counted")
     return lines
-
-
-def count_words(runs: int) -> str:
-    """Return ``1 run``, ``10,000 runs``."""
-    return f"{runs:,} {'run' if runs == 1 else 'runs'}"
 
 
 def signed(correlation: float) -> str:
@@ -211,9 +206,11 @@ def worst_rows(summary: Summary, runs: Sequence[WorstRun], named: Sequence[str])
     """Return runs with their values and the inputs that matter, in words."""
     rows = []
     for one in runs:
-        inputs = summary.inputs_of(one.run)
+        inputs = {name: item for name, item in summary.inputs_of(one.run).items() if item is not False}
         shown = [
-            f"{name} {input_words(inputs[name])}" for name in named if name in inputs and inputs[name] is not False
+            f"{name} {'yes' if item is True else item if isinstance(item, str) else plain(item, 3)}"
+            for name in named
+            if (item := inputs.get(name)) is not None
         ]
         unit = RUN_METRICS[one.requirement].unit
         words = [
@@ -225,13 +222,6 @@ def worst_rows(summary: Summary, runs: Sequence[WorstRun], named: Sequence[str])
         ]
         rows.append((one, words))
     return rows
-
-
-def input_words(item: float | bool | str) -> str:
-    """Return one input of a run."""
-    if isinstance(item, bool):
-        return "yes" if item else "no"
-    return item if isinstance(item, str) else plain(item, 3)
 
 
 def all_drivers(summary: Summary) -> list[str]:
@@ -262,9 +252,3 @@ def distribution_words(one: Vary) -> str:
     parts += [" or ".join(plain(number, 6) for number in one.values)] if one.values else []
     parts += ["weights " + ", ".join(plain(number, 6) for number in one.weights)] if one.weights else []
     return f"{one.distribution}: {', '.join(parts)}{', times the nominal value' if one.relative else ''}"
-
-
-def ending_rows(summary: Summary) -> list[tuple[str, str, str]]:
-    """Return how runs ended: words, number, share."""
-    found = summary.statistics
-    return [(words, f"{runs:,}", chance(runs / found.runs)) for words, runs in found.endings.items()]

@@ -16,7 +16,7 @@ from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.common.text import Rounding
+from platform_ctrl.common.files import templates
 from platform_ctrl.design.loop import Design, LoopOutcome
 from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.job.quantities import BOUND, HZ, count, disk_words, listed, plain, quantity
@@ -40,14 +40,10 @@ def sentences(name: str, /, **values: Any) -> str:
 
 @lru_cache(maxsize=1)
 def _templates() -> Any:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("platform_ctrl.report"), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    filters: list[Any] = [count, disk_words, listed, number_word, of_readings, plain, quantity]
-    filters += [quoted, share, campaign_tables.chance, campaign_tables.count_words]
+    environment = templates("platform_ctrl.report")
+    filters: list[Any] = [count, disk_words, listed, of_readings, plain, quantity, quoted, campaign_tables.chance]
     environment.filters |= {function.__name__: function for function in filters}
+    environment.filters["number_word"] = lambda n: _NUMBERS[n] if n < len(_NUMBERS) else str(n)
     environment.globals |= {"METRICS": METRICS, "BOUND": BOUND, "chances": campaign_tables.chances}
     return environment.get_template("sentences.txt").module
 
@@ -55,16 +51,6 @@ def _templates() -> Any:
 def quoted(name: str) -> str:
     """Return a name in quotation marks."""
     return f"“{name}”"
-
-
-def number_word(number: int) -> str:
-    """Return a small number as a word."""
-    return _NUMBERS[number] if number < len(_NUMBERS) else str(number)
-
-
-def share(number: float, rounding: Rounding = "nearest") -> str:
-    """Return a share in per cent, without a sign."""
-    return f"{plain(100.0 * number, 2, rounding)}\u00a0%"
 
 
 def unstable(design: Design) -> bool:

@@ -36,15 +36,10 @@ def first_screen(result: JobResult, campaign: Summary | None) -> tuple[page.Bloc
     left = (
         _verdict(result, campaign),
         *page.made("What limits each loop", lambda: chain_table(result)),
-        *page.made("Distances to the limits", lambda: _distance_blocks(result)),
+        *page.made("Distances to the limits", lambda: distances(result)),
     )
     picture = _nichols(result)
     return (page.Columns(left=left, right=picture),) if picture else left
-
-
-def _distance_blocks(result: JobResult) -> tuple[page.Block, ...]:
-    shown = distances(result)
-    return () if shown is None else (page.Paragraph(text=sentences("distances"), tone="quiet"), shown)
 
 
 def _verdict(result: JobResult, campaign: Summary | None) -> page.Verdict:
@@ -89,11 +84,11 @@ def own_results(result: JobResult, outcome: LoopOutcome) -> list[CheckResult]:
     return [one for one in result.requirements if one.subject == outcome.spec.name and (one.design or not of_design)]
 
 
-def distances(result: JobResult) -> page.Distances | None:
+def distances(result: JobResult) -> tuple[page.Block, ...]:
     """Return a mark for each requirement at the root of its relative distance to the limit, missed ones at the left."""
     shown = tables.requirement_rows(result)
     if not shown:
-        return None
+        return ()
     # What has no margin, as where a loop is unstable, is furthest away.
     places = [_place(row.share if row.margin else 1.0 if row.checked.passed else -1.0) for row in shown]
     low = min(-_BEYOND, *places)
@@ -117,7 +112,8 @@ def distances(result: JobResult) -> page.Distances | None:
     words = (
         f"{count(len(shown), 'requirement')} by their distance to the limit, relative to the limit; {missed} not met"
     )
-    return page.Distances(words=words, marks=marks, ticks=tuple(inside), limit=-low / (1.0 - low))
+    axis = page.Distances(words=words, marks=marks, ticks=tuple(inside), limit=-low / (1.0 - low))
+    return page.Paragraph(text=sentences("distances"), tone="quiet"), axis
 
 
 def _place(margin: float) -> float:

@@ -37,8 +37,6 @@ from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from platform_ctrl.campaign.summary import Summary
 
 # Branches of a root locus up to which it is drawn: of a long delay they lie side by side, and take minutes to follow.
@@ -104,11 +102,7 @@ def prepared(
     """
     if isinstance(result, page.PageContent):
         return result
-    return _document(instance("result", result, JobResult), command, campaign, again)
-
-
-def _document(result: JobResult, command: str | None, campaign: Summary | None, again: str | None) -> page.PageContent:
-    job, palette = result.job, curves.palette_of(result.loops)
+    job, palette = instance("result", result, JobResult).job, curves.palette_of(result.loops)
     together = [one for one in result.requirements if one.subject == ALL_LOOPS]
     of_runs = [one for run in result.runs for one in run.results]
     with style.settings():
@@ -168,21 +162,17 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[page.Block, .
 
 def _plant(result: JobResult) -> tuple[page.Block, ...]:
     placed = any(gimbal.origin.any() for gimbal in result.job.platform.gimbals)
+    gimbals, changing = len(result.job.platform.gimbals), coupled_while_changing(result.model)
+    groups = sentences("groups", subsystems=result.subsystems, gimbals=gimbals, changing=changing)
     where = "joints are where the plant file says" if placed else "all axes go through one point"
     words = f"Which body turns about which axis. Bodies are drawn apart; in the model {where}."
     caption = sentences("nutation", uncertainty=result.job.uncertainty.spin)
     return (
-        *page.made("Subsystems", lambda: _subsystems(result)),
+        page.Paragraph(text=groups),
         *page.drawn("Axes and bodies", lambda: axes_picture(result.job.platform), words),
         *page.made("Gimbals and modes", lambda: _plant_tables(result)),
         *page.drawn("Campbell diagram", lambda: figures.nutation_figure(result), caption),
     )
-
-
-def _subsystems(result: JobResult) -> page.Paragraph:
-    gimbals, changing = len(result.job.platform.gimbals), coupled_while_changing(result.model)
-    words = sentences("groups", subsystems=result.subsystems, gimbals=gimbals, changing=changing)
-    return page.Paragraph(text=words)
 
 
 def _plant_tables(result: JobResult) -> list[page.Block]:
@@ -198,21 +188,19 @@ def _plant_tables(result: JobResult) -> list[page.Block]:
 
 
 def _loop(result: JobResult, outcome: LoopOutcome, palette: Mapping[str, bool]) -> tuple[page.Block, ...]:
-    servo_caption = sentences("servo")
     return (
         *page.made("Text and tables", lambda: _loop_tables(result, outcome)),
         *page.made("Figures", lambda: _loop_plates(result.model, outcome, palette)),
         *(
-            page.drawn("The servo's loops in the coupled system", lambda: _servo(result), servo_caption)
+            page.drawn(
+                "The servo's loops in the coupled system",
+                lambda: paint(found, 2.0) if (found := figures.servo(result)) else None,
+                sentences("servo"),
+            )
             if outcome.spec.kind == "stabilisation" and result.coupled is not None
             else ()
         ),
     )
-
-
-def _servo(result: JobResult) -> Figure | None:
-    found = figures.servo(result)
-    return None if found is None else paint(found, 2.0)
 
 
 def _loop_tables(result: JobResult, outcome: LoopOutcome) -> list[page.Block]:

@@ -13,7 +13,7 @@ from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.job.quantities import compared, disk_words
 from platform_ctrl.report import first_screen, style, tables
-from platform_ctrl.report.blocks import Cell, Columns, PageContent, Plate, Subsection, Table
+from platform_ctrl.report.blocks import Cell, Columns, Distances, PageContent, Plate, Subsection, Table
 from platform_ctrl.report.figures.nichols import nichols_figure
 from platform_ctrl.report.first_screen import worst_plant
 from platform_ctrl.report.job_page import prepared
@@ -37,8 +37,8 @@ def document(result: JobResult) -> PageContent:
 def test_every_requirement_has_one_mark_at_its_distance_and_the_missed_ones_are_left_of_the_limit(
     result: JobResult,
 ) -> None:
-    shown = first_screen.distances(result)
-    assert shown is not None
+    _, shown = first_screen.distances(result)
+    assert isinstance(shown, Distances)
     rows = tables.requirement_rows(result)
     assert sorted(mark.row for mark in shown.marks) == sorted(tables.row_name(k) for k in range(len(rows)))
     assert [mark.at for mark in shown.marks] == sorted(mark.at for mark in shown.marks)

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
+from platform_ctrl.common.files import templates
 from platform_ctrl.common.text import LETTERS
 
 if TYPE_CHECKING:
@@ -149,15 +150,7 @@ def signature(prefix: str, end: str = "") -> str:
 
 @cache
 def _environment() -> Environment:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("platform_ctrl.export.c99"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    environment = templates("platform_ctrl.export.c99", keep_trailing_newline=True)
     environment.filters |= {"block": block, "comment": comment, "repr": repr}
     environment.globals |= {"signature": signature, "remark": remark, "joined": joined}
     return environment

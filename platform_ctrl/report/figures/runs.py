@@ -254,18 +254,18 @@ def campaign_histograms(campaign: CampaignStatistics | Summary) -> Figure:
             f"campaign_histograms: campaign must be what campaign.summarise returned, got {short(campaign)}"
         )
     found = campaign.statistics if isinstance(campaign, Summary) else campaign
-    cells = [(one, name) for name in RUN_METRICS for one in with_limit(found, name) if one.violation.runs]
-    if not cells:
+    wanted = [one for name in RUN_METRICS for one in with_limit(found, name) if one.violation.runs]
+    if not wanted:
         raise ArgumentError("campaign_histograms: no simulated manoeuvre has a limit; there is nothing to draw")
-    return histograms(cells, 2 if len(cells) == 4 else min(_COLUMNS, len(cells)))
+    return histograms(wanted, 2 if len(wanted) == 4 else min(_COLUMNS, len(wanted)))
 
 
-def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int) -> Figure:
-    """Return a figure with a histogram for each pair of a requirement and its metric, row by row."""
+def histograms(wanted: Sequence[RequirementStatistics], columns: int = _COLUMNS) -> Figure:
+    """Return a figure with a histogram for each requirement, row by row."""
     drawn, grid = style.panels(-(-len(wanted) // columns), columns, _CELL)
     cells = list(grid.flat)
-    for axes, (one, name) in zip(cells, wanted, strict=False):
-        _histogram_panel(axes, one, name)
+    for axes, one in zip(cells, wanted, strict=False):
+        _histogram_panel(axes, one)
     for axes in cells[len(wanted) :]:
         axes.set_visible(False)
     for row in grid:
@@ -273,11 +273,11 @@ def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int
     return drawn
 
 
-def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
+def _histogram_panel(axes: Axes, one: RequirementStatistics) -> None:
     """Draw the histogram of one metric in one manoeuvre, red beyond its limit."""
-    values, limit = one.values[np.isfinite(one.values)], one.limit
+    values, limit, metric = one.values[np.isfinite(one.values)], one.limit, RUN_METRICS[one.requirement]
     assert limit is not None
-    factor, unit = handy_unit(RUN_METRICS[name].unit, limit)
+    factor, unit = handy_unit(metric.unit, limit)
     usual = one.quantiles[0.9]
     high = min(values.max(initial=0.0), _FAR_VALUES * max(limit, usual if np.isfinite(usual) else limit)) or limit
     low = values.min() if values.size and values.min() > 0.5 * high else 0.0
@@ -301,7 +301,7 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     style.linear_axis(axes.xaxis)
     style.linear_axis(axes.yaxis, 4)
     axes.set_title(str(one.manoeuvre))
-    axes.set_xlabel(", ".join(filter(None, [RUN_METRICS[name].name, unit])))
+    axes.set_xlabel(", ".join(filter(None, [metric.name, unit])))
     far = "" if counts[beyond].any() else "far "
     words = f"{one.violation.events:,} {far}beyond" if one.violation.events else "none beyond"
     words += "" if near else f" the limit, {plain(factor * limit, 4)} {unit}".rstrip()
@@ -313,8 +313,3 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
 def with_limit(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
     """Return the requirements on one metric, manoeuvre by manoeuvre."""
     return [one for one in found.requirements if one.requirement == name and one.manoeuvre is not None and one.limit]
-
-
-def histogram_figure(found: CampaignStatistics, name: str) -> Figure:
-    """Return histograms of one metric in each manoeuvre with a limit on it."""
-    return histograms([(one, name) for one in with_limit(found, name)], _COLUMNS)
