@@ -155,6 +155,9 @@ class PlantResponses:
     instants: Instants
     drives: FloatArray | None = None  # (N, m, f): what drives add to the torques in proportion to their readings
     readings: int  # p
+    # (3,): of plants in which gravity acts: small rotations of the root, the integrals of its rates, are the last three
+    # inputs of `smooth`. Rates that are slower than these, rad/s, turn it by as much as these: at full rate by 1 rad.
+    turning: FloatArray | None = None
 
     @property
     def inputs(self) -> int:
@@ -172,6 +175,9 @@ class PlantResponses:
         f = 0 if self.drives is None else self.drives.shape[-1]
         shown = outputs - f
         G, H = _response(self.smooth, w, of), _response(self.stepped, w, of)
+        if self.turning is not None:
+            G[..., -6:-3] += G[..., -3:] / (1j * np.maximum(w[:, None, None], self.turning))
+            G = G[..., :-3]
         late = np.exp(-1j * self.period * w[:, None] * np.array(self.late, dtype=np.float64))[..., None]
         read = np.concatenate([H[..., :outputs, :], late * G], axis=-1)
         k = len(self.instants.times)

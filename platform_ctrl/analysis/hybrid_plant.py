@@ -151,6 +151,9 @@ class HybridPlant:
     # at zero of an inertial angle never enters the loop.
     integrated: tuple[bool, ...] = ()
     cycle: int = 1  # samples after which the controller repeats itself
+    # (n, k), optional: what the integral of each disturbance does to the states besides. Not states, whose poles at
+    # zero no controller could move.
+    of_integral: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Give every control a lag, every measured output a delay."""
@@ -203,6 +206,10 @@ class OpenLoop:
         m, p = plant.controls, plant.measured
         lags = np.concatenate([plant.lag, np.zeros(plant.disturbances)])
         self._continuous = with_lag(plant.plant, lags)
+        self._integral: System | None = None
+        if plant.of_integral is not None:
+            A, _, C, D, _ = plant.plant
+            self._integral = System(A, plant.of_integral, C, 0.0 * D[:, plant.controls :])
         self.size = self._continuous.D.size
         A, B, C, D, _ = self._continuous
         self.sampled = sampled(System(A, B[:, :m], C[:p], D[:p, :m]), plant.period, plant.delay)
@@ -218,9 +225,11 @@ class OpenLoop:
         m, p, T = plant.controls, plant.measured, plant.period
         w = omega[:, None] + images * plant.turn
         P = _signed_response(self._continuous, w)
-        z = P[:, :, p:]
         with np.errstate(divide="ignore", invalid="ignore"):
             once = np.where(np.array(plant.integrated), -1j * (1.0 / w)[..., None], 1.0)[..., None]
+            if self._integral is not None:
+                P[..., m:] += _signed_response(self._integral, w) / (1j * w)[..., None, None]
+        z = P[:, :, p:]
         hold = np.exp(-1j * w * (0.5 * T + plant.delay)) * np.sinc(w * (0.5 * T / np.pi))
         sampled_response = _signed_response(self.sampled, self._components(omega))
         return Family(w, z[..., :m] * hold[..., None, None], z[..., m:], once, P[:, :, :p, m:], sampled_response)

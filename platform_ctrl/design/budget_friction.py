@@ -174,6 +174,7 @@ def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner:
             A = np.vstack([np.pad(A, ((0, 0), (0, 1))), np.append(corner * seen, -corner)])
             B = np.vstack([B, corner * direct])
             D = np.vstack([D, row, row + direct, row])
+    tilted = base.of_integral
     return HybridPlant(
         plant=System(A, B, C, D),
         controls=m + len(laws),
@@ -184,6 +185,7 @@ def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner:
         reading_delay=base.reading_delay,
         integrated=(*base.integrated, *(False for _ in range(len(C) - base.measured - base.outputs))),
         cycle=base.cycle,
+        of_integral=None if tilted is None else np.pad(tilted, ((0, len(A) - n), (0, 0))),
     )
 
 

@@ -27,8 +27,8 @@ from platform_ctrl.job.budget import BudgetSpec, Source
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import connected, linearise
-from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.mechanics.outputs import observed_system
+from platform_ctrl.mechanics.state_space import free_system, linear_system, tilting
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
 from platform_ctrl.plant.sensors import LOS_RATES
 
@@ -135,11 +135,11 @@ class BudgetLoop:
         ]
         platform = dataclasses.replace(self.job.platform, frictions=tuple(frictions))
         model = linearise(platform, q=q)
-        system = state_space(model, root="free" if self.free else "prescribed", specific_force=True, currents=True)
-        shown = observed(system, platform, [*self.sensors, *LOS_RATES], model.q0, model.Omega0)
+        system = (free_system if self.free else linear_system)(model, specific_force=True, currents=True)
+        shown = observed_system(system, platform, [*self.sensors, *LOS_RATES], model.q0, model.Omega0)
         torquers = {t.name: t for t in platform.torquers}
         controls = [torquers[name].signal for name in self.torquers]
-        A, B, C, D, _ = System.of(shown, "budget")
+        A, B, C, D = shown[:4]
         # The torque on a gimbal changes its momentum.
         momenta = [shown.state_labels.index(f"p_{angle}") for angle in model.angle_names]
         inside = np.eye(len(A))[:, momenta]
@@ -152,6 +152,7 @@ class BudgetLoop:
         B, D = np.hstack([B, inside, outside]), np.pad(D, ((0, 0), (0, 2 * len(momenta))))
         labels = [*shown.input_labels, *map(_torque_on, model.angle_names), *map(_from_outside, model.angle_names)]
         columns = [labels.index(name) for name in (*controls, *self.inputs)]
+        tilted = tilting(shown.B, platform) @ np.array([[one == name for one in self.inputs] for name in OMEGA_NAMES])
         # The gimbals' rates: the first states are their angles.
         rates = len(model.angle_names)
         C, D = np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])
@@ -167,6 +168,7 @@ class BudgetLoop:
             reading_delay=tuple(late[name] for name in self.sensors),
             integrated=(True,) * len(LOS_RATES) + (False,) * rates,
             cycle=self.cycle,
+            of_integral=tilted if tilted.any() else None,
         )
 
     def _input(self, source: Source) -> int:

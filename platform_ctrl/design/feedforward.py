@@ -33,8 +33,8 @@ from platform_ctrl.job.drive import Feedforward
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.mechanics.outputs import observed_system
+from platform_ctrl.mechanics.state_space import linear_system
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, components, gimbal_rate
 
@@ -128,7 +128,7 @@ def _shown(model: LinearModel, signals: LoopSignals, sums: Sequence[dict[str, fl
     """Return T (p, n) and c (p, 3) of sums of rates at zero angles: T q̇ + c Omega."""
     names = list(dict.fromkeys(name for one in sums for name in one))
     bare = without_sensors(model.platform)
-    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), bare, names, model.q0)
+    system = observed_system(linear_system(model, signals.gimbals, others="held"), bare, names, model.q0)
     mixing = np.array([[one.get(name, 0.0) for name in names] for one in sums])
     rows, n = rows_of(model, signals.gimbals), len(signals.gimbals)
     # The states are angles and momenta p = M q̇ + M_Omega Omega, gimbals in the model's order.
@@ -218,9 +218,9 @@ def _worst_scale(
 
 def _measured(model: LinearModel, signals: LoopSignals, sensors: Sequence[Sensor], scale: FloatArray) -> System:
     """Return the sensors of the platform's rate, not late: low-passes and scale factors; continuous."""
-    bare = state_space(model, gimbals=signals.gimbals, others="held")
-    shown = observed(bare, model.platform, [sensor.name for sensor in sensors], model.q0, model.Omega0)
-    A, B, C, D, _ = System.of(shown, "feedforward")
+    bare = linear_system(model, signals.gimbals, others="held")
+    shown = observed_system(bare, model.platform, [sensor.name for sensor in sensors], model.q0, model.Omega0)
+    A, B, C, D = shown[:4]
     kept, columns = seen_states(A[None], C[None]), [shown.input_labels.index(name) for name in OMEGA_NAMES]
     factor = (scale / np.array([1.0 + sensor.scale_error for sensor in sensors]))[:, None]
     return System(A[np.ix_(kept, kept)], B[np.ix_(kept, columns)], factor * C[:, kept], factor * D[:, columns])

@@ -18,8 +18,8 @@ from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.resolve import Resolver, resolver
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import inverse_inertia
-from platform_ctrl.mechanics.outputs import observed, observed_system
-from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS, NamedMatrices, free_system, linear_system, state_space
+from platform_ctrl.mechanics.outputs import observed_system
+from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS, NamedMatrices, free_system, linear_system
 from platform_ctrl.plant.drives import Torquer
 from platform_ctrl.plant.locking import with_rigid_drives
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
@@ -111,7 +111,8 @@ def bare_system(model: LinearModel, signals: LoopSignals, currents: bool = False
     gimbals = [*signals.gimbals, *signals.passive]
     if signals.free:
         return free_system(model, gimbals, isolated=True, currents=currents)
-    return linear_system(model, gimbals, others="held" if signals.held else "coupled", currents=currents)
+    field = bool(model.platform.gravity.any())
+    return linear_system(model, gimbals, field, others="held" if signals.held else "coupled", currents=currents)
 
 
 def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:
@@ -119,7 +120,7 @@ def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:
     if platform.line_of_sight is None or signals.free:  # which no prescribed rate disturbs
         return ()
     model, signals = _tied(linearise(platform), signals)
-    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), model.platform, LOS_RATES[:2])
+    system = observed_system(linear_system(model, signals.gimbals, others="held"), model.platform, LOS_RATES[:2])
     gain = np.abs(system.C @ system.B[:, [system.input_labels.index(t.name) for t in signals.torquers]]).max(axis=1)
     largest = gain.max(initial=0.0)
     return tuple(name for name, one in zip(LOS_RATES, gain, strict=False) if one > _MOVES * largest > 0.0)

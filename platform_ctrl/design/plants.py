@@ -47,6 +47,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed_system
+from platform_ctrl.mechanics.state_space import tilting
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
@@ -91,6 +92,8 @@ class LinearPlants:
     # drifting, held: angles among them that the loop does not read; gimbals that are held.
     drifting: tuple[str, ...]
     held: tuple[str, ...]
+    # (N, n, 3): what small rotations of a held root do to the states under gravity; None: nothing.
+    tilted: FloatArray | None = None
 
 
 def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
@@ -109,6 +112,7 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     columns += [systems[0].input_labels.index(name) for name in (ROOT_TORQUE_NAMES if signals.free else OMEGA_NAMES)]
     rows = [systems[0].output_labels.index(name) for name in outputs]
     A, B, C, D = (np.array([getattr(one, name) for one in systems]) for name in "ABCD")
+    tilted = tilting(B, plants[0].platform)
     A, B, C, D, _ = System(A, B, C, D).part(rows, columns)
     share = _shares(plants)
     B, D = B * share, D * share
@@ -118,6 +122,7 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
         # Nothing depends on the angle of a balanced gimbal whose rate alone is read.
         kept = seen_states(A, C)
         A, B, C, states = A[:, kept][:, :, kept], B[:, kept], C[:, :, kept], [states[k] for k in kept]
+        tilted = tilted[:, kept]
         platform = plants[0].platform
         read = {signal for sensor in signals.sensors for signal in sensor.signals(platform)}
         if not signals.free:  # else the momentum of the whole says where they are
@@ -129,6 +134,7 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
         states=tuple(states),
         drifting=drifting,
         held=tuple(name for name in plants[0].platform.gimbal_names if signals.held and name not in gimbals),
+        tilted=tilted if tilted.any() and not signals.free else None,
     )
 
 
@@ -161,7 +167,9 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
     shown_between = linear.system.part(slice(p + q), slice(m))
     seen = rows_between(shown_between, sampling.period, sampling.delay, lags, times)
     stepped = held.part(slice(None), slice(m))
-    responses: DisturbanceResponses = _responses(linear, stepped, late, [one[:, p + q :] for one in seen], at)
+    responses: DisturbanceResponses = _responses(
+        linear, stepped, late, [one[:, p + q :] for one in seen], at, job.Omega
+    )
     # Readings, line of sight, the readings' signals between samples, and last what drives feed back.
     times = times[: None if every < _SLOW_LOOP else 1]
     rows = [k * (p + q) + j for k in range(len(times)) for j in range(p)]
@@ -218,7 +226,12 @@ def _held(linear: LinearPlants, sampling: Sampling, lags: FloatArray) -> System:
 
 
 def _responses(
-    linear: LinearPlants, arrays: System, late: Sequence[int], seen: Sequence[FloatArray], at: Instants
+    linear: LinearPlants,
+    arrays: System,
+    late: Sequence[int],
+    seen: Sequence[FloatArray],
+    at: Instants,
+    Omega: FloatArray,
 ) -> PlantResponses:
     """Return the responses to disturbances of plants whose torques are set at every sample.
 
@@ -229,8 +242,12 @@ def _responses(
     share = _shares(linear.cases)
     share = np.where(share > 0.0, share, 1.0)
     C, D = seen
+    smooth = linear.system._replace(B=linear.system.B / share, D=linear.system.D / share)
+    if linear.tilted is not None:
+        D_tilted = np.pad(smooth.D, ((0, 0), (0, 0), (0, 3)))
+        smooth = smooth._replace(B=np.concatenate([smooth.B, linear.tilted], axis=-1), D=D_tilted)
     return PlantResponses(
-        smooth=linear.system._replace(B=linear.system.B / share, D=linear.system.D / share),
+        smooth=smooth,
         stepped=late_outputs(
             arrays._replace(C=np.concatenate([arrays.C, C], axis=-2), D=np.concatenate([arrays.D, D], axis=-2)),
             [*late, *([0] * len(at.times) * (p + q))],
@@ -239,6 +256,7 @@ def _responses(
         instants=at,
         drives=_drive_gains(linear) if linear.signals.fed else None,
         readings=p,
+        turning=None if linear.tilted is None else Omega,
     )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.mechanics.state_space import ComplexArray, named_rows, state_space, subsystems
+from platform_ctrl.mechanics.state_space import ComplexArray, linear_system, named_rows, subsystems
 from platform_ctrl.plant.platform import Platform
 
 Kind = Literal["nutation", "precession", "rigid body", "pendulum", "oscillation", "divergence", "decay"]
@@ -74,7 +74,7 @@ def poles_and_kinds(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[Compl
     damping, stiffness = model.damping[part] - spinning, model.stiffness[part]
     hanging = dataclasses.replace(model.platform, unbalances=())
     unbalance = model.Q_angle[part] - _again(model, hanging).Q_angle[part]
-    s, vectors = np.linalg.eig(state_space(model, gimbals=gimbals).A)
+    s, vectors = np.linalg.eig(linear_system(model, gimbals).A)
     order = np.argsort(-np.abs(s), kind="stable")
     s, x = s[order], vectors[: len(rows), order]
 

@@ -306,7 +306,7 @@ def parameter_varying(
     Returns
     -------
     ParameterVaryingModel
-        Exact in Omega and Omega', first order in the angles.
+        Exact in Omega and Omega', first order in the angles. Gravity turns with the root.
 
     Raises
     ------

@@ -5,7 +5,7 @@ With p = M q̇ + M_Omega ω the gimbal rows become
     q̇ = M⁻¹ (p − M_Omega ω),        ṗ = Q − (G − ∂Q/∂q̇) q̇ − (K − ∂Q/∂q) q − G_Omega ω.
 
 With a free root the momenta of the root rows, P = J ω + M_Omegaᵀ q̇, are states as well. Under gravity, which is fixed
-in space, so are the small rotations θ of a root on a pivot, θ' = ω − Omega0 × θ: δf = θ × gravity.
+in space, so are the small rotations θ of a root on a pivot or held, θ' = ω − Omega0 × θ: δf = θ × gravity.
 
 Precession theory (15) is (19) without M q̈. Directions V that G leaves alone keep the momenta π = Vᵀ (M q̇ + M_Omega ω):
 
@@ -37,7 +37,7 @@ from platform_ctrl.mechanics.linearisation import (
 )
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
-from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
 
 if TYPE_CHECKING:
     import control
@@ -179,8 +179,8 @@ def state_space(
     Returns
     -------
     control.StateSpace
-        States: angles, then their momenta ``p_`` + angle (free root: then the root's momenta P1 to P3, and its
-        rotations theta1 to theta3 where gravity acts on it).
+        States: angles, then their momenta ``p_`` + angle (free root: then the root's momenta P1 to P3), and the root's
+        rotations theta1 to theta3 where gravity acts on what turns with it.
         Inputs: the torquers in the file's order, then Omega1 to Omega3 (free root: the gimbals' torquers, then M1 to
         M3). Outputs: the angles in the file's order (free root: then Omega1 to Omega3). All deviate from the trim.
 
@@ -213,7 +213,7 @@ def state_space(
                 "gimbals: given with root='free'; a free platform couples them all: leave it out, or hold the others"
             )
         return free_system(model, gimbals, specific_force, currents=currents).state_space()
-    return linear_system(model, gimbals, specific_force, others, currents).state_space()
+    return linear_system(model, gimbals, specific_force, others, currents, turning=True).state_space()
 
 
 def linear_system(
@@ -222,8 +222,9 @@ def linear_system(
     specific_force: bool = False,
     others: Literal["coupled", "held"] = "coupled",
     currents: bool = False,
+    turning: bool = False,
 ) -> NamedMatrices:
-    """Return the result of `state_space` with a prescribed root."""
+    """Return the result of `state_space` with a prescribed root; gravity turns with it if not `turning`."""
     rows = whole_subsystems(model, gimbals) if others == "coupled" else named_rows(model, gimbals)
     torquers, torque_map = gimbal_torquers(model, [model.gimbal_names[k] for k in rows])
     names, (M, G, K), (M_Omega, G_Omega, Q_force), torque_map = _with_modes(
@@ -237,6 +238,11 @@ def linear_system(
     C = np.eye(len(rows), 2 * n)
     inputs = [*torquers, *OMEGA_NAMES, *FORCE_NAMES]
     states = [*names, *(f"p_{name}" for name in names)]
+    falling = tilting(B, model.platform)
+    if turning and falling.any():
+        A = np.block([[A, falling], [np.zeros((3, 2 * n)), -cross_matrix(model.Omega0)]])
+        B, C = np.vstack([B, np.eye(3, B.shape[1], len(torquers))]), np.pad(C, ((0, 0), (0, 3)))
+        states += ROOT_ROTATIONS
     parts = _modes_last(A, B, C, states, len(rows), n)
     parts = with_currents(parts, inputs, model) if currents else parts
     return _named(parts, inputs, names[: len(rows)], specific_force)
@@ -321,7 +327,7 @@ def free_system(
     C[: len(rows)] = np.eye(len(rows), 2 * n + 3)
     C[len(rows) :, n:] = omega
     states = [*names, *(f"p_{name}" for name in names), *ROOT_MOMENTA]
-    falling = B[:, -3:] @ -cross_matrix(model.platform.gravity)  # of δf = θ × gravity
+    falling = tilting(B, model.platform)
     if isolated or falling.any():
         A = np.block([[A, falling], [np.zeros((3, n)), omega, -turn]])
         B, C = np.pad(B, ((0, 3), (0, 0))), np.pad(C, ((0, 0), (0, 3)))
@@ -334,6 +340,11 @@ def free_system(
     inputs, outputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES], [*names[: len(rows)], *OMEGA_NAMES]
     parts = _modes_last(A, B, C, states, len(rows), n)
     return _named(with_currents(parts, inputs, model) if currents else parts, inputs, outputs, specific_force)
+
+
+def tilting(B: FloatArray, platform: Platform) -> FloatArray:
+    """Return columns (..., n, 3) of small rotations θ of the root: δf = θ × gravity is the last three inputs of B."""
+    return np.asarray(B[..., -3:] @ -cross_matrix(platform.gravity))
 
 
 def named_rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:

@@ -14,7 +14,7 @@ from platform_ctrl.design.loop import moves_freely
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import ROOT_MOMENTA, state_space
+from platform_ctrl.mechanics.state_space import ROOT_MOMENTA, free_system, linear_system
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
@@ -57,7 +57,9 @@ def coupled_plant(
     platform, turned = job.platform, model.gimbal_names if gimbals is None else gimbals
     free = moves_freely(job, controllers) if free is None else free
     others: Literal["coupled", "held"] = "coupled" if gimbals is None else "held"
-    system = state_space(model, root="free" if free else "prescribed", gimbals=gimbals, others=others, currents=True)
+    # No loop turns a given root: how gravity turns with it is no part of their stability.
+    made = free_system(model, gimbals, currents=True) if free else linear_system(model, gimbals, False, others, True)
+    system = made.state_space()
     torquers = [t for t in platform.torquers if (free if t.gimbal is None else t.gimbal in turned)]
     read = {name for K in controllers for name in K.input_labels}
     outputs = [*(name for name in model.angle_names if name in read), *sensed_rates(job, controllers)]
@@ -159,7 +161,7 @@ def used_signals(
 
 def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> CoupledPlant:
     """The platform turns under M alone, J ω' = M, and the gimbals see its rate: no reaction."""
-    system = state_space(model, currents=True)
+    system = linear_system(model, currents=True).state_space()
     n, torquers = system.nstates, job.platform.torquers
     B_Omega = system.B[:, [system.input_labels.index(name) for name in OMEGA_NAMES]]
     mobility = np.linalg.inv(model.root_inertia)

@@ -1,5 +1,6 @@
 """Masses, offsets, gears and the root's modes: reference values, and what two routes must agree on."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -118,6 +119,25 @@ def test_a_free_root_under_gravity_has_the_poles_of_its_finite_differences(mode)
     assert (system.nstates == 2 * n + 6) == (mode != "floating")
     for pole in ours:
         assert np.abs(theirs - pole).min() < 1e-4 * np.abs(theirs).max(), pole
+
+
+def test_gravity_stays_where_it_is_while_a_held_root_turns():
+    """What small rotations do to the momenta is the slope of the non-linear torques; they are the rates' integrals."""
+    rng = np.random.default_rng(5)
+    platform = offset_platform(rng, "held", 3)
+    q, n = rng.uniform(-3, 3, 3), 3
+    model = linearise(platform, q=q)
+    system, turning = state_space(model), state_space(model, specific_force=True)
+
+    def weight(theta):
+        attitude = np.r_[1.0, theta / 2] / np.linalg.norm(np.r_[1.0, theta / 2])
+        return -inverse_dynamics(platform, q, np.zeros(3 + n), np.zeros(3 + n), attitude=attitude)[3:]
+
+    assert system.state_labels[2 * n :] == turning.state_labels[2 * n :] == ["theta1", "theta2", "theta3"]
+    falling = slopes(weight, 3, 1e-5)
+    np.testing.assert_allclose(system.A[n : 2 * n, 2 * n :], falling, atol=1e-8 * np.abs(falling).max())
+    np.testing.assert_array_equal(system.B[2 * n :], np.eye(3, system.ninputs, system.ninputs - 3))
+    assert state_space(linearise(dataclasses.replace(platform, gravity=np.zeros(3)), q=q)).nstates == 2 * n
 
 
 @pytest.mark.parametrize("tag", ["elevation over azimuth", "camera gimbal, floating", "camera gimbal, held", "pivot"])

@@ -34,9 +34,9 @@ def test_a_model_reads_and_goes_all_the_way_to_a_state_space(name: str) -> None:
     assert np.allclose(m.G_R, -m.G_R.T)
     model = pc.linearise(platform, Omega=(0.1, -0.2, 0.3))
     assert sorted(sum(pc.subsystems(model), ())) == sorted(platform.gimbal_names)
-    # A mode of the structure has two states more; so has, of a free root, its attitude under gravity: three.
+    # A mode of the structure has two states more, the root's attitude under gravity three.
     more, turned = 2 * len(platform.modes), 3 * bool(platform.gravity.any())
-    for root, states in (("prescribed", 2 * n + more), ("free", 2 * n + 3 + more + turned)):
+    for root, states in (("prescribed", 2 * n + more + turned), ("free", 2 * n + 3 + more + turned)):
         system = pc.state_space(model, root=root)  # type: ignore[arg-type]
         assert system.nstates == states
         assert np.all(np.isfinite(system.A))

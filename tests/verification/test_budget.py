@@ -19,6 +19,7 @@ from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.system import System
 from platform_ctrl.cli import main
 from platform_ctrl.design import loops
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError, NotFoundError
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.simulation import Scenario, TimeTable, simulate
@@ -35,7 +36,7 @@ from report_jobs import page_html
 from simulation import test_gimbal_torques as wind
 
 PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
-INERTIA, DAMPING, UNBALANCE = 0.01, 0.02, 2e-3
+INERTIA, DAMPING, UNBALANCE, FIELD = 0.01, 0.02, 2e-3, 98.1
 HZ = [1.0, 10.0, 200.0]
 DENSITIES = {"pitch rate": [1e-3, 1e-3, 1e-6], "vibration": [0.5, 2.0, 0.1], "bearing": [1e-7, 1e-7, 1e-8]}
 FILE = """
@@ -104,13 +105,14 @@ def controllers(gain: float = 0.5) -> list[control.StateSpace]:
     return [control.ss(*system, inputs=["gyro"], outputs=["Qpitch"], name="pitch")]
 
 
-def by_hand(damping: float = DAMPING, coherence: np.ndarray | None = None) -> Any:
-    """J ω' = u + d (Ω − ω) + m f + Q of the payload's inertial rate ω."""
-    B = np.array([[1.0, damping, UNBALANCE, 1.0]]) / INERTIA
-    C, D = np.array([[1.0], [1.0], [1.0]]), np.zeros((3, 4))
+def by_hand(damping: float = DAMPING, coherence: np.ndarray | None = None, weight: float = 0.0) -> Any:
+    """J ω' = u + d (Ω − ω) − k φ + m f + Q of the payload's inertial rate ω = φ'."""
+    A = np.array([[-damping / INERTIA, -weight / INERTIA], [1.0, 0.0]])
+    B = np.array([[1.0, damping, UNBALANCE, 1.0], [0.0] * 4]) / INERTIA
+    C, D = np.array([[1.0, 0.0]] * 3), np.zeros((3, 4))
     D[2, 1] = -1.0
     plant = HybridPlant(
-        plant=System(np.array([[-damping / INERTIA]]), B, C, D),
+        plant=System(A, B, C, D),
         controls=1,
         measured=1,
         period=PERIOD,
@@ -160,6 +162,33 @@ def test_the_budget_of_one_gimbal_is_that_of_its_equation(tmp_path: Path) -> Non
     assert window.contrast[:, 0] == pytest.approx(1.0)
     assert 0.0 < window.contrast[0, 1] < 1.0
     assert not found.friction.frictions
+
+
+def hanging(tmp_path: Path) -> Any:
+    """Return the job with gravity along axis 1: it holds the payload in space, however the base turns."""
+    read = job(tmp_path)
+    return dataclasses.replace(
+        read, platform=dataclasses.replace(read.platform, mode="held", gravity=[FIELD, 0.0, 0.0])
+    )
+
+
+def test_gravity_does_not_turn_with_a_held_base(tmp_path: Path) -> None:
+    found, expected = line_of_sight_budget(hanging(tmp_path), controllers()), by_hand(weight=FIELD * UNBALANCE)
+    assert found.rms[:, 0] == pytest.approx(expected.rms[:, 0], rel=1e-4)
+    assert abs(by_hand().rms[0, 0] / expected.rms[0, 0] - 1.0) > 5e-3
+
+
+def test_a_loop_sees_the_tilt_of_its_base_up_to_one_radian(tmp_path: Path) -> None:
+    read = hanging(tmp_path)
+    spec = dataclasses.replace(read.loops[0], kind="rate", sensors=("gyro",))
+    plants = plants_of(dataclasses.replace(read, loops=(spec,)), spec)
+    w = np.array([0.01, 0.02, 0.1, 0.5, 3.0, 60.0])
+    found = plants.disturbances.at(w).read[0, :, 0, -2] * np.exp(1j * w * PERIOD)  # a sample late
+    s, k = 1j * w, UNBALANCE * FIELD
+    tilt = -1j / np.maximum(w, 0.1)  # rates are at most 0.1 rad/s
+    moved = INERTIA * s**2 + DAMPING * s + k
+    np.testing.assert_allclose(found, 1.0 - s * (INERTIA * s + k * tilt) / moved, rtol=1e-9)
+    np.testing.assert_allclose(found[2:], (DAMPING * s / moved)[2:], rtol=1e-9)
 
 
 def test_correlated_sources_count_together_in_the_total_alone(tmp_path: Path) -> None:

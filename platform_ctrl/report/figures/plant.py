@@ -21,7 +21,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, RPM, plain
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.modes import poles_and_kinds, rotors_at_rest
-from platform_ctrl.mechanics.state_space import state_space, subsystems
+from platform_ctrl.mechanics.state_space import linear_system, subsystems
 from platform_ctrl.plant.drawing import Outline, bodies, camera, disc_axis, levels
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import style
@@ -338,7 +338,7 @@ def _modes(model: LinearModel, still: LinearModel, group: tuple[str, ...], speed
 
     The linear model is affine in the rotors' momenta, so that two linearisations give every speed.
     """
-    full, rest = (state_space(one, gimbals=group).A for one in (model, still))
+    full, rest = (linear_system(one, group).A for one in (model, still))
     at = np.union1d(speed, 1.0)
     s = pole_branches(np.linalg.eigvals(rest + at[:, None, None] * (full - rest)).astype(np.complex128))
     # A pair counts once. What is this small against the fastest is at rest: poles at zero come out that large.

@@ -24,7 +24,7 @@ from platform_ctrl.job.quantities import HZ, listed
 from platform_ctrl.job.quantities import plain as number
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.modes import rotors_at_rest
-from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.mechanics.state_space import linear_system
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import style
 from platform_ctrl.report.figures.panels import LabelPlacer, control_plot
@@ -127,7 +127,7 @@ def root_locus_over_spin(
     # The linear model is affine in the rotors' momenta.
     models = [linearise(one) for one in (rotors_at_rest(spinning(platform)), platform)]
     # At rest there may be more subsystems, never fewer.
-    still, full = (state_space(model, gimbals=gimbals) for model in models)
+    still, full = (linear_system(model, gimbals).state_space() for model in models)
     angles, torques = list(controller.input_labels), list(controller.output_labels)
     known_names("root_locus_over_spin: inputs of the controller", angles, list(still.output_labels))
     known_names("root_locus_over_spin: outputs of the controller", torques, list(still.input_labels))
