@@ -15,8 +15,7 @@ import time
 
 import numpy as np
 
-from platform_ctrl.plant.drives import Rotor
-from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.gimbals import Gimbal, Rotor
 from platform_ctrl.plant.platform import Platform
 
 GIMBALS, ROTORS = 8, 4

@@ -13,10 +13,11 @@ from platform_ctrl.job.drive import Drive
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.scenario import Command, Scenario
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.drives import Rotor, Torquer
+from platform_ctrl.plant.drives import Torquer
 from platform_ctrl.plant.fields import Expected
 from platform_ctrl.plant.flexible import FlexibleMode
 from platform_ctrl.plant.force_elements import Unbalance
+from platform_ctrl.plant.gimbals import Rotor
 from platform_ctrl.plant.mistakes import suggestion
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.tables import shape

@@ -16,10 +16,10 @@ from platform_ctrl.job import parameters as places
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.drives import Rotor
 from platform_ctrl.plant.fields import Expected, Unfit
 from platform_ctrl.plant.flexible import MODE_NUMBERS
 from platform_ctrl.plant.force_elements import Friction
+from platform_ctrl.plant.gimbals import Rotor
 from platform_ctrl.plant.mistakes import Misfit, given, missing, of_length, takes, useless, wrong
 from platform_ctrl.plant.tables import Array, Collected, record_value, shape, written
 

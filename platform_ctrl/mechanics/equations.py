@@ -16,7 +16,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.forces import specific_force_at
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
 from platform_ctrl.mechanics.matrices import directions, mass_matrix, solved_inertia, world_inertias
-from platform_ctrl.plant.drives import RotorControl
+from platform_ctrl.plant.gimbals import RotorControl
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 

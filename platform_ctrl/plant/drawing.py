@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.plant.drives import Rotor
-from platform_ctrl.plant.gimbals import Gimbal
+from platform_ctrl.plant.gimbals import Gimbal, Rotor
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 

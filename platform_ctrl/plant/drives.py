@@ -1,31 +1,26 @@
-"""What drives a platform: rotors, torquers and motors. Values only; SI units."""
+"""What drives a platform: torquers, motors and servos. Values only; SI units."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import field
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.fields import NUMBER, POSITIVE, Refers, default_torquer
+from platform_ctrl.plant.fields import POSITIVE, Refers, default_torquer
 from platform_ctrl.plant.force_elements import Spring
-from platform_ctrl.plant.gimbals import Body, mass_misfits
-from platform_ctrl.plant.mistakes import Misfit, given, missing, useless, wrong
+from platform_ctrl.plant.mistakes import Misfit, missing, useless, wrong
 from platform_ctrl.plant.tables import TABLE, Instead, either
-
-RotorControl = Literal["regulated", "free", "servo"]
 
 # A current loop has at least so many samples for a period of its bandwidth.
 _PER_BANDWIDTH = 10.0
 # Torques about the root's axes.
 ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 
-_SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
 # What data sheets state in place of a value, of which the motor's torque constant K is made first.
 _PER_VOLT = Instead("kv", POSITIVE, lambda rpm, _: 60.0 / (2.0 * math.pi * rpm))
 _FROM_HEAT = Instead("motor_constant", POSITIVE, lambda k, motor: (motor["torque_constant"] / k) ** 2)
@@ -40,80 +35,6 @@ _CURRENTS = ("current_limit", "peak_torque", "continuous_current", "continuous_t
 def _harmonics(size: str, fit: Callable[[float], bool]) -> fields.Expected:
     judge = fields.rows(lambda x: x > 0, fit, lambda x: True)
     return fields.Expected(f"rows [order > 0, {size}, phase]", judge)
-
-
-@input_value
-class Rotor:
-    """A rotor that spins in a carrier.
-
-    Attributes
-    ----------
-    name, carrier
-        Names of the rotor and of the gimbal (or root) that it spins in.
-    axis : (3,)
-        Unit vector of the spin axis in the carrier's axes; dimensionless.
-    axial_inertia
-        C of the paper, kg m².
-    transverse_inertia
-        A of the paper, kg m², which is added to the carrier; at least C/2.
-    angular_momentum
-        L, N m s: C times the spin relative to the carrier, of which a file gives one. For a free rotor its constant
-        axial momentum p; for a servo rotor the L that its speed loop aims at.
-    control
-        ``"regulated"``: relative spin constant, (8)-(15); ``"free"``: cyclic, (4)-(7); ``"servo"``: a degree of freedom
-        of its own, whose spin a real loop controls. Matrices and linear models take a servo rotor for regulated, the
-        limit of a fast loop; simulations run the loop.
-    speed_gain, speed_integral
-        Speed loop of a servo rotor, N m s and N m: torque = −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
-    torque_limit
-        Largest motor torque, N m, or None; the integral does not change while the torque is at its limit.
-    mass
-        Own mass, kg; 0: that of the carrier contains it.
-    origin : (3,)
-        Its centre of mass, on the spin axis, from the carrier's joint, in the carrier's axes, m.
-
-    References
-    ----------
-    K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
-
-    See docs/reference/plant-file.md.
-    """
-
-    name: fields.Text
-    carrier: Annotated[fields.Text, Refers(root=True)]
-    axis: fields.Axis
-    axial_inertia: fields.Positive
-    transverse_inertia: fields.Positive
-    angular_momentum: Annotated[fields.Number, _SPIN]
-    control: Annotated[RotorControl, fields.one_of(get_args(RotorControl))] = "regulated"
-    speed_gain: fields.Positive = 0.0
-    speed_integral: fields.NotNegative = 0.0
-    torque_limit: fields.Positive | None = None
-    mass: fields.Positive = 0.0
-    origin: fields.Vector = field(default_factory=fields.zero_vector)
-
-    @staticmethod
-    def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
-        yield from mass_misfits(table, "origin", "the rotor's centre from the carrier's origin")
-        axial, servo = table["axial_inertia"], table.get("control") == "servo"
-        if table["transverse_inertia"] < axial / 2 * (1 - fields.ROUNDING):
-            yield wrong(table, "transverse_inertia", f"at least half of axial_inertia = {given(axial)}")
-        if servo and "speed_gain" not in table:
-            yield "control", 'control = "servo" needs "speed_gain", N m s'
-        for key in ("speed_gain", "speed_integral", "torque_limit"):
-            if key in table and not servo:
-                yield useless(table, key, 'without control = "servo"')
-
-    @property
-    def spin(self) -> float:
-        """Spin relative to the carrier (for a free rotor: with the carrier at rest), rad/s."""
-        return self.angular_momentum / self.axial_inertia
-
-    @property
-    def body(self) -> Body:
-        """The rotor without its axial inertia, in the carrier's axes, from the carrier's origin."""
-        across = np.eye(3) - np.outer(self.axis, self.axis)
-        return Body(self.mass, self.origin, self.transverse_inertia * across)
 
 
 class Winding(NamedTuple):

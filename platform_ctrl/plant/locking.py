@@ -9,10 +9,9 @@ import numpy as np
 
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, replaced
-from platform_ctrl.plant.drives import Rotor
 from platform_ctrl.plant.flexible import Compliance
 from platform_ctrl.plant.force_elements import Friction, Spring
-from platform_ctrl.plant.gimbals import Body, Gimbal
+from platform_ctrl.plant.gimbals import Body, Gimbal, Rotor
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.plant.tables import shape

@@ -15,11 +15,11 @@ from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import FloatArray, input_value, replaced
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.drives import Motor, Rotor, Servo, Torquer, Winding
+from platform_ctrl.plant.drives import Motor, Servo, Torquer, Winding
 from platform_ctrl.plant.fields import stops_written
 from platform_ctrl.plant.flexible import Compliance, FlexibleMode, motor_side
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.gimbals import GimbalTree
+from platform_ctrl.plant.gimbals import GimbalTree, Rotor
 from platform_ctrl.plant.sensors import (
     LOS_ANGLES,
     LOS_RATES,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.plant.drives import Rotor
+from platform_ctrl.plant.gimbals import Rotor
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.packing import Packed

@@ -15,7 +15,8 @@ from platform_ctrl.common.arguments import instance, one_of, short
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.plant.drives import Rotor, Torquer
+from platform_ctrl.plant.drives import Torquer
+from platform_ctrl.plant.gimbals import Rotor
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, gimbal_rate
 
