@@ -50,6 +50,16 @@ def _compile_kernel() -> None:
         assert main(["warm-up", "--quiet"]) == 0
 
 
+def _compile_kernel_of_masses() -> None:
+    """Compile what masses off the axes need besides, in another order: one of both at a time writes an index."""
+    from platform_ctrl import read_platform
+    from platform_ctrl.simulation import Scenario, rollout, simulate_batch
+
+    drone = read_platform("drone_gimbal")
+    rollout(drone, q=[[0.0] * 3], velocity=[[0.0] * 6], step=1e-5, steps=1)
+    simulate_batch([Scenario(platform=drone, mode="caged", duration=0.0, delay=0.0)], [], period=1e-3)
+
+
 def pytest_xdist_auto_num_workers() -> int:
     """One process more than there are processors: some tests wait, for a browser or another process."""
     return (os.cpu_count() or 1) + 1
@@ -57,7 +67,7 @@ def pytest_xdist_auto_num_workers() -> int:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session: pytest.Session) -> Iterator[None]:
-    """Let one worker of a fresh checkout compile what all of them load; another one compiles the kernel meanwhile."""
+    """Let one worker of a fresh checkout compile what all of them load; two others compile the kernel meanwhile."""
     worker = getattr(session.config, "workerinput", None)
     if worker is None:
         return (yield)
@@ -66,8 +76,8 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
     if number == 0:
         with first:
             return (yield)
-    if number == 1:
-        _compile_kernel()
+    if number in (1, 2):
+        (_compile_kernel, _compile_kernel_of_masses)[number - 1]()
     with first:
         pass
     return (yield)

@@ -7,7 +7,6 @@ from camera_job import camera_job, camera_loop
 from given_controllers import verdict
 from platform_ctrl import design
 from platform_ctrl.errors import InputError
-from platform_ctrl.verification.bounds import loop_bounds
 
 PITCH = {
     "name": "pitch",
@@ -109,13 +108,3 @@ def test_a_limit_that_the_job_has_no_budget_for_is_refused(changes, words):
 def test_a_contrast_that_no_image_has_is_refused(place, most):
     with pytest.raises(InputError, match=r"contrast must be a share between 0 and 1, got"):
         job(**{place: {"contrast": most}})
-
-
-def test_what_bounds_a_loop_is_said_beside_limits_of_the_line_of_sight():
-    """With a delay, which makes the plants anew; limits far off change nothing."""
-    found = []
-    for far in ({}, {"jitter": 1.0, "contrast": 0.01}):
-        one = job(limits={"disk_margin": 0.3} | far)
-        found.append(loop_bounds(one, design.loops(one)[0]))
-    without, within = ((one.gain, one.requirement, one.bounds[0].sensitivity) for one in found)
-    assert within == pytest.approx(without)

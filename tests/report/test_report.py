@@ -19,6 +19,7 @@ from hypothesis.extra import numpy as hnp
 
 import narrow_loops
 import platform_ctrl as pc
+from camera_job import camera_plant
 from legend_entries import without_a_curve
 from passive_gimbal import passive_job
 from plant_parts import Spring
@@ -31,6 +32,7 @@ from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
 from platform_ctrl.mechanics import modes
 from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.state_space import coupled_while_changing
 from platform_ctrl.report import blocks, captions, comparison, curves, style, tables
 from platform_ctrl.report.campaign_tables import chances
 from platform_ctrl.report.figures.job import platform_compliance
@@ -492,3 +494,11 @@ def test_thinning_a_trace_loses_no_extreme(y: np.ndarray, buckets: int) -> None:
     assert np.all(np.diff(thin_t) > 0.0)
     assert np.array_equal(y[thin_t.astype(int)], thin_y)
     assert len(thin_t) <= 3 * buckets
+
+
+def test_yaw_and_pitch_of_a_balanced_gimbal_act_on_one_another_only_while_the_platform_rate_changes():
+    """M_Omega_q: azimuth feels the derivative of the roll rate times the elevation angle."""
+    model = pc.linearise(pc.read_platform(camera_plant()))
+    assert pc.subsystems(model) == (("az",), ("el",))
+    assert coupled_while_changing(model) == (("az", "el"),)
+    assert coupled_while_changing(pc.linearise(pc.read_platform("three_gyro_platform"))) == ()

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kernel_entries import momenta, whole_state
 from oracle_trees import rotation
 from platform_ctrl import Platform, matrices
 from platform_ctrl.simulation import rollout
@@ -30,11 +29,10 @@ def a_start(platform: Platform, runs: int = 1, seed: int = 5) -> tuple[np.ndarra
 def kept(platform: Platform, out: Any) -> tuple[np.ndarray, np.ndarray]:
     """T2 (runs, S) and the inertial angular momentum (runs, S, 3) along runs."""
     energies, momentum = [], []
-    for q, velocity, attitude in zip(out.q_history, out.velocity_history, out.attitude_history, strict=True):
-        states = [whole_state(*state) for state in zip(q, velocity, strict=True)]
-        carried = np.concatenate([momenta(platform, np.array(states[k : k + 8])) for k in range(0, len(states), 8)])
-        energies.append([0.5 * u @ matrices(platform, at).A_star @ u for at, u in zip(q, velocity, strict=True)])
-        momentum.append([rotation(e) @ H[:3] for e, H in zip(attitude, carried, strict=True)])
+    for run in zip(out.q_history, out.velocity_history, out.attitude_history, strict=True):
+        found = [(u, matrices(platform, q, u), rotation(e)) for q, u, e in zip(*run, strict=True)]
+        energies.append([0.5 * u @ m.A_star @ u for u, m, _ in found])
+        momentum.append([R @ (m.A_star @ u + m.B.T @ m.L)[:3] for u, m, R in found])
     return np.array(energies), np.array(momentum)
 
 

@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kernel_entries import derivatives, momenta, state_derivative, whole_state
-from mechanics.test_compliance import drive
+from first_instants import first_slopes
 from offset_trees import MODES, offset_plant, offset_platform, turned
 from oracle_trees import rotation
-from plant_parts import Erection, Unbalance
-from platform_ctrl import element_forces, forward_dynamics, linearise, matrices, read_platform, state_space
-from platform_ctrl.mechanics.kinematics import kinematics
-from platform_ctrl.mechanics.matrices import derivatives as slopes_of
-from platform_ctrl.plant.locking import with_locked
+from plant_parts import Erection, Friction, Unbalance
+from platform_ctrl import (
+    element_forces,
+    forward_dynamics,
+    inverse_dynamics,
+    matrices,
+    read_platform,
+)
 from platform_ctrl.simulation import rollout
 
 SEEDS = range(9)
@@ -39,51 +41,35 @@ def drawn(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_free_root_accelerates_as_the_equations_say(seed):
+def test_a_plant_accelerates_as_the_equations_say(seed):
     platform, q, u, force, attitude = drawn(seed)
-    n = len(q)
-    state = np.concatenate([q, u, attitude])
-    found = derivatives(platform, state, force)[0]
-    f = force_of(platform, attitude)
-    elements = element_forces(platform, q, u, f)
-    expected = forward_dynamics(platform, q, u, force + elements, specific_force=f)
-    np.testing.assert_allclose(found[n : 2 * n + 3], expected, atol=1e-9 * np.abs(expected).max())
-    np.testing.assert_allclose(found[:n], u[3:])
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_held_root_gives_momenta_their_rates_and_changes(seed):
-    """ṗ = Q + ∂T/∂q − (∂S/∂q)ᵀf: neither Omega' nor f' is needed."""
-    platform, q, u, force, attitude = drawn(seed)
-    n, m = len(q), matrices(platform, q, u)
-    whole = m.A_star @ u + m.B.T @ m.L
-    np.testing.assert_allclose(momenta(platform, whole_state(q, u))[0], whole, atol=1e-10 * np.abs(whole).max())
-    state = np.concatenate([q, u[:3], whole[3:], attitude])
-    found = derivatives(platform, state, force, free=False)[0]
-    f = force_of(platform, attitude)
-    slope, weight = slopes_of(kinematics(platform, q)), m.P[:, 3:].T @ f * (platform.mode != "floating")
-    change = 0.5 * np.einsum("a,jab,b->j", u, slope.A_star, u) + np.einsum("jra,r,a->j", slope.B, m.L, u)
-    change += force[3:] + element_forces(platform, q, u, f)[3:] - weight
-    np.testing.assert_allclose(found[:n], u[3:], atol=1e-8 * np.abs(u).max())
-    np.testing.assert_allclose(found[n + 3 : 2 * n + 3], change, atol=1e-9 * np.abs(change).max())
+    n, f = len(q), force_of(platform, attitude)
+    acting = force + element_forces(platform, q, u, f)
+    expected = forward_dynamics(platform, q, u, acting, specific_force=f)
+    found = first_slopes(platform, q, u, force, attitude=attitude)
+    np.testing.assert_allclose(found[n:], expected, atol=1e-9 * np.abs(expected).max())
+    # A root whose rate is held: the inertial torques of that motion, and the gimbals' own inertia.
+    acting -= inverse_dynamics(platform, q, u, np.zeros(n + 3), specific_force=f)
+    expected = np.linalg.solve(matrices(platform, q).A_star[3:, 3:], acting[3:])
+    found = first_slopes(platform, q, u, force, free=False, attitude=attitude)
+    np.testing.assert_allclose(found[n + 3 :], expected, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_locked_joints_of_bodies_with_offsets_stay(seed):
+def test_stuck_joints_of_bodies_with_offsets_stay(seed):
     rng = np.random.default_rng(seed)
     platform = replace(offset_platform(rng, MODES[seed], 4), gravity=np.zeros(3))
     q, u, force = rng.uniform(-3, 3, 4), rng.normal(size=7), rng.normal(size=7)
     k = int(rng.integers(4))
-    u[3 + k], moving = 0.0, np.delete(np.arange(7), 3 + k)
-    A = matrices(platform, q).A_star[np.ix_(moving, moving)]
-    bias = matrices(platform, q).A_star @ forward_dynamics(platform, q, u, np.zeros(7))
-    rates, acceleration = state_derivative(platform, q, u, force, held=[k])
-    np.testing.assert_allclose(acceleration[moving], np.linalg.solve(A, (force + bias)[moving]), rtol=1e-7, atol=1e-9)
-    assert (rates[k], acceleration[3 + k]) == (0.0, 0.0)
-    p = momenta(platform, whole_state(q, u))[0][3:]
-    p[k] = 1e3
-    rates, _ = state_derivative(platform, q, np.r_[u[:3], p], force, free=False, held=[k])
-    np.testing.assert_allclose(rates, u[3:], atol=1e-9)
+    u[3 + k] = 0.0
+    force_left = force - inverse_dynamics(platform, q, u, np.zeros(7))
+    stuck = replace(platform, frictions=(Friction(gimbal=platform.gimbal_names[k], coulomb=(1e6, 1e6)),))
+    for free in (True, False):
+        moving = np.setdiff1d(np.arange(0 if free else 3, 7), 3 + k)
+        A = matrices(platform, q).A_star[np.ix_(moving, moving)]
+        found = first_slopes(stuck, q, u, force, free)[4:]
+        np.testing.assert_allclose(found[moving], np.linalg.solve(A, force_left[moving]), rtol=1e-7, atol=1e-9)
+        assert found[3 + k] == pytest.approx(0.0, abs=1e-9)
 
 
 def conserved(platform, out, k):
@@ -128,35 +114,3 @@ def test_a_pendulum_under_gravity_that_is_fixed_in_space_swings_back():
     out = rollout(read_platform(plant), np.zeros((1, 0)), [[0.01, 0, 0]], 2 * np.pi / omega / steps, steps, every=1)
     np.testing.assert_allclose(out.velocity[0], [0.01, 0, 0], atol=1e-7)
     assert out.velocity_history[0, steps // 2, 0] == pytest.approx(-0.01, rel=1e-4)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_locked_gimbal_is_a_part_of_its_parent(seed):
-    rng = np.random.default_rng(seed)
-    platform = offset_platform(rng, MODES[seed % 3], 4)
-    locked = rng.choice(platform.gimbal_names)
-    rest = with_locked(platform, [locked])
-    kept = [k for k, name in enumerate(platform.gimbal_names) if name != locked]
-    q = np.zeros(4)
-    q[kept] = rng.uniform(-3, 3, 3)
-    rows = [0, 1, 2, *(3 + k for k in kept)]
-    u = np.zeros(7)
-    u[rows] = rng.normal(size=6)
-    whole, part = matrices(platform, q, u), matrices(rest, q[kept], u[rows])
-    for found, expected in (
-        (part.A_star, whole.A_star[np.ix_(rows, rows)]),
-        (part.P, whole.P[:, rows]),
-        (part.G_A @ u[rows], (whole.G_A @ u)[rows]),
-    ):
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max(initial=1e-12))
-    assert read_platform(rest).to_toml() == rest.to_toml()
-
-
-def test_a_motor_side_that_is_locked_holds_its_load_by_the_drive():
-    platform, J2 = read_platform(drive()), 0.05
-    held = with_locked(platform, ["g_motor"])
-    assert held.gimbal_names == ("g", "h")
-    poles = state_space(linearise(held)).poles()
-    assert np.abs(poles).max() == pytest.approx(np.sqrt(300.0 / (J2 + 1e-9)), rel=1e-9)
-    assert -2.0 * poles.real.min() * J2 == pytest.approx(0.04, rel=1e-6)
-    assert with_locked(platform, ["g", "g_motor"]).gimbal_names == ("h",)

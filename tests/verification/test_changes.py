@@ -9,6 +9,7 @@ import pytest
 
 import platform_ctrl as pc
 from camera_job import camera_job
+from design import test_sight as sight
 from one_axis import job_of, loop_of, one_axis
 from platform_ctrl import design
 from platform_ctrl.report import write_page
@@ -201,3 +202,13 @@ def test_a_bound_holds_for_plants_that_are_worst_at_another_gain():
 def test_a_loop_that_misses_its_limits_is_bounded_below_its_gain():
     found = bounds_of(bounded_job(delay=0.02, disk_margin=0.8, crossover=12.0))
     assert 0.2 < found.gain < 0.8
+
+
+def test_what_bounds_a_loop_is_said_beside_limits_of_the_line_of_sight():
+    """With a delay, which makes the plants anew; limits far off change nothing."""
+    found = []
+    for far in ({}, {"jitter": 1.0, "contrast": 0.01}):
+        one = sight.job(limits={"disk_margin": 0.3} | far)
+        found.append(bounds_of(one))
+    without, within = ((of.gain, of.requirement, of.bounds[0].sensitivity) for of in found)
+    assert within == pytest.approx(without)

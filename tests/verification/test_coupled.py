@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from given_controllers import verdict
+from mechanics.test_compliance import drive as stiff_drive
 from mechanics.test_motor_winding import drive
+from offset_trees import MODES, offset_platform
 from one_axis import job_of as joined
 from one_axis import loop_of
-from platform_ctrl import design, linearise, read_job, read_platform
+from platform_ctrl import design, linearise, matrices, read_job, read_platform, state_space
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import CoupledLimits, Job, Sampling
 from platform_ctrl.job.variation import Uncertainty
-from platform_ctrl.plant.locking import with_cogging
+from platform_ctrl.plant.locking import with_cogging, with_locked
 from platform_ctrl.verification.coupled import coupled_check
 
 
@@ -233,3 +235,35 @@ def test_cogging_and_the_ripple_of_a_held_torque_add_up_at_the_worst_of_their_ph
     steepest = 20.0**2 * 6.0 * 0.02 + 20.0 * 36.0 * 0.05 * 0.5
     np.testing.assert_allclose(found, [[k * steepest, swell] for k in (-1, 1) for swell in (0.95, 1.05)])
     assert at_worst[0][0] == "cogging with ripple under load pushes away, ripple takes torque away"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_locked_gimbal_is_a_part_of_its_parent(seed):
+    rng = np.random.default_rng(seed)
+    platform = offset_platform(rng, MODES[seed % 3], 4)
+    locked = rng.choice(platform.gimbal_names)
+    rest = with_locked(platform, [locked])
+    kept = [k for k, name in enumerate(platform.gimbal_names) if name != locked]
+    q = np.zeros(4)
+    q[kept] = rng.uniform(-3, 3, 3)
+    rows = [0, 1, 2, *(3 + k for k in kept)]
+    u = np.zeros(7)
+    u[rows] = rng.normal(size=6)
+    whole, part = matrices(platform, q, u), matrices(rest, q[kept], u[rows])
+    for found, expected in (
+        (part.A_star, whole.A_star[np.ix_(rows, rows)]),
+        (part.P, whole.P[:, rows]),
+        (part.G_A @ u[rows], (whole.G_A @ u)[rows]),
+    ):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max(initial=1e-12))
+    assert read_platform(rest).to_toml() == rest.to_toml()
+
+
+def test_a_motor_side_that_is_locked_holds_its_load_by_the_drive():
+    platform, J2 = read_platform(stiff_drive()), 0.05
+    held = with_locked(platform, ["g_motor"])
+    assert held.gimbal_names == ("g", "h")
+    poles = state_space(linearise(held)).poles()
+    assert np.abs(poles).max() == pytest.approx(np.sqrt(300.0 / (J2 + 1e-9)), rel=1e-9)
+    assert -2.0 * poles.real.min() * J2 == pytest.approx(0.04, rel=1e-6)
+    assert with_locked(platform, ["g", "g_motor"]).gimbal_names == ("h",)

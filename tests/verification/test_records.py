@@ -265,3 +265,11 @@ def test_what_two_results_do_not_have_in_common_is_said() -> None:
     assert compare(one, other, 0.01).differing == ("another job", "another controller of loop")
     other["sha256"]["plant"] = "q"
     assert compare(one, other, 0.01).differing == ("another plant", "another controller of loop")
+
+
+def test_a_loop_and_the_line_of_sight_of_one_name_are_told_apart() -> None:
+    accepted, now = values(bandwidth=2.0), values(bandwidth=2.0)
+    for one, coupled in ((accepted, 2.0), (now, 1.8)):
+        one["requirements"].append(one["requirements"][0] | {"stage": "coupled", "value": coupled})
+    [worse] = compare(now, accepted, 0.01).of("worse")
+    assert (worse.before, worse.now) == (2.0, 1.8)
