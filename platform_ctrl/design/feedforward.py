@@ -32,6 +32,7 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.job.drive import Feedforward
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
+from platform_ctrl.job.resolve import ideal
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed_system
 from platform_ctrl.mechanics.state_space import linear_system
@@ -68,7 +69,7 @@ def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedfo
     model, signals = linearise(platform), loop_signals(platform, spec)
     by_name = {sensor.name: sensor for sensor in platform.sensors}
     sensors = [by_name[name] for name in fed.sensors]
-    seen = np.array([[_ideal(s).signals(platform).get(name, 0.0) for name in OMEGA_NAMES] for s in sensors])
+    seen = np.array([[ideal(s).signals(platform).get(name, 0.0) for name in OMEGA_NAMES] for s in sensors])
     scale = np.array([1.0 + sensor.scale_error for sensor in sensors])
     if fed.into == "torque":
         path = _torque(model, signals, fed, seen, period)
@@ -96,19 +97,12 @@ def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedfo
     )
 
 
-def _ideal(sensor: Sensor) -> Sensor:
-    """Return a sensor about the axis that it is meant to have."""
-    if getattr(sensor, "misalignment", None) is None:
-        return sensor
-    return replaced(sensor, {"misalignment": None})
-
-
 def _rates_of(platform: Platform, sensor: Sensor) -> dict[str, float]:
     """Return the reading of a sensor, or the rate of a measured angle, as a sum of rates."""
     rates = {gimbal.angle: gimbal_rate(gimbal.angle) for gimbal in platform.gimbals}
     for body in range(len(platform.gimbals) + 1):
         rates |= dict(zip(body_rotations(platform, body), body_rates(platform, body), strict=True))
-    return {rates.get(name, name): weight for name, weight in _ideal(sensor).signals(platform).items()}
+    return {rates.get(name, name): weight for name, weight in ideal(sensor).signals(platform).items()}
 
 
 def _inertial(platform: Platform, rates: dict[str, float]) -> dict[str, float]:

@@ -238,7 +238,7 @@ def with_resolvers(job: Job, controllers: Sequence[StateSpace], q: FloatArray) -
     read = {name for K in controllers for name in K.input_labels}
     laws = [law for law in job.resolvers if not read.isdisjoint(law.names)]
     period = job.sampling.period
-    static = [gain(law.matrix(q))._replace(dt=period).to_control(law.sensors, law.names) for law in laws]
+    static = [gain(law.matrix(q))._replace(dt=period).to_control(law.read, law.names) for law in laws]
     return [*static, *controllers]
 
 

@@ -42,10 +42,12 @@ class LoopSignals:
     """The gimbals, sensors and torquers of a loop."""
 
     gimbals: tuple[str, ...]  # names, in the loop's order
-    # torquers, sensors: of the loop, those sensors first that it keeps at zero or at commands.
+    # torquers, sensors: of the loop, those sensors first that it keeps at zero or at commands, last the `base` ones
+    # whose readings resolvers alone need.
     torquers: tuple[Torquer, ...]
     sensors: tuple[Sensor, ...]
-    kept: int  # number of these
+    kept: int  # number of the first
+    base: int = 0  # number of the last
     sight: tuple[str, ...] = ()  # outputs of the line of sight that its torquers move
     # held: whether gimbals that other loops turn are held; else the loop's are whole subsystems, perhaps with others
     # that no loop turns. passive: names of gimbals that no loop turns and that take part.
@@ -72,17 +74,18 @@ class LoopSignals:
     @property
     def readings(self) -> tuple[str, ...]:
         """Names of what controllers read: the sensors, or resolved readings in the place of theirs."""
-        names = tuple(one.name for one in self.sensors)
+        names = tuple(one.name for one in self.sensors)[: len(self.sensors) - self.base]
         for law in self.resolvers:
             names = law.of(names)
         return names
 
     def turning(self, q: FloatArray) -> FloatArray:
-        """Return what makes `readings` of the sensors' readings (p, p) at gimbal angles (n,), rad."""
-        out, names = np.eye(len(self.sensors)), [one.name for one in self.sensors]
+        """Return what makes `readings` of the sensors' readings (p, p + base) at gimbal angles (n,), rad."""
+        names = [one.name for one in self.sensors]
+        out = np.eye(len(names) - self.base, len(names))
         for law in self.resolvers:
-            at = [names.index(name) for name in law.sensors]
-            out[np.ix_(at, at)] = law.matrix(q)
+            at = [names.index(name) for name in law.read]
+            out[np.ix_(at[: len(law.names)], at)] = law.matrix(q)
         return out
 
 
@@ -94,14 +97,18 @@ def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
         return LoopSignals(gimbals=spec.gimbals, torquers=own, sensors=pickoffs, kept=len(pickoffs))
     sensors, kept = {sensor.name: sensor for sensor in platform.sensors}, spec.kept(platform)
     torquers = {torquer.name: torquer for torquer in platform.torquers}
+    read = dict.fromkeys((*kept, *spec.sensors))
+    base = [name for name in spec.resolve_base if name not in read]
+    law = resolver(platform, spec.gimbals, kept, spec.resolve_limit, spec.resolve_base) if spec.resolve else None
     out = LoopSignals(
         gimbals=spec.gimbals,
         torquers=tuple(torquers[name] for name in spec.torquers) or own,
-        sensors=tuple(sensors[name] for name in dict.fromkeys((*kept, *spec.sensors))),
+        sensors=tuple(sensors[name] for name in (*read, *base)),
         kept=len(kept),
+        base=len(base),
         held=True,
         free=spec.moves_root(platform),
-        resolvers=(resolver(platform, spec.gimbals, kept, spec.resolve_limit),) if spec.resolve else (),
+        resolvers=() if law is None else (law,),
     )
     return dataclasses.replace(out, sight=_moved_sight(platform, out))
 
@@ -249,7 +256,8 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float, any_s
             f"{', '.join(torquer.name for torquer in signals.torquers)} does{why}; add a sensor, or leave out a torquer"
         )
     carried = [r for r in model.platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
-    effect, helping = turning @ effect, len(effect) - k if any_sensors else 0
+    effect = turning @ effect
+    helping = len(effect) - k if any_sensors else 0
     seen = mobility[:, None] * np.linalg.pinv(effect[:k] if helping else effect)
     sense = block([[seen, 0], [0, np.eye(helping)]]) if helping else seen
     return Channels(
@@ -268,11 +276,11 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float, any_s
 def following(model: LinearModel, signals: LoopSignals, period: float) -> FloatArray | None:
     """Return where readings are while those that the loop keeps rest at commands, (p, kept); None: it keeps all."""
     k = signals.kept
-    if k == len(signals.sensors):
+    if k == len(signals.readings):
         return None
     effect, rest = _effect(*_tied(model, signals), period), np.array(signals.orders) == signals.order
     effect = signals.turning(model.q0) @ effect
-    return np.vstack([np.eye(k), rest[k:, None] * (effect[k:] @ np.linalg.pinv(effect[:k]))])
+    return np.vstack([np.eye(k), rest[k : len(effect), None] * (effect[k:] @ np.linalg.pinv(effect[:k]))])
 
 
 def _tied(model: LinearModel, signals: LoopSignals) -> tuple[LinearModel, LoopSignals]:

@@ -271,9 +271,10 @@ def tracking_plants(
     by_name = {sensor.name: sensor for sensor in job.platform.sensors}
     read = inner if inner.resolve else dataclasses.replace(inner, sensors=inside.angles)
     own, sensors, law = job_signals(job, read), spec.sensors, job.resolver(spec)
+    end = len(own.sensors) - own.base
     both = dataclasses.replace(
         own,
-        sensors=(*own.sensors, *(by_name[name] for name in sensors)),
+        sensors=(*own.sensors[:end], *(by_name[name] for name in sensors), *own.sensors[end:]),
         resolvers=(*own.resolvers, *(() if law is None else (law,))),
     )
     plants = sampled_plants(job, both, job.every(inner), dict.fromkeys(sensors, job.every(spec)))

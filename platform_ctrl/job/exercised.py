@@ -85,7 +85,12 @@ def _noisy(job: Job, spec: LoopSpec) -> bool:
     """Return whether a sensor that a loop reads has noise."""
     if spec.kind == "stabilisation":
         return any(one.noise_rms > _SILENT for one in job.platform.sensors)
-    read = {*spec.sensors, *job.readings_of(spec), *(name for one in spec.designs for name in job.read_in(spec, one))}
+    read = {
+        *spec.sensors,
+        *spec.resolve_base,
+        *job.readings_of(spec),
+        *(name for one in spec.designs for name in job.read_in(spec, one)),
+    }
     return any(one.noise_rms > _SILENT for one in job.platform.sensors if one.name in read)
 
 

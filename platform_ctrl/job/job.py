@@ -76,8 +76,9 @@ class LoopSpec:
         That the loop's torquers turn; all others are held in its plants.
     sensors, torquers
         What a rate, pointing or tracking loop reads (see `kept`) and sets; no torquers: the first one on each gimbal.
-    resolve, resolve_limit
-        Whether what the loop keeps is turned to the axes of gimbals, and the largest gain: `platform_ctrl.job.resolve`.
+    resolve, resolve_limit, resolve_base
+        Whether what the loop keeps is turned to the axes of gimbals, the largest gain, and the sensors of the root's
+        rate whose share is subtracted: `platform_ctrl.job.resolve`.
     around
         The rate loop that a tracking loop commands.
     rate_hz
@@ -102,6 +103,7 @@ class LoopSpec:
     torquers: fields.Names = ()
     resolve: fields.Truth = False
     resolve_limit: fields.AtLeastOne = 5.0
+    resolve_base: fields.Names = ()
     around: fields.Text | None = None
     rate_hz: fields.Positive | None = None
     designs: Annotated[tuple[DesignSpec, ...], Array("design", least=1, most=MOST_LOOPS, unique=("name",))]
@@ -312,7 +314,8 @@ class Job:
         if not spec.resolve:
             return None
         inner = self.loop(str(spec.around)) if spec.kind == "tracking" else spec
-        return resolver(self.platform, inner.gimbals, spec.kept(self.platform), spec.resolve_limit)
+        kept = spec.kept(self.platform)
+        return resolver(self.platform, inner.gimbals, kept, spec.resolve_limit, spec.resolve_base)
 
     @property
     def resolvers(self) -> tuple[Resolver, ...]:
@@ -338,7 +341,7 @@ class Job:
             if not spec.designs:
                 continue  # a loop of which no more than what it turns is known
             law = self.resolver(spec)
-            for name in (*self.read_in(spec, spec.closed), *(() if law is None else (*law.sensors, *law.encoders))):
+            for name in (*self.read_in(spec, spec.closed), *(() if law is None else (*law.read, *law.encoders))):
                 out[name] = math.gcd(out.get(name, 0), self.every(spec))
         return out
 

@@ -8,11 +8,15 @@ gimbals j between the root and b. With a sensor for each of the loop's gimbals w
 J⁻¹ y where |det J| ≥ ε. Nearer to the keyhole a motion that the sensors hardly show counts less, down to nothing where
 J is singular; what they show well stays (damped least squares: Y. Nakamura, H. Hanafusa, J. Dyn. Sys., Meas., Control
 108, 1986). Of rates against inertial space, y_r is the inertial rate in joint axes: zero while the bodies stand still.
+
+Where sensors of the root show its rate, W y_b, T W y_b is subtracted from y first: rows of T are the sensors' axes
+turned to the root's. y_r is then the rate of the joints against their parents.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -20,7 +24,8 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray, read_only, replaced, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.mistakes import Misfit, useless
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+from platform_ctrl.plant.sensors import Sensor
 
 # Gimbals of a loop at most, and the least |det J| at zero angles that does not count as singular.
 MOST_AXES, _SINGULAR = 3, 1e-6
@@ -47,6 +52,10 @@ class Resolver:
     paths
         Of each sensor its axis (3,), in body axes, and the gimbals from its body towards the root: the axis (3,) of
         each, its column of J or −1, the place of its encoder or −1 where its angle does not count.
+    base
+        Names of the b sensors of the root's rate whose share is subtracted.
+    of_base : (3, b)
+        W, from their readings to the rate about the root's axes.
     """
 
     names: tuple[str, ...]
@@ -59,11 +68,19 @@ class Resolver:
     limit: float
     least: float
     paths: tuple[tuple[FloatArray, tuple[tuple[FloatArray, int, int], ...]], ...]
+    base: tuple[str, ...] = ()
+    of_base: FloatArray = field(default_factory=lambda: read_only(np.zeros((3, 0))))
 
-    def jacobian(self, cosines: Any, sines: Any) -> Any:
-        """Return J (p, p), dimensionless, from cosines and sines of the encoders' angles (e,), or symbols of these."""
-        rows = np.zeros((len(self.sensors), len(self.gimbals)), dtype=np.asarray([*cosines, 0.0]).dtype)
-        for row, (axis, steps) in zip(rows, self.paths, strict=True):
+    @property
+    def read(self) -> tuple[str, ...]:
+        """Names of the p sensors, then of those of the root's rate."""
+        return (*self.sensors, *self.base)
+
+    def jacobian(self, cosines: Any, sines: Any) -> tuple[Any, Any]:
+        """Return J (p, p) and T W (p, b), dimensionless, from cosines and sines of the encoders' angles, or symbols."""
+        kind = np.asarray([*cosines, 0.0]).dtype
+        rows, turned = np.zeros((len(self.sensors), len(self.gimbals)), kind), np.zeros((len(self.sensors), 3), kind)
+        for k, (row, (axis, steps)) in enumerate(zip(rows, self.paths, strict=True)):
             for own, column, encoder in steps:
                 along = axis @ own
                 if column >= 0:
@@ -71,29 +88,34 @@ class Resolver:
                 if encoder >= 0:
                     c, s = cosines[encoder], sines[encoder]
                     axis = c * axis + s * np.cross(own, axis) + (1 - c) * along * own
-        return rows
+            turned[k] = axis
+        return rows, turned @ self.of_base
 
     def of(self, names: Iterable[str]) -> tuple[str, ...]:
         """Return names of sensors with those of the resolved readings in the place of theirs."""
         turned = dict(zip(self.sensors, self.names, strict=True))
         return tuple(turned.get(name, name) for name in names)
 
-    def _jacobian_at(self, q: FloatArray) -> FloatArray:
+    def _jacobian_at(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         angles = self.scale * q[list(self.turned)] + self.bias
-        return np.asarray(self.jacobian(np.cos(angles), np.sin(angles)), dtype=np.float64)
+        return self.jacobian(np.cos(angles), np.sin(angles))
 
     def matrix(self, q: FloatArray) -> FloatArray:
-        """Return what turns readings to joint axes (p, p), dimensionless, where gimbals are at angles q (n,), rad."""
-        J = self._jacobian_at(q)
+        """Return what makes resolved readings of `read` (p, p + b), dimensionless, at gimbal angles q (n,), rad."""
+        J, share = self._jacobian_at(q)
         damping = max(self.least**2 - float(np.linalg.det(J)) ** 2, 0.0)
-        return np.asarray(np.linalg.solve(J.T @ J + damping * np.eye(len(J)), J.T))
+        return np.asarray(
+            np.linalg.solve(J.T @ J + damping * np.eye(len(J)), J.T @ np.hstack([np.eye(len(J)), -share]))
+        )
 
     def limited(self, q: FloatArray) -> bool:
         """Return whether the gain is limited at gimbal angles q (n,), rad: near the keyhole."""
-        return abs(float(np.linalg.det(self._jacobian_at(q)))) < self.least
+        return abs(float(np.linalg.det(self._jacobian_at(q)[0]))) < self.least
 
 
-def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str], limit: float) -> Resolver:
+def resolver(
+    platform: Platform, gimbals: Sequence[str], sensors: Sequence[str], limit: float, base: Sequence[str] = ()
+) -> Resolver:
     """Return what turns the readings of a loop's sensors to the axes of its gimbals.
 
     Parameters
@@ -104,6 +126,8 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
         Of the loop; a gimbal on the motor side of a drive counts as its load.
     limit
         Largest gain against that at the angles zero, >= 1, dimensionless.
+    base
+        Sensors of the root's rate, whose share is subtracted from the readings.
 
     Returns
     -------
@@ -113,7 +137,8 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
     Raises
     ------
     ArgumentError
-        The sensors do not show every gimbal's rate, or an angle is not measured.
+        The sensors do not show every gimbal's rate, those of the root not what has to be subtracted, or an angle is not
+        measured.
     """
     names = tuple(dict.fromkeys(platform.loads.get(name, name) for name in gimbals))
     if not 1 <= len(names) == len(sensors) <= MOST_AXES:
@@ -131,12 +156,12 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
         if max(columns, default=-1) < 0:
             words = f"{name} is on {sensor.body!r}, which none of the gimbals {', '.join(names)} carries"
             raise ArgumentError(f"{words}; resolve = true needs sensors of bodies that these turn")
-        # The angles of this gimbal, and of those nearer to the root, turn sensor and axes alike.
-        last = max(k for k, column in enumerate(columns) if column >= 0)
+        # The angles of this gimbal, and of those nearer to the root, turn sensor and axes alike, but not the root.
+        last = len(path) if base else max(k for k, column in enumerate(columns) if column >= 0)
         steps = []
         for k, column in zip(path[: last + 1], columns, strict=False):
             at = -1
-            if k != path[last]:
+            if base or k != path[last]:
                 if k not in measured:
                     raise ArgumentError(
                         f"{name} turns with gimbal {platform.gimbal_names[k]!r}, whose angle resolve = true needs and "
@@ -161,15 +186,47 @@ def resolver(platform: Platform, gimbals: Sequence[str], sensors: Sequence[str],
         limit=limit,
         least=0.0,
         paths=tuple(paths),
+        base=tuple(base),
+        of_base=read_only(np.eye(3)),
     )
     still = np.ones(len(encoders))
-    det = abs(float(np.linalg.det(made.jacobian(still, 0.0 * still))))
+    det = abs(float(np.linalg.det(made.jacobian(still, 0.0 * still)[0])))
     if det < _SINGULAR:
         raise ArgumentError(
             f"at the angles zero {', '.join(sensors)} do not show the rate of each of the gimbals {', '.join(names)}: "
             "two axes are parallel, or one is across all others; choose other sensors"
         )
-    return replaced(made, {"least": det / limit})
+    any_angles = np.arange(1.0, 1.0 + len(encoders))
+    of_base = _of_base(platform, base, made.jacobian(np.cos(any_angles), np.sin(any_angles))[1], end, sensors)
+    return replaced(made, {"least": det / limit, "of_base": of_base})
+
+
+def _of_base(
+    platform: Platform, base: Sequence[str], turned: FloatArray, end: str, sensors: Sequence[str]
+) -> FloatArray:
+    """Return W (3, b), what sensors of the root's rate show of it; `turned` are axes that it has to show."""
+    known = {one.name: ideal(one).signals(platform) for one in platform.sensors if one.unit == "rad/s"}
+    known = {name: signals for name, signals in known.items() if set(signals) <= set(OMEGA_NAMES)}
+    if base and end != "rate":
+        raise ArgumentError(f"resolve_base subtracts rates, and {', '.join(sensors)} measure angles; leave it out")
+    if unknown := [name for name in base if name not in known]:
+        have = f"its rate sensors are {', '.join(known)}" if known else "it has none"
+        raise ArgumentError(f"resolve_base: {unknown[0]} is no rate sensor of {platform.root_name!r}; {have}")
+    N = np.array([[known[name].get(axis, 0.0) for axis in OMEGA_NAMES] for name in base]).reshape(-1, 3)
+    W = np.linalg.pinv(N)
+    if base and np.abs(turned - turned @ W @ N).max() > _SINGULAR:
+        words = (
+            f"resolve_base: {', '.join(base)} do not show the rate of {platform.root_name!r} about every axis to which"
+        )
+        raise ArgumentError(f"{words} those of {', '.join(sensors)} turn; add rate sensors of it about other axes")
+    return read_only(W)
+
+
+def ideal(sensor: Sensor) -> Sensor:
+    """Return a sensor about the axis that it is meant to have."""
+    if getattr(sensor, "misalignment", None) is None:
+        return sensor
+    return replaced(sensor, {"misalignment": None})
 
 
 def reading_units(platform: Platform, laws: Iterable[Resolver]) -> dict[str, str]:
@@ -181,10 +238,13 @@ def reading_units(platform: Platform, laws: Iterable[Resolver]) -> dict[str, str
 def resolve_misfits(loop: Mapping[str, Any]) -> Iterator[Misfit]:
     """Yield what is wrong with the keys of a loop that turns its readings, or does not."""
     if not loop.get("resolve"):
-        if "resolve_limit" in loop:
-            yield useless(loop, "resolve_limit", "without resolve = true; add it, or leave the key out")
+        for key in {"resolve_limit", "resolve_base"} & loop.keys():
+            yield useless(loop, key, "without resolve = true; add it, or leave the key out")
         return
     for k, design in enumerate(loop["design"]):
+        if "feedforward" in design and "resolve_base" in loop:
+            words = "readings less the base's motion need none of its rate; leave it or resolve_base out"
+            yield ("design", k, "feedforward"), f"feedforward: {words}"
         if "sensors" in design:
             words = "a loop with resolve = true turns the readings of its own sensors; leave the key out"
             yield ("design", k, "sensors"), f"sensors: {words}"

@@ -272,8 +272,8 @@ def _resolving(scenario: Scenario) -> tuple[tuple[int, ...], tuple[float, ...]]:
     sensors = [sensor.name for sensor in scenario.platform.sensors]
     parts, numbers = list[int](), list[float]()
     for law in scenario.resolvers:
-        parts.append(len(law.names))
-        numbers.append(law.least)
+        parts += [len(law.names), len(law.base), *map(sensors.index, law.base)]
+        numbers += [law.least, *law.of_base.T.ravel().tolist()]
         for name, (axis, steps) in zip(law.sensors, law.paths, strict=True):
             parts += [sensors.index(name), len(steps)]
             numbers += axis.tolist()

@@ -245,7 +245,8 @@ def _bounds(result: JobResult, outcome: LoopOutcome) -> Record:
 
 def resolve_record(law: Resolver) -> Record:
     """Return what turns the readings of a controller to joint axes; the rest of it follows from the plant file."""
-    return {name: list(getattr(law, name)) for name in ("sensors", "gimbals", "encoders")} | {"limit": law.limit}
+    names = ("sensors", "gimbals", "encoders", *(["base"] if law.base else []))
+    return {name: list(getattr(law, name)) for name in names} | {"limit": law.limit}
 
 
 def _proofs(proofs: Proofs | None) -> Record:

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from driven_gimbal import RATE_HZ, driven_job, resolved_job, skew_job
+from driven_gimbal import RATE_HZ, driven_job, less_base, resolved_job, skew_job
 from platform_ctrl import read_job, read_platform
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.measuring import torque_noise
@@ -141,6 +141,53 @@ def test_about_oblique_axes_too() -> None:
         resolved, read = np.split(run.reading[:, [run.pickoff_names.index(name) for name in rows]], 2, axis=1)
         expected = [law.matrix(at) @ y for at, y in zip(run.q, read, strict=True)]
         np.testing.assert_allclose(resolved, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_less_the_motion_of_the_base_they_are_the_rates_of_the_joints() -> None:
+    data = less_base(skew_job(), noise_rms=2e-3, scale_error=0.01, bias=0.02)
+    data["plant"]["pickoff"] = [{"gimbal": name} for name in "abc"]
+    data["manoeuvre"][0]["sine"] = [
+        {"kind": "rate", "axis": k, "frequency_hz": 3.0 * k, "amplitude": 0.3} for k in (1, 2, 3)
+    ]
+    job, q = read_job(data), np.array([0.3, 0.7, -0.2])
+    [law] = job.resolvers
+    assert not law.limited(q)
+    scenario = dataclasses.replace(job.scenario(job.manoeuvres[0]), q=q, duration=0.1)
+    run = simulate(scenario, [], period=1.0 / RATE_HZ)
+    read, resolved = (
+        run.reading[:, [run.pickoff_names.index(one) for one in names]] for names in (law.read, law.names)
+    )
+    expected = np.array([law.matrix(at) @ y for at, y in zip(run.q, read, strict=True)])
+    np.testing.assert_allclose(resolved, expected, rtol=0.0, atol=1e-12)
+    exact = [dataclasses.replace(one, noise_rms=0.0, scale_error=0.0, bias=0.0) for one in job.platform.rate_sensors]
+    scenario = dataclasses.replace(scenario, platform=dataclasses.replace(job.platform, rate_sensors=tuple(exact)))
+    run = simulate(scenario, [], period=1.0 / RATE_HZ)
+    assert np.abs(run.Omega).min(axis=0, where=run.t[:, None] > 0.01, initial=1.0).max() < 0.3 < np.abs(run.rate).max()
+    rates = run.rate[:, [job.platform.gimbal(name) for name in law.gimbals]]
+    np.testing.assert_allclose(run.reading[:, [run.pickoff_names.index(one) for one in law.names]], rates, atol=1e-9)
+
+
+def test_their_loop_is_that_of_tachometers_with_the_noise_of_the_gyros_of_the_base() -> None:
+    data = less_base(resolved_job(operation=ANGLES | {"angles": {"pitch": [-0.5, 1.0]}}), noise_rms=1e-3)
+    data["plant"]["rate_sensor"].append({"name": "inner_tacho", "gimbal": "inner"})
+    job = read_job(data)
+    spec = dataclasses.replace(job.loops[0], resolve=False, resolve_base=(), sensors=("tacho", "inner_tacho"))
+    tachos = dataclasses.replace(job, loops=(spec,))
+    found, expected = plants_of(job, job.loops[0]), plants_of(tachos, spec)
+    size, w = np.abs(expected.response).max(), np.array([1.0, 30.0, 1000.0])
+    np.testing.assert_allclose(found.response, expected.response, rtol=0.0, atol=1e-12 * size)
+    for one, other in zip(found.disturbed_at(w), expected.disturbed_at(w), strict=True):
+        gains = [np.swapaxes(x.conj(), -1, -2) @ x for x in (one, other)]
+        np.testing.assert_allclose(gains[0], gains[1], rtol=0.0, atol=1e-10 * np.abs(gains[1]).max())
+    of_base = np.linalg.norm(job.resolvers[0].of_base, axis=1)
+    np.testing.assert_allclose(found.noise_of(), np.sqrt(0.5) * 1e-3 * of_base[[2, 1]], rtol=1e-9)
+    checks = []
+    for one in (job, tachos):
+        readings = list(one.readings_of(one.loops[0]))
+        K = control.ss([], [], [], -0.3 * np.eye(2), 1.0 / RATE_HZ, inputs=readings, outputs=["Qouter", "Qinner"])
+        checks.append(coupled_check(one, linearise(one.platform), [K]))
+    np.testing.assert_allclose(checks[0].coupled, checks[1].coupled, rtol=1e-9)
+    assert checks[0].decoupled == pytest.approx(checks[1].decoupled, rel=1e-9)
 
 
 def test_a_run_that_comes_near_the_keyhole_says_so() -> None:

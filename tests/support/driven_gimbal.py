@@ -79,6 +79,15 @@ def skew_job() -> dict[str, Any]:
     return data
 
 
+def less_base(data: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """Return a job whose turned readings are those less the base's motion, from gyros about oblique axes on it."""
+    axes = ([0.6, 0.8, 0], [0, 0.6, 0.8], [0.8, 0, -0.6])
+    gyros = [{"name": f"root{k}", "body": "base", "axis": axis} | more for k, axis in enumerate(axes)]
+    data["plant"]["rate_sensor"] += gyros
+    data["loop"][0]["resolve_base"] = [one["name"] for one in gyros]
+    return data
+
+
 def driven_job(*drives: dict[str, Any], **changed: Any) -> dict[str, Any]:
     """Return a job of a rate loop on both gimbals with these drives."""
     return copy.deepcopy(_JOB | {"plant": _PLANT} | ({"drive": list(drives)} if drives else {}) | changed)

@@ -243,7 +243,7 @@ def job_files(job: Job, prefix: str, units: Sequence[Code]) -> dict[str, str]:
 def other_inputs(job: Job, named: Sequence[str]) -> list[str]:
     """Return the sensors that drives and resolvers of a job read beside what is `named`, in the plant's order."""
     used = {name for law in job.drive_laws for name in law.weights}
-    used |= {name for law in job.resolvers for name in (*law.sensors, *law.encoders)}
+    used |= {name for law in job.resolvers for name in (*law.read, *law.encoders)}
     return [sensor.name for sensor in job.platform.sensors if sensor.name in used - set(named)]
 
 
@@ -268,10 +268,12 @@ def _resolver(law: Resolver, signals: Mapping[str, str], number: Number) -> dict
         return sympy.Symbol(name)
 
     parts = [sympy.symbols([f"{what}_{k}" for k in names]) for what in ("cosine", "sine")]
-    turned = sympy.Matrix(law.jacobian(*parts)).applyfunc(sympy.expand)
+    turned, share = (
+        sympy.Matrix(size, len(one.T), list(one.flat)).applyfunc(sympy.expand) for one in law.jacobian(*parts)
+    )
     for function, own in zip(("cos", "sin"), parts, strict=True):
         for part, name in zip(own, law.encoders, strict=True):
-            if turned.has(part):
+            if turned.has(part) or share.has(part):
                 end = "" if number == "double" else "f"
                 lines.append(f"const {number} {part} = {function}{end}(in->{signals[name]});")
     J = sympy.Matrix(size, size, lambda i, k: put(f"j_{i + 1}{k + 1}", turned[i, k]))
@@ -282,13 +284,18 @@ def _resolver(law: Resolver, signals: Mapping[str, str], number: Number) -> dict
     G = J.T * J + sympy.Symbol("damping") * sympy.eye(size)
     upper = {(i, k): put(f"g_{i + 1}{k + 1}", G[i, k]) for k in range(size) for i in range(k + 1)}
     G = sympy.Matrix(size, size, lambda i, k: upper[min(i, k), max(i, k)])
-    y = [put(f"y_{k}", sympy.Symbol(f"in->{signals[name]}")) for k, name in enumerate(law.sensors, 1)]
+    read, of_root = (
+        sympy.Matrix([sympy.Symbol(f"in->{signals[one]}") for one in part]) for part in (law.sensors, law.base)
+    )
+    own = read - share * of_root if law.base else read
+    y = [put(f"y_{k}", one) for k, one in enumerate(own, 1)]
     seen = J.T * sympy.Matrix(y)
     b = [put(f"b_{k + 1}", seen[k]) for k in range(size)]
     whole = put("whole", G.det())
     for k, one in enumerate(G.adjugate() * sympy.Matrix(b)):
         lines.append(f"y[{k}] = {sympy.ccode(products(one / whole), type_aliases=types)};")
-    words = f"{', '.join(law.names)} = {', '.join(law.sensors)} turned to the axes of {', '.join(law.gimbals)}"
+    less = f", less what {', '.join(law.base)} show," if law.base else ""
+    words = f"{', '.join(law.names)} = {', '.join(law.sensors)}{less} turned to the axes of {', '.join(law.gimbals)}"
     return {"size": size, "lines": lines, "words": words, "limit": f"{law.limit:g}"}
 
 

@@ -83,20 +83,20 @@ class Shared(NamedTuple):
     signals: NDArray[
         np.int64
     ]  # (terms,): index into [q, Omega, rates, bodies' rates, bodies' rotations, η and η̇ in turn]
-    # (terms,): weights. Then of every resolver |det J| at which its gain is limited, and of each of its sensors the
-    # axis and those of the gimbals on its path.
+    # (terms,): weights. Then of every resolver |det J| at which its gain is limited, what each of its sensors of the
+    # root shows, and of each other the axis and those of the gimbals on its path.
     weights: FloatArray
     targets: NDArray[np.int64]  # (nu,): index into [M, Q]
     faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
     rotors: NDArray[np.int64]  # (nr, 2): body; servo rotor or -1
     # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force, 6 + k: torque on gimbal k; n + 6 more: phase given
     lines: NDArray[np.int64]
-    # (nx + nu + nd + 1 + nc + nd + ...,): rows of the controllers [A B; C D] and of the rates of the nd drives, stored
-    # without zeros; the reading of every command; of each drive its torquer; of every resolver the number of its
-    # sensors, of each of these sensor and number of gimbals on its path, of each of these the column or -1, the encoder
-    # or -1. Columns of B and D: readings, commands, excesses of torques. Where some controllers are computed at every
-    # n-th sample there follow the rows [A B; C D] of other samples, and of every sample of `Layout.cycle` where its
-    # rows begin.
+    # (nx + nu + nd + 1 + nc + nd + ...,): rows of the controllers [A B; C D] and of the rates of the nd drives,
+    # stored without zeros; the reading of every command; of each drive its torquer; of every resolver the number of
+    # its sensors and of those of the root, these, of each other sensor and number of gimbals on its path, of each
+    # of these the column or -1, the encoder or -1. Columns of B and D: readings, commands, excesses of torques.
+    # Where some controllers are computed at every n-th sample there follow the rows [A B; C D] of other samples,
+    # and of every sample of `Layout.cycle` where its rows begin.
     first: NDArray[np.int64]
     column: NDArray[np.int64]
     # Then of every sample from the first of a call on the nc commands, and what the controllers get of them.

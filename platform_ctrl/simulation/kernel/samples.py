@@ -295,8 +295,9 @@ def resolve(shared: Shared, mem: FloatArray, layout: Layout) -> None:
     number, out = shared.signals.shape[0], layout.sensor + layout.sensors * arrays.SENSOR
     zero = 0.0 * load(mem, layout.start)
     for _ in range(layout.resolvers):
-        size, least = shared.first[part], zero + shared.weights[number]
-        part, number = part + 1, number + 1
+        size, base, least = shared.first[part], shared.first[part + 1], zero + shared.weights[number]
+        of_base, shown = part + 2, number + 1
+        part, number = of_base + base, shown + 3 * base
         for i in range(3):
             # Rows and columns that are not there are those of the unit matrix.
             row = layout.turned + arrays.JACOBIAN + 3 * i
@@ -307,11 +308,7 @@ def resolve(shared: Shared, mem: FloatArray, layout: Layout) -> None:
         for i in range(size):
             slot, steps = layout.sensor + shared.first[part] * arrays.SENSOR, shared.first[part + 1]
             part += 2
-            reading, scale = load(mem, slot + arrays.LAST), load(mem, slot + arrays.SENSOR_SCALE)
-            scale = choose((scale < 0.0) | (scale > 0.0), scale, zero + 1.0)
-            store(mem, layout.turned + arrays.TO_TURN + i, reading)
-            true = (reading - load(mem, slot + arrays.BIAS)) / scale
-            store(mem, layout.turned + arrays.ERRORS + i, reading - true)
+            reading, error = _reading_and_error(mem, slot)
             a, b, c = shared.weights[number], shared.weights[number + 1], shared.weights[number + 2]
             x, y, z = zero + a, zero + b, zero + c
             number += 3
@@ -328,12 +325,31 @@ def resolve(shared: Shared, mem: FloatArray, layout: Layout) -> None:
                     u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
                     x, y = cosine * x + sine * u + rest * a, cosine * y + sine * v + rest * b
                     z = cosine * z + sine * w + rest * c
+            for k in range(base):
+                a, b, c = (
+                    shared.weights[shown + 3 * k],
+                    shared.weights[shown + 3 * k + 1],
+                    shared.weights[shown + 3 * k + 2],
+                )
+                of_root, off = _reading_and_error(mem, layout.sensor + shared.first[of_base + k] * arrays.SENSOR)
+                reading = reading - (a * x + b * y + c * z) * of_root
+                error = error - (a * x + b * y + c * z) * off
+            store(mem, layout.turned + arrays.TO_TURN + i, reading)
+            store(mem, layout.turned + arrays.ERRORS + i, error)
         _solve(mem, layout.turned, least, layout.turned + arrays.TO_TURN)
         _solve(mem, layout.turned, least, layout.turned + arrays.ERRORS)
         for i in range(size):
             store(mem, out + arrays.LAST, load(mem, layout.turned + arrays.TO_TURN + i))
             store(mem, out + arrays.BIAS, load(mem, layout.turned + arrays.ERRORS + i))
             out += arrays.SENSOR
+
+
+@internal
+def _reading_and_error(mem: FloatArray, slot: int) -> tuple[Number, Number]:
+    """Return the last reading of a sensor, and how much of it is its bias and its scale error."""
+    reading, scale = load(mem, slot + arrays.LAST), load(mem, slot + arrays.SENSOR_SCALE)
+    scale = choose((scale < 0.0) | (scale > 0.0), scale, 0.0 * scale + 1.0)
+    return reading, reading - (reading - load(mem, slot + arrays.BIAS)) / scale
 
 
 @internal
