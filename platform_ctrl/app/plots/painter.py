@@ -66,7 +66,8 @@ _GLYPHS: dict[str, tuple[Any, tuple[str, ...], tuple[str, ...], Row]] = {
         {"text_font_size": value("10px"), "text_font": value(views.FONT)},
     ),
 }
-# How far a limit is shaded, in multiples of it.
+# Points of a short line; how far a limit is shaded, in multiples of it.
+_FEW = 4
 _BEYOND = 1e4
 
 # A style inside a tooltip is one for its host: Bokeh's is white in any theme.
@@ -80,10 +81,12 @@ _TIP = f"""<style>
 
 
 class Theme:
-    """The colours of a page by role, and the models that keep theirs whatever is shown."""
+    """The colours of a page by role, the models that keep theirs whatever is shown, and what all sources share."""
 
     def __init__(self, dark: bool) -> None:
         self._models: list[tuple[Any, dict[str, str]]] = []
+        # All sources have the same: Bokeh goes through all models for each that changes.
+        self.policy, self.every = models.UnionRenderers(), models.AllIndices()
         self.change(dark)
 
     def paint(self, model: Any, **roles: str) -> None:
@@ -167,11 +170,12 @@ class Figure:
         """Return the source of a name; the first time what it is drawn with is made."""
         if name not in self.sources:
             make, fields, more, look = _GLYPHS[name]
-            self.sources[name] = models.ColumnDataSource(
-                data={one: [] for one in (*fields, *more)}, name=f"{self.plot.name}-{name}"
+            columns, policy, view = [*fields, *more], self._theme.policy, models.CDSView(filter=self._theme.every)
+            self.sources[name] = source = models.ColumnDataSource(
+                data={one: [] for one in columns}, name=f"{self.plot.name}-{name}", selection_policy=policy
             )
             glyph = make(**{one: field(one) for one in fields}, **look)
-            drawn = self.plot.add_glyph(self.sources[name], glyph, nonselection_glyph=None, muted_glyph=None)
+            drawn = self.plot.add_glyph(source, glyph, view=view, nonselection_glyph=None, muted_glyph=None)
             trace, number = self._trace, self._number
             if name == "cloud":
                 self._theme.paint(glyph, fill_color="series-1")
@@ -270,7 +274,9 @@ class Figure:
             look["fill_color"] = colours["page" if marker == "circle" else role]
             places = zip(x.tolist(), y.tolist(), one.words or [""] * len(x), strict=True)
             return "points", [look | {"x": at, "y": level, "words": words} for at, level, words in places]
-        line = {"xs": x, "ys": y, **self._stroke(_dashes(one), _WIDTHS[one.form], role)}
+        # A short line goes within its message, not as arrays of their own.
+        ends = (x.tolist(), y.tolist()) if len(x) <= _FEW else (x, y)
+        line = {"xs": ends[0], "ys": ends[1], **self._stroke(_dashes(one), _WIDTHS[one.form], role)}
         if one.form == "thin" and one.role:
             return "ground", [line]
         line["line_alpha"] = _THIN if one.form == "thin" else 1.0

@@ -31,9 +31,10 @@ def assign(model: Any, **values: Any) -> None:
 
 
 def put(source: Any, columns: Mapping[str, Any]) -> None:
-    """Set all columns of a source; nothing is sent if they have not changed."""
-    if not all(_equal(source.data[key], one) for key, one in columns.items()):
-        source.data = dict(columns)
+    """Set the columns of a source that have changed: each array that is sent costs two messages."""
+    changed = {key: one for key, one in columns.items() if not _equal(source.data[key], one)}
+    if changed:
+        source.data.update(changed)
 
 
 def _equal(one: Any, other: Any) -> bool:
