@@ -238,14 +238,13 @@ def test_the_satellite_is_turned_by_its_wheel_and_the_verdict_says_what_takes_no
     assert "is unloaded outside of this job" in result.assumptions
 
 
-def test_a_telescope_that_rests_is_not_said_to_slide():
+def test_a_telescope_that_rests_is_held_by_its_bristles():
+    """Runs have the jitter of its linear budget within 2 %."""
     job, loops = designed(MOUNT)
     resting = dataclasses.replace(job, budget=dataclasses.replace(job.budget, turning={}))
-    # The rest is judged, and the budget's limit is missed for that reason.
     verdict = verification.check_job(dataclasses.replace(resting, manoeuvres=()), loops)
-    [missed] = [one for one in verdict.requirements if not one.passed]
-    assert missed.name == "line-of-sight jitter"
-    assert "bearings stick and slip" in missed.reason
+    assert [one.name for one in verdict.requirements if not one.passed] == []
+    assert ["rests on its bristles" in one for one in verdict.budget.friction.statement] == [True, True]
 
 
 def test_the_drone_gimbal_works_at_the_angles_of_its_job_and_with_its_mode_off_by_a_tenth():

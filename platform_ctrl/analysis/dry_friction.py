@@ -16,6 +16,11 @@ remainder s follows r as w follows v, late and filtered: the correlation of f(v)
 that of the rates, and r − s has
 
     Σ over n ≥ 2 of f_n² ρ_vv(τ)^n + g_n² ρ_ww(τ)^n − f_n g_n (ρ_vw(τ)^n + ρ_vw(−τ)^n).
+
+Bristles (LuGre), ż = v − σ0 |v| z/F, have a state: they are replaced by ż = κ v − λ z with the gains of h = σ0 |v| z/F
+at Gaussian v and z, λ = E[∂h/∂z] and 1 − κ = E[∂h/∂v] (Atalik and Utku, Earthquake Eng. Struct. Dyn. 4, 1976). For
+small motion that is the spring σ0, and, with F raised to 4/π F as the correlation r of v and z goes to 1, for fast
+sliding b v of the sign. The powers of r for that and for the remainder are fitted to the equation of the bristle.
 """
 
 from __future__ import annotations
@@ -25,7 +30,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.budget_integrals import KRONROD, between, nodes
 from platform_ctrl.common.arguments import positive, real_array, short
@@ -37,10 +42,20 @@ from platform_ctrl.plant.force_elements import Friction
 _FAR = 9.0
 # The describing function counts as valid where the rate is within ±coulomb_rate for no more of the time.
 _MOST_STICKING = 0.1
+# Bristles hold in proportion to motion: they may take more of its mean square.
+_MOST_BENDING = 0.75
 # Of a friction without a slope at rest a rate, rad/s, that is as good as none.
 _LEAST_RATE = 1e-12
-# Rounds of the balance of friction at most: a handful is the rule.
-_ITERATIONS = 200
+# Of bristles, by the squared correlation r² of rate and deflection: the power of r² by which the friction of their
+# gains is raised, and that of 1 − r² which the remainder lacks.
+_RAISED, _LACKING = 4, 1.5
+# Share of its friction below which an elasto-plastic bristle hardly slides.
+_ELASTIC = 0.9
+# Bristles of LuGre, and elasto-plastic ones, are springs up to this share of breakaway: where a loop is much softer
+# than they are they drift by slipping above it, which no linear model shows.
+_RESTING = (0.05, 0.2)
+# Rounds of the balance of friction at most: a handful is the rule. After some of them secants have not helped.
+_ITERATIONS, _SECANTS = 200, 20
 
 
 @value
@@ -165,6 +180,33 @@ def describing_function(friction: DryTorque, rms: float) -> Describing:
     return Describing(mean, viscous, math.sqrt(max(0.0, square - mean**2 - (viscous * rms) ** 2)))
 
 
+class BristleGains(NamedTuple):
+    """The replacement of bristles, ż = share v − slip z, slip in 1/s, and their remainder over that of the sign."""
+
+    share: float
+    slip: float
+    remainder: float
+
+
+def bristle_gains(friction: Friction, rms: float, reach: float, deflection: float) -> BristleGains:
+    """Return the replacement of bristles, for rms of the rate, rad/s, and deflection, rad; `reach`: E[v z]/rms, rad."""
+    x, weight = gaussian([friction.stribeck_rate / rms])
+    values, slides = torques(friction, rms, x), 1.0
+    per = friction.bristle_stiffness * x / values
+    if friction.elastoplastic:
+        # The part of E[z²] beyond the elastic deflections, which all slide as r goes to 1.
+        y = _ELASTIC * float(weight @ np.abs(values)) / (friction.bristle_stiffness * deflection)
+        slides = math.erfc(y / math.sqrt(2.0)) + y * math.sqrt(2.0 / math.pi) * math.exp(-0.5 * y * y)
+    slip, lost = rms * float(weight @ per), min(reach * float(weight @ (per * (x * x - 1.0))), 0.9)
+    low, high = 0.0, 1.0
+    while high - low > 1e-12:
+        square = 0.5 * (low + high)
+        part = (slides + (1.0 - slides) * square) / (1.0 + (4.0 / math.pi - 1.0) * square**_RAISED)
+        found = part * slip * reach / ((1.0 - part * lost) * rms)
+        low, high = (square, high) if found > square else (low, square)
+    return BristleGains(1.0 - part * lost, part * slip, 1.0 - (1.0 - square) ** _LACKING)
+
+
 def gaussian(scales: Sequence[float]) -> tuple[FloatArray, FloatArray]:
     """Return points of a unit Gaussian and their weights, in panels that end where torques turn about, at `scales`."""
     edges = np.outer(
@@ -196,7 +238,7 @@ class FrictionBalance:
     measured : (J,)
         rms of the rate that the drive finds, as it acts on the bearing, rad/s; 0 without drive.
     viscous : (J,)
-        Equivalent damping of the dry part, N m s.
+        Equivalent damping of the dry part, N m s; of bristles that of what is in phase with the rate.
     fed : (J,)
         Equivalent gain of what is fed forward, from the rate that the drive finds to its torque, N m s; 0 without
         drive.
@@ -206,6 +248,9 @@ class FrictionBalance:
         rms of the relative rate without dry friction, rad/s; infinite where it was not needed.
     turning : (J,)
         Mean rates about which the bearings move, rad/s.
+    bristles : (4, J)
+        Share and slip, 1/s, of bristles, their remainder over that of the sign, and the rms of their deflection over
+        that at which they break away; 0, 0, 1 and 0 of other friction.
     """
 
     frictions: tuple[Friction, ...]
@@ -217,6 +262,13 @@ class FrictionBalance:
     remainder: FloatArray
     undamped: FloatArray
     turning: FloatArray
+    bristles: FloatArray
+
+    @property
+    def gains(self) -> FloatArray:
+        """Dampings (J,), N m s, 0 of bristles, and then their shares (B,) and slips (B,), 1/s."""
+        share, slip, *_ = self.bristles
+        return np.concatenate([np.where(slip > 0.0, 0.0, self.viscous), share[slip > 0.0], slip[slip > 0.0]])
 
     @property
     def sticking(self) -> FloatArray:
@@ -224,26 +276,48 @@ class FrictionBalance:
 
         Of smooth friction the probability that the rate is within ±coulomb_rate, where the bearing hardly slides; else
         the share of the variance of the rate that friction takes away: it sticks instead of moving so much. Of a
-        bearing that turns the probability that it turns back.
+        bearing that turns the probability that it turns back. Of bristles with a drive also what their remainder lacks.
         """
         from scipy.special import erf, erfc
 
         near = np.array([one.coulomb_rate for one in self.frictions])
         creeping = np.asarray(erf(near / (np.maximum(self.rate, 1e-300) * math.sqrt(2.0))))
         taken = 1.0 - np.minimum(self.rate / np.maximum(self.undamped, 1e-300), 1.0) ** 2
+        taken = np.maximum(taken, np.where(self._elastic, 0.0, 1.0 - self.bristles[2]))
         back = 0.5 * np.asarray(erfc(np.abs(self.turning) / (np.maximum(self.rate, 1e-300) * math.sqrt(2.0))))
         return np.where(self.turning != 0.0, back, np.where(near > 0.0, creeping, taken))
 
     @property
+    def resting(self) -> FloatArray:
+        """1 where bristles without a drive are deflected so little that they are springs, else 0 (J,)."""
+        most = np.array([_RESTING[one.elastoplastic] for one in self.frictions])
+        return np.where(self._elastic & (self.bristles[3] <= most), 1.0, 0.0)
+
+    @property
+    def _elastic(self) -> NDArray[np.bool_]:
+        """Whether bearings have bristles and no drive (J,)."""
+        alone = np.array([one is None for one in self.drives], dtype=np.bool_)
+        return np.asarray(alone & (self.bristles[1] > 0.0))
+
+    @property
     def valid(self) -> FloatArray:
-        """1 where `sticking` is at most 0.1, else 0 (J,), dimensionless."""
-        return (self.sticking <= _MOST_STICKING).astype(np.float64)
+        """1 where `sticking` is at most 0.1, of bristles 0.75, or they are `resting`, else 0 (J,), dimensionless."""
+        within = self.sticking <= np.where(self._elastic, _MOST_BENDING, _MOST_STICKING)
+        return np.maximum(within.astype(np.float64), self.resting)
 
     @property
     def statement(self) -> tuple[str, ...]:
         """A sentence for each bearing."""
-        rows = zip(self.frictions, self.drives, self.rate, self.sticking, self.remainder, self.turning, strict=True)
-        return tuple(_statement(one, drive, *map(float, numbers)) for one, drive, *numbers in rows)
+        columns = self.rate, self.sticking, self.valid, self.remainder, self.turning
+        rows = zip(self.frictions, self.drives, *columns, strict=True)
+        each = [_statement(one, drive, *map(float, numbers)) for one, drive, *numbers in rows]
+        for k in np.flatnonzero(self.resting):
+            each[k] = (
+                f"friction of gimbal {self.frictions[k].gimbal}: it rests on its bristles, deflected by "
+                f"{100 * self.bristles[3, k]:.2g} % rms of what they slide at; {self.remainder[k]:.3g} N m rms of its "
+                "torque are not in proportion to that"
+            )
+        return tuple(each)
 
 
 def friction_balance(
@@ -258,8 +332,10 @@ def friction_balance(
 
     `rate_rms` gives, from the equivalent damping of the dry parts (J,), N m s, and the equivalent gains of the D drives
     that there are, the rms of the relative rates (J,) and of the rates that these drives find (D,), rad/s, of the
-    linear loop with them; the viscous parts are the caller's. `start` (J + D,) are first guesses of the rates, by
-    default ten times coulomb_rate, or without one those of a loop without dry friction; `drives` is what is fed forward
+    linear loop with them; the viscous parts are the caller's. Of B bearings that do not turn and have bristles their
+    dampings are 0, and at the end there are their shares and slips, and the rms of their deflections, rad. `start`
+    (J + D,) are first guesses of the rates, by default ten times coulomb_rate, or without one those of a loop without
+    dry friction; `drives` is what is fed forward
     against each friction, or None; `turning` (J,) the mean rates of the bearings, rad/s.
 
     The remainder is that of the friction alone: how much of it a drive takes off depends on the spectra of the rates,
@@ -271,36 +347,40 @@ def friction_balance(
     means = real_array("friction balance: turning", turning, (len(frictions),), 0.0)
     torques: list[DryTorque] = [about_mean(one, float(mean)) for one, mean in zip(frictions, means, strict=True)]
     torques += [one for one in drives if one is not None]
-    near = np.array([one.coulomb_rate for one in torques])
-    undamped = np.full(len(near), math.inf)
-    if not near.all():
-        undamped = np.asarray(rate_rms(np.zeros(len(torques))), dtype=np.float64)
-        near = np.where(near > 0.0, near, np.maximum(0.1 * undamped, 10.0 * _LEAST_RATE))
-    rate = real_array("friction balance: start", start, (len(near),)) if start is not None else 10.0 * near
+    elastic = [k for k, one in enumerate(torques) if isinstance(one, Friction) and one.bristle_stiffness]
+    J, plain = len(frictions), len(torques)
+    near, undamped = _near(torques, len(elastic), rate_rms)
+    rate = real_array("friction balance: start", start, (plain,)) if start is not None else 10.0 * near
     if start is None:
-        rate[: len(frictions)][means != 0.0] *= 1e-3
-    least = 1e-12 * near
+        rate[:J][means != 0.0] *= 1e-3
+    # Of bristles E[v z] over the rms of v is searched beside the rates, from that of fast sliding on.
+    slid = [math.sqrt(2.0 / math.pi) * max(frictions[k].breakaway) / frictions[k].bristle_stiffness for k in elastic]
+    near, rate, deflection = np.append(near, slid), np.append(rate, slid), np.array(slid)
     before: tuple[FloatArray, FloatArray] | None = None
-    for _ in range(_ITERATIONS):
-        found = [describing_function(one, float(at)) for one, at in zip(torques, rate, strict=True)]
+    for round_ in range(_ITERATIONS):
+        found = [describing_function(one, float(at)) for one, at in zip(torques, rate[:plain], strict=True)]
         gains = np.array([one.viscous for one in found])
-        new = np.asarray(rate_rms(gains), dtype=np.float64)
+        gains[elastic] = 0.0
+        each = zip(elastic, rate[plain:], deflection, strict=True)
+        laws = [bristle_gains(frictions[k], max(float(rate[k]), _LEAST_RATE), float(p), float(z)) for k, p, z in each]
+        of_bristles = np.array(laws).reshape(-1, 3).T
+        new = np.array(rate_rms(np.concatenate([gains, *of_bristles[:2]])), dtype=np.float64)
+        deflected = np.maximum(new[plain:], 1e-12 * deflection)
+        deflection = deflected**0.4 * deflection**0.6
+        # E[z ż] = 0.
+        new[plain:] = of_bristles[1] / of_bristles[0] * deflected**2 / np.maximum(new[elastic], _LEAST_RATE)
         if np.all(np.abs(new - rate) <= tolerance * np.maximum(new, 1e-9 * near)):
             break
-        # Secants of each bearing in logarithms: rates are positive, and dampings go as their inverse.
-        x, y = np.log(np.maximum(rate, least)), np.log(np.maximum(new, least))
-        slope = np.zeros(len(near))
-        if before is not None:
-            moved = x - before[0]
-            np.divide(y - before[1], moved, out=slope, where=np.abs(moved) > 1e-12)
-        before = (x, y)
-        rate = np.exp(x + (y - x) / (1.0 - np.clip(slope, -20.0, 0.9)))
+        x, y = (np.log(np.maximum(one, 1e-20 * near)) for one in (rate, new))
+        rate, before = np.exp(_stepped(x, y, before, round_ < _SECANTS)), (x, y)
     else:
         words = f"no rates found in {_ITERATIONS} loops, the last were {short(rate.tolist())}"
         raise NotFoundError(f"friction balance: {words}; start from other rates, or simulate")
-    J = len(frictions)
+    bristles = np.array([[0.0], [0.0], [1.0], [0.0]]) * np.ones(J)
+    bristles[:, elastic] = *of_bristles, math.sqrt(2.0 / math.pi) * deflected / slid
+    gains[elastic] = [frictions[k].bristle_stiffness for k in elastic] * rate[plain:] / rate[elastic]
     measured, fed = np.zeros(J), np.zeros(J)
-    measured[driven], fed[driven] = new[J:], gains[J:]
+    measured[driven], fed[driven] = new[J:plain], gains[J:]
     return FrictionBalance(
         frictions=tuple(frictions),
         drives=drives,
@@ -308,10 +388,33 @@ def friction_balance(
         measured=measured,
         viscous=gains[:J],
         fed=fed,
-        remainder=np.array([one.remainder for one in found[:J]]),
+        remainder=bristles[2] * [one.remainder for one in found[:J]],
         undamped=undamped[:J],
         turning=means,
+        bristles=bristles,
     )
+
+
+def _stepped(x: FloatArray, y: FloatArray, before: tuple[FloatArray, FloatArray] | None, secants: bool) -> FloatArray:
+    """Return the next logarithms of rates after x, which make y, by secants of each or half-way; `before`: the last."""
+    # Rates are positive, and dampings go as their inverse.
+    slope = np.full(len(x), 0.0 if secants else -1.0)
+    if before is not None and secants:
+        moved = x - before[0]
+        np.divide(y - before[1], moved, out=slope, where=np.abs(moved) > 1e-12)
+    return np.asarray(x + (y - x) / (1.0 - np.clip(slope, -20.0, 0.9)))
+
+
+def _near(
+    torques: Sequence[DryTorque], elastic: int, rate_rms: Callable[[FloatArray], FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return small rates of torques, and where these have none of their own the rates without dry friction, rad/s."""
+    near = np.array([one.coulomb_rate for one in torques])
+    if near.all():
+        return near, np.full(len(near), math.inf)
+    none = np.concatenate([np.zeros(len(near) + elastic), np.ones(elastic)])
+    undamped = np.asarray(rate_rms(none), dtype=np.float64)[: len(near)]
+    return np.where(near > 0.0, near, np.maximum(0.1 * undamped, 10.0 * _LEAST_RATE)), undamped
 
 
 def about_mean(friction: Friction, turning: float) -> Friction | TurningFriction:
@@ -320,17 +423,23 @@ def about_mean(friction: Friction, turning: float) -> Friction | TurningFriction
 
 
 def _statement(
-    friction: Friction, drive: FedFriction | None, rate: float, sticking: float, remainder: float, turning: float
+    friction: Friction,
+    drive: FedFriction | None,
+    rate: float,
+    sticking: float,
+    holds: float,
+    remainder: float,
+    turning: float,
 ) -> str:
     where = f"friction of gimbal {friction.gimbal}: "
     less = "" if drive is None else f", less the {drive.friction:.3g} N m that are fed forward,"
     left = f"{remainder:.3g} N m rms of its torque{less} are not in proportion to the rate"
     if turning:
         back = f"turns at {turning:.3g} rad/s, with {rate:.3g} rad/s rms beside that"
-        if sticking <= _MOST_STICKING:
+        if holds:
             return f"{where}it {back}; {left}"
         return f"{where}the linear budget does not hold: it {back}, and often turns back; simulate; {left}"
-    if sticking <= _MOST_STICKING:
+    if holds:
         still = "of the time nearly at rest" if friction.coulomb_rate else "of its motion held back by friction"
         return f"{where}it slides at {rate:.3g} rad/s rms, {100 * sticking:.2g} % {still}; {left}"
     if friction.coulomb_rate:

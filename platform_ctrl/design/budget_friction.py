@@ -50,7 +50,8 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
         return Balanced(q, friction_balance((), lambda gains: gains), ())
     bearings = [len(LOS_RATES) + loop.job.platform.gimbal(one.gimbal) for one in loop.dry]
     driven = [k for k, law in enumerate(loop.laws) if law is not None]
-    first = len(LOS_RATES) + len(loop.job.platform.gimbals)
+    elastic = len(LOS_RATES) + len(loop.job.platform.gimbals)
+    first = elastic + len(loop.elastic)
     # Between what the budget counts and what the loop samples.
     corner = 2.0 * math.pi * math.sqrt(loop.budget.from_hz * 0.5 / loop.job.sampling.period)
     controller = _with_finders(loop, q)
@@ -69,7 +70,7 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
                 "budget: with the damping that dry friction has at these rates the loop is not stable: bearings stick "
                 "and slip; say in [budget.turning] how fast they turn, or limit the line of sight in a manoeuvre"
             ) from error
-        return np.asarray(total[[*bearings, *range(first, first + len(driven))]])
+        return np.asarray(total[[*bearings, *range(first, first + len(driven)), *range(elastic, first)]])
 
     drives = tuple(
         None if law is None else FedFriction(friction=law.friction, friction_rate=law.friction_rate)
@@ -77,7 +78,8 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
     )
     start = None if near is None else np.concatenate([near.rate, near.measured[driven]])
     balance = friction_balance(loop.dry, rates, start, _FRICTION_TOLERANCE, drives, loop.turning)
-    moved = found(np.concatenate([balance.viscous, balance.fed[driven]]), True)
+    J = len(loop.dry)
+    moved = found(np.concatenate([balance.gains[:J], balance.fed[driven], balance.gains[J:]]), True)
     lowest = 2.0 * math.pi * loop.budget.from_hz
     left, rest, highest = np.zeros(len(drives)), [], _highest(loop, balance, q)
     for k, (one, drive, at) in enumerate(zip(loop.dry, drives, bearings, strict=True)):
@@ -95,13 +97,15 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
             )
         if balance.remainder[k] <= _NO_REMAINDER * max(one.breakaway):
             continue  # it turns all the time
-        bearing = about_mean(one, float(loop.turning[k]))
+        bearing, less = about_mean(one, float(loop.turning[k])), 1.0
+        if drive is None and one in loop.elastic:
+            at, less = elastic + loop.elastic.index(one), float(balance.bristles[2, k])
         noise = friction_noise(
             bearing, float(balance.rate[k]), moved.edges, moved.total_cumulative[at], lowest, of_drive
         )
         if noise is not None:
-            left[k] = noise.rms
-            at_gimbal, spectrum = (loop.torque_on(one.gimbal),), _within(noise.spectrum, highest)
+            left[k] = less * noise.rms
+            at_gimbal, spectrum = (loop.torque_on(one.gimbal),), _within(noise.spectrum, highest, less)
             rest.append(RandomDisturbance(name=f"dry friction of {one.gimbal}", inputs=at_gimbal, spectra=(spectrum,)))
     return Balanced(q, replaced(balance, {"remainder": left}), tuple(rest))
 
@@ -121,13 +125,15 @@ def _highest(loop: BudgetLoop, balance: FrictionBalance, q: FloatArray) -> float
     """
     if loop.cycle == 1:
         return math.inf
-    plant = loop.damped(balance.viscous, q)
+    plant = loop.damped(balance.gains, q)
     modes = np.abs(poles(plant.plant.A)).max(initial=0.0)
     return min(max(_SAMPLING * plant.sample_frequency, _MODES * float(modes)), plant.highest)
 
 
-def _within(spectrum: Density, highest: float) -> Density:
-    """Return a smooth spectrum up to a frequency, in a long cycle, whose images lie on one another, as a whole."""
+def _within(spectrum: Density, highest: float, share: float) -> Density:
+    """Return a share of a noise up to a frequency, in a long cycle, whose images lie on one another, as a whole."""
+    density = spectrum.density
+    spectrum = replaced(spectrum, {"density": lambda w: share**2 * density(w)})
     if math.isinf(highest):
         return spectrum
     ends = spectrum.knots[[0, -1]]
@@ -148,17 +154,17 @@ def _with_finders(loop: BudgetLoop, q: FloatArray) -> MultiRate:
 def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner: float | None) -> HybridPlant:
     """Return the model with a further control for each drive, whose input is the rate that it finds.
 
-    `gains` are the damping (J,) in the place of dry friction, then those of the drives. Further outputs: the rate that
-    each drive finds, as it acts on the bearing; with a `corner` also its sums with the bearing's own rate, and with
-    that behind a low-pass.
+    `gains` are the damping (J,) in the place of dry friction, those of the drives, then those of bristles. Further
+    outputs: the rate that each drive finds, as it acts on the bearing; with a `corner` also its sums with the bearing's
+    own rate, and with that behind a low-pass.
     """
     J = len(loop.dry)
-    base = loop.damped(gains[:J], q)
+    laws = [(law, one) for law, one in zip(loop.laws, loop.dry, strict=True) if law is not None]
+    base = loop.damped(np.delete(gains, slice(J, J + len(laws))), q)
     A, B, C, D, _ = base.plant
     n, m = len(A), base.controls
-    laws = [(law, one) for law, one in zip(loop.laws, loop.dry, strict=True) if law is not None]
     lags = [base.lag[loop.torquers.index(law.torquer)] for law, _ in laws]
-    columns = [gain * B[:, m + loop.torque_on(one.gimbal)] for gain, (_, one) in zip(gains[J:], laws, strict=True)]
+    columns = [gain * B[:, m + loop.torque_on(one.gimbal)] for gain, (_, one) in zip(gains[J:], laws, strict=False)]
     B = np.insert(B, m, np.array(columns).reshape(-1, n), axis=1)
     D = np.insert(D, m, np.zeros((len(laws), len(D))), axis=1)
     own = np.eye(len(laws), B.shape[1], m)
@@ -191,7 +197,7 @@ def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner:
 
 def prepared(loop: BudgetLoop, at: Balanced) -> tuple[JitterBudget, JitterBudget]:
     """Return the budgets of the sources as if independent and as they are, one where that is the same."""
-    plant = loop.damped(at.friction.viscous, at.q)
+    plant = loop.damped(at.friction.gains, at.q)
     together = loop.prepared(plant, [*loop.together, *at.rest], loop.budget.exposure)
     if loop.together is loop.apart:
         return together, together

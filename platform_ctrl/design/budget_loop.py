@@ -29,6 +29,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import connected, linearise
 from platform_ctrl.mechanics.outputs import observed_system
 from platform_ctrl.mechanics.state_space import free_system, linear_system, tilting
+from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES
 from platform_ctrl.plant.sensors import LOS_RATES
 
@@ -58,6 +59,9 @@ class BudgetLoop:
         self.torquers = [one.name for one in job.platform.torquers if one.name in used]
         self.laws = self._drives()
         self.turning = self._turning()
+        self.elastic = [
+            one for one, rate in zip(self.dry, self.turning, strict=True) if one.bristle_stiffness and not rate
+        ]
         self.cycle = self.controllers_of(controllers, job.trims[0]).cycle
         self.inputs: list[str] = []
         columns = [self._input(source) for source in budget.sources]
@@ -124,9 +128,12 @@ class BudgetLoop:
         """Return what sources do to a plant, for any controller."""
         return JitterBudget(plant, sources, exposures, 2.0 * math.pi * self.budget.from_hz)
 
-    def damped(self, viscous: FloatArray, q: FloatArray) -> HybridPlant:
-        """Return the model about gimbal angles with damping (J,) in the place of dry friction."""
-        added = dict(zip((one.gimbal for one in self.dry), map(float, viscous), strict=True))
+    def damped(self, gains: FloatArray, q: FloatArray) -> HybridPlant:
+        """Return the model about gimbal angles with the `gains` of a `FrictionBalance` in the place of dry friction.
+
+        Outputs behind the readings: rates of the line of sight and of the gimbals, deflections of bristles.
+        """
+        added = dict(zip((one.gimbal for one in self.dry), map(float, gains), strict=False))
         frictions = [
             dataclasses.replace(one, viscous=one.viscous + added[one.gimbal], coulomb=(0.0, 0.0), breakaway=(0.0, 0.0))
             if one.gimbal in added
@@ -155,20 +162,23 @@ class BudgetLoop:
         tilted = tilting(shown.B, platform) @ np.array([[one == name for one in self.inputs] for name in OMEGA_NAMES])
         # The gimbals' rates: the first states are their angles.
         rates = len(model.angle_names)
-        C, D = np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])
+        plant = System(A, B[:, columns], np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])[:, columns])
+        for one, share, slip in zip(self.elastic, *np.split(gains[len(self.dry) :], 2), strict=True):
+            k = self.job.platform.gimbal(one.gimbal)
+            plant = _with_bristles(plant, one, (k, momenta[k]), share, slip)
         period, often = self.job.sampling.period, self.job.often_read
         late = {one.name: one.periods_late(period, often.get(one.name, 1)) for one in platform.sensors}
         return HybridPlant(
-            plant=System(A, B[:, columns], C, D[:, columns]),
+            plant=plant,
             controls=len(controls),
             measured=len(self.sensors),
             period=period,
             delay=self.job.sampling.delay,
             lag=np.array([torquers[name].lag for name in self.torquers]),
             reading_delay=tuple(late[name] for name in self.sensors),
-            integrated=(True,) * len(LOS_RATES) + (False,) * rates,
+            integrated=(True,) * len(LOS_RATES) + (False,) * (rates + len(self.elastic)),
             cycle=self.cycle,
-            of_integral=tilted if tilted.any() else None,
+            of_integral=np.pad(tilted, ((0, len(self.elastic)), (0, 0))) if tilted.any() else None,
         )
 
     def _input(self, source: Source) -> int:
@@ -250,6 +260,20 @@ class BudgetLoop:
                 )
             )
         return [*out, *(one for one in self.sources if isinstance(one, SineDisturbance)), *self.noise]
+
+
+def _with_bristles(plant: System, friction: Friction, states: tuple[int, int], share: float, slip: float) -> System:
+    """Return a plant with ż = share q̇ − slip z and −σ0 z − σ1 ż on the momentum; `states`: angle and momentum."""
+    A, B, C, D, _ = plant
+    angle, momentum = states
+    A, C = (np.pad(one, ((0, 1), (0, 1))) for one in (A, C))
+    B, D = (np.pad(one, ((0, 1), (0, 0))) for one in (B, D))
+    A[-1], B[-1], C[-1, -1] = share * A[angle], share * B[angle], 1.0
+    A[-1, -1] -= slip
+    A[momentum] -= friction.bristle_damping * A[-1]
+    B[momentum] -= friction.bristle_damping * B[-1]
+    A[momentum, -1] -= friction.bristle_stiffness
+    return System(A, B, C, D)
 
 
 def _spectrum(source: Source, low: float, high: float) -> Density | None:

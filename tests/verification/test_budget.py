@@ -265,6 +265,22 @@ def test_dry_friction_shakes_as_in_the_non_linear_simulation(tmp_path: Path) -> 
     assert found.rms[0, 0] < 0.96 * expected
 
 
+@pytest.mark.parametrize("law", ["false", "true"])
+def test_bristles_shake_as_in_the_simulation_where_they_bend_give_way_and_slide(tmp_path: Path, law: str) -> None:
+    """The base turns by 1.6 mrad rms; the bristles break away at 60, 0.8 and 0.06 mrad."""
+    rows, without = multisine(0.01), line_of_sight_budget(shaken(tmp_path, multisine(0.01)), controllers()).total[0]
+    bent = []
+    for coulomb in (0.3, 4e-3, 3e-4):
+        bristles = f", coulomb = {coulomb}, bristle_stiffness = 5.0, bristle_damping = 0.01, elastoplastic = {law}"
+        of = shaken(tmp_path, rows, bristles)
+        found = line_of_sight_budget(of, controllers())
+        assert found.total[0] == pytest.approx(simulated(of, rows), rel=0.15)
+        assert found.friction.valid[0]
+        assert abs(found.total[0] / without - 1.0) > 0.05
+        bent.append(float(found.friction.bristles[3, 0]))
+    assert bent[0] < 0.05 < 0.3 < bent[1] < 0.75 < bent[2] < 0.85
+
+
 DRIVE = """
 [[plant.rate_sensor]]
 name = "base_rate"
