@@ -72,7 +72,12 @@ class Metric(Quantity):
     def of_disturbances(self) -> bool:
         """Whether it is about what continuous disturbances do, between samples too."""
         parts = self.measure.transfers if isinstance(self.measure, measuring.Peak) else ()
-        return any(one.source == "Omega" or (one.source, one.target) == ("torque", "angle") for one in parts)
+        return self.of_Omega or any((one.source, one.target) == ("torque", "angle") for one in parts)
+
+    @property
+    def of_Omega(self) -> bool:
+        """Whether it is about what the platform's rate does."""
+        return isinstance(self.measure, measuring.Peak) and any(one.source == "Omega" for one in self.measure.transfers)
 
     @property
     def of_sight(self) -> bool:

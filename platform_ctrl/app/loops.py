@@ -148,6 +148,8 @@ class CagedCurves(drawn.LoopCurves):
         turn, commanded, held = caged_excitation(self.job, self.axis, plants.angles, plants.nutation, plants.period)
         if self.loop.spec.kind == "rate":
             turn = turn._replace(limit=None)
+        if plants.tilted:
+            turn = turn._replace(title=f"{turn.title}, gravity turns with the base")
         commands = held.T
         inputs = np.vstack([turn.u, commands])
         columns = [m + self.axis - 1, *(m + 3 + plants.angles.index(name) for name in commanded)]

@@ -4,10 +4,11 @@ A loop has to keep the rates T q̇ + c Omega at zero; it does so where its gimba
 
 Into the torque: with W in the equations M q̈ + D q̇ + K q + M_Omega Omega' + G_Omega Omega = Q the gimbals need
 
-    Q = (M W + M_Omega) Omega' + (D W + G_Omega) Omega + K W ∫Omega dt,
+    Q = (M W + M_Omega) Omega' + (D W + G_Omega) Omega + (K W − F) ∫Omega dt,
 
-for the inertia that couples, viscous friction and rotors, and the springs. Omega' is filtered, the integral decays
-slowly, so that what the sensors' bias adds up to stays bounded.
+for the inertia that couples, viscous friction and rotors, springs, and the torque F θ of gravity, fixed in space, as
+the platform turns by θ. Omega' is filtered, the integral decays slowly, so that what the sensors' bias adds up to stays
+bounded.
 
 Into the readings y = T_y q̇ + c_y Omega: y + w Omega is zero at q̇ = W Omega, where W is that of the inertial rates of
 the same bodies about the same axes: w = −(T_y W + c_y). Angles get w ∫Omega dt.
@@ -35,7 +36,7 @@ from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.job.resolve import ideal
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed_system
-from platform_ctrl.mechanics.state_space import linear_system
+from platform_ctrl.mechanics.state_space import linear_system, tilting
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, components, gimbal_rate
 
@@ -143,12 +144,13 @@ def _torque(model: LinearModel, signals: LoopSignals, fed: Feedforward, seen: Fl
     turned = np.array([[float(t.gimbal == name) for t in signals.torquers] for name in signals.gimbals])
     to_torques = np.linalg.pinv(turned)
     rate = 2.0 * np.pi * (fed.bandwidth_hz or _DERIVATIVE / period)
+    fixed = tilting(model.Q_force[rows], model.platform)
     of_change, of_rate, of_angle = (
         _without_rounding(to_torques @ needed, to_torques @ np.abs(scale)) @ np.linalg.pinv(seen)
         for needed, scale in (
             (model.M[part] @ W + model.M_Omega[rows], model.M[part] @ np.abs(W)),
             (model.damping[part] @ W + model.G_Omega[rows], model.damping[part] @ np.abs(W)),
-            (model.stiffness[part] @ W, model.stiffness[part] @ np.abs(W)),
+            (model.stiffness[part] @ W - fixed, model.stiffness[part] @ np.abs(W)),
         )
     )
     # s/(1 + s/rate) = rate − rate²/(s + rate)

@@ -23,8 +23,6 @@ _FEWEST_SAMPLES = 20
 _NOTHING, _SILENT = 1e-9, 1e-15
 # Limits of runs that are means over the time behind `settle`.
 _MEANS = ("los_angle_rms", "los_rate_rms", "attenuation_db")
-# Metrics of loops that are about the platform's rate.
-_OF_OMEGA = ("Omega rejection", "attenuation", "torque limit")
 
 
 def unexercised(job: Job) -> Iterator[Mistake]:
@@ -58,10 +56,10 @@ def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float]) -> Iterator[Mis
         kind, scope = known.get(key, ("", ""))
         if not kind or scope in ("hz", "from_hz"):
             continue
-        if kind in _OF_OMEGA and spec.moves_root(job.platform):
+        if METRICS[kind].of_Omega and spec.moves_root(job.platform):
             words = f"{key} is about a prescribed rate of {job.platform.root_name!r}, which this loop moves"
             yield key, f"{words}; use torque_rejection, or a manoeuvre with a torque on it"
-        elif kind in _OF_OMEGA and not np.any(job.Omega > _NOTHING):
+        elif METRICS[kind].of_Omega and not np.any(job.Omega > _NOTHING):
             words = f"{key} is about the platform's rate, and Omega = [0, 0, 0]: the platform never turns"
             yield key, f"{words}; state how fast it turns in [operation], or leave the limit out"
         if kind == "torque limit":

@@ -185,6 +185,8 @@ class LoopRequirement(Requirement):
         if self.metric.of != "controller":
             if plants.held:
                 words.append(f"held: {', '.join(plants.held)}")
+            if plants.tilted and self.metric.of_Omega:
+                words.append("gravity fixed in space, tilts of at most 1 rad")
             if plants.limited:
                 words.append(f"{KEYHOLE} at {'; '.join(plants.limited)}")
             if self.kind == "stability":

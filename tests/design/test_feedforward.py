@@ -247,7 +247,8 @@ def test_the_torque_keeps_what_is_read_at_zero_on_skewed_gimbals(seed):
     rng = np.random.default_rng(seed)
     frictions = [{"gimbal": name, "viscous": float(rng.uniform(0.0, 0.1))} for name in ("yaw", "pitch")]
     springs = [{"gimbal": name, "stiffness": float(rng.uniform(0.0, 1.0))} for name in ("yaw", "pitch")]
-    plant = skewed(sighted(friction=frictions, spring=springs))
+    heavy = [{"body": "pitch", "moment": list(rng.normal(size=3) * 0.03)}]
+    plant = replace(skewed(sighted(friction=frictions, spring=springs, unbalance=heavy)), gravity=9.81 * np.ones(3))
     gyros = tuple(replace(one, misalignment=None) for one in plant.rate_sensors)
     base = [RateSensor(name=name, root_axis=axis) for axis, name in enumerate(BASE, 1)]
     plant = replace(plant, rate_sensors=(*gyros, *base))

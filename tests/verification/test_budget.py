@@ -20,8 +20,10 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.cli import main
 from platform_ctrl.design import loops
 from platform_ctrl.design.plants import plants_of
+from platform_ctrl.design.sections import gain
 from platform_ctrl.errors import ArgumentError, NotFoundError
 from platform_ctrl.job.reading import job_data
+from platform_ctrl.job.requirements import requirement
 from platform_ctrl.simulation import Scenario, TimeTable, simulate
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import line_of_sight_budget
@@ -189,6 +191,8 @@ def test_a_loop_sees_the_tilt_of_its_base_up_to_one_radian(tmp_path: Path) -> No
     moved = INERTIA * s**2 + DAMPING * s + k
     np.testing.assert_allclose(found, 1.0 - s * (INERTIA * s + k * tilt) / moved, rtol=1e-9)
     np.testing.assert_allclose(found[2:], (DAMPING * s / moved)[2:], rtol=1e-9)
+    result = requirement("Omega rejection", 1e9).check(plants, gain(np.zeros((1, 1)))._replace(dt=PERIOD))
+    assert "gravity fixed in space, tilts of at most 1 rad" in result.evidence
 
 
 def test_correlated_sources_count_together_in_the_total_alone(tmp_path: Path) -> None:
