@@ -9,6 +9,7 @@ from typing import Any
 import control
 import pytest
 
+from campaign_runs import processes_here
 from driven_gimbal import COULOMB, FRICTION, driven_job
 from platform_ctrl import read_job
 from platform_ctrl.campaign import plan, rerun, run_campaign
@@ -44,8 +45,9 @@ def test_a_campaign_with_varied_friction_fed_forward_is_separate_runs_bit_for_bi
         )
 
 
-def test_runs_with_other_drives_are_another_campaign(tmp_path: Path) -> None:
+def test_runs_with_other_drives_are_another_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Kept runs are continued only by runs that follow from the same: what drives feed forward moves the gimbals."""
+    monkeypatch.setattr("platform_ctrl.campaign.engine.processes_here", processes_here)
     run_campaign(plan(job(), [K]), tmp_path, workers=1)
     with pytest.raises(InputError, match="another job"):
         run_campaign(plan(job(friction=0.8 * COULOMB), [K]), tmp_path, workers=1)

@@ -213,7 +213,7 @@ def alone(job):
 def test_every_entry_of_a_controller_can_be_moved(alone):
     """Behind the PID, with a goal out of its reach."""
     limits = {"disk_margin": 0.5, "damping": 0.1, "torque_noise": 0.005}
-    free, _ = alone("state-space", limits, {"bandwidth_hz": 90.0}, order=4, evaluations=150)
+    free, _ = alone("state-space", limits, {"bandwidth_hz": 90.0}, order=4, evaluations=80)
     assert free.passed
     assert free.claims["order"] >= 6
     # Integral action is kept, and S still falls below the bandwidth.
@@ -232,7 +232,7 @@ def test_without_goals_the_limits_are_met_with_the_reserve(alone):
 
 def test_a_bandwidth_is_not_bought_with_a_flat_sensitivity(alone):
     limits = {"disk_margin": 0.5, "damping": 0.1, "torque_noise": 0.005}
-    found, _ = alone("pid", limits, {"bandwidth_hz": 60.0}, evaluations=150)
+    found, _ = alone("pid", limits, {"bandwidth_hz": 60.0}, evaluations=80)
     tenth = requirement("tracking", 0.16, frequency=0.1 * found.measures.bandwidth)
     assert tenth.check(found.plants, found.controller).passed
 
@@ -428,7 +428,7 @@ def test_a_peak_far_narrower_than_the_distance_of_poles_is_found() -> None:
 
 def test_forms_in_the_controller_are_the_budget_and_their_slopes_those_of_differences():
     limits = dict.fromkeys(sight.KEYS, 1.0) | {"contrast": 0.01}
-    found = design.loops(sight.job([0.6], limits=limits))[0].closed
+    found = design.loops(sight.job(limits=limits))[0].closed
     K = System.of(found.controller, "pi")
     forms, other = found.plants.sight_budget.forms(K), K._replace(C=1.2 * K.C, D=1.2 * K.D)
     exact, elsewhere = found.plants.sight_budget.exact(K), found.plants.sight_budget.exact(other)

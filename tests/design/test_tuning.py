@@ -24,10 +24,8 @@ def _camera_with_cables(start: dict[str, float], kind: str, **limits: float) -> 
     ("kind", "start"),
     [
         ("rate", {"crossover_hz": 1e-4}),
-        ("rate", {"crossover_hz": 1.0}),
         ("rate", {"crossover_hz": 1.0, "integral_hz": 100.0}),
         ("rate", {"crossover_hz": 900.0}),
-        ("pointing", {"inertial_crossover_hz": 0.05}),
         ("pointing", {"inertial_crossover_hz": 400.0, "inertial_lead_hz": 900.0}),
     ],
 )

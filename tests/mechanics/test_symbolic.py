@@ -107,7 +107,7 @@ def assert_close(found, expected, size=None):
     assert np.abs(np.asarray(found) - expected).max(initial=0.0) <= 1e-12 * scale
 
 
-@for_all(st.tuples(platforms(max_gimbals=4), SEEDS), 3)
+@for_all(st.tuples(platforms(max_gimbals=4), SEEDS), 2)
 def test_zero_and_first_order_are_those_of_the_numeric_route(drawn):
     platform, seed = drawn
     rng = np.random.default_rng(seed)
@@ -294,9 +294,9 @@ def test_what_people_read_has_no_more_digits_than_the_values_of_its_symbols(form
     ("plant", "terms"), [(GYROS, "paper"), (read_platform(ELEMENTS), "exact")], ids=["gyros", "elements"]
 )
 def test_sympy_reads_the_record_back(plant, terms):
-    found = equations(plant, "sympy", order=2, terms=terms)
-    record = json.loads(json.dumps(equations(plant, "json", order=2, terms=terms)))
-    assert (record["schema"], record["order"], record["terms"]) == (1, 2, terms)
+    found = equations(plant, "sympy", order=1, terms=terms)
+    record = json.loads(json.dumps(equations(plant, "json", order=1, terms=terms)))
+    assert (record["schema"], record["order"], record["terms"]) == (1, 1, terms)
     rng = np.random.default_rng(1)
     n = len(plant.gimbals)
     point = {"q": rng.normal(size=n), "velocity": rng.normal(size=3 + n), "velocity_dot": rng.normal(size=3 + n)}
