@@ -69,15 +69,10 @@ class Metric(Quantity):
         return "up to" if isinstance(self.measure, measuring.Peak) and self.measure.banded else ""
 
     @property
-    def of_disturbances(self) -> bool:
-        """Whether it is about what continuous disturbances do, between samples too."""
+    def disturbed_by(self) -> set[str]:
+        """The continuous disturbances whose effect it is, between samples too: ``"Omega"``, ``"torque"`` or none."""
         parts = self.measure.transfers if isinstance(self.measure, measuring.Peak) else ()
-        return self.of_Omega or any((one.source, one.target) == ("torque", "angle") for one in parts)
-
-    @property
-    def of_Omega(self) -> bool:
-        """Whether it is about what the platform's rate does."""
-        return isinstance(self.measure, measuring.Peak) and any(one.source == "Omega" for one in self.measure.transfers)
+        return {one.source for one in parts if one.source == "Omega" or (one.source, one.target) == ("torque", "angle")}
 
     @property
     def of_sight(self) -> bool:

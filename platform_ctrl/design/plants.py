@@ -75,7 +75,7 @@ def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
             expect_no_keyhole(job, signals)
         found = sampled_plants(job, signals, job.every(spec))
         # What several designs, searches and bounds need again and again.
-        return found.with_disturbances() if any(one.metric.of_disturbances for one in spec.requests) else found
+        return found.with_disturbances() if any(one.metric.disturbed_by for one in spec.requests) else found
     except ArgumentError as error:
         raise InputError(f"loop {spec.name!r}: {error}") from None
 

@@ -150,7 +150,7 @@ class Tuner:
             plants = with_sight(self.plants, self.build(start), without_budget)
             return replaced(self, {"plants": plants}).run(start, starts)
         plants, told = self.plants, np.inf
-        if any(one.metric.of_disturbances for one in self.requirements):
+        if any(one.metric.disturbed_by for one in self.requirements):
             plants = plants.with_disturbances()
 
         def tell(ratio: float, line: str) -> None:

@@ -56,10 +56,10 @@ def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float]) -> Iterator[Mis
         kind, scope = known.get(key, ("", ""))
         if not kind or scope in ("hz", "from_hz"):
             continue
-        if METRICS[kind].of_Omega and spec.moves_root(job.platform):
+        if "Omega" in METRICS[kind].disturbed_by and spec.moves_root(job.platform):
             words = f"{key} is about a prescribed rate of {job.platform.root_name!r}, which this loop moves"
             yield key, f"{words}; use torque_rejection, or a manoeuvre with a torque on it"
-        elif METRICS[kind].of_Omega and not np.any(job.Omega > _NOTHING):
+        elif "Omega" in METRICS[kind].disturbed_by and not np.any(job.Omega > _NOTHING):
             words = f"{key} is about the platform's rate, and Omega = [0, 0, 0]: the platform never turns"
             yield key, f"{words}; state how fast it turns in [operation], or leave the limit out"
         if kind == "torque limit":

@@ -165,13 +165,13 @@ class LoopRequirement(Requirement):
 
     def _method(self, exact: bool) -> Method:
         """Return how a value was found."""
-        if self.kind in BETWEEN_SAMPLES or self.metric.of_disturbances:
+        if self.kind in BETWEEN_SAMPLES or self.metric.disturbed_by:
             return "refined" if exact else "sampled"
         return "exact" if exact or not self.metric.searched else "sampled"
 
     def _unbounded(self, value: float) -> str:
         """Return the meaning of an infinite value that is no sign of instability."""
-        if not (np.isinf(value) and self.metric.of_disturbances and self.lowest == 0.0):
+        if not (np.isinf(value) and self.metric.disturbed_by and self.lowest == 0.0):
             return ""
         key = self.metric.lowest_key
         cure = f"; where that is meant, say from which frequency on: {key}" if key else ""
@@ -180,12 +180,12 @@ class LoopRequirement(Requirement):
     def _conditions(self, plants: PlantSet, free: Sequence[str]) -> str:
         """Return further assumptions of a value: held gimbals, free angles, dry friction, times between samples."""
         words = []
-        if self.kind in BETWEEN_SAMPLES or self.metric.of_disturbances:
+        if self.kind in BETWEEN_SAMPLES or self.metric.disturbed_by:
             words.append("between samples, by a grid refined to 0.1 %")
         if self.metric.of != "controller":
             if plants.held:
                 words.append(f"held: {', '.join(plants.held)}")
-            if plants.tilted and self.metric.of_Omega:
+            if plants.tilted and "Omega" in self.metric.disturbed_by:
                 words.append("gravity fixed in space, tilts of at most 1 rad")
             if plants.limited:
                 words.append(f"{KEYHOLE} at {'; '.join(plants.limited)}")

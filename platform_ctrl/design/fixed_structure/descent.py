@@ -123,7 +123,7 @@ class Search:
         # Where nothing is required of a plant, not even stability, it is of no interest.
         requested = [k for k, group in enumerate(plants.groups) if k == 0 or any(group in r.over for r in requirements)]
         plants = plants.only(requested)
-        if any(one.metric.of_disturbances for one in requirements):
+        if any(one.metric.disturbed_by for one in requirements):
             plants = plants.with_disturbances()
         self._given, self._plants = plants, finer(plants.regular())
         self._regular = bool(plants.drifting)
