@@ -234,13 +234,19 @@ class Designing:
     def run(self, progress: Progress) -> Design:
         """Return the controller u = K y, with its completed options and what the method claims."""
         from platform_ctrl.design.jobs import loops
+        from platform_ctrl.design.tuning import of_sight
 
         spec = self.job.loop(self.loop)
         design = next(one for one in spec.designs if one.name == self.design)
-        alone = [dataclasses.replace(spec, designs=(design,), use=design.name)]
-        if spec.around is not None:
-            inner = self.job.loop(spec.around)
-            alone.insert(0, dataclasses.replace(inner, designs=(inner.closed,)))
+        # With the loops on which it depends.
+        needed = {spec.around, *(one.name for one in self.job.loops if of_sight(spec.requests))}
+        alone = [
+            dataclasses.replace(spec, designs=(design,), use=design.name)
+            if one.name == spec.name
+            else dataclasses.replace(one, designs=(one.closed,))
+            for one in self.job.loops
+            if one.name in (*needed, spec.name)
+        ]
         outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress)
         closed = next(one.closed for one in outcomes if one.spec.name == spec.name)
         bare = {"plants": None, "measures": None, "results": (), "goals": (), "sections": (), "directions": None}

@@ -28,6 +28,8 @@ from platform_ctrl.design.loop import Design, with_resolvers
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, designed, shaped
 from platform_ctrl.design.methods import METHODS
+from platform_ctrl.design.sight import beside
+from platform_ctrl.design.tuning import of_sight
 from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
@@ -214,6 +216,9 @@ class ClosedLoops:
         """Return the selected loop with plants of its own, and lines about its controller."""
         spec, design = self.design(settings)
         plants = self.plants_of(settings, spec, design)
+        if self._beside(spec):
+            others = [self._closed(settings, one, False)[0] for one in self.read.loops if one.name != spec.name]
+            plants = beside(plants, {one.loop: one.controller for one in others})
         at = plants.labels.index(settings.plant) if settings.plant in plants.labels else 0
         note = "" if spec.around is None else self._closed_design(settings, self.plants.inside(spec))[2]
         loop = CagedLoop(
@@ -244,8 +249,17 @@ class ClosedLoops:
         )
 
     def plants_key(self, settings: Settings, spec: LoopSpec) -> Hashable:
-        """Return a key of everything that the plants of a loop depend on: of a tracking loop the inner loop."""
+        """Return a key of everything that the plants of a loop depend on: of a tracking loop the inner loop.
+
+        Of a loop with limits of the line of sight, the others.
+        """
+        if self._beside(spec):
+            return tuple(self.closed_key(settings, one) for one in self.read.loops if one.name != spec.name)
         return None if spec.around is None else self.closed_key(settings, self.plants.inside(spec))
+
+    def _beside(self, spec: LoopSpec) -> bool:
+        """Whether the values of a loop depend on the other loops: they have limits of the line of sight."""
+        return len(self.read.loops) > 1 and of_sight(spec.requests)
 
     def stabilised(self, settings: Settings) -> tuple[StabilisedCurves, tuple[str, ...]]:
         """Return the curves of all loops closed around the free platform, and lines about their controllers."""

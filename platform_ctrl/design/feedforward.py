@@ -59,7 +59,7 @@ def design_plants(job: Job, spec: LoopSpec, design: DesignSpec, known: PlantSet 
         plants = plants.fed_forward(rate_feedforward(job, read, design))
     if plants is None or not any(one.metric.of_sight for one in spec.requests):
         return plants
-    return replaced(plants, {"sight_budget": LoopSight(job=job, plants=plants)})
+    return replaced(plants, {"sight_budget": LoopSight(job=job, loop=spec.name, plants=plants)})
 
 
 def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedforward:

@@ -14,7 +14,7 @@ import json
 import os
 import pickle
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, as_completed
 from importlib import import_module, metadata
 from pathlib import Path
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl import __version__
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import System
 from platform_ctrl.common.files import write_whole
@@ -35,6 +36,8 @@ from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import METHODS, LoopProblem, evaluated, instability
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.design.plants import plants_of, tracking_plants
+from platform_ctrl.design.sight import beside
+from platform_ctrl.design.tuning import of_sight
 from platform_ctrl.errors import DesignError, InputError, began_with_interrupt
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
@@ -103,9 +106,10 @@ def attempted_loops(
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plants_of_all = {spec.name: plants_of_designs(job, spec) for spec in job.loops}
-    specs, made = {spec.name: spec for spec in job.loops}, dict[str, LoopOutcome]()
-    kept, newest = {} if folder is None else kept_in(folder), dict[str, Design]()
-    code = "" if folder is None else code_hash()
+    sighted = [spec for spec in job.loops if len(job.loops) > 1 and of_sight(spec.requests)]
+    # The first of them is made with the others as they are without their limits of the line of sight.
+    specs = {spec.name: _without_sight(spec) if spec in sighted else spec for spec in job.loops}
+    made, maker = dict[str, LoopOutcome](), _Maker(folder, processes)
     with shown(progress) as say:
         # A tracking loop has the rate loop that it commands in its plants.
         for tracking in (False, True):
@@ -114,26 +118,102 @@ def attempted_loops(
                 inner = made[str(spec.around)] if tracking and spec.kind == "tracking" else None
                 if inner is not None and (lost := inner.failure) is not None:
                     words = f"the design {lost.name!r} of the loop {lost.loop!r}, which it commands, has failed"
-                    errors = (DesignError(f"{name}, {design.name}: {words}") for design in spec.designs)
-                    made[name] = _outcome(spec, list(zip(spec.designs, errors, strict=True)))
-                elif (spec.kind == "tracking") is tracking:
+                    made[name] = _lost(spec, words)
+                elif (spec.kind == "tracking") is tracking and spec.name not in [one.name for one in sighted[:1]]:
                     around = None if inner is None else inner.closed
                     problems[name] = problems_of(job, spec, model, plants_of_all[name], around, say)
-            every = [one for own in problems.values() for one in own]
-            keys = [None if folder is None else key_of(one, code) for one in every]
-            for k, key in enumerate(keys):
-                known = None if key is None or key not in kept else taken_over(every[k], kept[key])
-                if known is not None:
-                    say(f"{known.loop}: {known.name}, unchanged")
-                    every[k] = dataclasses.replace(every[k], known=known)
-            all_made = _made_of(every, processes, say)
-            newest |= {key: one for key, one in zip(keys, all_made, strict=True) if key and isinstance(one, Design)}
-            found = iter(all_made)
+            found = iter(maker.made([one for own in problems.values() for one in own], say))
             for name, own in problems.items():
                 made[name] = _outcome(specs[name], [(problem.design, next(found)) for problem in own])
+
+        def beside_others(spec: LoopSpec) -> list[LoopProblem]:
+            controllers = {name: one.closed.controller for name, one in made.items() if name != spec.name}
+            own = [one and beside(one, controllers) for one in plants_of_all[spec.name]]
+            return problems_of(job, spec, model, own, None, say)
+
+        _limit_sight(sighted, made, beside_others, lambda problems: maker.made(problems, say))
     if folder is not None:
-        keep(folder, newest.items())
-    return in_order(job, list(map(made.__getitem__, specs)))
+        keep(folder, maker.newest.items())
+    return in_order(job, [made[spec.name] for spec in job.loops])
+
+
+def _limit_sight(
+    sighted: Sequence[LoopSpec],
+    made: dict[str, LoopOutcome],
+    problems_beside: Callable[[LoopSpec], list[LoopProblem]],
+    make: Callable[[Sequence[LoopProblem]], list[Made]],
+) -> None:
+    """Make loops with limits of the line of sight, each beside the others as they are by then.
+
+    They take the places of those in `made` without these limits. Those that do not keep their limits beside the last
+    ones are made again.
+    """
+    for spec in sighted:
+        others = [one.failure for name, one in made.items() if name != spec.name]
+        if (lost := next((one for one in others if one is not None), None)) is not None:
+            words = f"the design {lost.name!r} of the loop {lost.loop!r}, which moves the line of sight too, has failed"
+            made[spec.name] = _lost(spec, words)
+        else:
+            made[spec.name] = _outcome(spec, list(zip(spec.designs, make(problems_beside(spec)), strict=True)))
+    if not all(one.designs for one in made.values()):
+        return
+
+    def measure_again() -> None:
+        for spec in sighted:
+            before: dict[str, Made] = {one.name: one for one in made[spec.name].designs}
+            before |= {one.name: one.error for one in made[spec.name].failed if one.name not in before}
+            made[spec.name] = _outcome(
+                spec, [(one.design, _beside(one, before[one.design.name])) for one in problems_beside(spec)]
+            )
+
+    measure_again()
+    late = [spec for spec in sighted if len(sighted) > 1 and not made[spec.name].closed.passed]
+    for spec in late:
+        again = _outcome(spec, list(zip(spec.designs, make(problems_beside(spec)), strict=True)))
+        made[spec.name] = again if again.designs else made[spec.name]
+    if late:
+        measure_again()
+
+
+def _beside(problem: LoopProblem, made: Made) -> Made:
+    """Return what was made of a problem, measured with its plants."""
+    if not isinstance(made, Design):
+        return made
+    return _made(dataclasses.replace(problem, known=dataclasses.replace(made, plants=problem.plant_set)))
+
+
+class _Maker:
+    """What makes designs, or takes over those that a folder has; `newest` are those of the latter with their keys."""
+
+    def __init__(self, folder: Path | None, processes: int) -> None:
+        self._kept = None if folder is None else kept_in(folder)
+        self._code, self._processes = "" if folder is None else code_hash(), processes
+        self.newest: dict[str, Design] = {}
+
+    def made(self, problems: Sequence[LoopProblem], say: Progress) -> list[Made]:
+        """Return the design of each problem, or why there is none."""
+        every = list(problems)
+        keys = [None if self._kept is None else key_of(one, self._code) for one in every]
+        for k, key in enumerate(keys):
+            kept = None if self._kept is None or key is None else self._kept.get(key)
+            if kept is not None and (known := taken_over(every[k], kept)) is not None:
+                say(f"{known.loop}: {known.name}, unchanged")
+                every[k] = dataclasses.replace(every[k], known=known)
+        out = _made_of(every, self._processes, say)
+        self.newest |= {key: one for key, one in zip(keys, out, strict=True) if key and isinstance(one, Design)}
+        return out
+
+
+def _without_sight(spec: LoopSpec) -> LoopSpec:
+    """Return a loop without limits and goals of the line of sight."""
+    keys = {metric.key for metric in METRICS.values() if metric.of_sight}
+    limits, soft = ({key: x for key, x in of.items() if key not in keys} for of in (spec.limits, spec.soft))
+    return dataclasses.replace(spec, limits=limits, soft=soft)
+
+
+def _lost(spec: LoopSpec, words: str) -> LoopOutcome:
+    """Return the outcome of a loop of which no design can be made."""
+    return _outcome(spec, [(one, DesignError(f"{spec.name}, {one.name}: {words}")) for one in spec.designs])
 
 
 def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, Made]]) -> LoopOutcome:

@@ -1,9 +1,10 @@
-"""The budget of the line of sight of a job with one loop, for designs of that loop that it limits."""
+"""The budget of the line of sight of a job, for designs of one loop that it limits, all other loops closed."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import field
 
 import numpy as np
 
@@ -28,10 +29,12 @@ _WINDOWED = {"windowed_jitter": ((2, 3), 1.0), "smear": ((2,), math.sqrt(12.0))}
 
 @value
 class LoopSight:
-    """The budget of a job with one loop, with any controller of it."""
+    """The budget of a job with any controller of one loop."""
 
     job: Job
+    loop: str
     plants: PlantSet  # of the loop, as its design reads it
+    beside: Mapping[str, StateSpace] = field(default_factory=dict)  # controllers of the other loops
     sense: FloatArray | None = None  # from its readings to what controllers read
 
     def in_directions(self, sense: FloatArray) -> LoopSight:
@@ -84,7 +87,8 @@ class LoopSight:
     def _named(self, controller: System) -> list[StateSpace]:
         K = controller._replace(dt=self.plants.period)
         K = K if self.sense is None else K._replace(B=K.B @ self.sense, D=K.D @ self.sense)
-        return [delivered(K, self.plants, "loop")]
+        own = delivered(K, self.plants, "loop")
+        return [own if one.name == self.loop else self.beside[one.name] for one in self.job.loops]
 
     def _balanced(self, controller: System) -> tuple[BudgetLoop, list[Balanced]]:
         assert self.job.budget is not None, "the job has a budget"
@@ -106,3 +110,10 @@ class LoopSight:
         first = loop.torquers.index(self.plants.torques[0])
         E = [(response(np.outer(np.eye(m)[0], one)) - F)[:, first] for one in np.eye(q)]
         return np.stack(E, axis=1), F
+
+
+def beside(plants: PlantSet, controllers: Mapping[str, StateSpace]) -> PlantSet:
+    """Return plants of a loop whose line of sight is that with these controllers of the job's other loops, by name."""
+    if plants.sight_budget is None:
+        return plants
+    return replaced(plants, {"sight_budget": replaced(plants.sight_budget, {"beside": dict(controllers)})})

@@ -372,11 +372,11 @@ def value_mistakes(budget: BudgetSpec) -> Iterator[mistake.Mistake]:
 
 
 def sight_misfits(
-    limits: Mapping[str, float], budget: BudgetSpec | None, platform: Platform, alone: bool
+    limits: Mapping[str, float], budget: BudgetSpec | None, platform: Platform, apart: bool
 ) -> Iterator[mistake.Misfit]:
     """Yield limits or goals of a loop on the budget of the line of sight that the job does not have.
 
-    `alone`: whether the job has this loop alone, which is computed at every sample.
+    `apart`: whether all loops are computed at every sample, each with plants of its own and none within another.
     """
     for key in sorted({"jitter", "jitter_per_axis", *WINDOWED} & {*limits}):
         if budget is None or platform.line_of_sight is None:
@@ -387,9 +387,9 @@ def sight_misfits(
             yield key, f"{key} has no effect without spatial_frequencies of [budget], in cycles/rad"
         elif key == "contrast" and limits[key] >= 1.0:
             yield mistake.wrong(limits, key, "a share between 0 and 1")
-        elif not alone:
-            words = f"{key} is a limit of a loop where the job has one loop, computed at every sample"
-            yield key, f"{words}; else several loops together decide: use [budget.limits]"
+        elif not apart:
+            words = f"{key} is a limit of a loop where all loops are computed at every sample and none is a tracking or"
+            yield key, f"{words} stabilisation loop; else use [budget.limits]"
 
 
 def budget_misfits(budget: BudgetSpec, platform: Platform) -> Iterator[mistake.Misfit]:

@@ -175,8 +175,8 @@ def _loop(job: Job, k: int) -> Iterator[Misfit]:
 
 def _limits(job: Job, loop: LoopSpec, limits: Mapping[str, float]) -> Iterator[Misfit]:
     """Yield limits or goals of a loop that the plant or the kind of the loop does not have."""
-    alone = len(job.loops) == 1 and job.every(loop) == 1 and loop.has_plants
-    yield from sight_misfits(limits, job.budget, job.platform, alone)
+    own = all(job.every(one) == 1 and one.kind in ("caging", "rate", "pointing") for one in job.loops)
+    yield from sight_misfits(limits, job.budget, job.platform, own or (len(job.loops) == 1 and job.every(loop) == 1))
     known = limit_keys()
     faulty = job.faults.slow_rotor is not None or job.faults.weak_torquer is not None
     for key in sorted(limits):

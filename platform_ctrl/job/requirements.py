@@ -148,8 +148,10 @@ class LoopRequirement(Requirement):
             where = "nominal plant"
         # Of the nominal plant and of the controller there is one.
         number = len(values) if self.beyond_nominal else 1
-        evidence = "linear budget at the worst of the job's gimbal angles, with dry friction where the plant has it"
-        return self.judge(
+        evidence = (
+            "linear budget of all loops closed, at the worst gimbal angles, with dry friction where there is some"
+        )
+        judged = self.judge(
             float(values[worst]),
             subject=subject,
             design=design,
@@ -162,6 +164,10 @@ class LoopRequirement(Requirement):
             + self._unbounded(float(values[worst])),
             method=self._method(exact),
         )
+        if not self.metric.of_sight or 0.0 < judged.value < np.inf:
+            return judged
+        words = "no linear budget holds: all loops together are unstable, or bearings stick: platform-ctrl budget says"
+        return judged.because(words)
 
     def _method(self, exact: bool) -> Method:
         """Return how a value was found."""

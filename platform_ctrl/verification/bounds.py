@@ -16,7 +16,6 @@ from platform_ctrl.common.values import replaced, value
 from platform_ctrl.design.cases import changed, modes_of
 from platform_ctrl.design.loop import LoopOutcome, with_commands
 from platform_ctrl.design.plants import plants_of
-from platform_ctrl.design.sight import LoopSight
 from platform_ctrl.design.tuning import deciding
 from platform_ctrl.errors import ArgumentError, NotFoundError
 from platform_ctrl.job.job import Job
@@ -85,7 +84,7 @@ def _eased(job: Job, outcome: LoopOutcome) -> Iterator[tuple[str, Callable[[], P
             made = made.fed_forward(plants.feedforward)
         if made is None or plants.sight_budget is None:
             return made
-        return dataclasses.replace(made, sight_budget=LoopSight(job=other, plants=made))
+        return dataclasses.replace(made, sight_budget=replaced(plants.sight_budget, {"job": other, "plants": made}))
 
     if job.sampling.delay:
         sooner = dataclasses.replace(job.sampling, delay=less * job.sampling.delay)

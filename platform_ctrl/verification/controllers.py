@@ -18,6 +18,7 @@ from platform_ctrl.design.jobs import in_order, plants_of_designs, problems_of
 from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, measured, with_largest_rates
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
+from platform_ctrl.design.sight import beside
 from platform_ctrl.errors import InputError, began_with_interrupt
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
@@ -193,22 +194,30 @@ def outcomes_from(
     for K in alternatives:
         placed[_loop_of(job, K).name].append(K)
     model, made = linearise(job.platform), dict[str, LoopOutcome]()
+    closed = {name: own[0] for name, own in placed.items()}
     # The plants of a tracking loop have the rate loop inside them.
     for spec in sorted(job.loops, key=lambda spec: spec.kind == "tracking"):
         inner = made.get(spec.around or "")
-        made[spec.name] = _outcome(job, spec, model, placed[spec.name], None if inner is None else inner.closed)
+        around = None if inner is None else inner.closed
+        made[spec.name] = _outcome(job, spec, model, placed[spec.name], around, closed)
     return in_order(job, [made[name] for name in placed])
 
 
 def _outcome(
-    job: Job, spec: LoopSpec, model: LinearModel, controllers: Sequence[StateSpace], inner: Design | None
+    job: Job,
+    spec: LoopSpec,
+    model: LinearModel,
+    controllers: Sequence[StateSpace],
+    inner: Design | None,
+    closed: Mapping[str, StateSpace],
 ) -> LoopOutcome:
-    """Return the controllers of a loop, measured again, the closed one first."""
+    """Return the controllers of a loop, measured again, the closed one first; `closed` are those of all loops."""
     names: list[str] = []
     for K in controllers:
         names.append(_free_name(_name_of(spec, K), names))
     read = dataclasses.replace(spec, designs=tuple(_design_of(job, spec, K) for K in controllers))
-    problems = problems_of(job, read, model, plants_of_designs(job, read), inner)
+    plants = [one and beside(one, closed) for one in plants_of_designs(job, read)]
+    problems = problems_of(job, read, model, plants, inner)
     found: list[Design | FailedDesign] = []
     for problem, name, K in zip(problems, names, controllers, strict=True):
         try:

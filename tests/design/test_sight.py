@@ -8,7 +8,9 @@ import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from given_controllers import verdict
 from platform_ctrl import design
+from platform_ctrl.design.jobs import attempted_loops
 from platform_ctrl.errors import InputError
+from platform_ctrl.verification.controllers import outcomes_from
 
 PITCH = {
     "name": "pitch",
@@ -93,20 +95,44 @@ def test_a_structured_design_leaves_the_contrast_that_is_asked():
     assert reached < asked <= budget_of(one, found)["contrast of the image"]
 
 
-SINGLE = camera_loop(limits={"jitter": 1e-5}, gimbals=["az"], sensors=["yaw_gyro"], name="yaw")
+def two_loops(rate_hz=2000, start=None, yaw_hz=30, **limits):
+    """Return the job with a loop of each axis, both with these limits."""
+    axes = {"yaw": ("az", "yaw_gyro", yaw_hz), "pitch": ("el", "pitch_gyro", 30)}
+    loops = []
+    for name, (gimbal, gyro, hz) in axes.items():
+        own = start or {"name": "pi", "method": "pi", "crossover_hz": hz, "integral_hz": 3}
+        loop = camera_loop(limits={"disk_margin": 0.5} | limits, name=name, gimbals=[gimbal], sensors=[gyro])
+        loops += [one | {"design": [own]} for one in loop]
+    loops[1]["rate_hz"] = rate_hz
+    return pc.read_job(camera_job(budget=BUDGET, loop=loops))
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"budget": None}, "jitter needs a budget of the line of sight"),
-        ({"loop": SINGLE + camera_loop(gimbals=["el"], sensors=["pitch_gyro"])}, r"use \[budget.limits\]"),
-    ],
-)
-def test_a_limit_that_the_job_has_no_budget_for_is_refused(changes, words):
-    data = camera_job(budget=BUDGET, loop=camera_loop(limits={"jitter": 1e-5})) | changes
-    with pytest.raises(InputError, match=words):
-        pc.read_job({key: item for key, item in data.items() if item is not None})
+def test_several_loops_keep_the_jitter_that_they_have_together():
+    given = verdict(two_loops(), [one.closed.controller for one in design.loops(two_loops())]).budget.jitter
+    start = {"name": "pi", "method": "pi", "crossover_hz": 15, "integral_hz": 2, "tune": True}
+    tuned = two_loops(start=start, jitter=0.9 * given)
+    outcomes = design.loops(tuned)
+    controllers = [one.closed.controller for one in outcomes]
+    reached = verdict(tuned, controllers).budget.jitter
+    assert reached <= 0.9 * given
+    for one in (*outcomes, *outcomes_from(tuned, controllers)):
+        assert one.closed.passed
+        [own] = [result.value for result in one.closed.results if result.name == "line-of-sight jitter"]
+        assert own == pytest.approx(reached, rel=1e-6)
+
+
+def test_a_loop_beside_one_that_has_failed_is_refused():
+    yaw, pitch = attempted_loops(two_loops(yaw_hz=900, jitter=1.0))
+    assert yaw.failure is not None
+    assert "loop 'yaw', which moves the line of sight too, has failed" in str(pitch.failure.error)
+
+
+def test_a_limit_that_the_job_has_no_budget_for_is_refused():
+    data = camera_job(loop=camera_loop(limits={"jitter": 1e-5}))
+    with pytest.raises(InputError, match="jitter needs a budget of the line of sight"):
+        pc.read_job(data)
+    with pytest.raises(InputError, match=r"use \[budget.limits\]"):
+        two_loops(rate_hz=1000, jitter=1e-5)
 
 
 @pytest.mark.parametrize(("place", "most"), [("limits", 1.0), ("limits", 30.0), ("soft", 1.2)])
