@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 # Noise of a further reading over what it shows where n is 1: with a tenth the loop has hardly a margin beside S.
-_FURTHER = 0.3
+FURTHER = 0.3
 
 
 @value
@@ -134,7 +134,7 @@ def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSe
     gain, rate, disturbance, torque = by_direction(options, channel)
     disturbed = between(np.diag(disturbance), flat, np.eye(len(flat.C)))
     constant = options["complementary"] * np.eye(size), np.diag(torque)
-    noise = _FURTHER * channel.shown(plants)[size:]
+    noise = FURTHER * channel.shown(plants)[size:]
     arrays = mixed_sensitivity(flat, disturbed, gain, rate, constant, noise)
     return WeightedPlant(arrays=arrays, weight=error_weight(gain, rate, len(noise)), torque_unit=unit)
 

@@ -14,6 +14,8 @@ share one Lyapunov matrix; the numbers are those of `inequalities`. The least γ
 have arbitrarily fast poles otherwise. Because of the common matrix the norms of the loop are below their bounds:
 `share` says which part of a limit its inequality has to prove. The rejection is required
 only if `rejection_share` is given: W_e bounds it too, as a rate of the platform is above all an angle that ramps.
+Readings beside the channels are measured too, with noise of their own among n, as in the H-infinity method; their
+own disk margins are measured alone: with a common matrix their inequalities contradict the performance.
 Channels that the plant does not couple are designed one after the other: the effort grows with the sixth power of the
 number of states. D̂ = 0: the controller has a zero at the Nyquist frequency, and ν is above the rms of the sampled loop.
 """
@@ -78,6 +80,7 @@ class LMI(Method):
     """Least torque noise for a weighted H-infinity norm, with the loop's limits as matrix inequalities."""
 
     key = "lmi"
+    any_sensors = True
     options = OPTIONS
     advice = "a lower bandwidth_hz, or a larger backoff"
     tunable = tuple(mixed.WEIGHTS)
@@ -125,30 +128,40 @@ def _synthesis(
     """Return the sampled controller of the plants, and claims."""
     unit = mixed.torque_units(channel, plants.nutation)
     A, B, C, D, period = plants.of_torques()
-    into = channel.basis.T * unit
+    into, size, turned = channel.basis.T * unit, len(unit), channel.turned(len(C))
     B, D = np.hstack([B @ into, plants.B_Omega[0, : len(A)]]), np.hstack([D @ into, plants.D_Omega[0]])
-    flat = to_w_plane(System(A, B, channel.basis @ C, channel.basis @ D, period))
-    noise = channel.basis.T * unit * np.sqrt(np.mean(plants.noise_of() ** 2) * plants.period)
+    flat = to_w_plane(System(A, B, turned @ C, turned @ D, period))
+    rms = plants.noise_of()
+    own = np.sqrt(np.mean(rms[:size] ** 2))
+    noise = channel.basis.T * unit * own * np.sqrt(plants.period)
+    further = mixed.FURTHER * channel.shown(plants)[size:]
     if not noise.any():
         raise DesignError(
-            "the least torque noise is asked for, but no sensor of the loop has noise: give noise_rms of its"
+            "the least torque noise is asked for, but no sensor that the loop keeps has noise: give noise_rms of its"
             " [[pickoff]] or noise_density of its [[rate_sensor]], or take another method"
         )
     weights = mixed.by_direction(options, channel)
-    parts = [_weighted(flat, group, weights, options["complementary"], noise) for group in _uncoupled(flat, len(unit))]
+    parts = [
+        _weighted(flat, group, weights, options["complementary"], noise, further) for group in _uncoupled(flat, size)
+    ]
     found = [_designed(problem, part, options) for part in parts]
-    back = np.argsort([k for part in parts for k in part.channels])
-    K = mixed.error_weight(*weights[:2]).series(side_by_side(*(K for K, _, _ in found)).part(back, back))
+    torques = np.argsort([k for part in parts for k in part.channels])
+    readings = np.argsort([k for part in parts for k in part.rows])
+    K = mixed.error_weight(weights[0], weights[1], len(further)).series(
+        side_by_side(*(K for K, _, _ in found)).part(torques, readings)
+    )
+    # Of readings with more noise than was assumed the bound is that many times as large.
+    noisier = max([1.0, *(rms[size:] / (further * own))])
     claims = {
         "gamma": max(_gamma(part, made) for part, (made, _, _) in zip(parts, found, strict=True)),
         "gamma_optimal": max(gamma for _, gamma, _ in found),
-        "torque noise bound, N m": float(np.linalg.norm([bound for _, _, bound in found])),
+        "torque noise bound, N m": float(noisier * np.linalg.norm([bound for _, _, bound in found])),
     }
-    return between(channel.basis, from_w_plane(K, plants.period), channel.basis.T * unit), claims
+    return between(turned, from_w_plane(K, plants.period), channel.basis.T * unit), claims
 
 
 def _uncoupled(flat: System, size: int) -> list[list[int]]:
-    """Return the channels in groups that the plant does not couple."""
+    """Return the outputs in groups that the plant does not couple: `size` channels, readings with what they show."""
     from scipy.sparse.csgraph import connected_components
 
     rate, X = np.linalg.norm(flat.A, 2), flat.B[:, :size]
@@ -157,7 +170,10 @@ def _uncoupled(flat: System, size: int) -> list[list[int]]:
         coupling = np.maximum(coupling, np.abs(flat.C @ X))
         X = flat.A @ X / rate
     own = np.sqrt(np.diag(coupling))
-    _, label = connected_components(coupling > UNCOUPLED * np.outer(own, own), directed=False)
+    joined = np.zeros((len(coupling), len(coupling)), dtype=bool)
+    joined[:size, :size] = coupling[:size] > UNCOUPLED * np.outer(own, own)
+    joined[size:, :size] = coupling[size:] > UNCOUPLED * coupling[size:].max(axis=1, keepdims=True)
+    _, label = connected_components(joined, directed=False)
     return [[int(k) for k in np.flatnonzero(label == one)] for one in np.unique(label)]
 
 
@@ -176,17 +192,18 @@ def _seen(flat: System, rows: list[int]) -> System:
 
 @value
 class _Weighted:
-    """The weighted plant of some channels, from [n, d, Omega, u] to [z1, z2, z3, (S − T)/2 n, angle, torques, y]."""
+    """The weighted plant of channels and readings, [n, d, Omega, u] to [z1, z2, z3, (S − T)/2 n, angle, torques, y]."""
 
     channels: list[int]
+    rows: list[int]  # of what is measured: the channels, then further readings
     plant: Partition
     unit: float  # of the torques among z, for n as white noise of unit density, N m √s
 
     @property
     def w(self) -> list[list[int]]:
         """Indices of n, d and Omega in w."""
-        k = len(self.channels)
-        return [part.tolist() for part in np.split(np.arange(self.plant.B1.shape[1]), [k, 2 * k])]
+        k, p = len(self.channels), len(self.rows)
+        return [part.tolist() for part in np.split(np.arange(self.plant.B1.shape[1]), [p, p + k])]
 
     @property
     def z(self) -> list[list[int]]:
@@ -195,28 +212,36 @@ class _Weighted:
         return [part.tolist() for part in np.split(np.arange(len(self.plant.C1)), [3 * k, 4 * k, 5 * k])]
 
 
-def _weighted(flat: System, rows: list[int], weights: FloatArray, complementary: float, noise: FloatArray) -> _Weighted:
-    """Return the weighted plant of the channels `rows`, with `weights` of all channels (see `by_direction`)."""
-    (gains, rates, disturbance, torque), size, k = weights[:, rows], len(flat.C), len(rows)
-    own = _seen(flat, rows)
+def _weighted(
+    flat: System, rows: list[int], weights: FloatArray, complementary: float, noise: FloatArray, further: FloatArray
+) -> _Weighted:
+    """Return the weighted plant of the outputs `rows`, with `weights` of all channels (see `by_direction`).
+
+    `further` is the noise of the readings beside the channels.
+    """
+    size, measured, own = len(flat.C) - len(further), rows, _seen(flat, rows)
+    rows = [row for row in rows if row < size]
+    (gains, rates, disturbance, torque), k = weights[:, rows], len(rows)
+    more = further[[row - size for row in measured[k:]]]
     disturbed = own._replace(
         B=np.hstack([own.B[:, rows] * disturbance, own.B[:, size:]]),
         D=np.hstack([own.D[:, rows] * disturbance, own.D[:, size:]]),
     )
     A, B, C, D, _ = mixed.mixed_sensitivity(
-        own.part(slice(None), rows), disturbed, gains, rates, (np.eye(k), np.diag(torque))
+        own.part(slice(None), rows), disturbed, gains, rates, (np.eye(k), np.diag(torque)), more
     )
     unit = float(np.linalg.norm(noise[:, rows], 2) / torque.min())
 
     def shown(X: FloatArray) -> FloatArray:
-        error, angle, control, y = np.split(X, 4)
+        error, angle, control, y = np.split(X, [k, 2 * k, 3 * k])
         torques = noise[:, rows] / unit / torque @ control
         return np.vstack([error, complementary * angle, control, angle, angle, torques, y])
 
     C, D = shown(C), shown(D)
     # e = n + angle, and so (S − T)/2 n = n/2 + angle.
     D[3 * k : 4 * k, :k] += 0.5 * np.eye(k)
-    return _Weighted(channels=rows, plant=split(System(A, B, C, D), len(C) - k, B.shape[1] - k), unit=unit)
+    P = split(System(A, B, C, D), len(C) - len(measured), B.shape[1] - k)
+    return _Weighted(channels=rows, rows=measured, plant=P, unit=unit)
 
 
 class _Norm(NamedTuple):
@@ -236,7 +261,8 @@ def _norms(
     (n, d, Omega), (performance, margin, angle, _) = part.w, part.z
     out = [_Norm("the performance", n + d, performance, ((1.0 + options["backoff"]) * gamma) ** 2)]
     if "disk_margin" in limits:
-        out.append(_Norm("the disk margin", n, margin, (options["share"] * limits["disk_margin"]) ** -2.0))
+        own = n[: len(part.channels)]
+        out.append(_Norm("the disk margin", own, margin, (options["share"] * limits["disk_margin"]) ** -2.0))
     if "Omega_rejection" in limits and "rejection_share" in options:
         # One matrix serves all norms best where their inputs are of similar size.
         of_n, of_d, of_Omega = (float(np.linalg.norm(p.B1[:, w])) for w in part.w)
@@ -302,8 +328,9 @@ def _performance(part: _Weighted) -> Partition:
 
 def _least(part: _Weighted) -> float:
     """Return the least γ of the performance alone, by Riccati equations."""
-    k = len(part.channels)
-    return hinf(whole(_performance(part)).to_control(*mixed.signal_names(k)), k, k, method="riccati").gamma_optimal
+    k, p = len(part.channels), len(part.rows)
+    P = whole(_performance(part)).to_control(*mixed.signal_names(k, p - k))
+    return hinf(P, p, k, method="riccati").gamma_optimal
 
 
 def _gamma(part: _Weighted, controller: System) -> float:
