@@ -385,32 +385,48 @@ def _torques_at_rest(job: Job) -> FloatArray:
 
 
 HOLDS = Requirement(name="torque at rest over its limit", limit=1.0, unit="", sense="at most")
+LASTS = Requirement(name="torque at rest over the continuous one", limit=1.0, unit="", sense="at most")
 
 
 def holding_results(job: Job, torquers: Collection[str], subject: str) -> Iterator[CheckResult]:
     """Yield a result that is missed for each gimbal that its torquers, of those that loops use, cannot hold or turn.
 
     At zero angles and at every combination of the job's angles, under springs, unbalance and weight, root at rest;
-    breakaway of dry friction adds to them.
+    breakaway of dry friction and cogging add to them, and ripple takes torque away. Motors also have to bear what is at
+    rest for ever.
     """
     platform = job.platform
+    motors = {one.name: one for one in platform.motors}
     limits: dict[str, float] = {}
+    lasting: dict[str, float] = {}
     for one in platform.torquers:
         if one.gimbal is not None and one.name in torquers:
-            limits[one.gimbal] = limits.get(one.gimbal, 0.0) + (inf if one.limit is None else one.gain * one.limit)
+            motor, limit = motors.get(one.name), inf if one.limit is None else one.gain * one.limit
+            rippled = 1.0 if motor is None or motor.ripple is None else 1.0 - motor.ripple[:, 1].sum()
+            limits[one.gimbal] = limits.get(one.gimbal, 0.0) + rippled * limit
+            borne = inf if motor is None or motor.continuous_current is None else motor.continuous_current
+            lasting[one.gimbal] = lasting.get(one.gimbal, 0.0) + (borne if motor is None else borne * motor.per_ampere)
     forces = _torques_at_rest(job)
     for gimbal, limit in limits.items():
         own = forces[:, platform.gimbal(gimbal)]
         worst = int(np.argmax(own))
         stuck = platform.breakaway(gimbal)
-        if own[worst] + stuck > limit:
-            where = f", {at_angles(platform, job.trims[worst])}" if worst else ""
-            parts = [f"{own[worst]:.3g} N m hold it"] if own[worst] > 0.0 else []
+        teeth = sum(abs(float(row[1])) for k, row in platform.cogging if k == platform.gimbal(gimbal))
+        where = f", {at_angles(platform, job.trims[worst])}" if worst else ""
+        held = f"{own[worst]:.3g} N m hold it"
+        if own[worst] + stuck + teeth > limit:
+            parts = [held] if own[worst] > 0.0 else []
             parts += [f"{stuck:.3g} N m of dry friction have to be overcome"] if stuck > 0.0 else []
+            parts += [f"{teeth:.3g} N m of cogging have to be overcome"] if teeth > 0.0 else []
             yield HOLDS.judge(
-                (own[worst] + stuck) / limit,
+                (own[worst] + stuck + teeth) / limit,
                 subject=subject,
                 stage="coupled",
                 evidence=f"gimbal {gimbal}: {' and '.join(parts)}, its torquers have {limit:.3g} N m{where}",
                 method="exact",
+            )
+        if own[worst] > lasting[gimbal]:
+            evidence = f"gimbal {gimbal}: {held}, its motors bear {lasting[gimbal]:.3g} N m for ever{where}"
+            yield LASTS.judge(
+                own[worst] / lasting[gimbal], subject=subject, stage="coupled", evidence=evidence, method="exact"
             )

@@ -40,6 +40,8 @@ def at_rest(read):
 
 WEIGHT = MASS * G * ARM
 WEAK = motor(current_limit=0.5 * WEIGHT / 0.05)
+ENOUGH = {"current_limit": 1.1 * WEIGHT / 0.05}
+SAMPLED = {"inductance": 1e-3, "current_loop": {"bandwidth_hz": 1000.0, "rate_hz": 20000.0}}
 TORQUER = {"torquer": [{"gimbal": "g", "limit": 1.1 * WEIGHT}]}
 
 
@@ -54,6 +56,10 @@ TORQUER = {"torquer": [{"gimbal": "g", "limit": 1.1 * WEIGHT}]}
         (TORQUER | {"friction": [{"gimbal": "g", "coulomb": 0.2 * WEIGHT}]}, 1.2 / 1.1),
         (WEAK | {"spring": [{"gimbal": "g", "stiffness": 1.0, "rest": WEIGHT}]}, 4.0),
         (WEAK | {"compliance": [{"gimbal": "g", "stiffness": 200, "inertia": 1e-3}]}, 2.0),
+        (motor(**ENOUGH, **SAMPLED, ripple=[[7, 0.2, 0.0], [9, 0.1, 0.0]]), 1.0 / (1.1 * 0.7)),
+        (motor(**ENOUGH, gear=2.0, torque_constant=0.025, cogging=[[7, 0.1 * WEIGHT, 0.0]]), 1.2 / 1.1),
+        (motor(**ENOUGH, continuous_torque=0.8 * WEIGHT, thermal_time=60.0), 1.25),
+        (motor(**ENOUGH, continuous_torque=1.01 * WEIGHT), None),
     ],
 )
 def test_a_weight_that_no_torque_holds_is_a_requirement_that_is_missed(plant, share):
