@@ -173,7 +173,9 @@ def test_methods_that_work_axis_by_axis_refuse_angles_beside_rates(method):
         design.loops(pc.read_job(with_design(method)))
 
 
-@pytest.mark.parametrize("method", [{"method": "hinf"}, {"method": "lmi", "backoff": 0.07}, {"method": "structured"}, STATE_SPACE])
+@pytest.mark.parametrize(
+    "method", [{"method": "hinf"}, {"method": "lmi", "backoff": 0.07}, {"method": "structured"}, STATE_SPACE]
+)
 def test_other_designs_have_the_rate_beside_the_angle_too(method):
     limits = {"disk_margin": 0.62, "damping": 0.4}
     one = {"limits": limits, "soft": {"torque_rejection": 1e-3}, "design": [{"name": "own"} | method]}
