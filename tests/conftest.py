@@ -17,6 +17,8 @@ from hypothesis import settings
 
 # Before numpy is loaded: on small matrices BLAS threads spend their time waiting for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# No window, whichever test loads pyplot first.
+os.environ["MPLBACKEND"] = "Agg"
 
 # A shell lets what it starts in the background ignore Ctrl-C, and children inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

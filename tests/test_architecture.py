@@ -45,11 +45,15 @@ def test_importing_the_package_loads_nothing_heavy_and_only_what_finds_its_names
     assert own == {"platform_ctrl", "platform_ctrl.common", "platform_ctrl.common.lazy"}
 
 
-def test_the_compiler_and_what_is_optional_are_loaded_by_what_uses_them_alone() -> None:
-    parts = ("analysis", "simulation", "campaign.engine", "campaign.summary", "cli.commands")
-    modules = ", ".join(f"platform_ctrl.{part}" for part in parts)
-    code = f"import sys, json, {modules}; print(json.dumps(list(sys.modules)))"
-    assert not set(json.loads(python(code))) & {"numba", "pyarrow", "pandas", "dask", "distributed", "matplotlib"}
+def test_what_compiles_draws_or_solves_and_what_is_optional_is_loaded_by_what_uses_it_alone() -> None:
+    def loaded(*parts: str) -> str:
+        return "".join(f"import platform_ctrl.{part}\n" for part in parts) + "print(json.dumps(list(sys.modules)))\n"
+
+    page = loaded("app.session", "app.server", "app.backend")
+    others = loaded("analysis", "simulation", "campaign.engine", "campaign.summary", "cli.commands")
+    shown, whole = map(json.loads, python(f"import sys, json\n{page}{others}").splitlines())
+    assert not set(shown) & {"numba", "cvxpy", "control", "sympy", "matplotlib"}
+    assert not set(whole) & {"numba", "pyarrow", "pandas", "dask", "distributed", "matplotlib"}
 
 
 def test_help_and_the_list_of_models_load_nothing_heavy() -> None:

@@ -1,9 +1,10 @@
-"""A page without a browser: what it shows whenever a design becomes available, and in whatever order things happen."""
+"""A page without a browser, in whatever order things happen, and its work beside it in a process that stays."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,11 +18,12 @@ from bokeh.document import Document
 
 from platform_ctrl.app import closed_loops
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.background import DesignPending, TaskCancelled
+from platform_ctrl.app.background import Background, DesignPending, Requests, TaskCancelled
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.session import Session
 from platform_ctrl.app.tasks import Connection
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import ArgumentError, DesignError
+from questions import Dying, Sleeping, Who
 
 
 def _until(met: Callable[[], bool]) -> None:
@@ -133,11 +135,11 @@ def test_a_change_at_the_moment_at_which_a_design_becomes_available_is_kept(driv
 
     def slow(settings: Any) -> Any:
         begun.set()
-        assert go.wait(10.0)
+        assert go.wait(60.0)
         return settings
 
     driven.session.change("slow", slow)
-    assert begun.wait(10.0)
+    assert begun.wait(60.0)
     driven.request("set", name="axis", value=3)
     driven.designed()
     driven.run_loop()
@@ -168,7 +170,7 @@ def test_what_sliders_do_is_given_up_when_one_moves_and_computed_at_the_next_res
 
     def influence(settings: Any, before_each: Callable[[], None]) -> Any:
         axes.append(settings.axis)
-        assert go.wait(10.0)
+        assert go.wait(60.0)
         try:
             before_each()
         except TaskCancelled:
@@ -211,3 +213,97 @@ def test_designs_that_fail_on_two_pages_are_not_tried_again_and_again(
         with pytest.raises(DesignError, match=f"{number} Hz is infeasible"):
             backend.picture(page)
     assert tried == [21.0, 22.0]
+
+
+def silent(line: str) -> None:
+    del line
+
+
+def never() -> bool:
+    return False
+
+
+def gone(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_the_newest_request_of_a_key_wins_and_an_urgent_one_interrupts() -> None:
+    requests, done, begun, go = Requests("test"), list[str](), list[str](), threading.Event()
+
+    def work(name: str) -> Callable[[threading.Event], None]:
+        def run(over: threading.Event) -> None:
+            begun.append(name)
+            while not (go.is_set() or over.wait(0.001)):
+                pass
+            done.append(f"{name} over" if over.is_set() else name)
+
+        return run
+
+    first = requests.add("design", work("first"), content=1)
+    _until(lambda: begun == ["first"])
+    assert requests.add("design", work("the same"), content=1) is first
+    requests.add("other", work("other"))
+    requests.add("other", work("newer"))
+    requests.add("design", work("second"), content=2)
+    _until(lambda: begun == ["first", "newer"])
+    requests.add("urgent", work("urgent"), urgent=True)
+    _until(lambda: begun == ["first", "newer", "urgent"])
+    go.set()
+    _until(lambda: len(done) == 5)
+    assert done == ["first over", "newer over", "urgent", "second", "newer"]
+    requests.end()
+    assert requests.add("design", work("late")).is_set()
+    assert "late" not in begun
+
+
+@pytest.fixture(scope="module")
+def resident() -> Iterator[Background]:
+    made = Background()
+    yield made
+    made.end()
+
+
+def test_the_process_stays_for_the_next_task_also_after_an_error(resident: Background) -> None:
+    first = resident.run(Who(), silent, never)
+    assert first != os.getpid()
+    with pytest.raises(ArgumentError, match="expected sense"):
+        resident.run(Who(wrong=True), silent, never)
+    assert resident.run(Who(), silent, never) == first
+
+
+def test_a_cancelled_task_ends_the_process_and_the_next_task_starts_another(
+    resident: Background,
+) -> None:
+    first = resident.run(Who(), silent, never)
+    lines: list[str] = []
+    with pytest.raises(TaskCancelled):
+        resident.run(Sleeping(), lines.append, lambda: lines == ["asleep"])
+    assert gone(first)
+    with pytest.raises(DesignError, match="died"):
+        resident.run(Dying(), silent, never)
+    assert resident.run(Who(), silent, never) not in (first, os.getpid())
+
+
+def test_ending_the_runner_ends_its_process_and_refuses_tasks(resident: Background) -> None:
+    process = resident.run(Who(), silent, never)
+    asleep, ended = threading.Event(), []
+
+    def ask() -> None:
+        try:
+            resident.run(Sleeping(), lambda line: asleep.set(), never)
+        except TaskCancelled:
+            ended.append(time.monotonic())
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    assert asleep.wait(60.0)
+    resident.end()
+    asking.join(60.0)
+    assert ended
+    assert gone(process)
+    with pytest.raises(TaskCancelled):
+        resident.run(Who(), silent, never)

@@ -60,19 +60,6 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     return listed
 
 
-def test_the_table_has_a_row_a_run_and_the_record_says_what_was_simulated(there: Path) -> None:
-    table = rows(there / "campaign")
-    assert [row["run"] for row in table] == list(range(RUNS))
-    assert {row["manoeuvre"] for row in table} == {"turn", "step"}
-    assert all(row["ended"] == "completed" for row in table)
-    assert all(0.0 < row["angle"] < 1.0 and 3e-4 <= row["sampling.delay"] <= 5e-4 for row in table)
-    record = json.loads((there / "campaign" / "campaign.json").read_text())
-    assert record["job"] == "a turn, many times"
-    assert record["runs"] == record["counts"]["completed"] == RUNS
-    assert record["identity"]["seed"] == 7
-    assert record["identity"]["platform_ctrl"] == pc.__version__
-
-
 def test_the_same_command_again_flies_nothing_and_ends_alike(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (there / "campaign" / "campaign.parquet").stat()
     code = main(["campaign", "job.toml", "--runs", str(RUNS), "--json"])
@@ -144,11 +131,6 @@ def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys
     ("arguments", "words"),
     [
         (
-            ["campaign", "job.toml", "--runs", "50", "--seed", "8"],
-            "begun with seed 7 instead of 8; name another folder",
-        ),
-        (["campaign", "job.toml", "--runs", "8"], f"has {RUNS} runs, got 8: ask for at least as many"),
-        (
             ["campaign", "job.toml", "--runs", "1073741824", "--sampling", "latin-hypercube", "-o", "new"],
             "runs must be at most 89478485 with 3 numbers a run",
         ),
@@ -164,7 +146,7 @@ def test_wrong_input_is_one_line_and_ends_with_two(
 
 @pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")
 def test_ctrl_c_stops_soon_says_how_to_go_on_and_loses_nothing(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (there / "long.toml").write_text(TEXT.replace("duration = 0.02", "duration = 0.5"))
+    (there / "long.toml").write_text(TEXT.replace("duration = 0.02", "duration = 0.1"))
     arguments = ["campaign", "long.toml", "--runs", "100000", "-o", "long", "--workers", "1"]
     process = subprocess.Popen(
         [sys.executable, "-m", "platform_ctrl", *arguments],

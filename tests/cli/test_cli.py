@@ -240,4 +240,4 @@ def test_what_runs_need_is_compiled(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["warm-up", "-q"]) == 0
     assert capsys.readouterr().out.startswith("compiled in ")
     assert main(["warm-up", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["seconds"] < 10.0
+    assert set(json.loads(capsys.readouterr().out)) == {"schema", "seconds"}

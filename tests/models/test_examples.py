@@ -34,12 +34,8 @@ def table(text: str) -> Iterator[tuple[str, float, float, float]]:
 def test_the_example_of_a_model_agrees_with_theory_and_draws_it(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    plt.close("all")
     picture = tmp_path / "figure.png"
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "-o", str(picture)])
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
@@ -58,4 +54,3 @@ def test_the_example_of_a_model_agrees_with_theory_and_draws_it(
         assert drawn or axes.collections
         for line in drawn:
             assert np.isfinite(line).any(axis=1).all()
-    plt.close(figure)

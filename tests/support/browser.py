@@ -128,9 +128,9 @@ def served(backend: object = None, make: Make | None = None, **more: object) -> 
     running = threading.Thread(target=server.run, args=(ready.set,))
     running.start()
     try:
-        assert ready.wait(30.0), "the server did not start"
+        assert ready.wait(120.0), "the server did not start"
         yield server
     finally:
         server.end()
-        running.join(30.0)
+        running.join(120.0)
         assert not running.is_alive(), "the server did not end"

@@ -76,7 +76,7 @@ class OpenPage:
         async def read() -> str | bytes | None:
             return await self._socket.read_message()
 
-        return self._loop.run_until_complete(asyncio.wait_for(read(), 30.0))
+        return self._loop.run_until_complete(asyncio.wait_for(read(), 120.0))
 
     def __enter__(self) -> OpenPage:
         return self
