@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.common.arguments import real_numbers
+from platform_ctrl.common.text import unused
 from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError
 
@@ -177,16 +178,10 @@ def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
-    used: set[str] = set()
-    out = []
+    used: dict[str, None] = {}
     for name in names:
-        new, count = name, 1
-        while new in used:
-            count += 1
-            new = f"{name}_{count}"
-        used.add(new)
-        out.append(new)
-    return out
+        used[unused(name, used)] = None
+    return list(used)
 
 
 def frequencies(frequency: ArrayLike, where: str) -> FloatArray:

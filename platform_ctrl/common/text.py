@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from collections.abc import Collection
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal
 from typing import Literal
 
@@ -28,6 +29,15 @@ def dotted(angle: str, derivative: int) -> str:
     head = re.split(r"[\W\d_]", angle, maxsplit=1)[0]
     letter, rest = LETTERS.get(head, head), angle[len(head) :]
     return letter + DOTS[derivative] + rest if len(letter) == 1 else letter + rest + "'" * derivative
+
+
+def unused(name: str, taken: Collection[str], between: str = "_") -> str:
+    """Return a name, numbered if it is taken."""
+    new, count = name, 1
+    while new in taken:
+        count += 1
+        new = f"{name}{between}{count}"
+    return new
 
 
 def width(text: str) -> int:

@@ -10,9 +10,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
+from platform_ctrl.common.text import unused
+
 if TYPE_CHECKING:
     import control
 
+    from platform_ctrl.export.job_systems import ResponseTable
     from platform_ctrl.export.systems import ExportedSystem
     from platform_ctrl.job.job import Job
 
@@ -46,14 +49,17 @@ class Export:
 
     def systems(self, target: Path) -> list[ExportedSystem]:
         """Return the controllers, then the linear models of the plant, for a file; note what these leave out."""
-        from platform_ctrl.export.job_systems import controller_systems, model_systems
+        from platform_ctrl.export.job_systems import model_systems
+        from platform_ctrl.export.systems import ExportedSystem
 
         driven = ", ".join(drive.torquer for drive in self.job.drives)
         if driven:
             self.notes.append(f"{target}: without the [[drive]] of {driven}, which is not linear; the C source has it")
         if turned := ", ".join(name for law in self.job.resolvers for name in law.names):
             self.notes.append(f"{target}: {turned} are turned by measured angles; the C source does that")
-        return [*controller_systems(self.job, self.controllers), *model_systems(self.job)]
+        note = "controller, positive feedback u = +K y; u acts the delay after the sample and is held"
+        own = [ExportedSystem(K, self.job.sampling.delay, note) for K in self.controllers]
+        return [*own, *model_systems(self.job)]
 
 
 @dataclass(frozen=True)
@@ -102,19 +108,19 @@ def _write_mat(export: Export, path: Path, target: Path) -> None:
 
 
 def _write_models(export: Export, path: Path, target: Path) -> None:
-    from platform_ctrl.export.systems import write_entries
+    from platform_ctrl.export.systems import signal_units, write_entries
 
-    write_entries(export.systems(target), path, export.job.platform, export.job.units)
+    write_entries(export.systems(target), path, signal_units(export.job.platform, export.job.units))
 
 
 def _write_csv(export: Export, path: Path, target: Path) -> None:
     from platform_ctrl.export.job_systems import job_responses, write_responses
 
+    names: dict[str, ResponseTable] = {}
     for table in job_responses(export.job, export.controllers):
-        name, count = re.sub(r"[^\w.+-]+", "_", table.name), 1
-        while (file := path / f"{name}{f'_{count}' * (count > 1)}.csv").exists():
-            count += 1
-        write_responses(table.response, file, form=export.responses, notes=table.notes)
+        names[unused(re.sub(r"[^\w.+-]+", "_", table.name), names)] = table
+    for name, table in names.items():
+        write_responses(table.response, path / f"{name}.csv", form=export.responses, notes=table.notes)
 
 
 def _write_mjcf(export: Export, path: Path, target: Path) -> None:

@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import io
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -52,12 +52,6 @@ class ResponseTable:
     notes: tuple[str, ...]  # What it is, with its units
 
 
-def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> Iterator[ExportedSystem]:
-    """Go through a job's controllers u = K y, with their delay."""
-    note = "controller, positive feedback u = +K y; u acts the delay after the sample and is held"
-    return (ExportedSystem(K, job.sampling.delay, note) for K in controllers)
-
-
 def model_systems(job: Job) -> Iterator[ExportedSystem]:
     """Go through the linear models of a job's plant about rest.
 
@@ -87,16 +81,20 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
     closed = dict(zip((one.spec.name for one in outcomes), controllers, strict=True))
     # Of the loop itself: without feedforward, which is a part of its plants.
     own = {one.spec.name: one.closed.own_controller for one in outcomes}
-    out = []
     plants = dict(_loop_plants(job))
-    for name, plant in plants.items():
-        notes = (f"{job.name}: sampled plant of {name}, hold, dead time and torquer lag in it", _units(plant, units))
-        response = response_data(plant, _frequency(plants.values(), plant.dt))
-        out.append(ResponseTable(name=f"plant {name}", response=response, notes=notes))
-    for name, K in closed.items():
-        notes = (f"{job.name}: controller of {name}, u = K y, its delay not in it", _units(K, units))
-        response = response_data(K, _frequency(plants.values(), K.dt))
-        out.append(ResponseTable(name=f"controller {name}", response=response, notes=notes))
+    systems = {
+        f"plant {name}": (plant, f"sampled plant of {name}, hold, dead time and torquer lag in it")
+        for name, plant in plants.items()
+    }
+    systems |= {
+        f"controller {name}": (K, f"controller of {name}, u = K y, its delay not in it") for name, K in closed.items()
+    }
+    out = []
+    for title, (system, what) in systems.items():
+        response = response_data(system, _frequency(plants.values(), system.dt))
+        named = dict.fromkeys([*system.output_labels, *system.input_labels])
+        notes = (f"{job.name}: {what}", "units: " + ", ".join(f"{name} in {units.get(name, '?')}" for name in named))
+        out.append(ResponseTable(name=title, response=response, notes=notes))
     for name, plant in plants.items():
         what = f"{job.name}: {name} broken at one torquer, its others closed"
         out += _broken(f"loop {name}", plant, own[name], _frequency(plants.values(), plant.dt), what)
@@ -139,11 +137,6 @@ def _broken(
         )
         notes = (what, f"L = 1/S - 1 at {torquer}, dimensionless, the critical point is -1")
         yield ResponseTable(name=f"{name} at {torquer}", response=response, notes=notes)
-
-
-def _units(system: control.StateSpace, units: Mapping[str, str]) -> str:
-    names = dict.fromkeys([*system.output_labels, *system.input_labels])
-    return "units: " + ", ".join(f"{name} in {units.get(name, '?')}" for name in names)
 
 
 def response_data(system: control.StateSpace, frequency: ArrayLike) -> control.FRD:

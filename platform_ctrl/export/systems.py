@@ -19,6 +19,7 @@ from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.files import write_json, write_whole
+from platform_ctrl.common.text import unused
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
@@ -37,9 +38,9 @@ class ExportedSystem(NamedTuple):
     note: str = ""
 
 
-def signal_units(platform: Platform, readings: Mapping[str, str] | None = None) -> dict[str, str]:
+def signal_units(platform: Platform, readings: Mapping[str, str]) -> dict[str, str]:
     """Return the units of everything that a plant's signals can be, by name, and those of further `readings`."""
-    readings = {sensor.name: sensor.unit for sensor in platform.sensors} | dict(readings or {})
+    readings = {sensor.name: sensor.unit for sensor in platform.sensors} | dict(readings)
     units = dict.fromkeys(platform.angle_names, "rad")
     units |= dict.fromkeys([*map(gimbal_rate, platform.angle_names), *OMEGA_NAMES], "rad/s")
     units |= {f"{name}{COMMAND}": unit for name, unit in readings.items()}
@@ -47,21 +48,15 @@ def signal_units(platform: Platform, readings: Mapping[str, str] | None = None) 
     return units | dict.fromkeys(ROOT_TORQUE_NAMES, "N m") | {t.name: t.unit for t in platform.torquers}
 
 
-def write_entries(
-    systems: Sequence[ExportedSystem],
-    path: str | os.PathLike[str],
-    platform: Platform | None,
-    readings: Mapping[str, str] | None = None,
-) -> Path:
-    """Write systems as JSON; `platform` is whose signals they have, for their units, beside those of `readings`."""
-    units = {} if platform is None else signal_units(platform, readings)
+def write_entries(systems: Sequence[ExportedSystem], path: str | os.PathLike[str], units: Mapping[str, str]) -> Path:
+    """Write systems as JSON, with the units of their signals."""
     return write_json({"schema": SCHEMA, "systems": [_entry(one, units) for one in systems]}, path)
 
 
 def _entry(one: ExportedSystem, units: Mapping[str, str]) -> dict[str, Any]:
     """Return a system in plain types."""
-    A, B, C, D, dt = System.of(one.system, "systems")
-    if max(*A.shape, *D.shape) > MOST_STATES:
+    *matrices, dt = System.of(one.system, "systems")
+    if max(*matrices[0].shape, *matrices[3].shape) > MOST_STATES:
         raise ArgumentError(f"systems: {one.system.name!r} has more than {MOST_STATES} states or signals")
     inputs, outputs = list(one.system.input_labels), list(one.system.output_labels)
     return {
@@ -74,10 +69,7 @@ def _entry(one: ExportedSystem, units: Mapping[str, str]) -> dict[str, Any]:
         "outputs": outputs,
         "output_units": [units.get(name, "") for name in outputs],
         "states": list(one.system.state_labels),
-        "A": A,
-        "B": B,
-        "C": C,
-        "D": D,
+        **dict(zip("ABCD", matrices, strict=True)),
     }
 
 
@@ -109,7 +101,8 @@ def write_systems(
     """
     if not isinstance(systems, list | tuple):
         raise ArgumentError(f"write_systems: systems must be a list of control.StateSpace, got {short(systems)}")
-    return write_entries([ExportedSystem(one) for one in systems], path, platform)
+    units = {} if platform is None else signal_units(platform, {})
+    return write_entries([ExportedSystem(one) for one in systems], path, units)
 
 
 def write_controllers(controllers: Sequence[StateSpace], path: str | os.PathLike[str], *, delay: float) -> Path:
@@ -214,9 +207,7 @@ def write_mat(systems: Sequence[StateSpace], path: str | os.PathLike[str]) -> Pa
     structs: dict[str, dict[str, Any]] = {}
     for one in systems:
         plain = re.sub(r"[^A-Za-z0-9]+", "_", str(one.name)).strip("_") or "system"
-        name = plain = (plain if plain[0].isalpha() else f"s_{plain}")[: _LONGEST - 5]
-        while name in structs:
-            name = f"{plain}_{len(structs) + 1}"
+        name = unused((plain if plain[0].isalpha() else f"s_{plain}")[: _LONGEST - 5], structs)
         labels = {"InputName": one.input_labels, "OutputName": one.output_labels, "StateName": one.state_labels}
         matrices = dict(zip(("A", "B", "C", "D", "Ts"), System.of(one, "write_mat"), strict=True))
         structs[name] = matrices | {key: np.array([names], dtype=object).T for key, names in labels.items()}

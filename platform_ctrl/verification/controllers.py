@@ -14,6 +14,7 @@ from typing import Any
 
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.system import StateSpace
+from platform_ctrl.common.text import unused
 from platform_ctrl.design.jobs import in_order, plants_of_designs, problems_of
 from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, measured, with_largest_rates
 from platform_ctrl.design.method import LoopProblem
@@ -157,19 +158,15 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> StateSpace:
         found = entry.value(key, _SECONDS)
         if not math.isclose(found, expected, rel_tol=1e-9, abs_tol=0.0 if key == "dt" else 1e-9 * period):
             raise entry.mistake(f"{key}: {found:g} s is not {words}, {expected:g} s")
-    _expect_resolved(entry, job, inputs)
+    # Readings that were turned to joint axes otherwise than the job's are refused.
+    own = next((law for law in job.resolvers if not set(law.names).isdisjoint(inputs)), None)
+    law_given = entry.data.get("resolve")
+    if law_given is not None and law_given != (None if own is None else resolve_record(own)):
+        raise entry.mistake("resolve: the job's loop turns its readings otherwise; design it again, or change the loop")
     arrays = entry.arrays(len(inputs), len(outputs), period)
     design = entry.data.get("design")
     title = f"{name}, {design}" if isinstance(design, str) and design else name
     return arrays.to_control(inputs, outputs, name=title)
-
-
-def _expect_resolved(entry: JSONTable, job: Job, inputs: Sequence[str]) -> None:
-    """Refuse a controller whose readings were turned to joint axes otherwise than the job's are."""
-    own = next((law for law in job.resolvers if not set(law.names).isdisjoint(inputs)), None)
-    given_law = entry.data.get("resolve")
-    if given_law is not None and given_law != (None if own is None else resolve_record(own)):
-        raise entry.mistake("resolve: the job's loop turns its readings otherwise; design it again, or change the loop")
 
 
 def outcomes_from(
@@ -214,7 +211,7 @@ def _outcome(
     """Return the controllers of a loop, measured again, the closed one first; `closed` are those of all loops."""
     names: list[str] = []
     for K in controllers:
-        names.append(_free_name(_name_of(spec, K), names))
+        names.append(unused(_name_of(spec, K), names, " "))  # `use` finds a design by its name
     read = dataclasses.replace(spec, designs=tuple(_design_of(job, spec, K) for K in controllers))
     plants = [one and beside(one, closed) for one in plants_of_designs(job, read)]
     problems = problems_of(job, read, model, plants, inner)
@@ -245,15 +242,6 @@ def _measured(problem: LoopProblem, name: str, K: StateSpace, closed: bool) -> D
 
 def _name_of(spec: LoopSpec, K: StateSpace) -> str:
     return str(K.name).removeprefix(f"{spec.name}, ")
-
-
-def _free_name(name: str, taken: Sequence[str]) -> str:
-    """Number a name that is taken: `use` finds a design by its name."""
-    new, count = name, 1
-    while new in taken:
-        count += 1
-        new = f"{name} {count}"
-    return new
 
 
 def _taken(K: StateSpace) -> set[str]:

@@ -209,12 +209,12 @@ def _content_hash(record: Mapping[str, Any]) -> str:
 
 def controller_record(K: StateSpace, job: Job) -> Record:
     """Return matrices, signals and times of a controller, and what turns its readings to joint axes."""
-    matrices = {name: np.asarray(getattr(K, name), dtype=np.float64) for name in "ABCD"}
+    *matrices, dt = System.of(K, "controller")
     signals: Record = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
     for law in job.resolvers:
         if law.names[0] in K.input_labels:
             signals["resolve"] = resolve_record(law)
-    return {"dt": float(K.dt), **matrices, **signals, "delay": job.sampling.delay}
+    return {"dt": dt, **dict(zip("ABCD", matrices, strict=True)), **signals, "delay": job.sampling.delay}
 
 
 def _controller(result: JobResult, design: Design) -> Record:

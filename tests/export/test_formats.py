@@ -120,6 +120,7 @@ def test_mat_keeps_every_bit_and_name(systems: list[control.StateSpace], tmp_pat
     first = path.read_bytes()
     assert export.write_mat(systems, path).read_bytes() == first
     assert len(export.read_mat(export.write_mat([static(name="1 x"), static(name="1-x"), static(name="–")], path))) == 3
+    assert len(export.read_mat(export.write_mat([static(name=name) for name in ("a_3", "a", "a")], path))) == 3
 
 
 def test_mat_that_is_no_plain_linear_system_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 
 from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.arguments import short
+from platform_ctrl.common.files import plain_types
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.errors import ArgumentError
@@ -27,7 +28,7 @@ from platform_ctrl.export.c99.c_text import Identifiers, comment, field, joined,
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.fields import TEXT, Expected, where
 from platform_ctrl.verification.controllers import read_controllers
-from platform_ctrl.verification.result_file import SCHEMA, JSONTable
+from platform_ctrl.verification.result_file import SCHEMA, JSONTable, controller_record
 
 # How far what sections multiply out to may be from the matrices of the controller: rounding of a few operations.
 _SAME = 1e-11
@@ -63,7 +64,13 @@ def controllers_of(job: Job, entries: Sequence[Mapping[str, Any] | StateSpace]) 
     """
     if isinstance(entries, Mapping | str) or not isinstance(entries, Sequence):
         raise ArgumentError(f"entries: must be a list of controllers, got {short(entries)}")
-    records = [one if isinstance(one, Mapping) else _record(one, job) for one in entries]
+    records: list[Mapping[str, Any]] = []
+    for one in entries:
+        if isinstance(one, Mapping):
+            records.append(one)
+            continue
+        loop, _, design = str(one.name).partition(", ")
+        records.append(plain_types({"name": loop, "design": design, **controller_record(one, job)}))
     checked = read_controllers({"schema": SCHEMA, "controllers": records}, job)
     limits = {t.name: np.inf if t.limit is None else float(t.limit) for t in job.platform.torquers}
     out = []
@@ -113,14 +120,6 @@ def _sections(
         if made.alike(K, _SAME):
             return tuple(found), ""
     return (whole,), f"{record['name']}: its sections are not its matrices, which are written instead"
-
-
-def _record(K: StateSpace, job: Job) -> dict[str, Any]:
-    arrays = System.of(K, "controller")
-    loop, _, design = str(K.name).partition(", ")
-    matrices = {name: item.tolist() for name, item in zip("ABCD", arrays[:4], strict=True)}
-    signals = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
-    return {"name": loop, "design": design, "dt": arrays.dt, "delay": job.sampling.delay, **matrices, **signals}
 
 
 def _text(record: Mapping[str, Any], key: str) -> str:
