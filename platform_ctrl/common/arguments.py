@@ -6,7 +6,7 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,17 +73,13 @@ def unit_quaternions(given: ArrayLike | None, shape: tuple[int, ...]) -> NDArray
 
 def real_numbers(name: str, given: object, more: str = "") -> NDArray[np.float64]:
     """Return `given` as a float64 array of any shape, `given` itself if it is one; finite or not."""
-    return _numbers(name, given, "iuf", f"real numbers{more}").astype(np.float64, copy=False)
-
-
-def _numbers(name: str, given: object, kinds: str, expected: str) -> NDArray[Any]:
     try:
         array = np.asarray(given)
-        if array.dtype.kind in kinds:
-            return array
+        if array.dtype.kind in "iuf":
+            return array.astype(np.float64, copy=False)
     except Exception:  # what numpy calls to read an object of another library may raise anything
         pass
-    raise ArgumentError(f"{name} must be {expected}, got {short(given)}")
+    raise ArgumentError(f"{name} must be real numbers{more}, got {short(given)}")
 
 
 def number(name: str, given: object, finite: bool = True) -> float:

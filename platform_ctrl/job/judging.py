@@ -126,10 +126,10 @@ class Requirement:
         stage: Stage,
         evidence: str,
         design: str = "",
-        method: Method = "sampled",
+        method: Method | None = None,
     ) -> CheckResult:
         """Compare a measured value with the bound: met where the ratio is at most 1."""
-        ratio = self.ratio(measured)
+        ratio, method = self.ratio(measured), method or ("simulated" if stage == "simulated" else "sampled")
         return CheckResult(
             name=self.name,
             subject=subject,

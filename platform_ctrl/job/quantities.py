@@ -32,13 +32,9 @@ BOUND = {"at least": "\u2265", "at most": "\u2264"}
 _UNITS = frozenset({"Hz", "rad/s", "rad", "s", "1/s", "N m", "N m/rad", "rad/(N m)", "rad/(rad/s)", "N m s/rad"})
 # Claims that are bounds from below and from above, by the first words of their names.
 _LEAST = ("largest Omega", "gamma_optimal", "disk_margin", "damping")
-_MOST = ("gamma", "bandwidth_bound", "limit_ratio", "goal_ratio")
-# Claims whose names are not words yet; the second is a share.
-_CLAIMED = {
-    "gamma": "norm on the weights, γ",
-    "gamma_optimal": "least γ of any controller",
-    "price": "price of simplicity",
-}
+_MOST = ("gamma", "limit_ratio", "goal_ratio")
+# Claims whose names are not words yet.
+_CLAIMED = {"gamma": "norm on the weights, γ", "gamma_optimal": "least γ of any controller"}
 
 
 def handy_unit(unit: str, size: float) -> tuple[float, str]:
@@ -167,7 +163,7 @@ def claimed(name: str, number: float) -> tuple[str, str]:
     words = _CLAIMED.get(words, words.replace("_", " "))
     if not math.isfinite(number):
         return words, DASH if math.isnan(number) else "∞"
-    return words, percent(number) if name == "price" else quantity(number, unit, rounding=rounding)
+    return words, quantity(number, unit, rounding=rounding)
 
 
 def count(number: int, noun: str) -> str:

@@ -12,8 +12,7 @@ from typing import get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.loop import Loop
-from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.system import StateSpace, System
@@ -132,11 +131,7 @@ class LoopRequirement(Requirement):
         ArgumentError
             `metrics` were measured without this requirement.
         """
-        return self._worst(plants, self.values(metrics), subject, design, metrics.exact, metrics.free_angles)
-
-    def _worst(
-        self, plants: PlantSet, values: FloatArray, subject: str, design: str, exact: bool, free: Sequence[str] = ()
-    ) -> CheckResult:
+        values = self.values(metrics)
         worst = int(values.argmax() if self.sense == "at most" else values.argmin())
         if self.metric.of == "controller":
             where = "controller"
@@ -147,46 +142,32 @@ class LoopRequirement(Requirement):
         else:
             where = "nominal plant"
         # Of the nominal plant and of the controller there is one.
-        number = len(values) if self.beyond_nominal else 1
-        evidence = (
-            "linear budget of all loops closed, at the worst gimbal angles, with dry friction where there is some"
-        )
-        judged = self.judge(
-            float(values[worst]),
-            subject=subject,
-            design=design,
-            stage="decoupled",
-            evidence=evidence
-            if self.metric.of_sight
-            else f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag"
-            + ("; exact H-infinity norm" if exact and self.kind == "disk margin" else "")
-            + self._conditions(plants, free)
-            + self._unbounded(float(values[worst])),
-            method=self._method(exact),
-        )
-        if not self.metric.of_sight or 0.0 < judged.value < np.inf:
+        number, found = len(values) if self.beyond_nominal else 1, float(values[worst])
+        if self.metric.of_sight:
+            evidence = (
+                "linear budget of all loops closed, at the worst gimbal angles, with dry friction where there is some"
+            )
+        else:
+            norm = "; exact H-infinity norm" if metrics.exact and self.kind == "disk margin" else ""
+            evidence = f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag{norm}"
+            evidence += self._conditions(plants, metrics.free_angles, found)
+        method: Method = "refined" if self._between_samples else "exact"
+        method = method if metrics.exact or not (self._between_samples or self.metric.searched) else "sampled"
+        about = {"subject": subject, "design": design, "evidence": evidence}
+        judged = self.judge(found, stage="decoupled", method=method, **about)
+        if not self.metric.of_sight or 0.0 < found < np.inf:
             return judged
         words = "no linear budget holds: all loops together are unstable, or bearings stick: platform-ctrl budget says"
         return judged.because(words)
 
-    def _method(self, exact: bool) -> Method:
-        """Return how a value was found."""
-        if self.kind in BETWEEN_SAMPLES or self.metric.disturbed_by:
-            return "refined" if exact else "sampled"
-        return "exact" if exact or not self.metric.searched else "sampled"
+    @property
+    def _between_samples(self) -> bool:
+        return self.kind in BETWEEN_SAMPLES or bool(self.metric.disturbed_by)
 
-    def _unbounded(self, value: float) -> str:
-        """Return the meaning of an infinite value that is no sign of instability."""
-        if not (np.isinf(value) and self.metric.disturbed_by and self.lowest == 0.0):
-            return ""
-        key = self.metric.lowest_key
-        cure = f"; where that is meant, say from which frequency on: {key}" if key else ""
-        return f"; infinite where the loop is not stable, or grows without bound towards zero frequency{cure}"
-
-    def _conditions(self, plants: PlantSet, free: Sequence[str]) -> str:
+    def _conditions(self, plants: PlantSet, free: Sequence[str], value: float) -> str:
         """Return further assumptions of a value: held gimbals, free angles, dry friction, times between samples."""
         words = []
-        if self.kind in BETWEEN_SAMPLES or self.metric.disturbed_by:
+        if self._between_samples:
             words.append("between samples, by a grid refined to 0.1 %")
         if self.metric.of != "controller":
             if plants.held:
@@ -202,6 +183,10 @@ class LoopRequirement(Requirement):
             if plants.dry_friction:
                 has = np.any(plants.of(self.over) & plants.of(("friction",)))
                 words.append("with dry friction" if has else "without dry friction")
+        if np.isinf(value) and self.metric.disturbed_by and self.lowest == 0.0:
+            words.append("infinite where the loop is not stable, or grows without bound towards zero frequency")
+            if key := self.metric.lowest_key:
+                words.append(f"where that is meant, say from which frequency on: {key}")
         return "".join(f"; {one}" for one in words)
 
     def check(self, plants: PlantSet, controller: StateSpace | System) -> CheckResult:
@@ -230,9 +215,7 @@ class LoopRequirement(Requirement):
                 f"{self.name} is about {', '.join(self.over)}; the set of plants must have such ones, here "
                 f"{', '.join(dict.fromkeys(plants.groups))}"
             )
-        loops = Loop(plants, K)
-        values = self.metric.in_unit(measured(loops, self, exact=True))
-        return self._worst(plants, values, "", "", True, loops.free_angles)
+        return self.result(plants, measure(plants, K, [self]))
 
 
 # Names of gains of a loop whose sensors measure rates, by those for angles.

@@ -191,11 +191,7 @@ def _judged(
     if not trajectory.completed and not manoeuvre.limits:
         completed = Requirement(name="share of the run that was simulated", limit=1.0, unit="", sense="at least")
         share = len(trajectory.t) * trajectory.period / manoeuvre.duration
-        out.append(
-            completed.judge(
-                share, subject=manoeuvre.name, stage="simulated", evidence=trajectory.ended, method="simulated"
-            )
-        )
+        out.append(completed.judge(share, subject=manoeuvre.name, stage="simulated", evidence=trajectory.ended))
     shown = trajectory.q[:: max(len(trajectory.q) // _LOOKS, 1)]
     near = any(law.limited(q) for law in job.resolvers for q in shown)
     carried = manoeuvre.mode == "caged" and job.platform.mode in ("floating", "pivot")
@@ -207,9 +203,8 @@ def _judged(
         ) + ("; with dry friction" if job.platform.dry_frictions else "")
         evidence += f"; the rate of {job.platform.root_name} is prescribed" if carried else ""
         evidence += f"; {KEYHOLE} on the way" if near else ""
-        result = Requirement.of(metric, limit).judge(
-            number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated"
-        )
+        wanted = Requirement.of(metric, limit)
+        result = wanted.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence)
         reasons = (lost, _filter_words(job, signal) if metric.commanded and not lost else "")
         out.append(result if result.passed else result.because("; ".join(filter(None, reasons))))
     return (*out, *_heat(job, manoeuvre, trajectory))
@@ -234,13 +229,11 @@ def _heat(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> Iterator[Ch
             rms = math.sqrt(square)
             words = f"motor {motor.name}: {rms:.3g} A rms {over}, it bears {motor.continuous_current:.3g} A"
             name = f"rms current of {motor.name} over its continuous one"
-            found = Requirement(name=name, limit=1.0, unit="", sense="at most").judge(
+            wanted, over_limit = (
+                Requirement(name=name, limit=1.0, unit="", sense="at most"),
                 rms / motor.continuous_current,
-                subject=manoeuvre.name,
-                stage="simulated",
-                evidence=words,
-                method="simulated",
             )
+            found = wanted.judge(over_limit, subject=manoeuvre.name, stage="simulated", evidence=words)
             yield found if found.passed else found.because("take a larger motor or gear, or let it cool")
 
 
