@@ -28,7 +28,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Literal, NamedTuple, Protocol, Self
+from typing import Literal, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,24 +58,6 @@ class ReadAndSeen(NamedTuple):
 
     read: ComplexArray
     seen: ComplexArray
-
-
-class DisturbanceResponses(Protocol):
-    """Gives the responses of the plants of a loop."""
-
-    @property
-    def inputs(self) -> int:
-        """The number of inputs, m."""
-
-    @property
-    def period(self) -> float:
-        """The sample period of these inputs, s."""
-
-    def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
-        """Return responses of all plants at all frequencies w (F,), (N, F, ...), or of plants `of` (F,), (F, ...)."""
-
-    def only(self, index: NDArray[np.intp]) -> DisturbanceResponses:
-        """Return the responses of some of the plants."""
 
 
 def _response(system: System, w: FloatArray, of: Chosen) -> ComplexArray:
@@ -170,7 +152,7 @@ class PlantResponses:
         return self.stepped.dt
 
     def at(self, w: FloatArray, of: Chosen = None) -> ReadAndSeen:
-        """Return the responses; see `DisturbanceResponses`."""
+        """Return responses of all plants at all frequencies w (F,), (N, F, ...), or of plants `of` (F,), (F, ...)."""
         p, outputs, m = self.readings, len(self.late), self.stepped.B.shape[-1]
         f = 0 if self.drives is None else self.drives.shape[-1]
         shown = outputs - f
@@ -324,6 +306,10 @@ class CombinedResponses(_Changed):
             sense = sense[:, None] if of is None else sense[of]
         within = sense[..., None, :, :] @ seen[..., :p, :]
         return ReadAndSeen(sense @ read, np.concatenate([within, seen[..., p:, :]], axis=-2))
+
+
+# What gives the responses of the plants of a loop.
+DisturbanceResponses: TypeAlias = PlantResponses | SlowerResponses | FedResponses | ClosedResponses | CombinedResponses
 
 
 def _with_inputs(found: ReadAndSeen, inputs: ComplexArray, m: int, d: int) -> ReadAndSeen:

@@ -51,7 +51,8 @@ def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input")
     """
     P, K, torques, angles = _matched(plant, controller, "loop_transfer")
     P = P.part(angles, torques)
-    if _checked(at) == "input":
+    one_of("at", at, ("input", "output"))
+    if at == "input":
         first, second, names = P, K, list(controller.output_labels)
     else:
         first, second, names = K, P, list(controller.input_labels)
@@ -102,9 +103,16 @@ def channel_transfers(plant: NamedSystem, controller: NamedSystem, frequency: Ar
 
     From the closed loop's own equations, not from P and K: integrators do no harm at DC.
     """
-    S = frequency_response(closed_loop_with_sensitivity(plant, controller, "input"), frequency)
+    return each_alone(frequency_response(closed_loop_with_sensitivity(plant, controller, "input"), frequency, -3))
+
+
+def each_alone(S: ComplexArray) -> ComplexArray:
+    """Return the loop of every channel with all others closed, 1/S_ii − 1, complex (m, N), of sensitivities (N, m, m).
+
+    Never the product of two integrators' infinities.
+    """
     with np.errstate(all="ignore"):
-        return np.asarray(1.0 / np.diagonal(S).T - 1.0)
+        return np.asarray(1.0 / np.diagonal(S, axis1=1, axis2=2).T - 1.0, dtype=np.complex128)
 
 
 def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at: At) -> System:
@@ -113,9 +121,9 @@ def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at
     P = P.part(angles, torques)
     m = len(torques)
     # S = I - T, and the closed loop from d to u (from n to y) is -T.
-    part = slice(0, m) if _checked(at) == "input" else slice(m, None)
-    loop = P.feedback(K).part(part, part)
-    return loop._replace(D=loop.D + np.eye(len(loop.D)))
+    one_of("at", at, ("input", "output"))
+    part = slice(0, m) if at == "input" else slice(m, None)
+    return P.feedback(K).part(part, part, 1.0)
 
 
 def loop_of_sensitivity(S: System) -> System:
@@ -123,19 +131,6 @@ def loop_of_sensitivity(S: System) -> System:
     A, B, C, D, dt = S
     inverse = np.linalg.inv(D)
     return System(A - B @ inverse @ C, B @ inverse, -inverse @ C, inverse - np.eye(len(D)), dt)
-
-
-def performance_loop(plant: System, controller: System) -> System:
-    """Return the loop from w to z of a plant with inputs [w, u] and outputs [z, y] closed by u = K y."""
-    ncon, nmeas = controller.D.shape
-    nz, nw = plant.D.shape[0] - nmeas, plant.D.shape[1] - ncon
-    loop = plant.feedback(controller, range(nw, nw + ncon), range(nz, nz + nmeas))
-    return loop.part(slice(ncon, ncon + nz), slice(nw))
-
-
-def _checked(at: str) -> str:
-    one_of("at", at, ("input", "output"))
-    return at
 
 
 def _matched(plant: NamedSystem, controller: NamedSystem, where: str) -> tuple[System, System, list[int], list[int]]:

@@ -134,30 +134,22 @@ def interconnected_at_rates(
     limited: Collection[str] = (),
 ) -> MultiRate:
     """Return the result of `interconnected_by_sample` before it is split into the samples of the cycle."""
-    parts = [System.of(system, _where(k, system)) for k, system in enumerate(controllers)]
-    slow = [k for k, K in enumerate(parts) if samples_between(K.dt, period, _where(k, controllers[k])) > 1]
-    if limited:
-        parts = [
-            _with_excess(K, [name in limited for name in controllers[k].output_labels]) for k, K in enumerate(parts)
-        ]
+    parts, slow = [], []
+    for k, system in enumerate(controllers):
+        K = System.of(system, _where(k, system))
+        n = max(round(K.dt / period), 1)
+        if not math.isclose(K.dt, n * period, rel_tol=1e-9):
+            words = f"dt must be the sample period {period:.6g} s or a whole number of them, got {K.dt:.6g} s"
+            raise ArgumentError(f"{_where(k, system)}: {words}")
+        slow += [k] if n > 1 else []
+        if limited:
+            # The excesses of limited outputs are further inputs.
+            cut = [name in limited for name in system.output_labels]
+            E = back_calculation(K, cut).gain[:, cut]
+            K = K._replace(B=np.hstack([K.B, E]), D=np.hstack([K.D, np.zeros((len(K.C), E.shape[1]))]))
+        parts.append(K)
     fast = _joined(parts, controllers, inputs, outputs, period, slow, limited)
     return MultiRate(fast, tuple(parts[k] for k in slow))
-
-
-def samples_between(dt: float, period: float, where: str) -> int:
-    """Return the number of sample periods in a controller's dt; refuse one that is no whole number of them."""
-    n = max(round(dt / period), 1)
-    if not math.isclose(dt, n * period, rel_tol=1e-9):
-        raise ArgumentError(
-            f"{where}: dt must be the sample period {period:.6g} s or a whole number of them, got {dt:.6g} s"
-        )
-    return n
-
-
-def _with_excess(K: System, limited: Sequence[bool]) -> System:
-    """Return a controller with the excesses of its limited outputs as further inputs."""
-    E = back_calculation(K, limited).gain[:, limited]
-    return System(K.A, np.hstack([K.B, E]), K.C, np.hstack([K.D, np.zeros((len(K.C), E.shape[1]))]), K.dt)
 
 
 def _held(K: System, due: bool) -> System:

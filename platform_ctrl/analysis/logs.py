@@ -194,7 +194,11 @@ def _csv(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Sequenc
         header = [name.strip() for name in next(csv.reader(text[:1]), [])]
     except csv.Error as error:
         raise InputError(f"{label}: is not CSV: {one_line(str(error))}; {_CSV}") from None
-    wanted[0] = _clock(header, wanted[0])
+    if wanted[0] not in header:  # the one column of that name with a unit of time
+        stated = [(name, *column_unit(name)) for name in header]
+        timed = [(name, base) for name, base, unit in stated if unit and unit.quantity == "time"]
+        found = [name for name, base in timed if base.lower() == wanted[0].lower()]
+        wanted[0] = found[0] if len(found) == 1 else wanted[0]
     places = [_place(label, header, name) for name in wanted]
     lines = [k for k, line in enumerate(text, 1) if k > 1 and line.strip()]
     rows = [text[k - 1] for k in lines]
@@ -220,15 +224,6 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return "_" not in cell
-
-
-def _clock(header: list[str], time: str) -> str:
-    """Return the column of the time: `time`, or the one column of that name with a unit of time."""
-    if time in header:
-        return time
-    stated = ((name, *column_unit(name)) for name in header)
-    found = [name for name, base, unit in stated if unit and unit.quantity == "time" and base.lower() == time.lower()]
-    return found[0] if len(found) == 1 else time
 
 
 def _place(label: str, header: list[str], name: str) -> int:

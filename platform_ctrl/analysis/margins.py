@@ -169,7 +169,13 @@ def disk_margin(loop_transfer: StateSystem, skew: float = 0.0) -> DiskMargin:
     m = L.D.shape[0]
     if L.D.shape != (m, m) or m == 0:
         raise ArgumentError(f"disk_margin: the loop transfer must be square, got {m} outputs and {L.D.shape[1]} inputs")
-    disk = _disk_arrays(L, skew)
+    eye = np.eye(m)
+    if np.linalg.svd(eye + L.D, compute_uv=False).min() < 1e-12 * max(1.0, float(np.abs(L.D).max())):
+        words = "the loop is not well posed because I + D of its transfer is singular; add a lag"
+        raise ArgumentError(f"disk_margin: {words}")
+    # S + (skew − 1)/2 I
+    E = np.linalg.inv(eye + L.D)
+    disk = System(L.A - L.B @ E @ L.C, L.B @ E, -E @ L.C, E + 0.5 * (skew - 1.0) * eye, L.dt)
     peak = MuPeak(disk)
     axis = peak.axis
     s, on_boundary = boundary_poles(axis.system.A, disk.dt, axis.poles())
@@ -232,8 +238,7 @@ def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input") 
     if spectral_abscissa(continuous_poles(poles(S.A), S.dt)) >= 0.0:
         return LoopMargins(channels=names, alpha=np.zeros(len(names)), frequency=np.zeros(len(names)))
     # With the others closed, channel i's own sensitivity is the i-th diagonal entry of S.
-    alone = [S.part([i], [i]) for i in range(len(names))]
-    peaks = [hinf_norm(one._replace(D=one.D - 0.5), allow_unstable=True) for one in alone]
+    peaks = [hinf_norm(S.part([i], [i], -0.5), allow_unstable=True) for i in range(len(names))]
     return LoopMargins(
         channels=names,
         alpha=np.array([_inverse(norm) for norm, _ in peaks]),
@@ -243,17 +248,6 @@ def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input") 
 
 def _inverse(mu: float) -> float:
     return 1.0 / mu if mu > 0.0 else math.inf
-
-
-def _disk_arrays(L: System, skew: float) -> System:
-    """Return the arrays of S + (skew - 1)/2 I for S = (I + L)^-1."""
-    eye = np.eye(L.D.shape[0])
-    if np.linalg.svd(eye + L.D, compute_uv=False).min() < 1e-12 * max(1.0, float(np.abs(L.D).max())):
-        raise ArgumentError(
-            "disk_margin: the loop is not well posed because I + D of its transfer is singular; add a lag"
-        )
-    E = np.linalg.inv(eye + L.D)
-    return System(L.A - L.B @ E @ L.C, L.B @ E, -E @ L.C, E + 0.5 * (skew - 1.0) * eye, L.dt)
 
 
 def no_margin(skew: float, shown: FloatArray, s: ComplexArray, disk: System) -> DiskMargin:

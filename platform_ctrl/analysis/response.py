@@ -282,13 +282,9 @@ class AxisResponse:
             out = (self._C @ vectors)[:, None, :] * (left @ self._B).T
         return np.asarray(out.reshape(-1, len(vectors)), dtype=np.complex128)
 
-    def _points(self, frequency: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any, Any]]:
-        """Return s, or z - 1, at `frequency` (N,), rad/s, as exactly as that is given."""
-        return _less_one(frequency, self._dt) if self._dt > 0.0 else 1j * frequency
-
     def _strictly_proper(self, frequency: FloatArray) -> ComplexArray:
         """Return C (z I - A)^-1 B, (p, m, N)."""
-        z, (p, m), size = self._points(frequency), self._D.shape, self._size
+        z, (p, m), size = _points(frequency, self._dt), self._D.shape, self._size
         if self._residues is None:
             X = self._by_schur(z)
             H = (self._C @ X).reshape(p, m, len(z))
@@ -306,7 +302,7 @@ class AxisResponse:
         at, step = np.flatnonzero(near), max(1, _TOGETHER // len(self._A) ** 2)
         for k in range(0, len(at), step):
             some = at[k : k + step]
-            exact = self._points(frequency[some].astype(np.longdouble))
+            exact = _points(frequency[some].astype(np.longdouble), self._dt)
             H[..., some] = (self._C @ self._by_elimination(exact)).transpose(1, 2, 0)
         return np.asarray(H, dtype=np.complex128)
 
@@ -378,8 +374,8 @@ class _Late:
         for k in range(0, len(frequency), step):
             w = frequency[k : k + step]
             turns = np.outer(w, self.ages).astype(np.longdouble)
-            change = _less_one(-turns, self._dt).astype(np.complex128)[:, None, :]
-            M = _less_one(w, self._dt)[:, None, None] * np.eye(n) - self._A
+            change = _points(-turns, self._dt).astype(np.complex128)[:, None, :]
+            M = _points(w, self._dt)[:, None, None] * np.eye(n) - self._A
             X = _solved(M - (self._into * change) @ self._of, self._B)
             H[k : k + step] = (self._C + (self._onto * change) @ self._of) @ X + self._D
         H[~np.isfinite(H)] = np.inf
@@ -395,8 +391,10 @@ def _solved(M: ComplexArray, B: ComplexArray) -> ComplexArray:
         return np.where(singular, np.nan, np.linalg.solve(np.where(singular, np.eye(M.shape[-1]), M), B))
 
 
-def _less_one(w: NDArray[np.floating[Any]], dt: float) -> NDArray[np.complexfloating[Any, Any]]:
-    """Return exp(j w dt) - 1, as exactly as w is given."""
+def _points(w: NDArray[np.floating[Any]], dt: float) -> NDArray[np.complexfloating[Any, Any]]:
+    """Return j w, or of a sampled system z - 1 = exp(j w dt) - 1, as exactly as w, rad/s, is given."""
+    if not dt > 0.0:
+        return 1j * w
     tangent = np.tan(w * (0.5 * dt))
     imaginary = 2.0 * tangent / (1.0 + tangent * tangent)
     out = 1j * imaginary

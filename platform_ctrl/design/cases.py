@@ -173,15 +173,8 @@ class _Width(NamedTuple):
     name: str
     size: float
 
-    @property
-    def corner(self) -> tuple[str, str]:
-        """What it goes to its ends with: damping and participation of all modes go together."""
-        return self.of, "" if self.of in ("damping", "participation") else self.name
 
-    def moved(self, place: float, digits: str) -> str:
-        """Return in words that it is at a place from −1 to 1 of its range."""
-        letter = {"inertia": "J", "spin": "L", "frequency": "f_", "damping": "ζ_", "participation": "φ_"}[self.of]
-        return f"{letter}{self.name}{place * self.size:{digits}}"
+_LETTERS = {"inertia": "J", "spin": "L", "frequency": "f_", "damping": "ζ_", "participation": "φ_"}
 
 
 def _varied(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str], root: bool) -> Iterator[tuple[str, Changes]]:
@@ -192,10 +185,11 @@ def _varied(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str], root: b
     widths = [*(one for one in widths if one.size > 0.0), *_of_modes(job, gimbals, torquers)]
     if not widths:
         return
-    corners = list(dict.fromkeys(one.corner for one in widths))
-    for signs in product((-1.0, 1.0), repeat=len(corners)):
-        at = dict(zip(corners, signs, strict=True))
-        yield _moved(widths, [at[one.corner] for one in widths], "+.0%")
+    # Damping and participation of all modes go to their ends together.
+    corners = [(one.of, "" if one.of in ("damping", "participation") else one.name) for one in widths]
+    for signs in product((-1.0, 1.0), repeat=len(set(corners))):
+        at = dict(zip(dict.fromkeys(corners), signs, strict=True))
+        yield _moved(widths, [at[one] for one in corners], "+.0%")
     yield from _swept(widths)
     yield from _meeting(job, gimbals, torquers, widths)
     yield from (_moved(widths, place) for place in _samples(job, len(widths)))
@@ -260,9 +254,11 @@ def _meeting(
 def _moved(widths: Sequence[_Width], places: Sequence[float], digits: str = "+.1%") -> tuple[str, Changes]:
     """Return the changes of parameters at places of their ranges, in words and as numbers."""
     out: Changes = {}
+    words = []
     for one, place in zip(widths, places, strict=True):
         out.setdefault(one.of, {})[one.name] = place * one.size
-    return " ".join(one.moved(place, digits) for one, place in zip(widths, places, strict=True) if place), out
+        words += [f"{_LETTERS[one.of]}{one.name}{place * one.size:{digits}}"] if place else []
+    return " ".join(words), out
 
 
 def swung(job: Job) -> list[tuple[str, Platform]]:

@@ -81,7 +81,11 @@ def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedfo
         # What the rates add to rates that are read, or their integrals to angles.
         rates = np.array(signals.orders)[:, None] == 1
         path = _filtered(w * rates, [(w * ~rates, _LEAK)], period)
-        scale = _worst_scale(w, weights, seen, sensors, signals.sensors)
+        # The signs of the sensors' errors that hurt most: a body at rest shows −weights Omega in the readings, with the
+        # readings' own errors. Of a rate that one sensor subtracts from another the difference of the errors is left.
+        left = (np.array([sensor.scale_error for sensor in signals.sensors])[:, None] * weights) @ seen.T
+        sign = np.where(np.einsum("ik,ik->k", w, left) > 0.0, -1.0, 1.0)
+        scale = 1.0 + sign * np.abs([sensor.scale_error for sensor in sensors])
     if not path.D.any():
         words = f"with into = {fed.into!r} the rates {', '.join(fed.sensors)} add nothing to this loop"
         raise InputError(f"{where}: {words}; leave it out, or choose other sensors")
@@ -197,19 +201,6 @@ def _expect_whole(where: str, weights: FloatArray, supplied: FloatArray, signals
         names = ", ".join(name for name, one in zip(OMEGA_NAMES, lacking, strict=True) if one)
         words = f"its sensors do not measure {names}, which the readings lack to become inertial"
         raise InputError(f"{where}: {words}; add rate sensors of the root about these axes")
-
-
-def _worst_scale(
-    w: FloatArray, weights: FloatArray, seen: FloatArray, sensors: Sequence[Sensor], read: Sequence[Sensor]
-) -> FloatArray:
-    """Return the scale factors of the sensors (k,), the signs of their errors such that they hurt most.
-
-    Only the difference of two sensors' scale factors is left of a rate that one subtracts from the other.
-    """
-    # A body at rest shows −weights Omega in the readings, with the readings' own errors.
-    left = (np.array([sensor.scale_error for sensor in read])[:, None] * weights) @ seen.T
-    sign = np.where(np.einsum("ik,ik->k", w, left) > 0.0, -1.0, 1.0)
-    return 1.0 + sign * np.abs([sensor.scale_error for sensor in sensors])
 
 
 def _measured(model: LinearModel, signals: LoopSignals, sensors: Sequence[Sensor], scale: FloatArray) -> System:

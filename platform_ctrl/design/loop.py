@@ -272,12 +272,8 @@ def with_largest_rates(design: Design) -> Design:
     share = np.abs(steady / plants.torque_limit[:, None]).max(axis=1)
     claims = dict(design.claims)
     for axis in map(int, np.flatnonzero(share[0] > _NO_LOAD)):
-        claims[largest_Omega_name(axis + 1)] = float(1.0 / share[0, axis])
+        name = f"largest {OMEGA_NAMES[axis]} without saturation"
+        claims[f"{name}, rad/s"] = float(1.0 / share[0, axis])
         if len(share) > 1:
-            claims[largest_Omega_name(axis + 1, worst_case=True)] = float(1.0 / share[:, axis].max())
+            claims[f"{name}, worst case, rad/s"] = float(1.0 / share[:, axis].max())
     return dataclasses.replace(design, claims=claims)
-
-
-def largest_Omega_name(axis: int, *, worst_case: bool = False) -> str:
-    """Return the name of the claim of the largest Omega without saturation about a root axis, 1 to 3."""
-    return f"largest {OMEGA_NAMES[axis - 1]} without saturation{', worst case' if worst_case else ''}, rad/s"

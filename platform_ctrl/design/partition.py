@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.feedback import performance_loop
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import short
@@ -110,7 +109,9 @@ def out_of_w_plane(K: System, period: float) -> System:
 
 def closed_loop(plant: Partition, K: System) -> System:
     """Return the lower linear fractional transformation of a plant and u = K y, with states [x, xK]."""
-    return performance_loop(whole(plant), K)
+    (ncon, nmeas), (nz, nw) = K.D.shape, plant.D11.shape
+    loop = whole(plant).feedback(K, range(nw, nw + ncon), range(nz, nz + nmeas))
+    return loop.part(slice(ncon, ncon + nz), slice(nw))
 
 
 def whole(plant: Partition) -> System:

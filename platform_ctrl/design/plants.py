@@ -43,6 +43,7 @@ from platform_ctrl.design.loop_signals import (
     shows_each,
     unseen,
 )
+from platform_ctrl.design.sections import gain
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import linearise
@@ -359,27 +360,20 @@ def job_signals(job: Job, spec: LoopSpec) -> LoopSignals:
     platform = job.platform
     signals = loop_signals(platform, spec)
     torquers = {torquer.name for torquer in signals.torquers}
-    passive = _passive(job, signals)
     # A rate of the root feeds nothing back: fed forward, it takes off torque that friction brings in.
     moved = signals.held and friction_rate(job) > 0.0
     laws = [law for law in job.drive_laws if law.torquer in torquers and (law.feedback or moved)]
     read = {name for law in laws for name in law.weights}
     fed = tuple(one for one in platform.sensors if one.name in read)
-    return dataclasses.replace(signals, fed=fed, passive=passive)
-
-
-def _passive(job: Job, signals: LoopSignals) -> tuple[str, ...]:
-    """Return the gimbals that no loop turns and that are coupled with those of a loop at any angles or rates."""
     # A gimbal with a torquer could be caged as well: left out, the loop cuts through a subsystem.
-    driven = set() if signals.held else {torquer.gimbal for torquer in job.platform.torquers}
+    driven = set() if signals.held else {torquer.gimbal for torquer in platform.torquers}
     free = [name for name in job.passive_gimbals if name not in driven]
-    if not free or signals.free:
-        return tuple(free)  # the root couples them all
-    own: set[str] = set()
-    for q in job.trims:
-        for group in subsystems_over(job.platform, job.Omega, job.Omega_grid, q):
-            own |= set(group) if set(group) & set(signals.gimbals) else set()
-    return tuple(name for name in free if name in own)
+    # Those of them take part that are coupled with the loop's at any angles or rates; the root couples them all.
+    coupled = set(free) if signals.free else set()
+    for q in job.trims if free and not signals.free else ():
+        for group in subsystems_over(platform, job.Omega, job.Omega_grid, q):
+            coupled |= set(group) if set(group) & set(signals.gimbals) else set()
+    return dataclasses.replace(signals, fed=fed, passive=tuple(name for name in free if name in coupled))
 
 
 def _with_drives(whole: System, linear: LinearPlants) -> System:
@@ -387,9 +381,8 @@ def _with_drives(whole: System, linear: LinearPlants) -> System:
     count, m = len(linear.signals.fed), len(linear.signals.torquers)
     if not count:
         return whole
-    gains, inputs, outputs = _drive_gains(linear), whole.B.shape[-1], whole.C.shape[-2]
-    back = System(np.zeros((0, 0)), np.zeros((0, count)), np.zeros((m, 0)), gains)
-    closed = whole.feedback(back, range(m), range(outputs - count, outputs))
+    inputs, outputs = whole.B.shape[-1], whole.C.shape[-2]
+    closed = whole.feedback(gain(_drive_gains(linear)), range(m), range(outputs - count, outputs))
     return closed.part(slice(m, m + outputs - count), slice(inputs))
 
 

@@ -96,9 +96,9 @@ def _prewarped(
 
 
 def gain(matrix: FloatArray | float) -> System:
-    """Return a static gain: `dt` is 0, whatever it is joined with."""
+    """Return a static gain, or a stack of them: `dt` is 0, whatever it is joined with."""
     D = np.atleast_2d(np.asarray(matrix, dtype=np.float64))
-    return System(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D)
+    return System(np.zeros((0, 0)), np.zeros((0, D.shape[-1])), np.zeros((D.shape[-2], 0)), D)
 
 
 def side_by_side(*systems: System) -> System:

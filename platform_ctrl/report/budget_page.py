@@ -179,20 +179,13 @@ def waterfall_figure(budget: BudgetSpec, found: LineOfSightBudget) -> Figure:
 def _steps(axes: Axes, fall: Waterfall, ranking: Sequence[int]) -> None:
     """Draw a bar with its words above for each step, and one for all together."""
     last = len(fall.names)
-    bars = [
-        *zip(fall.low, fall.high, [_curve_of(ranking, place) for place in fall.places], strict=True),
-        (0.0, fall.total**2, 0),
-    ]
+    ranks = [_CURVES if place is None else ranking.index(place) for place in fall.places]
+    bars = [*zip(fall.low, fall.high, ranks, strict=True), (0.0, fall.total**2, -1)]
     words = [*zip(fall.names, fall.rms, fall.shares, strict=True), (TOGETHER, fall.total, 1.0)]
-    for k, ((low, high, curve), (name, rms, share)) in enumerate(zip(bars, words, strict=True)):
-        colour = style.REFERENCE if curve is None else style.line_style(curve)["color"]
+    for k, ((low, high, rank), (name, rms, share)) in enumerate(zip(bars, words, strict=True)):
+        # As the curve of the plot up to a frequency, of which the first is that of all sources.
+        colour = style.line_style(1 + rank)["color"] if rank < _CURVES else style.REFERENCE
         left = min(low, high)
         axes.barh(k + _BAR, max(abs(high - low), _THIN * fall.end), _TALL, left, color=colour, linewidth=0.0)
         value = f"{plain(_MICRO * rms, 3)} µrad" + ("" if k == last else f", {plain(100.0 * share, 2)} %")
         axes.text(0.0, k + _WORDS, f"{name}: {value}", fontsize=7.5, va="center", color=style.INK)
-
-
-def _curve_of(ranking: Sequence[int], place: int | None) -> int | None:
-    """Return which curve of the plot up to a frequency a source is, 0 being all; None where it has none of its own."""
-    rank = ranking.index(place) if place is not None else _CURVES
-    return 1 + rank if rank < _CURVES else None

@@ -46,8 +46,13 @@ def design_table(result: JobResult, outcome: LoopOutcome) -> Table:
     """Return the designs of a loop side by side; the column of the one that is closed counts."""
     designs = outcome.designs
     sections = {
-        "limits, measured on the closed loop": limit_rows(outcome),
-        "goals, not part of the verdict": _goal_rows(outcome),
+        "limits, measured on the closed loop": [
+            _judged(name, found, lambda one: _checked(one.passed, _number(one)))
+            for name, found in _results([design.results for design in designs])
+        ],
+        "goals, not part of the verdict": [
+            _judged(name.removeprefix(GOAL), found, _goal) for name, found in _results([one.goals for one in designs])
+        ],
         "measured, without a limit": measured_rows(outcome),
         "proved in interval arithmetic": proof_rows(designs, result.proofs),
         "claimed by the method": _by_name([dict(claimed(*one) for one in design.claims.items()) for design in designs]),
@@ -80,20 +85,9 @@ def _table_of_designs(outcome: LoopOutcome, sections: dict[str, list[Row]]) -> T
     return Table(columns=tuple(columns), groups=groups, form="designs")
 
 
-def limit_rows(outcome: LoopOutcome) -> list[Row]:
-    """Return the limits with the value of every design, met or not."""
-    found = _results([d.results for d in outcome.designs])
-    return [_judged(name, results, lambda one: _checked(one.passed, _number(one))) for name, results in found]
-
-
-def _goal_rows(outcome: LoopOutcome) -> list[Row]:
-    """Return the loop's goals: reached, or by how much they are missed, which is no failure."""
-
-    def cell(one: CheckResult) -> Cell:
-        return _checked(True, _number(one)) if one.passed else Cell(text=f"{_number(one)} ({percent(one.margin)})")
-
-    found = _results([d.goals for d in outcome.designs])
-    return [_judged(name.removeprefix(GOAL), results, cell) for name, results in found]
+def _goal(one: CheckResult) -> Cell:
+    """Return whether a goal is reached, or by how much it is missed, which is no failure."""
+    return _checked(True, _number(one)) if one.passed else Cell(text=f"{_number(one)} ({percent(one.margin)})")
 
 
 def _checked(met: bool, words: str) -> Cell:

@@ -10,7 +10,7 @@ import control
 import numpy as np
 
 from platform_ctrl.analysis.curves import Curve, Curves, Level, loop_phase, refined_loop
-from platform_ctrl.analysis.feedback import channel_transfers
+from platform_ctrl.analysis.feedback import channel_transfers, each_alone
 from platform_ctrl.analysis.loop import ANGLE_PER_OMEGA, FOLLOWING, S_OUTPUT, Loop
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
 from platform_ctrl.analysis.metrics import METRICS
@@ -18,9 +18,10 @@ from platform_ctrl.analysis.norms import gains
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, following_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
-from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design, LoopOutcome, closed_loop_poles, sampled_plant
+from platform_ctrl.design.sections import gain
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.quantities import HZ
 from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings
@@ -114,8 +115,7 @@ def shown_loop(outcome: LoopOutcome, palette: Mapping[str, bool] | None = None) 
     poles = np.concatenate([np.linalg.eigvals(own.of_torques().A), *(loop.poles[0] for loop, _ in loops)])
     grid = _grid(own, poles)
     frequency = np.union1d(grid, at_peaks[(at_peaks > grid[0]) & (at_peaks < grid[-1])])
-    m, p = len(own.torques), len(own.angles)
-    silent = System(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), np.zeros((m, p)), own.period)
+    silent = gain(np.zeros((len(own.torques), len(own.angles))))._replace(dt=own.period)
     palette = palette or palette_of([outcome])
     designs = []
     for (one, plants), of in zip(found, loops, strict=True):
@@ -183,7 +183,6 @@ def _shown_design(
     with np.errstate(all="ignore"):
         # L = S⁻¹ − I: never the product of two integrators' infinities.
         L = np.asarray(np.linalg.inv(S) - np.eye(S.shape[-1]), dtype=np.complex128)
-        channels = np.asarray(1.0 / np.diagonal(S, axis1=1, axis2=2).T - 1.0, dtype=np.complex128)
     assert design.measures is not None
     poles = continuous_poles(design.measures.poles, plants.period)
     faults = plants.of(("faults",))
@@ -193,7 +192,7 @@ def _shown_design(
         peaks={kind: _peaks()[kind].exact(loops[_is_of_sight(kind)], MetricRequest(kind=kind), 0) for kind in kinds},
         smallest_sensitivity=_singular_values(S)[:, -1],
         loop_gains=_singular_values(L).T,
-        channels=channels,
+        channels=each_alone(S),
         controller_gain=largest_singular_values(own.K),
         angle_per_rate=_per_rate(own),
         poles=poles[0],

@@ -205,11 +205,6 @@ def line_style(k: int) -> dict[str, Any]:
     return {"color": SERIES[k % len(SERIES)], "linestyle": DASHES[k % len(DASHES)]}
 
 
-def signal_style(k: int) -> dict[str, Any]:
-    """Return colour and line of a recorded signal, by its place in the palette: thinner, noise fills the panel."""
-    return line_style(k) | {"linewidth": 1.0}
-
-
 def legend_rows(names: Sequence[str], width: float) -> int:
     """Return how many rows a legend of `names` needs in a figure of `width` inches."""
     size = float(mpl.rcParams["legend.fontsize"])

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS, RUN_METRICS, Quantity, Sense
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import value
 from platform_ctrl.verification.coupled import ALL_LOOPS
 
@@ -123,18 +124,16 @@ def _change(now: Compared, before: Compared | None, tolerance: float) -> Compare
 def _values(record: Record) -> dict[tuple[str, ...], Compared]:
     """Return the values of a result, each once, by what they are recognised by; a value in another unit is another."""
     found: dict[tuple[str, ...], Compared] = {}
-    for stage, one in _listed(record):
+    # Values of requirements first, with their stages, as others may repeat them.
+    required = [
+        (one["stage"], _of(one["subject"], one["name"], one["unit"], one["sense"], one["value"], one["limit"]))
+        for one in record["requirements"]
+    ]
+    for stage, one in (*required, *(("", one) for one in _others(record))):
         # What is no requirement may repeat one; a loop and the line of sight may have one name.
         if stage or not any(key[:2] == (one.subject, one.name) for key in found):
             found.setdefault((one.subject, one.name, one.unit, one.sense, stage), one)
     return found
-
-
-def _listed(record: Record) -> Iterator[tuple[str, Compared]]:
-    """Yield the values of a result; those of requirements first, with their stages, as others may repeat them."""
-    for one in record["requirements"]:
-        yield one["stage"], _of(one["subject"], one["name"], one["unit"], one["sense"], one["value"], one["limit"])
-    yield from (("", one) for one in _others(record))
 
 
 def _others(record: Record) -> Iterator[Compared]:
@@ -176,10 +175,8 @@ def _differing(result: Record, accepted: Record) -> Iterator[str]:
     known = {K["name"]: K for K in accepted["controllers"]}
     for K in result["controllers"]:
         before = known.get(K["name"])
-        if before is not None and not all(_near(before[name], K[name]) for name in "ABCD"):
-            yield f"another controller of {K['name']}"
-
-
-def _near(one: object, other: object) -> bool:
-    a, b = (np.array(matrix, dtype=np.float64) for matrix in (one, other))
-    return a.shape == b.shape and bool(np.all(np.abs(a - b) <= _ROUNDING * np.abs(a).max(initial=0.0)))
+        if before is not None:
+            matrices = [[np.array(one[name], dtype=np.float64) for name in "ABCD"] for one in (K, before)]
+            a, b = (System(A, B, C, D) for A, B, C, D in matrices)
+            if not a.alike(b, _ROUNDING):
+                yield f"another controller of {K['name']}"

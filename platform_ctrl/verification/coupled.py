@@ -293,11 +293,11 @@ class _Together:
         """Disk margin of each channel, all others closed."""
         if self._periodic is not None:
             return self._periodic.loop_margins()
-        # S of each channel; with the others closed its margin is that of S − 1/2.
         if not self.decay > 0.0:
             return np.zeros(len(self.channels))
-        alone = [without_drift(self._own.part([k], [k])) for k in range(len(self.channels))]
-        norms = [hinf_norm(one._replace(D=one.D + 0.5), allow_unstable=True)[0] for one in alone]
+        # S − 1/2 of each channel, with the others closed.
+        alone = [without_drift(self._own.part([k], [k], 0.5)) for k in range(len(self.channels))]
+        norms = [hinf_norm(one, allow_unstable=True)[0] for one in alone]
         return np.array([1.0 / norm if norm > 0.0 else np.inf for norm in norms])
 
     @property

@@ -281,12 +281,7 @@ def pid_structure(
 
 
 def sectioned_structure(
-    like: System,
-    channel: Channels,
-    plants: PlantSet,
-    integral: float,
-    rolloff: float,
-    count: int,
+    like: System, channel: Channels, plants: PlantSet, integral: float, rolloff: float, count: int
 ) -> Parametrised:
     """Return gains behind a PI, 1 + integral/s, and so many second-order sections on every reading of rates.
 

@@ -105,8 +105,7 @@ def _loop_curves(loop: DrawnSystem) -> list[LoopCurve]:
         if S is None or not stable:
             margin, at = closest(loop.frequency, h)
         else:
-            own = S.part([k], [k])
-            largest, at = peak(own._replace(D=own.D - 0.5))
+            largest, at = peak(S.part([k], [k], -0.5))
             margin = 1.0 / largest
         about: dict[str, Any] = {"stable": stable, "margin": margin, "closest": at}
         out.append(LoopCurve(label=" ".join(words) or "L", frequency=loop.frequency, response=h, **about))

@@ -19,6 +19,7 @@ from platform_ctrl.analysis.sampling import sampled, with_lag
 from platform_ctrl.analysis.system import ComplexArray, System
 from platform_ctrl.common.arguments import instance, known_names, positive, real_numbers, short
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.sections import gain
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.quantities import HZ, listed
 from platform_ctrl.job.quantities import plain as number
@@ -145,12 +146,6 @@ def root_locus_over_spin(
     return draw_locus(traced_locus(factors, poles, K.dt), "speed", "rotor speed / nominal")
 
 
-def round_steps(top: float) -> FloatArray:
-    """Return at most six round numbers up to `top`, equally spaced, without 0."""
-    steps = np.asarray(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, top))
-    return steps[(steps > 0.0) & (steps <= top * (1.0 + 1e-9))]
-
-
 def s_plane(axes: Axes, view: PlaneView) -> list[tuple[str, float, float, tuple[int, ...]]]:
     """Make `axes` the upper half of the s-plane, with damping rays and frequency arcs; return what to write at them.
 
@@ -169,7 +164,8 @@ def s_plane(axes: Axes, view: PlaneView) -> list[tuple[str, float, float, tuple[
     axes.axhline(0.0, color=style.REFERENCE, linewidth=0.6, zorder=1)
     turn = np.linspace(0.5 * np.pi, np.pi, 181)
     labels: list[tuple[str, float, float, tuple[int, ...]]] = []
-    for hz in round_steps(reach * HZ):
+    steps = np.asarray(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, reach * HZ))
+    for hz in steps[(steps > 0.0) & (steps <= reach * HZ * (1.0 + 1e-9))]:
         radius = hz / HZ
         axes.plot(
             radius * np.cos(turn), radius * np.sin(turn), color=style.FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1
@@ -313,8 +309,8 @@ def gain_locus(
     m = len(L.D)
 
     def poles(k: FloatArray) -> ComplexArray:
-        K = System(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), -k[:, None, None] * np.eye(m), L.dt)
-        s = np.asarray(np.linalg.eigvals(L.feedback(K).A), dtype=np.complex128)
+        closed = L.feedback(gain(-k[:, None, None] * np.eye(m)))
+        s = np.asarray(np.linalg.eigvals(closed.A), dtype=np.complex128)
         resting = np.argsort(np.abs(s - (1.0 if L.dt else 0.0)), axis=-1)[..., :unseen]
         kept = np.ones(s.shape, dtype=bool)
         np.put_along_axis(kept, resting, False, axis=-1)

@@ -175,9 +175,8 @@ def _traces(axes: Axes, t: FloatArray, shown: _Signals) -> None:
     handles: list[Any] = []
     for k, colour in enumerate(names.values()):
         good = np.isfinite(y[:, k])
-        handles += axes.plot(
-            *style.envelope(t[good], y[good, k]), zorder=2.0 + 0.01 * noise[k], **style.signal_style(colour)
-        )
+        look = style.line_style(colour) | {"linewidth": 1.0, "zorder": 2.0 + 0.01 * noise[k]}
+        handles += axes.plot(*style.envelope(t[good], y[good, k]), **look)
     finite = y[np.isfinite(y)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
     largest = max(-low, high)

@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.curves import refined
+from platform_ctrl.analysis.feedback import each_alone
 from platform_ctrl.analysis.poles import continuous_poles, following_grid, poles
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.system import ComplexArray, System, frequencies
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.sections import gain
 from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -152,9 +154,7 @@ def _range(system: System, s: ComplexArray, last: float) -> tuple[float, float]:
 def sensitivity(L: System) -> System:
     """Return S = (I + L)^-1, with every state of L."""
     m = len(L.D)
-    K = System(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), -np.eye(m), L.dt)
-    closed = L.feedback(K).part(range(m), range(m))
-    return closed._replace(D=closed.D + np.eye(m))
+    return L.feedback(gain(-np.eye(m))).part(range(m), range(m), 1.0)
 
 
 def channels(L: ComplexArray) -> ComplexArray:
@@ -162,8 +162,7 @@ def channels(L: ComplexArray) -> ComplexArray:
     if len(L) == 1:
         return np.asarray(L[0])
     S = np.linalg.inv(np.eye(len(L)) + np.moveaxis(L, -1, 0))
-    with np.errstate(all="ignore"):
-        return np.asarray(1.0 / np.diagonal(S, axis1=1, axis2=2).T - 1.0)
+    return each_alone(S.astype(np.complex128))
 
 
 def bode(systems: Systems, frequency: ArrayLike | None = None, **options: Any) -> control.ControlPlot:
