@@ -15,11 +15,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
-from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.cli.exits import interruptible, noted
 from platform_ctrl.common.progress import run_words, shown_runs, spinner
 from platform_ctrl.job import quantities
-from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.judging import CheckResult, severity, tells_nothing, tightest
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -236,30 +236,15 @@ def campaign_progress(quiet: bool, runs: int) -> Iterator[Callable[[int, int], N
         check()
 
 
-def severity(one: CheckResult) -> tuple[bool, bool, float]:
-    """Return by what results are sorted: missed requirements, then met ones by their distance, then goals."""
-    return not one.hard, one.passed, one.margin
-
-
 def subject_of(one: CheckResult) -> str:
     """Return the loop or manoeuvre that a result is about, and its design."""
     return f"{one.subject}, {one.design}" if one.design else one.subject
 
 
-def tells_nothing(one: CheckResult) -> bool:
-    """Whether a requirement that is met says nothing of how tight a design is.
-
-    That is how slow the slowest pole is, if it decays at all, and that everything is proved.
-    """
-    return one.passed and one.name.startswith((METRICS["stability"].name, "certified properties"))
-
-
 def summary_words(results: Sequence[CheckResult], more: str = "") -> str:
     """Return how many requirements are met, `more`, and which one is the worst or the tightest."""
     words = quantities.met_words(results) + more
-    telling = [one for one in results if not tells_nothing(one)]
-    if telling:
-        worst = min(telling, key=severity)
+    if (worst := tightest(results)) is not None:
         words += f"; {'tightest' if worst.passed else 'worst'}: {subject_of(worst)}, {worst.name}"
         words += f" ({quantities.percent(worst.margin)})" if abs(worst.margin) < 10.0 else ""
     return words

@@ -149,6 +149,26 @@ class Requirement:
 
 # Stable, and by more than rounding: what decays more slowly takes an hour.
 STABLE = Requirement.of(METRICS["stability"], 1e-3)
+# Share of the claims of stability and disk margins that are proved.
+PROVED = Requirement(name="certified properties", limit=1.0, unit="", sense="at least")
+
+
+def tells_nothing(one: CheckResult) -> bool:
+    """Whether a requirement that is met says nothing of how tight a design is.
+
+    That is how slow the slowest pole is, if it decays at all, and that everything is proved.
+    """
+    return one.passed and one.name.startswith((STABLE.name, PROVED.name))
+
+
+def severity(one: CheckResult) -> tuple[bool, bool, float]:
+    """Return by what results are sorted: missed requirements, then met ones by their distance, then goals."""
+    return not one.hard, one.passed, one.margin
+
+
+def tightest(results: Sequence[CheckResult]) -> CheckResult | None:
+    """Return the requirement that is missed by most, or met by least; None where nothing has a margin."""
+    return min((one for one in results if not tells_nothing(one)), key=severity, default=None)
 
 
 def drifting(angles: Sequence[str]) -> list[str]:

@@ -18,7 +18,6 @@ from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.files import templates
 from platform_ctrl.design.loop import Design, LoopOutcome
-from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.job.quantities import BOUND, HZ, count, disk_words, listed, plain, quantity
 from platform_ctrl.job.requirements import of_readings
 from platform_ctrl.plant.platform import Platform
@@ -26,7 +25,7 @@ from platform_ctrl.report import campaign_tables
 from platform_ctrl.report.campaign_tables import all_drivers, causes, value_name
 from platform_ctrl.report.comparison import plants_in_words
 from platform_ctrl.report.curves import SENSITIVITIES, ShownLoop, damping_rays, limited
-from platform_ctrl.verification.proofs import PROVED, Proofs
+from platform_ctrl.verification.proofs import Proofs
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
 
@@ -151,15 +150,6 @@ def opening(result: JobResult, campaign: Summary | None) -> list[str]:
         found.append(sentences("together", check=result.coupled, loops=result.loops))
     found.append("" if campaign is None else _campaign(campaign))
     return [_UNIT.sub("\u00a0", one) for one in found if one]
-
-
-def tightest(results: Sequence[CheckResult]) -> CheckResult | None:
-    """Return the requirement that is missed by most, or met by least; None where nothing has a margin.
-
-    Stability and proofs that are met are no measure of how tight a design is.
-    """
-    counted = [one for one in results if not (one.passed and one.name.startswith((STABLE.name, PROVED.name)))]
-    return min(counted, key=lambda one: (one.passed, one.margin), default=None)
 
 
 def _campaign(summary: Summary) -> str:

@@ -10,12 +10,12 @@ import numpy as np
 
 from platform_ctrl.design.loop import Design, LoopOutcome
 from platform_ctrl.design.methods import METHODS
-from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.judging import CheckResult, tightest
 from platform_ctrl.job.quantities import BOUND, compared, count, listed, percent, plain
 from platform_ctrl.report import blocks as page
 from platform_ctrl.report import tables
 from platform_ctrl.report.campaign_tables import campaign_words
-from platform_ctrl.report.captions import sentences, tightest
+from platform_ctrl.report.captions import sentences
 from platform_ctrl.report.figures.nichols import nichols_figure
 from platform_ctrl.verification.changes import Change
 from platform_ctrl.verification.verdict import JobResult

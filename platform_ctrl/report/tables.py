@@ -13,7 +13,7 @@ from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job import quantities
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.judging import PROVED, CheckResult
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.modes import Mode, modes
@@ -24,7 +24,6 @@ from platform_ctrl.report.blocks import Cell, Group, Listing, Paragraph, Row, Su
 from platform_ctrl.verification import result_file
 from platform_ctrl.verification.bounds import LoopBounds
 from platform_ctrl.verification.coupled import CoupledCheck
-from platform_ctrl.verification.proofs import PROVED
 from platform_ctrl.verification.verdict import JobResult
 
 

@@ -30,10 +30,8 @@ from platform_ctrl.design.loop import Design
 from platform_ctrl.design.sections import side_by_side
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import LoopSpec
-from platform_ctrl.job.judging import STABLE, CheckResult, Requirement, Stage
+from platform_ctrl.job.judging import PROVED, STABLE, CheckResult, Stage
 from platform_ctrl.verification.coupled import CoupledCheck
-
-PROVED = Requirement(name="certified properties", limit=1.0, unit="", sense="at least")
 
 # Matrices and polynomials of balls: python-flint has no types.
 Balls = Any

@@ -21,12 +21,13 @@ from platform_ctrl.campaign.statistics import clopper_pearson, statistics
 from platform_ctrl.campaign.store import Columns, typed
 from platform_ctrl.campaign.summary import Summary, influences
 from platform_ctrl.cli.campaign_command import show_campaign
+from platform_ctrl.job.judging import tightest
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.report import blocks, figures, job_page, style
 from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report.blocks import html as as_html
 from platform_ctrl.report.campaign_page import campaign_document
-from platform_ctrl.report.captions import opening, tightest
+from platform_ctrl.report.captions import opening
 from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
