@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.system import ComplexArray, System, frequencies, scaled
+from platform_ctrl.analysis.system import ComplexArray, System, frequencies, period_of, scaled
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -63,7 +63,7 @@ def is_rational(system: Any) -> bool:
 def rational_response(system: control.TransferFunction, frequency: FloatArray) -> ComplexArray:
     """Return the values of a transfer function at `frequency` (N,), rad/s, as (p, m, N); inf at a pole."""
     where = "frequency_response"
-    dt = _period(system, where)
+    dt = period_of(system, where)
     point = np.exp(1j * frequency * dt) if dt else 1j * frequency
     out = np.zeros((system.noutputs, system.ninputs, len(frequency)), dtype=np.complex128)
     for i, j, num, den in _entries(system, where):
@@ -71,12 +71,6 @@ def rational_response(system: control.TransferFunction, frequency: FloatArray) -
             below = np.polyval(den, point)
             out[i, j] = np.where(below == 0.0, np.inf, np.polyval(num, point) / below) if len(num) else 0.0
     return out
-
-
-def _period(system: Any, where: str) -> float:
-    if system.dt is True:
-        raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
-    return 0.0 if system.dt is None else float(system.dt)
 
 
 def _entries(system: Any, where: str) -> list[tuple[int, int, FloatArray, FloatArray]]:
@@ -106,7 +100,7 @@ def _realisation(system: control.TransferFunction, where: str) -> System:
             ) from None
         _require_same(system, found, where)
         return found
-    ((_, _, num, den),), dt = _entries(system, where), _period(system, where)
+    ((_, _, num, den),), dt = _entries(system, where), period_of(system, where)
     n = len(den) - 1
     num, den = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0], den / den[0]
     A = np.eye(n, k=-1)

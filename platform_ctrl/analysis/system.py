@@ -51,24 +51,16 @@ class System(NamedTuple):
         """
         portable(system)
         try:
-            A, B, C, D, dt = system.A, system.B, system.C, system.D, system.dt
+            dt, *matrices = period_of(system, where), system.A, system.B, system.C, system.D
         except AttributeError:
             raise ArgumentError(
                 f"{where}: must be a control.StateSpace, got {type(system).__name__}; convert it with control.ss"
             ) from None
-        if dt is True:
-            raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
-        out = cls(
-            np.asarray(A, dtype=np.float64),
-            np.asarray(B, dtype=np.float64),
-            np.asarray(C, dtype=np.float64),
-            np.asarray(D, dtype=np.float64),
-            0.0 if dt is None else float(dt),
-        )
-        for name, item in zip("ABCD", out[:4], strict=True):
+        A, B, C, D = (np.asarray(item, dtype=np.float64) for item in matrices)
+        for name, item in zip("ABCD", (A, B, C, D), strict=True):
             if not np.isfinite(item).all():
                 raise ArgumentError(f"{where}: {name} of the system is not finite; check how the system was made")
-        return out
+        return cls(A, B, C, D, dt)
 
     @classmethod
     def split(cls, whole: FloatArray, states: int, dt: float) -> System:
@@ -150,6 +142,13 @@ class System(NamedTuple):
             *self, inputs=_distinct(inputs), outputs=_distinct(outputs), remove_useless_states=False, **options
         )
         return portable(system)
+
+
+def period_of(system: Any, where: str) -> float:
+    """Return the sample period of a system, s, 0 of a continuous one and of one without a time base."""
+    if system.dt is True:
+        raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
+    return 0.0 if system.dt is None else float(system.dt)
 
 
 def block(rows: Sequence[Sequence[NDArray[Any] | Literal[0]]], batch: tuple[int, ...] = ()) -> NDArray[Any]:

@@ -18,7 +18,7 @@ from platform_ctrl.analysis.curves import refined
 from platform_ctrl.analysis.feedback import each_alone
 from platform_ctrl.analysis.poles import continuous_poles, following_grid, poles
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
-from platform_ctrl.analysis.system import ComplexArray, System, frequencies
+from platform_ctrl.analysis.system import ComplexArray, System, frequencies, period_of
 from platform_ctrl.common.arguments import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.sections import gain
@@ -88,8 +88,7 @@ def _drawn(name: str, label: str, system: Any, frequency: ArrayLike | None, loop
             f"{name}: a system must be a control.StateSpace, TransferFunction or FrequencyResponseData, or several in "
             f"a list, got {short(system)}"
         )
-    if system.dt is True:
-        raise ArgumentError(f"{name}: the system is sampled but has no sample period (dt=True); give dt in s")
+    period_of(system, name)
     p, m = system.noutputs, system.ninputs
     if not p or not m or (loop and p != m):
         needed = "a square loop transfer is needed" if loop else "at least one of each is needed"
