@@ -121,11 +121,6 @@ class PlantSet:
         return self.arrays.C
 
     @property
-    def D(self) -> FloatArray:
-        """From torques directly to what is measured, (N, p, m)."""
-        return self.arrays.D
-
-    @property
     def B_Omega(self) -> FloatArray:
         """Of the platform's rate, (N, n, 3)."""
         return self.whole.B[..., len(self.torques) :]
@@ -171,7 +166,8 @@ class PlantSet:
         """Return the nominal plant from its torques to what is measured, without states that no torque changes."""
         added = 0 if self.feedforward is None else len(self.feedforward.from_rate.A)
         n = self.A.shape[-1] - added
-        return System(self.A[0, :n, :n], self.B[0, :n], self.C[0, :, :n], self.D[0], self.period)
+        A, B, C, D, period = self.arrays.at(0)
+        return System(A[:n, :n], B[:n], C[:, :n], D, period)
 
     def named_inputs(self, commands: Sequence[str] = ()) -> list[str]:
         """Return the names of what a delivered controller reads: the angles, commands, sensors of feedforward."""

@@ -149,7 +149,7 @@ def test_a_loop_reads_the_load_of_a_drive_that_it_turns_by_its_motor_side():
     # At 10 Hz, below the resonance, the motor turns motor side and load together.
     w = 2 * np.pi * 1.0
     z = np.exp(1j * w * plants.period)
-    G = plants.C[0] @ np.linalg.solve(z * np.eye(plants.A.shape[-1]) - plants.A[0], plants.B[0]) + plants.D[0]
+    G = plants.C[0] @ np.linalg.solve(z * np.eye(plants.A.shape[-1]) - plants.A[0], plants.B[0]) + plants.arrays.D[0]
     whole = 0.03 + J1 + 50**2 * 1e-5
     assert abs(G[0, 0]) == pytest.approx(1.0 / (whole * w**2), rel=0.05)
     assert found.closed.passed

@@ -328,7 +328,7 @@ class LoopGradients:
         C = np.zeros((N, n_K + self.p, n + n_K))
         C[:, :n_K, n:] = np.eye(n_K)
         C[:, n_K:, :n] = plants.C
-        before, after = self._direct(plants.D)
+        before, after = self._direct(plants.arrays.D)
         right = before @ C
         return A + B @ self.M @ right, B @ after, right
 
@@ -349,7 +349,7 @@ class LoopGradients:
         return maps.joined([self.none(), *(self._noise(limit, int(k), *(item[k] for item in stacked)) for k in stable)])
 
     def _noise(self, limit: float, plant: int, A: FloatArray, L: FloatArray, R: FloatArray) -> maps.Pieces:
-        before, after = self._direct(self.plants.D[plant])
+        before, after = self._direct(self.plants.arrays.D[plant])
         n_K = self.order
         # The noise enters with the measurement: ȳ = R x + F n, u = M_u ȳ.
         F, M_u, shown = before[:, n_K:], self.M[n_K:], after[n_K:]
