@@ -405,7 +405,8 @@ def holding_results(job: Job, torquers: Collection[str], subject: str) -> Iterat
             rippled = 1.0 if motor is None or motor.ripple is None else 1.0 - motor.ripple[:, 1].sum()
             limits[one.gimbal] = limits.get(one.gimbal, 0.0) + rippled * limit
             borne = inf if motor is None or motor.continuous_current is None else motor.continuous_current
-            lasting[one.gimbal] = lasting.get(one.gimbal, 0.0) + (borne if motor is None else borne * motor.per_ampere)
+            borne = borne if motor is None else rippled * borne * motor.per_ampere
+            lasting[one.gimbal] = lasting.get(one.gimbal, 0.0) + borne
     forces = _torques_at_rest(job)
     for gimbal, limit in limits.items():
         own = forces[:, platform.gimbal(gimbal)]

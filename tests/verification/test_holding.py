@@ -59,6 +59,7 @@ TORQUER = {"torquer": [{"gimbal": "g", "limit": 1.1 * WEIGHT}]}
         (motor(**ENOUGH, **SAMPLED, ripple=[[7, 0.2, 0.0], [9, 0.1, 0.0]]), 1.0 / (1.1 * 0.7)),
         (motor(**ENOUGH, gear=2.0, torque_constant=0.025, cogging=[[7, 0.1 * WEIGHT, 0.0]]), 1.2 / 1.1),
         (motor(**ENOUGH, continuous_torque=0.8 * WEIGHT, thermal_time=60.0), 1.25),
+        (motor(**SAMPLED, continuous_torque=1.01 * WEIGHT, ripple=[[7, 0.2, 0.0]]), 1.0 / (1.01 * 0.8)),
         (motor(**ENOUGH, continuous_torque=1.01 * WEIGHT), None),
     ],
 )
