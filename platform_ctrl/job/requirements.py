@@ -146,7 +146,7 @@ class LoopRequirement(Requirement):
         if self.metric.of_sight:
             evidence = (
                 "linear budget of all loops closed, at the worst gimbal angles, with dry friction where there is some"
-            )
+            ) + ("; sines count as Gaussian" if self.metric.key == "contrast" else "")
         else:
             norm = "; exact H-infinity norm" if metrics.exact and self.kind == "disk margin" else ""
             evidence = f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag{norm}"
