@@ -161,7 +161,7 @@ class Sight(Measure):
     """Rms of the line of sight in the budget of the loop's job, rad, or contrast; infinite or 0 of an unstable loop."""
 
     key: str  # of the budget's limit
-    least: bool = False  # whether it is a contrast, of which the forms are those of `contrast_of`
+    worst: float  # of an unstable loop; 0 of a contrast, of which the forms are those of `contrast_of`
 
     def values(self, loops: Loop, request: RequestedMetric, members: Indices) -> FloatArray:
         """Return the value with the friction of another controller, (1,); of plants without forms the exact one."""
@@ -169,11 +169,11 @@ class Sight(Measure):
         if forms is None or not loops.decay[0] > 0.0:
             return np.array([self.exact(loops, request, 0)])
         found = max(one.at(loops.controller) for one in forms[self.key])
-        return np.array([contrast_of(found) if self.least else found])
+        return np.array([contrast_of(found) if self.worst == 0.0 else found])
 
     def exact(self, loops: Loop, request: RequestedMetric, k: int) -> float:
         """Return the value of the budget itself."""
-        return loops.sight.get(self.key, 0.0 if self.least else np.inf)
+        return loops.sight.get(self.key, self.worst)
 
 
 def of_following(function: Callable[[System], FloatArray]) -> Callable[[Loop], FloatArray]:

@@ -32,6 +32,11 @@ class Quantity:
     sense: Sense = "at most"  # smaller is better; ``"at least"``: larger is better
     meaning: str  # one sentence for the documentation
 
+    @property
+    def worst(self) -> float:
+        """The value where there is none to be had: 0 where larger is better, else infinite."""
+        return 0.0 if self.sense == "at least" else np.inf
+
 
 @value
 class Metric(Quantity):
@@ -327,7 +332,7 @@ BUDGET_METRICS["contrast"] = Quantity(
 )
 
 METRICS |= {
-    one.name: Metric(**dataclasses.asdict(one), measure=measuring.Sight(key=key, least=one.sense == "at least"))
+    one.name: Metric(**dataclasses.asdict(one), measure=measuring.Sight(key=key, worst=one.worst))
     for key, one in BUDGET_METRICS.items()
     if key != "limit"
 }

@@ -10,6 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.budget_integrals import motion_transfer
 from platform_ctrl.analysis.mean_squares import mean_square
+from platform_ctrl.analysis.metrics import BUDGET_METRICS
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sight import MeanSquare
@@ -43,7 +44,7 @@ class LoopSight:
 
     def exact(self, controller: System) -> Mapping[str, float]:
         """Return the limits' values at the job's gimbal angles where they are worst; infinite or 0 without a budget."""
-        out = dict.fromkeys(("jitter", "jitter_per_axis", *_WINDOWED), math.inf) | {"contrast": 0.0}
+        out = {key: one.worst for key, one in BUDGET_METRICS.items() if key != "limit"}
         try:
             loop, places = self._balanced(controller)
             found = [prepared(loop, at)[1].of(self._whole(loop, controller, at), TOLERANCE) for at in places]

@@ -385,7 +385,7 @@ def unstable_results(job: Job, reason: str = "the loop is not stable") -> tuple[
     return tuple(
         replaced(
             one.judge(
-                0.0 if one.sense == "at least" else math.inf,
+                BUDGET_METRICS[key].worst,
                 subject=LINE_OF_SIGHT,
                 stage="coupled",
                 evidence=reason,
@@ -393,5 +393,5 @@ def unstable_results(job: Job, reason: str = "the loop is not stable") -> tuple[
             ),
             {"reason": reason},
         )
-        for _, one in budget_requirements(job.budget)
+        for (key, _), one in budget_requirements(job.budget)
     )

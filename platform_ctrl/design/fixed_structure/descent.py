@@ -393,7 +393,7 @@ def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.
         return transfers.joined([inside, loops.edge(transfers.CONTROLLER, low, nominal)]).times(1.0 / limit)
     if isinstance(measure, Sight):
         forms = (plants.sight_forms or {}).get(measure.key, ())
-        return loops.sight(forms, blur_of(limit) if measure.least else limit) if forms else loops.none()
+        return loops.sight(forms, blur_of(limit) if measure.worst == 0.0 else limit) if forms else loops.none()
     match requirement.kind:
         case "stability":
             return loops.decay(limit, members)
