@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import re
 import socket
-from typing import Protocol
+import threading
+from collections.abc import Coroutine
+from typing import Any, Protocol
 
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
@@ -57,10 +59,12 @@ def token(server: Served) -> str:
 
 
 class OpenPage:
-    """A page that is open: its websocket, on an event loop of its own."""
+    """A page that is open: its websocket, on the loop of a thread of its own, for a browser's driver has this one's."""
 
     def __init__(self, server: Served, given: str | None = None, **headers: str) -> None:
         self._loop = asyncio.new_event_loop()
+        self._running = threading.Thread(target=self._loop.run_forever)
+        self._running.start()
         where = HTTPRequest(
             f"ws://127.0.0.1:{server.port}/ws", headers={"Origin": f"http://127.0.0.1:{server.port}"} | headers
         )
@@ -68,7 +72,19 @@ class OpenPage:
         async def connected() -> WebSocketClientConnection:
             return await websocket_connect(where, subprotocols=["bokeh", given or token(server)])
 
-        self._socket = self._loop.run_until_complete(connected())
+        try:
+            self._socket = self._run(connected())
+        except BaseException:
+            self._end()
+            raise
+
+    def _run(self, work: Coroutine[Any, Any, Any]) -> Any:
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result()
+
+    def _end(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._running.join()
+        self._loop.close()
 
     def part(self) -> str | bytes | None:
         """Return the next part of a message, None at the end."""
@@ -76,12 +92,13 @@ class OpenPage:
         async def read() -> str | bytes | None:
             return await self._socket.read_message()
 
-        return self._loop.run_until_complete(asyncio.wait_for(read(), 120.0))
+        part: str | bytes | None = self._run(asyncio.wait_for(read(), 120.0))
+        return part
 
     def __enter__(self) -> OpenPage:
         return self
 
     def __exit__(self, *args: object) -> None:
-        self._socket.close()
-        self._loop.run_until_complete(asyncio.sleep(0.05))
-        self._loop.close()
+        self._loop.call_soon_threadsafe(self._socket.close)
+        self._run(asyncio.sleep(0.05))
+        self._end()
