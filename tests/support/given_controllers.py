@@ -15,9 +15,8 @@ Controllers = Sequence[control.StateSpace] | Mapping[str, Any]
 
 def outcomes(job: Any, controllers: Controllers, alternatives: Sequence[control.StateSpace] = ()) -> Any:
     """Return what `design.loops` returns, of controllers or of the content of a file with them."""
-    if isinstance(controllers, Mapping):
-        controllers, alternatives = (read_controllers(controllers, job, key) for key in ("controllers", "alternatives"))
-    return outcomes_from(job, controllers, alternatives)
+    closed = read_controllers(controllers, job) if isinstance(controllers, Mapping) else controllers
+    return outcomes_from(job, closed, alternatives)
 
 
 def verdict(job: Any, controllers: Controllers, **options: Any) -> Any:
