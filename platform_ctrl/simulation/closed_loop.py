@@ -14,12 +14,7 @@ from platform_ctrl.simulation.added_states import servo_rotors
 from platform_ctrl.simulation.batch import merged_controller, recorded
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.run_plan import prepared_run
-from platform_ctrl.simulation.scenarios import (
-    commanded_readings,
-    expect_several,
-    sampled_commands,
-    steps,
-)
+from platform_ctrl.simulation.scenarios import commanded_readings, courses_of, expect_several, steps
 
 if TYPE_CHECKING:
     import control
@@ -200,7 +195,7 @@ def simulate(
         rate=rate,
         p=momentum,
         reading=reading,
-        reading_command=sampled_commands(scenario, t),
+        reading_command=courses_of(scenario, t)[:, 0],
         command=command,
         torque=torque,
         Omega=Omega,

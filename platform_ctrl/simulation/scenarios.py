@@ -104,15 +104,6 @@ def commanded_readings(scenario: Scenario) -> tuple[str, ...]:
     return tuple(name for name in scenario.units if name in commanded)
 
 
-def sampled_commands(scenario: Scenario, t: FloatArray) -> FloatArray:
-    """Return the commands at times t (N,), s: (N, readings), in the order of `commanded_readings`."""
-    readings = commanded_readings(scenario)
-    out = np.zeros((len(t), len(readings)))
-    for command in scenario.commands:
-        out[:, readings.index(command.reading)] += _steps(command, t) + _path(command, t)
-    return out
-
-
 def courses_of(scenario: Scenario, t: FloatArray) -> FloatArray:
     """Return the commands at times t (N,), s, and what controllers get of them: (N, 2, readings).
 
@@ -120,17 +111,13 @@ def courses_of(scenario: Scenario, t: FloatArray) -> FloatArray:
     for (τ s)³/3 and smaller. Steps go through the filter as they are.
     """
     readings = commanded_readings(scenario)
-    sent = np.zeros((len(t), len(readings)))
+    out = np.zeros((len(t), 2, len(readings)))
     for command in scenario.commands:
         ahead, now = scenario.filters.get(command.reading, 0.0), _path(command, t)
-        if ahead > 0.0:
-            now = 2.0 * _path_ahead(command, t + ahead, scenario.duration) - now
-        sent[:, readings.index(command.reading)] += _steps(command, t) + now
-    return np.stack([sampled_commands(scenario, t), sent], axis=1)
-
-
-def _steps(command: Command, t: FloatArray) -> FloatArray:
-    return np.where(t >= command.at - _AT_ONCE, command.step, 0.0)
+        sent = 2.0 * _path_ahead(command, t + ahead, scenario.duration) - now if ahead > 0.0 else now
+        steps = np.where(t >= command.at - _AT_ONCE, command.step, 0.0)
+        out[:, :, readings.index(command.reading)] += np.stack([steps + now, steps + sent], axis=1)
+    return out
 
 
 def _path_ahead(command: Command, t: FloatArray, end: float) -> FloatArray:
