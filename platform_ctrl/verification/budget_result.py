@@ -278,6 +278,8 @@ def assumption(friction: FrictionBalance, where: str) -> str:
     fed = " less what is fed forward" if any(one is not None for one in friction.drives) else ""
     unsure = [words for words, holds in zip(friction.statement, friction.valid, strict=True) if not holds]
     dry = f", with dry friction{fed}" if friction.frictions else ""
+    if np.any((friction.bristles[1] > 0.0) & (friction.resting == 0.0)):
+        dry += " of bristles that give way, with which runs show up to a quarter more"
     return "; ".join([f"linear budget{f' at {where}' if where else ''}{dry}", *unsure])
 
 
