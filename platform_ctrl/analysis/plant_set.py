@@ -63,7 +63,7 @@ class PlantSet:
     # moves by itself, the frequency that is used instead.
     nutation: float
     # (p,): rms of one sample of each sensor, rad or rad/s; (N, p, p): what makes the measured outputs of the sensors'
-    # readings, in each plant; None: they are these.
+    # readings, in each plant; None: they are these. Behind both are sources of noise alone.
     noise: FloatArray
     turning: FloatArray | None = None
     # (p, k): where the readings are while the k that the loop keeps, the first, rest at their commands; the others
@@ -289,9 +289,14 @@ class PlantSet:
             sight_forms=None,
         )
 
-    def resolved(self, turning: FloatArray, names: Sequence[str]) -> PlantSet:
-        """Return the set that measures `names`, in each plant other combinations (N, p, p) of its measured outputs."""
-        return dataclasses.replace(self._combined(turning), angles=tuple(names), turning=turning)
+    def resolved(self, turning: FloatArray, names: Sequence[str], added: FloatArray) -> PlantSet:
+        """Return the set that measures `names`, in each plant other combinations (N, p, p) of its measured outputs.
+
+        `added` (N, p, i) is noise of these combinations by i further sources of unit rms.
+        """
+        noise = np.append(self.noise, np.ones(added.shape[-1]))
+        whole = np.concatenate([turning, added], axis=-1)
+        return dataclasses.replace(self._combined(turning), angles=tuple(names), turning=whole, noise=noise)
 
     def _combined(self, sense: FloatArray) -> PlantSet:
         """Return the set with combinations of its measured outputs, (k, p), or of each plant (N, k, p)."""

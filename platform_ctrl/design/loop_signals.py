@@ -88,6 +88,16 @@ class LoopSignals:
             out[np.ix_(at[: len(law.names)], at)] = law.matrix(q)
         return out
 
+    def encoder_noise(self, job: Job, q: FloatArray, every: int) -> FloatArray:
+        """Return what noise of encoders adds to `readings` at gimbal angles (n,), rad: unit sources, (p, i)."""
+        known, parts = {one.name: one for one in job.platform.sensors}, [np.zeros((len(self.readings), 0))]
+        for law in self.resolvers:
+            rms = np.array([known[name].sampled_noise(job.sampling.period, every) for name in law.encoders])
+            added = law.encoder_noise(q, rms, job.Omega)
+            parts.append(np.zeros((len(self.readings), added.shape[1])))
+            parts[-1][[self.readings.index(name) for name in law.names]] = added
+        return np.hstack(parts)
+
 
 def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
     """Return the gimbals, sensors and torquers of a loop: a caging loop has one of each on every gimbal."""

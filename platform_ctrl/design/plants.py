@@ -211,7 +211,11 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
     if signals.resolvers:
         still = np.zeros(len(job.platform.gimbals))
         trims = [still if one.q is None else one.q for one in linear.cases]
-        found = found.resolved(np.array([signals.turning(q) for q in trims]), signals.readings)
+        found = found.resolved(
+            np.array([signals.turning(q) for q in trims]),
+            signals.readings,
+            np.array([signals.encoder_noise(job, q, every) for q in trims]),
+        )
         found = dataclasses.replace(found, limited=near_keyhole(job, signals.resolvers))
     return found.on(tuning_grid(nutation, period))
 

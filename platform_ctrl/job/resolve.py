@@ -96,8 +96,8 @@ class Resolver:
         turned = dict(zip(self.sensors, self.names, strict=True))
         return tuple(turned.get(name, name) for name in names)
 
-    def _jacobian_at(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        angles = self.scale * q[list(self.turned)] + self.bias
+    def _jacobian_at(self, q: FloatArray, off: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
+        angles = self.scale * q[list(self.turned)] + self.bias + off
         return self.jacobian(np.cos(angles), np.sin(angles))
 
     def matrix(self, q: FloatArray) -> FloatArray:
@@ -107,6 +107,18 @@ class Resolver:
         return np.asarray(
             np.linalg.solve(J.T @ J + damping * np.eye(len(J)), J.T @ np.hstack([np.eye(len(J)), -share]))
         )
+
+    def encoder_noise(self, q: FloatArray, rms: FloatArray, Omega: FloatArray) -> FloatArray:
+        """Return what noise of the encoders, `rms` (e,) rad, adds to resolved readings (p, 3 e) while the root turns.
+
+        They subtract its rates, up to `Omega` (3,), rad/s, about wrong axes; in columns that bound them in any sum.
+        """
+        p = len(self.names)
+        if not self.base:
+            return np.zeros((p, 0))
+        shown = 0.5 * np.sqrt(np.count_nonzero(Omega)) * np.linalg.pinv(self.of_base) * Omega
+        off = [self._jacobian_at(q, one)[1] - self._jacobian_at(q, -one)[1] for one in np.diag(rms)]
+        return np.asarray(self.matrix(q)[:, :p] @ np.hstack([one @ shown for one in off]))
 
     def limited(self, q: FloatArray) -> bool:
         """Return whether the gain is limited at gimbal angles q (n,), rad: near the keyhole."""

@@ -190,6 +190,19 @@ def test_their_loop_is_that_of_tachometers_with_the_noise_of_the_gyros_of_the_ba
     assert checks[0].decoupled == pytest.approx(checks[1].decoupled, rel=1e-9)
 
 
+def test_noise_of_an_encoder_turns_the_rate_of_the_base_that_is_subtracted() -> None:
+    Omega = np.array([0.2, 0.0, 0.5])
+    data = less_base(resolved_job(operation={"Omega": Omega.tolist(), "angles": {"pitch": [0.5]}}))
+    data["plant"]["pickoff"][1]["noise_rms"] = 1e-3
+    plants = plants_of(job := read_job(data), job.loops[0])
+    yaw, pitch = plants.noise_input(plants.labels.index("pitch = 0.5 rad"))
+    # y = (ω − Ω1 sin q − Ω3 cos q)/cos q, for signs of Ω1 and Ω3 that are not known.
+    each = job.platform.pickoffs[1].sampled_noise(1.0 / RATE_HZ) * np.array([Omega[0], Omega[2] * np.tan(0.5)])
+    assert np.linalg.norm(yaw) == pytest.approx(np.sqrt(2.0) * np.linalg.norm(each), rel=1e-6)
+    assert np.linalg.norm(yaw) > each.sum()
+    assert np.linalg.norm(pitch) < 1e-15
+
+
 def test_a_run_that_comes_near_the_keyhole_says_so() -> None:
     data = resolved_job()
     data["manoeuvre"][0] |= {"duration": 0.05, "limits": {"gimbal_rate": 9.0}}
