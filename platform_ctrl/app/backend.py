@@ -13,7 +13,7 @@ import numpy as np
 
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.app.background import IsCancelled, Simulating, Tuning
+from platform_ctrl.app.background import IsCancelled, simulated, tuned_options
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.job_parts import BudgetState, JobParts, SightBudgets, loop_stamp, run_stamp
@@ -38,7 +38,7 @@ from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS, read_job
 from platform_ctrl.design.tuning import SHARE, OptionEffects, deciding, largest_ratios, option_effects
 from platform_ctrl.errors import ArgumentError, DesignError
-from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import out_of_reach
 from platform_ctrl.verification.controllers import differing_origin
@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 
 class Backend:
     """All that pages need of a job, shared by them; every method may be called from several threads.
+
+    Its `loops` have the plants and controllers of settings, `sight` the budget, `job_parts` the verdicts.
 
     Parameters
     ----------
@@ -69,33 +71,29 @@ class Backend:
             beside = controllers_beside(self.path)
             # Controllers of another plant or job are not used.
             controllers = beside if beside.exists() and not differing_origin(beside, self.read) else None
-        self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
-        self.read, self.requests = self._loops.read, self._loops.requests
+        self.loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
+        self.read, self.requests = self.loops.read, self.loops.requests
         # Whether a manoeuvre has been simulated: the first takes longer, until its equations are compiled.
         self.has_simulated = False
-        self.sight = SightBudgets(self._loops)
-        self.job_parts = JobParts(self._loops, self.sight)
+        self.sight = SightBudgets(self.loops)
+        self.job_parts = JobParts(self.loops, self.sight)
         # The names of the limits of results, by the results' subject and name.
         self.limit_names = limits_of_rows(self.read)
 
     def close(self) -> None:
         """End the process that designs, tunes and simulates."""
         self.requests.end()
-        self._loops.background.end()
+        self.loops.background.end()
 
     # Settings and what they may be.
 
-    def spec(self, settings: Settings) -> LoopSpec:
-        """Return the loop that is shown."""
-        return self._loops.spec(settings.loop)
-
     def channels(self, settings: Settings) -> tuple[str, ...]:
         """Return the torquers at which the loop may be shown broken."""
-        return self._loops.plants.read.channels_of(self._loops.spec(settings.loop))
+        return self.loops.plants.read.channels_of(self.loops.spec(settings.loop))
 
     def start(self, loop: str | None = None) -> Settings:
         """Return the settings of the job file, at one of its loops; None: the first that sliders shape at once."""
-        start = self._loops.start
+        start = self.loops.options.start
         if loop is None:
             # `closed` has a design that is built directly wherever a loop has any and its own is not made yet.
             shaped = (
@@ -109,40 +107,36 @@ class Backend:
     def chosen(self, settings: Settings, *, loop: str | None = None, design: str | None = None) -> Settings:
         """Return the settings at another loop, or another design of it."""
         name = settings.loop if loop is None else loop
-        spec = self._loops.spec(name)
+        spec = self.loops.spec(name)
         design = design if design is not None else settings.closed[name]
         names = tuple(d.name for d in spec.designs)
         known_name("design", design, names)
-        channels = self._loops.plants.read.channels_of(spec)
+        channels = self.loops.plants.read.channels_of(spec)
         return settings.but(
             loop=name,
             design=design,
             closed={**settings.closed, name: design},
             channel=settings.channel if settings.channel in channels else channels[0],
-            axis=settings.axis if name == settings.loop else self._loops.plants.loading_axis(spec, settings.axis),
+            axis=settings.axis if name == settings.loop else self.loops.plants.loading_axis(spec, settings.axis),
             plant=settings.plant if name == settings.loop else "nominal",
             overlays=tuple(o for o in settings.overlays if o in names and o != design),
         )
 
-    def plants(self, settings: Settings) -> tuple[str, ...]:
-        """Return the labels of the plants that may be shown."""
-        return self._loops.plants.labels(self._loops.spec(settings.loop))
-
     def sliders(self, settings: Settings) -> tuple[Slider, ...]:
         """Return all sliders of the settings: speed and robustness, then those of the design."""
-        spec, design = self._loops.design(settings)
-        options = self._loops.options.offered(settings, spec, design)
+        spec, design = self.loops.design(settings)
+        options = self.loops.options.offered(settings, spec, design)
         parts = settings.parts_on(spec.name, design.name)
-        start = self._loops.start.options[spec.name][design.name]
+        start = self.loops.options.start.options[spec.name][design.name]
         own = option_sliders(design.method, options, start, 1.0 / self.read.period_of(spec), settings.fixed)
         shown = [slider for slider in own if not slider.part or slider.part in parts]
-        return (*main_sliders(design.method, shown, start), *shown)
+        return (*main_sliders(design.method, shown), *shown)
 
     def parts(self, settings: Settings) -> tuple[Part, ...]:
         """Return the optional parts of the selected design: lag and notches."""
-        spec, design = self._loops.design(settings)
+        spec, design = self.loops.design(settings)
         on = settings.parts_on(spec.name, design.name)
-        known = self._loops.options.offered(settings, spec, design)
+        known = self.loops.options.offered(settings, spec, design)
         return tuple(
             Part(name=name, label=label, on=name in on, tip=tip)
             for name, (label, tip) in METHODS[design.method].parts.items()
@@ -153,9 +147,9 @@ class Backend:
         """Return the settings with something else chosen from a list of the page."""
         choices: dict[str, tuple[Any, ...]] = {
             "loop": tuple(one.name for one in self.read.loops),
-            "design": tuple(one.name for one in self._loops.spec(settings.loop).designs),
+            "design": tuple(one.name for one in self.loops.spec(settings.loop).designs),
             "channel": self.channels(settings),
-            "plant": self.plants(settings),
+            "plant": self.loops.plants.labels(self.loops.spec(settings.loop)),
             "axis": (1, 2, 3),
             "band": (True, False),
         }
@@ -181,20 +175,15 @@ class Backend:
         known_name("slider", slider, [one.name for one in self.sliders(settings) if not one.along])
         return settings.but(fixed=settings.fixed | {slider} if fixed else settings.fixed - {slider})
 
-    def starts(self, settings: Settings) -> dict[str, float]:
-        """Return the values of the sliders of these settings in the job file."""
-        first = self._loops.start.but(loop=settings.loop, design=settings.design, optional=settings.optional)
-        return {one.name: one.value for one in self.sliders(first)}
-
     def reset(self, settings: Settings, slider: str) -> Settings:
         """Return the settings with a slider at its value in the job file."""
-        starts = self.starts(settings)
+        starts = {one.name: one.start for one in self.sliders(settings)}
         known_name("slider", slider, list(starts))
         return self.moved(settings, slider, starts[slider])
 
     def with_part(self, settings: Settings, part: str, on: bool) -> Settings:
         """Return the settings with an optional part switched on or off."""
-        spec, design = self._loops.design(settings)
+        spec, design = self.loops.design(settings)
         known_name("part", part, tuple(one.name for one in self.parts(settings)))
         now = set(settings.parts_on(spec.name, design.name)) - {part}
         mine = {**settings.optional.get(spec.name, {}), design.name: tuple(sorted(now | {part} if on else now))}
@@ -202,26 +191,17 @@ class Backend:
 
     def with_overlay(self, settings: Settings, design: str, on: bool) -> Settings:
         """Return the settings with another design of the loop drawn over the selected one, or not."""
-        others = [one.name for one in self._loops.spec(settings.loop).designs if one.name != settings.design]
+        others = [one.name for one in self.loops.spec(settings.loop).designs if one.name != settings.design]
         known_name("overlay", design, others)
         now = {*settings.overlays, design} if on else {*settings.overlays} - {design}
         return settings.but(overlays=tuple(one for one in others if one in now))
 
     def moved(self, settings: Settings, slider: str, number: float) -> Settings:
         """Return the settings with a slider at another number."""
-        start = self._loops.start.options[settings.loop][settings.design]
-        rate_hz = 1.0 / self.read.sampling.period
-        return moved(settings, {one.name: one for one in self.sliders(settings)}, slider, number, start, rate_hz)
-
-    def job(self, settings: Settings) -> Job:
-        """Return the job with the options and closed designs of the settings."""
-        return self._loops.job(settings)
+        sliders = {one.name: one for one in self.sliders(settings)}
+        return moved(settings, sliders, slider, number, 1.0 / self.read.sampling.period)
 
     # Pictures and designs.
-
-    def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call `listener` in a thread whenever a design that pictures wait for is available or failed."""
-        return self._loops.listen(listener)
 
     def picture(self, settings: Settings, on_drawn: Callable[[Drawing], None] | None = None) -> Picture:
         """Return the curves and the results for the settings.
@@ -231,13 +211,13 @@ class Backend:
         """
         begun = time.perf_counter()
         whole("axis", settings.axis, 1, 3)
-        spec, _ = self._loops.design(settings)
+        spec, _ = self.loops.design(settings)
         try:
             with np.errstate(all="ignore"):
-                curves, notes = self._loops.curves(settings)
-                drawing = curves.drawing(self.plants(settings))
+                curves, notes = self.loops.curves(settings)
+                drawing = curves.drawing(self.loops.plants.labels(spec))
                 if settings.overlays:
-                    overlays, more = self._loops.overlays(settings, spec)
+                    overlays, more = self.loops.overlays(settings, spec)
                     drawing, notes = dataclasses.replace(drawing, overlays=overlays), (*notes, *more)
                 if on_drawn is not None:
                     on_drawn(drawing)
@@ -248,7 +228,7 @@ class Backend:
                 "extreme values"
             ) from None
         if spec.has_plants and LATER not in [one.reason for one in measured.requirements]:
-            self.job_parts.keep(loop_stamp(self._loops, settings, spec), measured.requirements)
+            self.job_parts.keep(loop_stamp(self.loops, settings, spec), measured.requirements)
         own = {one.name: getattr(drawing, one.name) for one in dataclasses.fields(drawing)}
         measured = dataclasses.replace(measured, notes=(*notes, *measured.notes))
         return Picture(**own, measured=measured, elapsed=time.perf_counter() - begun)
@@ -260,10 +240,6 @@ class Backend:
         """
         return None if self.read.budget is None else self.sight.now(settings)
 
-    def budget_results(self, settings: Settings) -> tuple[CheckResult, ...]:
-        """Return the limits of the budget within some milliseconds; none before it was computed once."""
-        return self.sight.quick_results(settings)
-
     def influence(self, settings: Settings, before_each: Callable[[], None] = lambda: None) -> OptionEffects:
         """Return the effect of each slider on each requirement, those of the budget behind the loop's.
 
@@ -271,7 +247,7 @@ class Backend:
         """
         sliders = [slider for slider in self.sliders(settings) if not slider.background]
         names = [slider.name for slider in sliders]
-        loops = self._loops
+        loops = self.loops
         caged = loops.spec(settings.loop).has_plants
         own = (
             _of_caging_loop(loops, settings) if caged else _of_results(lambda now: loops.coupled(now).results, settings)
@@ -284,10 +260,10 @@ class Backend:
             return ratios(self.moved(settings, slider.name, slider.value + step))
 
         # No slider moves a value that the linear budget cannot judge.
-        judged = {one.name for one in self.budget_results(settings) if one.valid}
+        judged = {one.name for one in self.sight.quick_results(settings) if one.valid}
 
         def of_sight(now: Settings) -> list[CheckResult]:
-            return [one for one in self.budget_results(now) if one.name in judged]
+            return [one for one in self.sight.quick_results(now) if one.name in judged]
 
         with np.errstate(all="ignore"):
             parts = [
@@ -308,23 +284,24 @@ class Backend:
         self, settings: Settings, progress: Progress = lambda line: None, cancelled: IsCancelled = lambda: False
     ) -> Settings:
         """Return the settings with all sliders of the design that are not fixed tuned until its limits are met."""
-        spec, design = self._loops.design(settings)
+        spec, design = self.loops.design(settings)
         free = tuple(k.name for k in self.sliders(settings) if k.tunable and not k.fixed)
         if not spec.has_plants:
             raise DesignError(f"{spec.name}, {design.name}: a servo on the platform is not tuned; move its sliders")
         if not free:
             raise DesignError(f"{spec.name}, {design.name}: no slider is free to be tuned; free at least one")
+        plants, directions = self.loops.plants_of(settings, spec, design)
         problem = LoopProblem(
-            job=self.job(settings),
+            job=self.loops.job(settings),
             spec=spec,
             design=design,
-            model=self._loops.plants.model,
-            plant_set=self._loops.plants_of(settings, spec, design),
-            directions=self._loops.directions(settings, spec, design),
+            model=self.loops.plants.model,
+            plant_set=plants,
+            directions=directions,
             progress=Local(progress),
         )
-        task = Tuning(problem=problem, options=self._loops.options.used(settings, spec, design), movable=free)
-        found: dict[str, float] = self._loops.background.run(task, progress, cancelled)
+        task = partial(tuned_options, problem, self.loops.options.used(settings, spec, design), free)
+        found: dict[str, float] = self.loops.background.run(task, progress, cancelled)
         # Six digits: more change no requirement.
         return with_options(settings, {name: float(f"{found[name]:.6g}") for name in free})
 
@@ -332,11 +309,11 @@ class Backend:
 
     def save(self, settings: Settings, path: str | Path, overwrite: bool = False) -> Saved:
         """Write the settings as a job file, and its controllers beside it; comments of the job's own file stay."""
-        settings = _rounded(settings, self._loops.start)
-        options, start = self._loops.options, self._loops.start
-        closed = {**settings.closed, settings.loop: settings.design}
+        settings = _rounded(settings, self.loops.options.start)
+        options, start = self.loops.options, self.loops.options.start
+        closed = self.loops.closed(settings)
         try:
-            controllers = [made for made, _ in self._loops.closed_designs(settings, strict=True)]
+            controllers = [made for made, _ in self.loops.closed_designs(settings, strict=True)]
         except DesignError:
             if not is_unchanged(settings.but(closed=closed), start):
                 raise
@@ -344,26 +321,21 @@ class Backend:
         wanted: dict[str, dict[str, dict[str, float]]] = {}
         for spec in self.read.loops:
             for design in spec.designs:
-                own = settings.options[spec.name][design.name]
-                if not built_directly(design):
-                    changed = dict(own) != dict(start.options[spec.name][design.name])
-                else:
-                    changed = design.name == closed[spec.name] or options.touched(settings, spec.name, design.name)
-                if changed:
-                    used = options.used(settings, spec, design) if built_directly(design) else dict(own)
-                    wanted.setdefault(spec.name, {})[design.name] = used
+                direct = built_directly(design) and design.name == closed[spec.name]
+                if direct or options.touched(settings, spec.name, design.name):
+                    wanted.setdefault(spec.name, {})[design.name] = options.used(settings, spec, design)
         return write_job(self._source, Path(path), overwrite, settings.but(closed=closed), start, wanted, controllers)
 
     def simulate(self, settings: Settings, manoeuvre: str, cancelled: IsCancelled = lambda: False) -> Trajectory:
         """Return one of the job's manoeuvres, simulated on the non-linear plant with the loops as they are set."""
         known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
-        closed = tuple(self._loops.controllers(settings))
-        task = Simulating(job=self.job(settings), manoeuvre=manoeuvre, controllers=closed)
-        trajectory: Trajectory = self._loops.background.run(task, cancelled=cancelled)
+        job = self.loops.job(settings)
+        task = partial(simulated, job, manoeuvre, tuple(self.loops.controllers(settings)))
+        trajectory: Trajectory = self.loops.background.run(task, cancelled=cancelled)
         self.has_simulated = True
-        made = next(one for one in task.job.manoeuvres if one.name == manoeuvre)
-        results = run_of(task.job, made, trajectory).results
-        self.job_parts.keep(run_stamp(self._loops, settings, manoeuvre), results)
+        made = next(one for one in job.manoeuvres if one.name == manoeuvre)
+        results = run_of(job, made, trajectory).results
+        self.job_parts.keep(run_stamp(self.loops, settings, manoeuvre), results)
         return trajectory
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.progress import Progress
-from platform_ctrl.common.values import replaced, value
+from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job
 
@@ -125,7 +125,7 @@ class Background:
         weakref.finalize(self, _end_all, self._running)
 
     def run(self, task: Any, progress: Progress = lambda line: None, cancelled: IsCancelled = lambda: False) -> Any:
-        """Return what ``task.run(progress)`` returns there; `TaskCancelled` where it was cancelled."""
+        """Return what ``task(progress)`` returns there; `TaskCancelled` where it was cancelled."""
         with self._lock:
             return self._result(task, progress, lambda: self._ended or cancelled())
 
@@ -181,7 +181,7 @@ def _work(pipe: Connection) -> None:
         while True:
             task = pipe.recv()
             try:
-                pipe.send(("done", task.run(lambda line: pipe.send(("progress", line)))))
+                pipe.send(("done", task(lambda line: pipe.send(("progress", line)))))
             except PlatformCtrlError as error:
                 # The problem that is attached to it may not be picklable.
                 pipe.send(("failed", DesignError(str(error)) if isinstance(error, DesignError) else error))
@@ -191,79 +191,57 @@ class DesignPending(DesignError):
     """Nothing can be shown before a design is available."""
 
 
-@value
-class Tuning:
-    """Tunes the `movable` options of a classical, PI or LQG design until the limits of its loop are met.
+def tuned_options(
+    problem: LoopProblem, options: dict[str, float], movable: tuple[str, ...], progress: Progress
+) -> dict[str, float]:
+    """Return the `movable` options of a classical, PI or LQG design, tuned until the limits of its loop are met.
 
     `options` are all that the design uses.
     """
+    from platform_ctrl.design.method import TunedMethod, tuned
+    from platform_ctrl.design.methods import METHODS
+    from platform_ctrl.design.tuning import over_decades
 
-    problem: LoopProblem
-    options: dict[str, float]
-    movable: tuple[str, ...]
-
-    def run(self, progress: Progress) -> dict[str, float]:
-        """Return the tuned options."""
-        from platform_ctrl.design.method import TunedMethod, tuned
-        from platform_ctrl.design.methods import METHODS
-        from platform_ctrl.design.tuning import over_decades
-
-        problem = dataclasses.replace(self.problem, progress=progress)
-        method = METHODS[problem.design.method]
-        assert isinstance(method, TunedMethod), "the app tunes what is built from its options"
-        channel, seen, period = problem.channel, method.seen(problem.plants), problem.plants.period
-        together = [name for name in method.rates if name in self.movable]
-        return tuned(
-            problem,
-            self.options,
-            self.movable,
-            lambda trial: method.controller(trial, channel, seen),
-            upper=method.upper_bounds(period),
-            starts=over_decades(self.options, together, period),
-        )
+    problem = dataclasses.replace(problem, progress=progress)
+    method = METHODS[problem.design.method]
+    assert isinstance(method, TunedMethod), "the app tunes what is built from its options"
+    channel, seen, period = problem.channel, method.seen(problem.plants), problem.plants.period
+    together = [name for name in method.rates if name in movable]
+    return tuned(
+        problem,
+        options,
+        movable,
+        lambda trial: method.controller(trial, channel, seen),
+        upper=method.upper_bounds(period),
+        starts=over_decades(options, together, period),
+    )
 
 
-@value
-class Designing:
-    """Designs a loop by its method; `job` has the plant, sampling and options of the settings."""
+def made_design(job: Job, loop: str, name: str, progress: Progress) -> Design:
+    """Return a design of a loop by its method, u = K y; `job` has the plant, sampling and options of the settings."""
+    from platform_ctrl.design.jobs import loops
+    from platform_ctrl.design.tuning import of_sight
 
-    job: Job
-    loop: str
-    design: str
-
-    def run(self, progress: Progress) -> Design:
-        """Return the controller u = K y, with its completed options and what the method claims."""
-        from platform_ctrl.design.jobs import loops
-        from platform_ctrl.design.tuning import of_sight
-
-        spec = self.job.loop(self.loop)
-        design = next(one for one in spec.designs if one.name == self.design)
-        # With the loops on which it depends.
-        needed = {spec.around, *(one.name for one in self.job.loops if of_sight(spec.requests))}
-        alone = [
-            dataclasses.replace(spec, designs=(design,), use=design.name)
-            if one.name == spec.name
-            else dataclasses.replace(one, designs=(one.closed,))
-            for one in self.job.loops
-            if one.name in (*needed, spec.name)
-        ]
-        outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress)
-        closed = next(one.closed for one in outcomes if one.spec.name == spec.name)
-        bare = {"plants": None, "measures": None, "results": (), "goals": (), "sections": (), "directions": None}
-        return replaced(closed, {"controller": closed.own_controller, **bare})
+    spec = job.loop(loop)
+    design = next(one for one in spec.designs if one.name == name)
+    # With the loops on which it depends.
+    needed = {spec.around, *(one.name for one in job.loops if of_sight(spec.requests))}
+    alone = [
+        dataclasses.replace(spec, designs=(design,), use=name)
+        if one.name == loop
+        else dataclasses.replace(one, designs=(one.closed,))
+        for one in job.loops
+        if one.name in (*needed, loop)
+    ]
+    outcomes = loops(dataclasses.replace(job, loops=tuple(alone)), progress)
+    closed = next(one.closed for one in outcomes if one.spec.name == loop)
+    bare = {"plants": None, "measures": None, "results": (), "goals": (), "sections": (), "directions": None}
+    return replaced(closed, {"controller": closed.own_controller, **bare})
 
 
-@value
-class Simulating:
-    """Simulates a manoeuvre on the non-linear plant, with a controller for every loop in the job's order."""
+def simulated(job: Job, manoeuvre: str, controllers: tuple[StateSpace, ...], progress: Progress) -> Trajectory:
+    """Return a manoeuvre on the non-linear plant, with a controller for every loop in the job's order."""
+    from platform_ctrl.verification.simulated import simulate_manoeuvre
 
-    job: Job
-    manoeuvre: str
-    controllers: tuple[StateSpace, ...]
-
-    def run(self, progress: Progress) -> Trajectory:
-        """Return the run."""
-        from platform_ctrl.verification.simulated import simulate_manoeuvre
-
-        manoeuvre = next(one for one in self.job.manoeuvres if one.name == self.manoeuvre)
-        return simulate_manoeuvre(self.job, manoeuvre, self.controllers).trajectory
+    made = next(one for one in job.manoeuvres if one.name == manoeuvre)
+    return simulate_manoeuvre(job, made, controllers).trajectory

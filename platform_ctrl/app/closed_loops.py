@@ -13,13 +13,14 @@ import numpy as np
 
 from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop import Loop
-from platform_ctrl.analysis.loop_metrics import LoopMetrics
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.system import StateSpace, System
-from platform_ctrl.app.background import Background, Designing, DesignPending, Requests, TaskCancelled
+from platform_ctrl.app.background import Background, DesignPending, Requests, TaskCancelled, made_design
 from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays, existing_designs, loop_names
 from platform_ctrl.app.curves import LoopCurves
-from platform_ctrl.app.loops import CagedCurves, CagedLoop, StabilisedCurves, loop_metrics
+from platform_ctrl.app.loops import CagedCurves, CagedLoop, StabilisedCurves
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.settings import Limits, Settings, of_loop, with_limits
@@ -28,6 +29,7 @@ from platform_ctrl.design.loop import Design, with_resolvers
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, designed, shaped
 from platform_ctrl.design.methods import METHODS
+from platform_ctrl.design.plants import tracking_plants
 from platform_ctrl.design.sight import beside
 from platform_ctrl.design.tuning import of_sight
 from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
@@ -62,6 +64,7 @@ class ClosedLoops:
         self._specs = {spec.name: spec for spec in job.loops}
         self._limited: Bounded[Job] = Bounded(4)
         self._measures: Bounded[LoopMetrics] = Bounded(8)
+        self._around: Bounded[tuple[PlantSet, Channels]] = Bounded(6)
         self._coupled: Bounded[CoupledCheck] = Bounded(16)
         self._overlays: Bounded[tuple[Drawing, tuple[str, ...]]] = Bounded(16)
         # Designs and what pages wait for, which goes first; how designs failed, and who is told of each.
@@ -70,14 +73,9 @@ class ClosedLoops:
         self._listeners: dict[Callable[[], None], None] = {}
         self._take([] if controllers is None else existing_designs(controllers, job))
 
-    @property
-    def start(self) -> Settings:
-        """The settings of the job file, with the controllers that exist already."""
-        return self.options.start
-
     def _take(self, given: Iterable[Design]) -> None:
         """Start from designs that exist already."""
-        start = self.start
+        start = self.options.start
         for made in given:
             loop, design = made.loop, made.name
             known = next((d for d in self._specs[loop].designs if d.name == design), None)
@@ -143,9 +141,8 @@ class ClosedLoops:
     def _as_set(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> DesignSpec:
         if not self.options.touched(settings, spec.name, design.name):
             return design
-        if not built_directly(design):
-            return dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
-        return dataclasses.replace(design, options=self.options.used(settings, spec, design), tune=False)
+        options = self.options.used(settings, spec, design)
+        return dataclasses.replace(design, options=options, tune=design.tune and not built_directly(design))
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` in a thread after each design that was requested; return the function that ends that."""
@@ -180,7 +177,7 @@ class ClosedLoops:
         if over.wait(PAUSE) or self._made.found(key) is not None:
             return
         try:
-            task = Designing(job=job, loop=loop, design=design)
+            task = partial(made_design, job, loop, design)
             self._made.put(key, self.background.run(task, cancelled=over.is_set))
         except TaskCancelled:
             return
@@ -215,7 +212,7 @@ class ClosedLoops:
     def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the selected loop with plants of its own, and lines about its controller."""
         spec, design = self.design(settings)
-        plants = self.plants_of(settings, spec, design)
+        plants, _ = self.plants_of(settings, spec, design)
         if self._beside(spec):
             others = [self._closed(settings, one, False)[0] for one in self.read.loops if one.name != spec.name]
             plants = beside(plants, {one.loop: one.controller for one in others})
@@ -232,21 +229,18 @@ class ClosedLoops:
         )
         return loop, (note,) if note else ()
 
-    def plants_of(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> PlantSet:
-        """Return the plants of a design of a loop."""
-        return self.plants.of(spec, design) if spec.around is None else self._around(settings, spec)[0]
+    def plants_of(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[PlantSet, Channels]:
+        """Return the plants of a design of a loop, and the directions in which methods see them.
 
-    def directions(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Channels:
-        """Return the directions in which methods see a loop as a design reads it."""
-        return self.plants.gyros(spec, design) if spec.around is None else self._around(settings, spec)[1]
-
-    def _around(self, settings: Settings, spec: LoopSpec) -> tuple[PlantSet, Channels]:
-        """Return plants and directions of a tracking loop, around the rate loop that it commands."""
+        Of a tracking loop they are those around the rate loop that it commands.
+        """
+        if spec.around is None:
+            return self.plants.of(spec, design), self.plants.gyros(spec, design)
         inner = self.plants.inside(spec)
         design, K, _ = self._closed_design(settings, inner)
-        return self.plants.around(
-            spec, inner, design, self._with_commands(settings, inner, design, K), self.closed_key(settings, inner)
-        )
+        K = self._with_commands(settings, inner, design, K)
+        made = partial(tracking_plants, self.read, spec, inner, self.plants.of(inner, design), K)
+        return self._around.get((spec.name, inner.name, design.name, self.closed_key(settings, inner)), made)
 
     def plants_key(self, settings: Settings, spec: LoopSpec) -> Hashable:
         """Return a key of everything that the plants of a loop depend on: of a tracking loop the inner loop.
@@ -309,7 +303,10 @@ class ClosedLoops:
         plants, arrays = self.plants_key(settings, loop.spec), (item.tobytes() for item in K[:4])
         key = (loop.spec.name, loop.design, limits, plants, K.A.shape, *arrays)
         sight = not quick or self._measures.found((*key, True)) is not None
-        return self._measures.get((*key, sight), lambda: loop_metrics(loop, whole, sight))
+        requests = [one for one in loop.spec.requests if sight or not METRICS[one.kind].of_sight]
+        # Peaks are norms unless the loop has too many states for that.
+        made = partial(measure, loop.plants, K, requests, exact=loop.exact, loops=whole)
+        return self._measures.get((*key, sight), made)
 
     def controllers(self, settings: Settings) -> list[StateSpace]:
         """Return the controller u = K y of every loop."""
@@ -367,7 +364,7 @@ class ClosedLoops:
         """Return a controller with the commands that its design shapes, or that a loop or a manoeuvre gives."""
         commanded = None if spec.around is not None else self.plants.of(spec, design).commanded
         if design.command is not None:
-            channel = self.directions(settings, spec, design)
+            _, channel = self.plants_of(settings, spec, design)
             sense = np.eye(K.B.shape[1]) if channel.sense is None else channel.sense
             return shaped(K._replace(dt=self.read.period_of(spec)), design.command, channel, sense, commanded)
         readings = self.read.readings_of(spec.read_by(design))
@@ -377,7 +374,7 @@ class ClosedLoops:
     def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> System:
         """Return the controller of a caging loop."""
         if built_directly(design):
-            channel = self.directions(settings, spec, design)
+            _, channel = self.plants_of(settings, spec, design)
             options = self.options.used(settings, spec, design)
             return direct_arrays(design.method, options, channel, self.read.period_of(spec))
         made = self.found(settings, spec.name, design.name)

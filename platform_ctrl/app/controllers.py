@@ -125,16 +125,11 @@ class DesignOptions:
         ) != start.parts_on(loop, design)
 
     def _first(self) -> Settings:
-        options: dict[str, dict[str, dict[str, float]]] = {}
-        optional: dict[str, dict[str, tuple[str, ...]]] = {}
-        closed: dict[str, str] = {}
+        options, optional, closed = {}, {}, {}
         for spec in self.read.loops:
-            options[spec.name], optional[spec.name] = {}, {}
-            for design in spec.designs:
-                options[spec.name][design.name] = self._options(spec, design)
-                optional[spec.name][design.name] = tuple(
-                    sorted({part for name in design.options if (part := part_of(name))})
-                )
+            options[spec.name] = {one.name: self._options(spec, one) for one in spec.designs}
+            parts = {one.name: {part_of(name) for name in one.options} for one in spec.designs}
+            optional[spec.name] = {name: tuple(sorted(own - {""})) for name, own in parts.items()}
             there = [d.name for d in spec.designs if built_directly(d)]
             closed[spec.name] = spec.use if spec.use in there or not there else there[0]
         first = self.read.loops[0]

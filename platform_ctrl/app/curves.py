@@ -201,12 +201,10 @@ class LoopCurves(ABC):
             locus=locus,
             poles=self.poles,
             other_poles=others[np.abs(others) < 4.0 * locus.view.reach],
-            damping=self.limits.get("damping"),
             step=self.step(),
             Omega_time=self.disturbance(),
             Omega_frequency=self.disturbance_gain(),
-            bandwidth=self.limits.get("bandwidth"),
-            disk_margin=self.limits.get("disk margin"),
+            limits=self.limits,
             stable=self.stable,
             all_stable=self.all_stable,
         )
@@ -282,18 +280,16 @@ def frequency_gain(
 
     The set has responses (N, B, k) at frequencies (B,).
     """
-    w = low = high = np.zeros(0)
-    if band is not None:
-        w, gains = band[0], np.linalg.norm(band[1], axis=-1)
-        low, high = gains.min(axis=0), gains.max(axis=0)
+    w, responses = band or (np.zeros(0), np.zeros((1, 0, 1)))
+    gains = np.linalg.norm(responses, axis=-1)
     return FrequencyGain(
         title=title,
         unit=unit,
         frequency=frequency,
         gain=np.asarray(np.linalg.norm(shown, axis=-1)),
         band_frequency=w,
-        low=low,
-        high=high,
+        low=gains.min(axis=0),
+        high=gains.max(axis=0),
         limit=limit,
     )
 

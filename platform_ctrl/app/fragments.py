@@ -33,8 +33,8 @@ _LEAST_GAIN = 5e-3
 _LEAST, _MOST = 0.002, 0.1
 # Shares of a mean square that count as zero.
 _ROUNDING = 1e-12
-# Steps of a slider's range, and how far to both sides of it limits are judged by slopes.
-STEPS, _FARTHEST = 4000, 0.3
+# How far to both sides of a slider limits are judged by slopes.
+_FARTHEST = 0.3
 _GROUPS = {
     "main": "Speed and robustness", "gains": "Gains", "lead": "Lead and lag", "lag": "Lag", "notch": "Notch",
     "design": "Design",
@@ -62,18 +62,18 @@ def number(x: float | None, digits: int = 3) -> str:
     return plain(x, digits) if math.isfinite(x) else "∞" if x > 0.0 else f"{MINUS}∞"
 
 
-def selectors(backend: Backend, settings: Settings, plants: Sequence[str], view: str) -> str:
+def selectors(backend: Backend, settings: Settings, view: str) -> str:
     """Return the lists that say what is shown; `view` is empty where the job has no budget."""
-    loops = backend.read.loops
+    loops, spec = backend.read.loops, backend.loops.spec(settings.loop)
     # The first loop of each kind, the one that is shown in place of its own.
-    modes = {one.has_plants: one.name for one in (*reversed(loops), backend.spec(settings))}
+    modes = {one.has_plants: one.name for one in (*reversed(loops), spec)}
     choices = {
         "mode": [modes[True], modes[False]] if len(modes) == 2 else [],
         "loop": [one.name for one in loops],
-        "design": [one.name for one in backend.spec(settings).designs],
+        "design": [one.name for one in spec.designs],
         "channel": backend.channels(settings),
         "axis": [1, 2, 3],
-        "plant": plants,
+        "plant": backend.loops.plants.labels(spec),
     }
     return fragment("selectors", settings=settings, choices=choices, view=view)
 
@@ -110,13 +110,12 @@ def _least(worst: CheckResult) -> str:
 def _chip(one: ChipState, loop: str) -> dict[str, Any]:
     chip, worst = one.chip, one.worst
     whole = one.checked >= one.count and not one.error
-    limits = count(one.count, "limit")
     short = "not run" if one.on_request else DASH if one.error else "…" if one.count else "no limits"
     if one.error:
         words = one.error
     elif worst is None:
         runs = "judged by the runs of check" if chip.key == BUDGET else "not simulated for these settings"
-        words = f"{limits}, {runs if one.on_request else 'not measured'}"
+        words = f"{count(one.count, 'limit')}, {runs if one.on_request else 'not measured'}"
     else:
         met = f"{one.missed} of {one.count} missed" if one.missed else f"{one.checked} of {one.count} met"
         words = f"{met}; nearest limit: {worst.name}" + (f", {worst.subject}" if worst.subject != chip.label else "")
@@ -165,7 +164,7 @@ _OF = (
 )
 
 
-def _numbers(margins: Margins, stable: bool, caged: bool) -> list[dict[str, Any]]:
+def _numbers(margins: Margins, stable: bool, caged: bool) -> list[tuple[str, str, str, str, bool]]:
     channels, axes, above = _OF[caged]
     sampled = margins.worst_sampled
     worst = f"Disk margin of {margins.worst_plant}" + ", the least at the frequencies of a grid" * sampled
@@ -185,13 +184,7 @@ def _numbers(margins: Margins, stable: bool, caged: bool) -> list[dict[str, Any]
     # Of a loop that is not stable the others have no meaning.
     known = ("Disk", "Crossover", "Damping") if not stable else ""
     return [
-        {
-            "label": label,
-            "value": DASH if not label.startswith(known) else x if isinstance(x, str) else number(x),
-            "unit": unit,
-            "tip": tip,
-            "bad": bad,
-        }
+        (label, x if isinstance(x, str) else number(x if label.startswith(known) else None), unit, tip, bad)
         for label, x, unit, tip, bad in rows
     ]
 
@@ -209,40 +202,22 @@ def sliders(backend: Backend, settings: Settings, effects: OptionEffects | None)
 
     `effects` are those of these settings, or None: with them the sliders show where all requirements are met.
     """
-    starts, parts = backend.starts(settings), {one.name: one for one in backend.parts(settings)}
-    rows = [_slider(one, starts.get(one.name, one.value), effects) for one in backend.sliders(settings)]
+    parts = {one.name: one for one in backend.parts(settings)}
     groups = []
-    for name, each in groupby(rows, lambda row: row["part"] or row["group"]):
-        part = parts.get(name)
+    for name, each in groupby(backend.sliders(settings), lambda one: one.part or one.group):
+        part, rows = parts.get(name), [(one, admissible(effects, one.name)) for one in each]
         label = _GROUPS[name] if part is None else part.label
-        groups.append({"name": name, "label": label, "part": "" if part is None else name, "sliders": list(each)})
+        groups.append({"name": name, "label": label, "part": "" if part is None else name, "sliders": rows})
     main = groups.pop(0) if groups and groups[0]["name"] == "main" else None
     return fragment("sliders", main=main, groups=groups, missing=[one for one in parts.values() if not one.on])
 
 
-def _slider(one: Slider, start: float, effects: OptionEffects | None) -> dict[str, Any]:
-    low, high = (0.0, 0.0) if effects is None else admissible(effects, one.name)
-    ends = [_place(one, one.value * (1.0 + share)) for share in (low, high)]
-    own = {name: getattr(one, name) for name in one.__dataclass_fields__}
-    places = {"place": _place(one, one.value), "start_place": _place(one, start), "from": ends[0], "to": ends[1]}
-    return own | places | {"start": start, "shown": f"{one.value:.4g}"}
-
-
-def _place(slider: Slider, x: float) -> int:
-    """Return where on its range a slider stands at `x`."""
-    if slider.logarithmic:
-        at = math.log(max(x, slider.low) / slider.low) / (math.log(slider.high / slider.low) or 1.0)
-    else:
-        at = (x - slider.low) / ((slider.high - slider.low) or 1.0)
-    return round(STEPS * min(1.0, max(0.0, at)))
-
-
-def admissible(effects: OptionEffects, slider: str) -> tuple[float, float]:
+def admissible(effects: OptionEffects | None, slider: str) -> tuple[float, float]:
     """Return by which shares a slider may move down and up until a requirement is missed, as far as slopes tell.
 
     Both are 0 where one is missed now.
     """
-    if slider not in effects.options or not np.all(effects.ratios <= 1.0):
+    if effects is None or slider not in effects.options or not np.all(effects.ratios <= 1.0):
         return 0.0, 0.0
     slopes = np.nan_to_num(effects.change[:, effects.options.index(slider)] / SHARE, nan=0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -355,14 +330,11 @@ def budget(state: BudgetState, spec: BudgetSpec | None) -> str:
     if found is None:
         return fragment("budget", line=state.line, exact=state.exact, axes=[], rows=[], limits=[], friction=[])
 
-    def cells(rms: FloatArray, shares: FloatArray, digits: int) -> list[dict[str, str]]:
+    def cells(rms: FloatArray, shares: FloatArray, digits: int) -> list[tuple[str, str]]:
         # Rounding shows in axes on which a source does not act.
         return [
-            {
-                "rms": number(1e6 * float(x) if share > _ROUNDING else 0.0, digits),
-                "share": f"{plain(100.0 * float(share), 3)} % of the mean square",
-            }
-            for x, share in zip(rms, shares, strict=True)
+            (number(1e6 * x if share > _ROUNDING else 0.0, digits), f"{plain(100.0 * share, 3)} % of the mean square")
+            for x, share in zip(rms.tolist(), shares.tolist(), strict=True)
         ]
 
     rows = [

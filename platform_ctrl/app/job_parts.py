@@ -78,9 +78,8 @@ class SightBudgets:
             quick = self._quick(settings)
         except PlatformCtrlError as error:
             return BudgetState(found=None, exact=False, line=str(error))
-        if quick is None:
-            return BudgetState(found=None, exact=False, line=_WAITING)
-        return BudgetState(found=quick, exact=False, line=_QUICK + (_FRICTION if quick.friction.frictions else ""))
+        line = _WAITING if quick is None else _QUICK + (_FRICTION if quick.friction.frictions else "")
+        return BudgetState(found=quick, exact=False, line=line)
 
     def quick_results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the limits with the budget that is computed within some milliseconds; none before there is one."""
@@ -151,42 +150,6 @@ def run_stamp(loops: ClosedLoops, settings: Settings, manoeuvre: str) -> Hashabl
     return ("run", manoeuvre, loops.whole_key(settings))
 
 
-def _parts(loops: ClosedLoops, sight: SightBudgets, settings: Settings) -> Iterator[JobPart]:
-    """Return all parts of a job: its loops, the limits on all of them, the budget, and the runs."""
-    job, whole = loops.read, loops.whole_key(settings)
-    subjects = [subject for subject, _ in coupled_requirements(job)]
-    servo = next((spec.name for spec in job.loops if not spec.has_plants), "")
-
-    def coupled(chip: Chip, subject: str) -> JobPart:
-        def measure() -> Results:
-            return tuple(one for one in loops.coupled(settings).results if one.subject == subject)
-
-        return JobPart(chip=chip, count=subjects.count(subject), stamp=(chip.key, whole), measure=measure)
-
-    for spec in job.loops:
-        chip = Chip(key=f"loop {spec.name}", label=spec.name, loop=spec.name)
-        if spec.has_plants:
-            count, stamp = sum(one.hard for one in spec.requests), loop_stamp(loops, settings, spec)
-            yield JobPart(chip=chip, count=count, stamp=stamp, measure=partial(_loop_results, loops, settings, spec))
-        else:
-            yield coupled(chip, spec.name)
-    yield coupled(Chip(key="coupled", label="coupled", loop=servo), ALL_LOOPS)
-    if job.budget is not None:
-        chip, count = Chip(key=BUDGET, label=BUDGET, panel=BUDGET), len(unstable_results(job))
-        yield JobPart(chip=chip, count=count, stamp=(BUDGET, whole), measure=lambda: sight.results(settings))
-    chip = Chip(key="runs", label="runs", panel="tree")
-    for one in job.manoeuvres:
-        # `JobParts.keep` keeps what was simulated.
-        stamp = run_stamp(loops, settings, one.name)
-        yield JobPart(chip=chip, count=len(one.limits), stamp=stamp, measure=tuple, on_request=True)
-
-
-def _loop_results(loops: ClosedLoops, settings: Settings, spec: LoopSpec) -> Results:
-    at = settings.but(loop=spec.name, design=loops.closed(settings)[spec.name], plant="nominal")
-    loop, _ = loops.caged(at)
-    return limits_and_goals(loop.spec, loop.design, loop.plants, loops.metrics(at, loop))[0]
-
-
 # Results that are kept: a few steps back and forth of a job with many runs.
 _ROOM = 256
 
@@ -220,9 +183,40 @@ class JobParts:
         self._loops, self._sight = loops, sight
         self._results: Bounded[Results | str] = Bounded(_ROOM)
 
-    def parts(self, settings: Settings) -> list[JobPart]:
-        """Return all parts of the job for these settings, in the order of the strip."""
-        return list(_parts(self._loops, self._sight, settings))
+    def parts(self, settings: Settings) -> Iterator[JobPart]:
+        """Return all parts of the job for these settings: loops, limits on all of them, the budget, and the runs."""
+        loops = self._loops
+        job, whole = loops.read, loops.whole_key(settings)
+        subjects = [subject for subject, _ in coupled_requirements(job)]
+        servo = next((spec.name for spec in job.loops if not spec.has_plants), "")
+
+        def coupled(chip: Chip, subject: str) -> JobPart:
+            def measure() -> Results:
+                return tuple(one for one in loops.coupled(settings).results if one.subject == subject)
+
+            return JobPart(chip=chip, count=subjects.count(subject), stamp=(chip.key, whole), measure=measure)
+
+        for spec in job.loops:
+            chip = Chip(key=f"loop {spec.name}", label=spec.name, loop=spec.name)
+            if spec.has_plants:
+                count, stamp = sum(one.hard for one in spec.requests), loop_stamp(loops, settings, spec)
+                yield JobPart(chip=chip, count=count, stamp=stamp, measure=partial(self._of_loop, settings, spec))
+            else:
+                yield coupled(chip, spec.name)
+        yield coupled(Chip(key="coupled", label="coupled", loop=servo), ALL_LOOPS)
+        if job.budget is not None:
+            chip, count = Chip(key=BUDGET, label=BUDGET, panel=BUDGET), len(unstable_results(job))
+            yield JobPart(chip=chip, count=count, stamp=(BUDGET, whole), measure=lambda: self._sight.results(settings))
+        chip = Chip(key="runs", label="runs", panel="tree")
+        for one in job.manoeuvres:
+            # `JobParts.keep` keeps what was simulated.
+            stamp = run_stamp(loops, settings, one.name)
+            yield JobPart(chip=chip, count=len(one.limits), stamp=stamp, measure=tuple, on_request=True)
+
+    def _of_loop(self, settings: Settings, spec: LoopSpec) -> Results:
+        at = settings.but(loop=spec.name, design=self._loops.closed(settings)[spec.name], plant="nominal")
+        loop, _ = self._loops.caged(at)
+        return limits_and_goals(loop.spec, loop.design, loop.plants, self._loops.metrics(at, loop))[0]
 
     def keep(self, stamp: Hashable, results: Results) -> None:
         """Keep what was measured elsewhere: for a picture, or on request."""
@@ -240,7 +234,7 @@ class JobParts:
             found = str(error)
         self._results.put(part.stamp, found)
 
-    def states(self, parts: Sequence[JobPart]) -> list[ChipState]:
+    def states(self, parts: Iterable[JobPart]) -> list[ChipState]:
         """Return the chips of the strip with what is known."""
         chips: dict[str, list[JobPart]] = {}
         for part in parts:

@@ -16,7 +16,7 @@ import numpy as np
 from platform_ctrl.analysis.feedback import commanded_loop, sensitivities_of_plants, with_error_alone
 from platform_ctrl.analysis.interconnection import interconnected
 from platform_ctrl.analysis.loop import Loop, Transfer
-from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
 from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import bandwidth_of_response, peak
@@ -77,12 +77,6 @@ class CagedLoop:
 
 # Why there is no value yet: a budget of the line of sight takes longer than all else.
 LATER = "measured as soon as the sliders rest"
-
-
-def loop_metrics(loop: CagedLoop, whole: Loop | None = None, sight: bool = True) -> LoopMetrics:
-    """Return the metrics that the page shows of a loop: peaks are norms unless it has too many states for that."""
-    requests = [one for one in loop.spec.requests if sight or not METRICS[one.kind].of_sight]
-    return measure(loop.plants, loop.delivered, requests, exact=loop.exact, loops=whole)
 
 
 class CagedCurves(drawn.LoopCurves):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -143,8 +144,8 @@ class Drawing:
     `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
     `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
     the platform; `Omega_frequency` the same over frequency. `poles` (n,) are those of the closed loop in s, rad/s,
-    `other_poles` those of the other plants of the band that the locus may show. `bandwidth`, Hz, `damping` and
-    `disk_margin` are limits, or None.
+    `other_poles` those of the other plants of the band that the locus may show. `limits` are the job's, by the metrics
+    that curves are drawn with, or None.
     """
 
     settings: Settings
@@ -154,12 +155,10 @@ class Drawing:
     locus: RootLocus
     poles: ComplexArray
     other_poles: ComplexArray
-    damping: float | None
     step: TimeResponse
     Omega_time: TimeResponse
     Omega_frequency: FrequencyGain
-    bandwidth: float | None
-    disk_margin: float | None
+    limits: Mapping[str, float | None]
     stable: bool
     all_stable: bool
     # Other designs of the loop, without bands.

@@ -1,4 +1,4 @@
-"""The plants of a job's loops, made once: of designs, of tracking loops, and of the whole platform, free to turn."""
+"""The plants of a job's loops, made once: of designs, and of the whole platform, free to turn."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from functools import cached_property
 from itertools import product
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from platform_ctrl.design.cases import changed, swung
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop_signals import Channels, loop_channels, loop_signals
 from platform_ctrl.design.method import METHODS
-from platform_ctrl.design.plants import commanded_channels, job_signals, tracking_plants, tracking_reference
+from platform_ctrl.design.plants import commanded_channels, job_signals, tracking_reference
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
@@ -92,16 +92,9 @@ class FreePlants:
 
     def only(self, k: int) -> FreePlants:
         """Return one of the plants alone, without a band."""
-        part = slice(k, k + 1)
-        arrays, turned = self.arrays.at(part), self.turned.at(part)
-        return dataclasses.replace(
-            self,
-            labels=self.labels[part],
-            arrays=arrays,
-            turned=turned,
-            frequency=self.frequency[:0],
-            response=self.response[part, :0],
-        )
+        at = slice(k, k + 1)
+        own: dict[str, Any] = {"labels": self.labels[at], "arrays": self.arrays.at(at), "turned": self.turned.at(at)}
+        return dataclasses.replace(self, **own, frequency=self.frequency[:0], response=self.response[at, :0])
 
 
 def corners(job: Job) -> list[tuple[str, Platform, FloatArray]]:
@@ -171,7 +164,6 @@ def free_plants(
     fastest = float(np.abs(np.linalg.eigvals(A[0]).imag).max(initial=0.0)) or 0.1 * nyquist
     low = min(2e-3 * fastest, 0.01 * nyquist)
     grid = np.geomspace(low, 0.999 * nyquist, _BAND_POINTS) if band else np.zeros(0)
-    shape = N, 0, *D.shape[-2:]
     return FreePlants(
         labels=tuple(label for label, _, _ in cases),
         torquers=tuple(t.name for t in torquers),
@@ -180,7 +172,7 @@ def free_plants(
         turned=turned,
         period=period,
         frequency=grid,
-        response=frequency_response(turned, grid, -3) if band else np.zeros(shape, dtype=np.complex128),
+        response=frequency_response(turned, grid, -3),
     )
 
 
@@ -196,7 +188,6 @@ class JobPlants:
         self._loops = {spec.name: spec for spec in job.loops}
         self._plants: Bounded[PlantSet] = Bounded(64)
         self._channels: Bounded[Channels] = Bounded(64)
-        self._around: Bounded[tuple[PlantSet, Channels]] = Bounded(6)
         self._free: Bounded[FreePlants] = Bounded(6)
 
     @cached_property
@@ -239,15 +230,6 @@ class JobPlants:
             return plants
 
         return self._plants.get((spec.name, spec.read_by(design).sensors, name), made)
-
-    def around(
-        self, spec: LoopSpec, inner: LoopSpec, design: DesignSpec, K: System, key: Hashable
-    ) -> tuple[PlantSet, Channels]:
-        """Return plants and directions of a tracking loop, `K` of the rate loop's `design` closed, by its `key`."""
-        return self._around.get(
-            (spec.name, inner.name, design.name, key),
-            lambda: tracking_plants(self.read, spec, inner, self.of(inner, design), K),
-        )
 
     def free(self, label: str, rates: Sequence[str], band: bool) -> tuple[FreePlants, FreePlants]:
         """Return the plants of the free platform with sensors of the `rates`, and the one that is shown alone."""

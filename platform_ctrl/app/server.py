@@ -16,8 +16,7 @@ import secrets
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -123,18 +122,11 @@ class PageServer:
 
     def run(self, ready: Callable[[], None] | None = None, check: Callable[[], None] | None = None) -> None:
         """Respond to requests until `end` is called or `check` raises."""
-        # Not asyncio.run, which would wait for the pages' threads at the end.
-        loop = asyncio.new_event_loop()
-        asyncio.set_event_loop(loop)
-        with _quiet(), self._socket:
-            try:
-                loop.run_until_complete(self._answer(ready, check))
-            finally:
-                for task in asyncio.all_tasks(loop):
-                    task.cancel()
-                loop.run_until_complete(asyncio.sleep(0))
-                asyncio.set_event_loop(None)
-                loop.close()
+        # What the libraries say about invalid requests is not for the terminal.
+        for name in _LIBRARIES:
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        with self._socket:
+            asyncio.run(self._answer(ready, check))
 
     def end(self) -> None:
         """Let `run` return; from any thread."""
@@ -280,20 +272,6 @@ def _bound(host: str, port: int | None) -> socket.socket:
             what = f"--port {tried}" if error.errno == errno.EACCES else f"--host {host}"
             raise InputError(f"{what}: cannot be listened on: {error.strerror or error}") from None
     raise AssertionError("the last port ends the loop")
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep what the libraries say about invalid requests off the terminal."""
-    loggers = [logging.getLogger(name) for name in _LIBRARIES]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)
 
 
 LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "[::1]"})

@@ -58,7 +58,7 @@ class Session:
 
     def __init__(self, backend: Backend, document: Document, state: str) -> None:
         self.backend, self.connection = backend, work.Connection(document)
-        self._tasks = work.LongTasks(self, backend, self.connection)
+        self._tasks = tasks = work.LongTasks(self, backend, self.connection)
         self.settings = backend.start()
         self._line: str | None = None
         if state:
@@ -68,10 +68,15 @@ class Session:
                 self._line = f"The state in the link was not used: {error}"
         self.history = History(self.settings)
         self.picture: Picture | None = None
+        # What is done at each request of the page.
+        self._acts: dict[str, Callable[..., Any]] = {what: getattr(backend, name) for what, name in CHANGES.items()} | {
+            "ready": self._ready, "dark": self._dark, "move": self._move, "view": self._choose_view, "turn": self._turn,
+            "undo": partial(self._step, -1), "redo": partial(self._step, 1), "tune": tasks.tune,
+            "cancel": tasks.cancel, "save": tasks.save, "simulate": tasks.simulate,
+        }  # fmt: skip
         self.connection.model.on_change("request", self._requested)
         self.plots = Plots(dark=False, budget=backend.read.budget)
         self._view = VIEWS[0]
-        self._gesture: object = None
         # What a picture is computed for next.
         self.requests, self._lock = Requests("page"), threading.Lock()
         self._waiting: dict[str, Task] = {}
@@ -87,7 +92,7 @@ class Session:
         # Settings that wait for a design, and the gesture that led to them; only `_work` uses it.
         self._awaited: tuple[Settings, object] | None = None
         self._idle: Any = None
-        self._stop_listening = backend.on_designed(self.again)
+        self._stop_listening = backend.loops.listen(self.again)
 
     def roots(self) -> list[Any]:
         """Return the roots of the document, by whose names the template places them."""
@@ -103,7 +108,7 @@ class Session:
 
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Change the settings and show them; it replaces a waiting change of the same key."""
-        self._tasks.cancel("tune")
+        self._tasks.cancel(name="tune")
         self._tasks.give_up()
         self._no_rest()
         self._add(key, Task(count=count, change=change, gesture=object() if gesture is None else gesture))
@@ -120,42 +125,36 @@ class Session:
         """Do what a message requests; a wrong one is answered by an error."""
         count = None
         try:
-            request = work.parse_request(new)
-            count = request.count
-            if request.what in CHANGES:
-                change, more = getattr(self.backend, CHANGES[request.what]), request.more
-                if request.what == "set" and more["name"] == "loop":
-                    self._show_view("loop")
-                # The first part says what is changed.
-                key = f"{request.what} {next(iter(more.values()))}"
-                self.change(key, lambda settings: change(settings, **more), count=request.count)
-            else:
-                name = f"_on_{request.what}"
-                getattr(self if hasattr(self, name) else self._tasks, name)(request)
+            count, what, more = work.parse_request(new, self._acts)
+            act = self._acts[what]
+            if what not in CHANGES:
+                act(count, **more)
+                return
+            if more.get("name") == "loop":
+                self._show_view("loop")
+            # The first part says what is changed.
+            self.change(f"{what} {next(iter(more.values()))}", lambda settings: act(settings, **more), count=count)
         except Exception as error:
             # The sliders show their values again, not what was typed.
             html = {} if self.picture is None else self._chosen(self.picture.settings)
             self.connection.answer(count, line={"text": work.error_text(error), "kind": "error"}, html=html)
 
-    def _on_ready(self, request: work.Request) -> None:
-        self.change("ready", lambda settings: settings, count=request.count, gesture="ready")
+    def _ready(self, count: int) -> None:
+        self.change("ready", lambda settings: settings, count=count, gesture="ready")
 
-    def _on_dark(self, request: work.Request) -> None:
-        self.plots.dark(request.more["dark"])
-        self.connection.answer(request.count)
+    def _dark(self, count: int, dark: bool) -> None:
+        self.plots.dark(dark)
+        self.connection.answer(count)
 
-    def _on_move(self, request: work.Request) -> None:
-        for one in request.more["moves"]:
-            slider, number = one["slider"], one["value"]
-            change = partial(self.backend.moved, slider=slider, number=number)
-            gesture = ("move", slider, request.more["gesture"])
-            self.change(f"move {slider}", change, count=request.count, gesture=gesture)
+    def _move(self, count: int, moves: list[dict[str, Any]], gesture: int) -> None:
+        for one in moves:
+            change = partial(self.backend.moved, slider=one["slider"], number=one["value"])
+            self.change(f"move {one['slider']}", change, count=count, gesture=("move", one["slider"], gesture))
 
-    def _on_view(self, request: work.Request) -> None:
-        views = VIEWS if self.backend.read.budget is not None else VIEWS[:1]
-        known_name("view", request.more["view"], views)
-        self._show_view(request.more["view"])
-        self.change("view", lambda settings: settings, count=request.count, gesture="ready")
+    def _choose_view(self, count: int, view: str) -> None:
+        known_name("view", view, VIEWS if self.backend.read.budget is not None else VIEWS[:1])
+        self._show_view(view)
+        self.change("view", lambda settings: settings, count=count, gesture="ready")
 
     def _show_view(self, view: str) -> None:
         before, self._view = self._view, view
@@ -163,28 +162,20 @@ class Session:
         if view == "loop" and before != view and self.picture is not None:
             self.plots.show(self.picture)
 
-    def _on_turn(self, request: work.Request) -> None:
-        panels = {one.name: one for one in self.plots.panels}
-        panels[request.more["panel"]].turn()
-        self.connection.answer(request.count, html=self._headings())
+    def _turn(self, count: int, panel: str) -> None:
+        {one.name: one for one in self.plots.panels}[panel].turn()
+        self.connection.answer(count, html=self._headings())
 
     def _headings(self) -> dict[str, str]:
         return {f"head-{one.name}": fragments.fragment("heading", panel=one) for one in self.plots.panels}
 
-    def _on_undo(self, request: work.Request) -> None:
-        there = self.settings
-        undo = (lambda: there) if self._awaited is not None else partial(self.history.step, -1)
-        self._step(request, undo if self._awaited is not None or self.history.can_undo else None)
-
-    def _on_redo(self, request: work.Request) -> None:
-        self._step(request, partial(self.history.step, 1) if self.history.can_redo else None)
-
-    def _step(self, request: work.Request, step: Callable[[], Settings] | None) -> None:
-        if step is None:
-            self.connection.say(f"There is nothing to {request.what}.", count=request.count)
-            return
-        there = step()
-        self.change("history", lambda settings: there, count=request.count, gesture="history")
+    def _step(self, way: int, count: int) -> None:
+        """Undo (-1) or redo (1) a step; settings that wait for a design are taken back first."""
+        there = self.settings if way < 0 and self._awaited is not None else self.history.step(way)
+        if there is None:
+            self.connection.say(f"There is nothing to {'undo' if way < 0 else 'redo'}.", count=count)
+        else:
+            self.change("history", lambda settings: there, count=count, gesture="history")
 
     # Answers to the page.
 
@@ -269,7 +260,8 @@ class Session:
         kind = "error" if line and not awaits else "quiet"
         data: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
         if picture is not None:
-            self._remember(settings, gesture)
+            if gesture not in ("ready", "history"):
+                self.history.put(settings, gesture)
             self.picture = picture
             data["html"] = self._shown(picture)
         elif self.picture is not None and awaits:
@@ -282,25 +274,16 @@ class Session:
         self.connection.answer(count, **data)
         self.rest()
 
-    def _remember(self, settings: Settings, gesture: object) -> None:
-        if gesture == "ready":
-            return
-        if gesture == self._gesture and gesture != "history":
-            self.history.replace(settings)
-        elif gesture != "history":
-            self.history.put(settings)
-        self._gesture = gesture
-
     def _chosen(self, settings: Settings) -> dict[str, str]:
         """Return the HTML that follows from the settings alone, by the ids of the elements."""
-        every, plants = self.backend.sliders(settings), self.backend.plants(settings)
+        every = self.backend.sliders(settings)
         known = self._effects if self._effects_of is settings else None
-        spec = self.backend.spec(settings)
+        spec = self.backend.loops.spec(settings.loop)
         tunable = spec.has_plants and any(one.tunable and not one.fixed for one in every)
-        undo, redo = self.history.can_undo, self.history.can_redo
+        undo, redo = map(self.history.can, (-1, 1))
         return {
             "selectors": fragments.selectors(
-                self.backend, settings, plants, self._view if self.backend.read.budget is not None else ""
+                self.backend, settings, self._view if self.backend.read.budget is not None else ""
             ),
             "overlays": fragments.fragment("overlays", designs=spec.designs, settings=settings),
             "edits": fragments.fragment("edits", undo=undo, redo=redo, tunable=tunable),
@@ -324,7 +307,7 @@ class Session:
         return {
             **self._chosen(settings),
             **self._headings(),
-            "figures": fragments.figures(picture, self.backend.spec(settings).has_plants),
+            "figures": fragments.figures(picture, self.backend.loops.spec(settings.loop).has_plants),
             "requirements": fragments.table(every, sliders, effects, names, stale, self.backend.read.budget),
             "strip": self.strip(),
             "elapsed": f"{1e3 * picture.elapsed:.0f} ms",

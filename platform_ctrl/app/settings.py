@@ -25,23 +25,19 @@ from platform_ctrl.verification.coupled import ALL_LOOPS
 Limits = Mapping[str, float]
 
 
-def _name(*parts: str) -> str:
-    return ".".join(parts)
-
-
 def of_loop(limits: Limits, loop: str) -> Limits:
     """Return the limits and goals of a loop."""
-    return {name: x for name, x in limits.items() if name.startswith((_name(loop, "limits."), _name(loop, "soft.")))}
+    return {name: x for name, x in limits.items() if name.startswith((f"{loop}.limits.", f"{loop}.soft."))}
 
 
 def stated_limits(job: Job) -> dict[str, float]:
     """Return all limits that a job states."""
-    tables: dict[str, Any] = {_name(one.name, of): getattr(one, of) for one in job.loops for of in ("limits", "soft")}
+    tables: dict[str, Any] = {f"{one.name}.{of}": getattr(one, of) for one in job.loops for of in ("limits", "soft")}
     tables["coupled"] = _fields(job.coupled)
     if job.budget is not None:
         tables["budget.limits"] = _fields(job.budget.limits)
-        tables |= {_name("budget", one.name): {"limit": one.limit} for one in job.budget.sources}
-    return {_name(table, key): float(x) for table, keys in tables.items() for key, x in keys.items() if x is not None}
+        tables |= {f"budget.{one.name}": {"limit": one.limit} for one in job.budget.sources}
+    return {f"{table}.{key}": float(x) for table, keys in tables.items() for key, x in keys.items() if x is not None}
 
 
 def _fields(record: Any) -> dict[str, Any]:
@@ -52,19 +48,19 @@ def with_limits(job: Job, limits: Limits) -> Job:
     """Return the job with other numbers of limits that it states."""
 
     def put(record: Any, table: str) -> Any:
-        changes = {key: limits[_name(table, key)] for key in _fields(record) if _name(table, key) in limits}
+        changes = {key: limits[f"{table}.{key}"] for key in _fields(record) if f"{table}.{key}" in limits}
         return dataclasses.replace(record, **changes) if changes else record
 
     loops = tuple(_limited(spec, limits) for spec in job.loops)
     budget = job.budget
     if budget is not None:
-        sources = tuple(put(one, _name("budget", one.name)) for one in budget.sources)
+        sources = tuple(put(one, f"budget.{one.name}") for one in budget.sources)
         budget = dataclasses.replace(budget, limits=put(budget.limits, "budget.limits"), sources=sources)
     return dataclasses.replace(job, loops=loops, coupled=put(job.coupled, "coupled"), budget=budget)
 
 
 def _limited(spec: LoopSpec, limits: Limits) -> LoopSpec:
-    own, soft = ({key: limits[_name(spec.name, of, key)] for key in getattr(spec, of)} for of in ("limits", "soft"))
+    own, soft = ({key: limits[f"{spec.name}.{of}.{key}"] for key in getattr(spec, of)} for of in ("limits", "soft"))
     return dataclasses.replace(spec, limits=own, soft=soft)
 
 
@@ -72,14 +68,14 @@ def put_into(document: Any, limits: Limits) -> None:
     """Write limits into the data of a job file."""
     tables: dict[str, MutableMapping[str, Any]] = {}
     for loop in document["loop"]:
-        tables |= {_name(str(loop["name"]), of): loop.get(of, {}) for of in ("limits", "soft")}
+        tables |= {f"{loop['name']}.{of}": loop.get(of, {}) for of in ("limits", "soft")}
     budget = document.get("budget", {})
     tables |= {"coupled": document.get("coupled", {}), "budget.limits": budget.get("limits", {})}
-    tables |= {_name("budget", str(one["name"])): one for one in budget.get("source", ())}
+    tables |= {f"budget.{one['name']}": one for one in budget.get("source", ())}
     for table, keys in tables.items():
         for key in list(keys):
-            if _name(table, key) in limits:
-                keys[key] = number(limits[_name(table, key)])
+            if f"{table}.{key}" in limits:
+                keys[key] = number(limits[f"{table}.{key}"])
 
 
 def number(x: float) -> float:
@@ -103,15 +99,15 @@ def _rows(job: Job) -> Iterator[tuple[tuple[str, str], str]]:
         for one in spec.requests:
             key = keys.get((one.kind, scopes[one.over]))
             if key is not None:
-                yield (spec.name, one.name), _name(spec.name, "limits" if one.hard else "soft", key)
+                yield (spec.name, one.name), f"{spec.name}.{'limits' if one.hard else 'soft'}.{key}"
     for metric in COUPLED_METRICS.values():
-        yield (ALL_LOOPS, metric.name), _name("coupled", metric.key)
+        yield (ALL_LOOPS, metric.name), f"coupled.{metric.key}"
     for (key, source), limit in budget_requirements(job.budget):
-        yield (LINE_OF_SIGHT, limit.name), _name("budget", source or "limits", key)
+        yield (LINE_OF_SIGHT, limit.name), f"budget.{source or 'limits'}.{key}"
 
 
-# Largest number that a page may be given.
-LARGEST = 1e50
+# Largest number that a page may be given, and steps of a slider's range.
+LARGEST, STEPS = 1e50, 4000
 
 Group = Literal["main", "gains", "lead", "notch", "lag", "design"]
 
@@ -185,6 +181,8 @@ def _plain(item: Any) -> Any:
 class Slider:
     """A number of the settings that a slider moves from `low` to `high`; a number beyond the ends may be typed.
 
+    `start` is its value in the job file.
+
     `group` is a heading of the page; ``"design"`` has the options of a method that designs. Tuning moves a
     slider that is `tunable` and not `fixed`. `part` is the optional part that it belongs to, or empty. Moving a slider
     in the `background` requests a new design, which takes seconds. A ``"main"`` slider moves the options `along`
@@ -198,6 +196,7 @@ class Slider:
     low: float
     high: float
     value: float
+    start: float
     logarithmic: bool = True
     tip: str = ""
     fixed: bool = False
@@ -205,6 +204,14 @@ class Slider:
     tunable: bool = False
     background: bool = False
     along: Mapping[str, float] = field(default_factory=dict)
+
+    def place(self, x: float) -> int:
+        """Return where on its range of `STEPS` it stands at `x`."""
+        if self.logarithmic:
+            at = math.log(max(x, self.low) / self.low) / (math.log(self.high / self.low) or 1.0)
+        else:
+            at = (x - self.low) / ((self.high - self.low) or 1.0)
+        return round(STEPS * min(1.0, max(0.0, at)))
 
 
 @value
@@ -226,30 +233,26 @@ class History:
 
     def __init__(self, first: Settings) -> None:
         self._steps, self._at = [first], 0
+        self._gesture: object = None
 
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is a step to undo."""
-        return self._at > 0
+    def can(self, way: int) -> bool:
+        """Return whether there is a step to undo (-1) or to redo (1)."""
+        return 0 <= self._at + way < len(self._steps)
 
-    @property
-    def can_redo(self) -> bool:
-        """Whether there is a step to redo."""
-        return self._at < len(self._steps) - 1
-
-    def put(self, settings: Settings) -> None:
-        """Add a step; the steps to redo are dropped. Equal settings are no step."""
-        if settings.data() != self._steps[self._at].data():
+    def put(self, settings: Settings, gesture: object) -> None:
+        """Add a step; the steps to redo are dropped. Of a gesture the last value counts; equal settings are no step."""
+        if gesture == self._gesture:
+            self._steps[self._at] = settings
+        elif settings.data() != self._steps[self._at].data():
             self._steps = [*self._steps[: self._at + 1], settings][-_MOST_STEPS:]
             self._at = len(self._steps) - 1
+        self._gesture = gesture
 
-    def replace(self, settings: Settings) -> None:
-        """Change the settings without a step: of a gesture only the last value counts."""
-        self._steps[self._at] = settings
-
-    def step(self, way: int) -> Settings:
-        """Return the settings one step back (-1) or forth (1), where they are from now on."""
-        self._at += way
+    def step(self, way: int) -> Settings | None:
+        """Return the settings one step back (-1) or forth (1), where they are from now on; None: there are none."""
+        if not self.can(way):
+            return None
+        self._at, self._gesture = self._at + way, None
         return self._steps[self._at]
 
 
@@ -284,6 +287,7 @@ def option_sliders(
                 low=min(low, high, options[name]),
                 high=max(high, options[name]),
                 value=options[name],
+                start=middle,
                 logarithmic=kind.logarithmic,
                 tip=kind.tip,
                 fixed=name in fixed,
@@ -295,46 +299,36 @@ def option_sliders(
     return out
 
 
-def main_sliders(method: str, options: Sequence[Slider], start: Mapping[str, float]) -> list[Slider]:
+def main_sliders(method: str, options: Sequence[Slider]) -> list[Slider]:
     """Return the sliders for speed and robustness of a method that has them, from those of its options.
 
     Their values are those at which moving them alone, from `start` on, comes nearest to the options.
     """
     families = METHODS[method].families if METHODS[method].instant else {}
-    own = {one.name: one.value for one in options}
+    own = {one.name: one for one in options}
     along = {name: {option: x for option, x in family.items() if option in own} for name, family in families.items()}
     if not along or not all(along.values()):
         return []
     names = sorted({option for family in along.values() for option in family})
     directions = np.array([[family.get(option, 0.0) for family in along.values()] for option in names])
-    ratios = np.log([own[option] / start.get(option, own[option]) for option in names])
+    ratios = np.log([own[option].value / own[option].start for option in names])
     found = dict(zip(along, np.exp(np.linalg.lstsq(directions, ratios, rcond=None)[0]), strict=True))
     first = next(iter(along["speed"]))
     out = []
     rows: tuple[tuple[Family, str, float, float, str], ...] = (
-        ("speed", "Hz", start.get(first, own[first]), 10.0, "crossover, with all frequencies that go along with it"),
+        ("speed", "Hz", own[first].start, 10.0, "crossover, with all frequencies that go along with it"),
         ("robustness", "", 1.0, 4.0, "more lead and less integral action: disk margin; 1: as in the job"),
     )
     for name, unit, middle, reach, tip in rows:
-        at = float(f"{middle * found[name]:.12g}")
+        start, at = (float(f"{middle * share:.12g}") for share in (1.0, found[name]))
         low, high = min(middle / reach, at), max(middle * reach, at)
-        out.append(
-            Slider(
-                name=name, label=name, unit=unit, group="main", low=low, high=high, value=at, tip=tip, along=along[name]
-            )
-        )
+        more: dict[str, Any] = {"low": low, "high": high, "value": at, "start": start}
+        out.append(Slider(name=name, label=name, unit=unit, group="main", tip=tip, along=along[name], **more))
     return out
 
 
-def moved(
-    settings: Settings,
-    sliders: Mapping[str, Slider],
-    name: str,
-    number: float,
-    start: Mapping[str, float],
-    rate_hz: float,
-) -> Settings:
-    """Return the settings with a slider at `number`; `start` are the options of the job, `rate_hz` its sample rate."""
+def moved(settings: Settings, sliders: Mapping[str, Slider], name: str, number: float, rate_hz: float) -> Settings:
+    """Return the settings with a slider at `number`; `rate_hz` is the job's sample rate."""
     known_name("slider", name, tuple(sliders))
     try:
         at = float(number) if isinstance(number, int | float) and not isinstance(number, bool) else math.nan
@@ -353,7 +347,7 @@ def moved(
         free = {option: x for option, x in sliders[name].along.items() if option not in settings.fixed}
         numbers = {option: sliders[option].value * factor**power for option, power in free.items()}
         # Back at the job's number it is that number, to the last digit.
-        near = {option: x for option, x in start.items() if option in numbers and math.isclose(x, numbers[option])}
+        near = {name: sliders[name].start for name, x in numbers.items() if math.isclose(x, sliders[name].start)}
         return with_options(settings, numbers | near)
     whole = any(method.options[name].whole for method in METHODS.values() if name in method.options)
     return with_options(settings, {name: float(round(at)) if whole else at})

@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,6 @@ from platform_ctrl.app.pictures import run_data
 from platform_ctrl.app.saving import controllers_beside, difference, merged
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.arguments import known_name, known_names, short
-from platform_ctrl.common.values import value
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.errors import InputError, PlatformCtrlError
 
@@ -39,46 +39,19 @@ if TYPE_CHECKING:
     from platform_ctrl.design.tuning import OptionEffects
 
 
-# Every request, and what belongs to it besides its count.
-REQUESTS: Mapping[str, tuple[str, ...]] = {
-    "ready": (),
-    "dark": ("dark",),
-    "move": ("moves", "gesture"),
-    "fix": ("slider", "fixed"),
-    "part": ("part", "on"),
-    "reset": ("slider",),
-    "overlay": ("design", "on"),
-    "set": ("name", "value"),
-    "limit": ("key", "number"),
-    "view": ("view",),
-    "turn": ("panel",),
-    "undo": (),
-    "redo": (),
-    "tune": (),
-    "cancel": (),
-    "save": ("name", "overwrite"),
-    "simulate": ("manoeuvre",),
-}
+def parse_request(message: Any, acts: Mapping[str, Callable[..., Any]]) -> tuple[int, str, dict[str, Any]]:
+    """Return a message of a page: its count, which the response names, its kind, and its content.
 
-
-@value
-class Request:
-    """A message of a page: its `count`, which the response names, its kind `what`, and its content."""
-
-    count: int
-    what: str
-    more: dict[str, Any]
-
-
-def parse_request(message: Any) -> Request:
-    """Return a message of a page; what its content may be is seen where it is used."""
+    The content fits what is done at a message of this kind, behind a first argument; its values are checked there.
+    """
     try:
-        read = json.loads(message)
-        more = {name: read[name] for name in REQUESTS[read["what"]]}
-        return Request(count=int(read["n"]), what=read["what"], more=more)
+        more = dict(json.loads(message))
+        count, what = int(more.pop("n")), more.pop("what")
+        signature(acts[what]).bind(None, **more)
+        return count, what, more
     except (TypeError, ValueError, KeyError, RecursionError):
         raise InputError(
-            f"a message must be one of the requests {', '.join(REQUESTS)} as JSON, the page sent {short(message)}"
+            f"a message must be one of the requests {', '.join(acts)} as JSON, the page sent {short(message)}"
         ) from None
 
 
@@ -187,7 +160,7 @@ class LongTasks:
 
         def effects() -> OptionEffects:
             influence = self.backend.influence(settings, go_on)
-            budget = self.backend.budget_results(settings)
+            budget = self.backend.sight.quick_results(settings)
             self.connection.later(lambda: self.page.show_effects(settings, influence, budget))
             return influence
 
@@ -199,7 +172,7 @@ class LongTasks:
                 parts.measure(one)
                 self.connection.later(self.page.parts_measured)
             # The first budget takes long: what sliders do to it is known now.
-            known = {one.name for one in self.backend.budget_results(settings) if one.valid}
+            known = {one.name for one in self.backend.sight.quick_results(settings) if one.valid}
             if not known <= set(influence.requirements):
                 effects()
             shown = self.page.picture
@@ -208,11 +181,8 @@ class LongTasks:
         except Exception as error:
             error_text(error)
 
-    def _on_cancel(self, request: Request) -> None:
-        self.cancel()
-        self.connection.answer(request.count)
-
-    def _on_tune(self, request: Request) -> None:
+    def tune(self, count: int) -> None:
+        """Tune the sliders that are not fixed."""
         settings, last = self.page.settings, 0.0
 
         def tuned(over: threading.Event) -> Callable[[], None]:
@@ -228,22 +198,23 @@ class LongTasks:
                 return lambda: self.connection.say("Tuning found no better values; nothing was changed.")
             return lambda: self.page.change("tune", lambda _: new)
 
-        self._begin("tune", "Tuning the rest", request, tuned)
+        self._begin("tune", "Tuning the rest", count, tuned)
 
-    def _on_save(self, request: Request) -> None:
+    def save(self, count: int, name: str, overwrite: bool) -> None:
+        """Save the settings as a job file in the folder of the job."""
         try:
-            path = target(self.backend.folder.resolve(), request.more["name"])
+            path = target(self.backend.folder.resolve(), name)
         except PlatformCtrlError as error:
-            self._saved(str(error), request.count)
+            self._saved(str(error), count)
             return
-        settings, overwrite = self.page.settings, request.more["overwrite"]
+        settings = self.page.settings
         existing = [one.name for one in (path, controllers_beside(path)) if os.path.lexists(one)]
         if existing and not overwrite:
-            self._saved(f"{existing[0]} exists already: overwrite it?", request.count, exists=True)
+            self._saved(f"{existing[0]} exists already: overwrite it?", count, exists=True)
             return
-        self.connection.answer(request.count)
+        self.connection.answer(count)
 
-        def save(over: threading.Event) -> None:
+        def saving(over: threading.Event) -> None:
             try:
                 written = self.backend.save(settings, path, overwrite=overwrite)
             except Exception as error:
@@ -254,15 +225,16 @@ class LongTasks:
             self.connection.later(lambda: self._saved(text, kind="good", command=command))
             self.connection.later(lambda: self.connection.say(text, "good"))
 
-        self.page.requests.add("save", save)
+        self.page.requests.add("save", saving)
 
     def _saved(self, words: str, count: int | None = None, kind: str = "error", **more: Any) -> None:
         """Show in the dialog what came of saving."""
         html = fragment("saved", words=words, kind=kind, **more)
         self.connection.answer(count, html={"save-result": html})
 
-    def _on_simulate(self, request: Request) -> None:
-        settings, manoeuvre = self.page.settings, request.more["manoeuvre"]
+    def simulate(self, count: int, manoeuvre: str) -> None:
+        """Simulate a manoeuvre, or all of them."""
+        settings = self.page.settings
         every = tuple(one.name for one in self.backend.read.manoeuvres)
         if manoeuvre:
             known_name("manoeuvre", manoeuvre, every)
@@ -280,16 +252,16 @@ class LongTasks:
                 self.connection.later(self.page.parts_measured)
             return lambda: self.connection.answer(run=run_data(trajectory))
 
-        over = self._begin("simulate", "Simulating", request, simulated)
+        over = self._begin("simulate", "Simulating", count, simulated)
         if over is not None and self.connection.document is not None:
             self.connection.document.add_timeout_callback(lambda: self._show_busy(over, long), LONG)
 
     def _begin(
-        self, name: str, words: str, request: Request, work: Callable[[threading.Event], Callable[[], None]]
+        self, name: str, words: str, count: int, work: Callable[[threading.Event], Callable[[], None]]
     ) -> threading.Event | None:
         """Have `work` done and show what it returns unless it was cancelled; None where another task is running."""
         if self._running is not None:
-            self.connection.say(f"{_RUNNING[self._running[0]]}; Esc ends that.", count=request.count)
+            self.connection.say(f"{_RUNNING[self._running[0]]}; Esc ends that.", count=count)
             return None
 
         def done(over: threading.Event) -> None:
@@ -301,7 +273,7 @@ class LongTasks:
 
         over = self.backend.requests.add(id(self), done, urgent=True)
         self._running = name, over
-        self.connection.answer(request.count)
+        self.connection.answer(count)
         self._show_busy(over, words)
         return over
 
@@ -315,11 +287,13 @@ class LongTasks:
             self.connection.answer(busy=None)
             show()
 
-    def cancel(self, name: str = "") -> None:
+    def cancel(self, count: int | None = None, *, name: str = "") -> None:
         """Cancel the task that is running, if it has this name or none is given."""
         if self._running is not None and name in ("", self._running[0]):
             self.backend.requests.cancel(id(self))
             self._ended(self._running[1], partial(self.connection.say, _CANCELLED[self._running[0]]))
+        if count is not None:
+            self.connection.answer(count)
 
 
 def encode_state(backend: Backend, settings: Settings) -> str:

@@ -134,7 +134,7 @@ def test_a_limit_of_the_budget_is_edited_judged_and_saved(backend: Backend, tmp_
     name = backend.limit_names["line of sight", "line-of-sight jitter"]
     tighter = backend.with_limit(backend.start(), name, 0.9 * reached)
     assert measured(backend, tighter).missed == 1
-    assert [one.limit for one in backend.budget_results(tighter)] == [0.9 * reached]
+    assert [one.limit for one in backend.sight.quick_results(tighter)] == [0.9 * reached]
     assert measured(backend, backend.start()).missed == 0
     saved = read_job(backend.save(tighter, tmp_path / "tighter.toml").job)
     assert saved.budget is not None
@@ -230,7 +230,7 @@ def test_what_sliders_do_to_the_jitter_counts_among_their_effects(tight: Backend
     """More gain against the base and the friction: less jitter; the arrows say so, and by how much of the limit."""
     start = tight.start()
     effects = tight.influence(start)
-    (jitter,) = tight.budget_results(start)
+    (jitter,) = tight.sight.quick_results(start)
     assert effects.requirements[-1] == jitter.name
     assert effects.ratios[-1] == pytest.approx(1.0 / 1.01, rel=5e-3)
     change = dict(zip(effects.options, effects.change[-1], strict=True))
@@ -253,7 +253,7 @@ def test_a_limit_that_the_linear_budget_cannot_judge_is_left_to_the_runs_of_chec
     made = Backend(read_job(camera_job(plant=camera_plant(friction=stuck), budget=spec)))
     start = made.start()
     state = measured(made, start)
-    (jitter,) = made.budget_results(start)
+    (jitter,) = made.sight.quick_results(start)
     assert not jitter.passed
     assert jitter.value < jitter.limit
     shown = fragments.strip([state], {}, "")

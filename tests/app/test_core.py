@@ -52,7 +52,7 @@ def picture(bench: Backend, settings: Settings) -> Picture:
 
 def _closed(bench: Backend, settings: Settings) -> tuple[Job, LoopSpec, PlantSet, System]:
     """The loop as the package's own design route builds it from the settings' job."""
-    job = bench.job(settings)
+    job = bench.loops.job(settings)
     spec = next(one for one in job.loops if one.name == settings.loop)
     loop = ClosedLoops(bench.read, None).caged(settings)[0]
     plants = plants_of(job, spec)
@@ -203,7 +203,7 @@ def test_the_band_holds_every_plant_of_the_set(bench: Backend, settings: Setting
 def test_requirements_of_all_loops_are_those_of_check(bench: Backend) -> None:
     settings = bench.moved(bench.start("stabilisation"), "crossover_hz", 5.0)
     picture = bench.picture(settings)
-    job = bench.job(settings)
+    job = bench.loops.job(settings)
     controllers = ClosedLoops(bench.read, None).controllers(settings)
     expected = coupled_check(job, linearise(job.platform), controllers)
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in expected.results]

@@ -22,7 +22,7 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.tasks import parse_request, target
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import InputError, PlatformCtrlError
-from questions import Sleeping
+from questions import sleeping
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
@@ -415,7 +415,7 @@ def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
     page.locator("#manoeuvre").select_option(manoeuvre)
     page.locator("h1").click()
     with monkeypatch.context() as patch:
-        patch.setattr("platform_ctrl.app.backend.Simulating", lambda **_: Sleeping())
+        patch.setattr("platform_ctrl.app.backend.simulated", sleeping)
         page.keyboard.press("s")
         until(page, lambda: f"{manoeuvre}: the first run" in (page.locator("#busy").text_content() or ""))
         typed(page, "crossover_hz", "41")
@@ -524,11 +524,12 @@ def test_a_link_opens_the_same_state_and_a_page_that_is_closed_leaves_nothing_be
 
 
 def test_messages_are_checked() -> None:
-    ask = parse_request('{"n": 3, "what": "move", "moves": [{"slider": "a", "value": 2}], "gesture": 0}')
-    assert (ask.count, ask.what, ask.more["moves"]) == (3, "move", [{"slider": "a", "value": 2}])
+    acts = {"move": lambda count, moves, gesture: None, "fix": lambda settings, slider, fixed: None}
+    text = '{"n": 3, "what": "move", "moves": [{"slider": "a", "value": 2}], "gesture": 0}'
+    assert parse_request(text, acts) == (3, "move", {"moves": [{"slider": "a", "value": 2}], "gesture": 0})
     for text in ("[" * 9000, '{"what": []}', "x" * 30_000, '{"n": 1, "what": "fix"}', 5):
         with pytest.raises(InputError):
-            parse_request(text)
+            parse_request(text, acts)
 
 
 def test_choices_are_checked(backend: Backend) -> None:

@@ -146,7 +146,7 @@ def test_every_key_has_colour_and_dashes_of_a_curve_that_is_drawn(fresh: Plots, 
     shown = picture(overlays=("one", "two"))
     shown = dataclasses.replace(
         shown,
-        bandwidth=5.0,
+        limits={**shown.limits, "bandwidth": 5.0},
         Omega_frequency=dataclasses.replace(shown.Omega_frequency, limit=1e-3),
         Omega_time=dataclasses.replace(shown.Omega_time, limit=1e-3),
     )

@@ -134,7 +134,10 @@ def test_every_limit_that_a_job_states_has_a_row_that_edits_it(tmp_path: Path) -
     for name, x in page.start().limits.items():
         changed = page.with_limit(changed, name, 1.25 * x)
     assert decode_state(page, encode_state(page, changed)).data() == changed.data()
-    assert (page.job(changed).coupled.disk_margin, page.job(changed).loops[0].soft) == (0.125, {"bandwidth_hz": 37.5})
+    assert (page.loops.job(changed).coupled.disk_margin, page.loops.job(changed).loops[0].soft) == (
+        0.125,
+        {"bandwidth_hz": 37.5},
+    )
     servo = page.picture(page.chosen(changed, loop="stabilisation")).requirements
     assert next(one.limit for one in servo if "simultaneous" in one.name) == pytest.approx(0.125)
     saved = page.save(changed, tmp_path / "changed.toml")
@@ -328,7 +331,7 @@ def test_controllers_beside_a_job_are_taken_until_the_job_has_changed(tmp_path: 
 
     def taken() -> bool:
         backend = Backend(job)
-        return backend._loops.is_available(backend.start(), backend.read.loops[0], "lqg")
+        return backend.loops.is_available(backend.start(), backend.read.loops[0], "lqg")
 
     assert taken()
     job.write_text(job.read_text(encoding="utf-8").replace("spin = 0.05", "spin = 0.1"), encoding="utf-8")
@@ -363,7 +366,7 @@ def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Backend) -
 def test_a_design_made_in_the_background_is_that_of_its_method(bench: Backend) -> None:
     settings = bench.chosen(bench.start(), design="lqg")
     there = threading.Event()
-    end = bench.on_designed(there.set)
+    end = bench.loops.listen(there.set)
     with pytest.raises(DesignError, match="is being designed"):
         bench.picture(settings)
     assert there.wait(60.0)
@@ -405,7 +408,7 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path:
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in closed.results], rtol=1e-6)
     assert [o.settings.design for o in picture.overlays] == ["lqg"]
     assert not picture.measured.notes
-    K = given._loops.caged(settings)[0].controller
+    K = given.loops.caged(settings)[0].controller
     assert isinstance(K, System)
     assert np.allclose(K.A, closed.controller.A)
 

@@ -23,7 +23,7 @@ from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.session import Session
 from platform_ctrl.app.tasks import Connection
 from platform_ctrl.errors import ArgumentError, DesignError
-from questions import Dying, Sleeping, Who
+from questions import dying, refusing, sleeping, who
 
 
 def _until(met: Callable[[], bool]) -> None:
@@ -46,7 +46,9 @@ class Driven:
         self._shown = shown
         monkeypatch.setattr(Connection, "later", lambda connection, act: self._waiting.append(act))
         monkeypatch.setattr(backend, "picture", self.picture)
-        monkeypatch.setattr(backend, "on_designed", lambda listener: self._listeners.append(listener) or (lambda: None))
+        monkeypatch.setattr(
+            backend.loops, "listen", lambda listener: self._listeners.append(listener) or (lambda: None)
+        )
         self.session = Session(backend, Document(), "")
         self.answered = 0
         self.session.connection.model.on_change("response", self._responded)
@@ -79,7 +81,7 @@ class Driven:
         picture = self.session.picture
         assert picture is not None
         shown = picture.settings
-        return {"design": shown.design, "axis": shown.axis, "undo": self.session.history.can_undo}
+        return {"design": shown.design, "axis": shown.axis, "undo": self.session.history.can(-1)}
 
     def run_loop(self) -> None:
         while self._waiting:
@@ -197,11 +199,11 @@ def test_designs_that_fail_on_two_pages_are_not_tried_again_and_again(
     tried: list[float] = []
 
     def failing(task: Any, cancelled: Any) -> None:
-        tried.append(task.job.loops[0].designs[2].options["bandwidth_hz"])
+        tried.append(task.args[0].loops[0].designs[2].options["bandwidth_hz"])
         raise DesignError(f"{tried[-1]:g} Hz is infeasible")
 
     monkeypatch.setattr(closed_loops, "PAUSE", 0.0)
-    monkeypatch.setattr(backend._loops.background, "run", failing)
+    monkeypatch.setattr(backend.loops.background, "run", failing)
     start = backend.chosen(backend.start(), design="H-infinity")
     pages = [backend.moved(start, "bandwidth_hz", number) for number in (21.0, 22.0)]
     for told, page in enumerate(pages, 1):
@@ -209,7 +211,7 @@ def test_designs_that_fail_on_two_pages_are_not_tried_again_and_again(
             backend.picture(page)
         _until(lambda told=told: len(tried) == told)  # type: ignore[misc]
     for page, number in zip(pages, (21, 22), strict=True):
-        _until(lambda page=page: backend._loops._failed.found(backend._loops.design_key(page, page.loop, page.design)))  # type: ignore[misc]
+        _until(lambda page=page: backend.loops._failed.found(backend.loops.design_key(page, page.loop, page.design)))  # type: ignore[misc]
         with pytest.raises(DesignError, match=f"{number} Hz is infeasible"):
             backend.picture(page)
     assert tried == [21.0, 22.0]
@@ -268,33 +270,33 @@ def resident() -> Iterator[Background]:
 
 
 def test_the_process_stays_for_the_next_task_also_after_an_error(resident: Background) -> None:
-    first = resident.run(Who(), silent, never)
+    first = resident.run(who, silent, never)
     assert first != os.getpid()
     with pytest.raises(ArgumentError, match="expected sense"):
-        resident.run(Who(wrong=True), silent, never)
-    assert resident.run(Who(), silent, never) == first
+        resident.run(refusing, silent, never)
+    assert resident.run(who, silent, never) == first
 
 
 def test_a_cancelled_task_ends_the_process_and_the_next_task_starts_another(
     resident: Background,
 ) -> None:
-    first = resident.run(Who(), silent, never)
+    first = resident.run(who, silent, never)
     lines: list[str] = []
     with pytest.raises(TaskCancelled):
-        resident.run(Sleeping(), lines.append, lambda: lines == ["asleep"])
+        resident.run(sleeping, lines.append, lambda: lines == ["asleep"])
     assert gone(first)
     with pytest.raises(DesignError, match="died"):
-        resident.run(Dying(), silent, never)
-    assert resident.run(Who(), silent, never) not in (first, os.getpid())
+        resident.run(dying, silent, never)
+    assert resident.run(who, silent, never) not in (first, os.getpid())
 
 
 def test_ending_the_runner_ends_its_process_and_refuses_tasks(resident: Background) -> None:
-    process = resident.run(Who(), silent, never)
+    process = resident.run(who, silent, never)
     asleep, ended = threading.Event(), []
 
     def ask() -> None:
         try:
-            resident.run(Sleeping(), lambda line: asleep.set(), never)
+            resident.run(sleeping, lambda line: asleep.set(), never)
         except TaskCancelled:
             ended.append(time.monotonic())
 
@@ -306,4 +308,4 @@ def test_ending_the_runner_ends_its_process_and_refuses_tasks(resident: Backgrou
     assert ended
     assert gone(process)
     with pytest.raises(TaskCancelled):
-        resident.run(Who(), silent, never)
+        resident.run(who, silent, never)

@@ -59,7 +59,7 @@ def test_a_design_with_a_filter_is_measured_as_a_whole_and_delivered_with_it() -
     shown = {one.name: one.value for one in page.picture(page.start()).requirements}
     for one in outcome.closed.results:
         assert shown[one.name] == pytest.approx(one.value, rel=1e-6)
-    (closed,) = page._loops.controllers(page.start())
+    (closed,) = page.loops.controllers(page.start())
     assert closed.input_labels == outcome.closed.controller.input_labels
     np.testing.assert_allclose(closed.A, outcome.closed.controller.A, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(closed.D, outcome.closed.controller.D, rtol=1e-9)
@@ -74,7 +74,7 @@ def test_a_tracking_loop_at_every_20th_sample_is_shaped_checked_simulated_and_sa
     found = verification.check_job(job, design.loops(job))
     start = page.start()
     assert [one.name for one in page.read.loops] == ["loop", "track"]
-    parts = page.job_parts.parts(start)
+    parts = list(page.job_parts.parts(start))
     for one in page.job_parts.open(parts):
         page.job_parts.measure(one)
     states = {one.chip.label: one for one in page.job_parts.states(parts)}
@@ -85,7 +85,7 @@ def test_a_tracking_loop_at_every_20th_sample_is_shaped_checked_simulated_and_sa
         for one in outcome.closed.results:
             assert shown[one.name] == pytest.approx(one.value, rel=1e-6, abs=1e-12)
     at = page.chosen(start, loop="track")
-    whole = page._loops.coupled(start)
+    whole = page.loops.coupled(start)
     np.testing.assert_allclose(whole.simultaneous.alpha, found.coupled.simultaneous.alpha, rtol=1e-6)
     run = page.simulate(start, "slew")
     np.testing.assert_allclose(run.q, found.runs[0].trajectory.q, rtol=1e-6, atol=1e-12)
@@ -116,7 +116,7 @@ def test_a_tracking_loop_around_indirect_stabilisation_behind_a_filter_is_measur
         shown = {result.name: result.value for result in page.picture(at).requirements}
         for result in one.closed.results:
             assert shown[result.name] == pytest.approx(result.value, rel=1e-6, abs=1e-12), (name, result.name)
-    for made, own in zip(page._loops.controllers(page.start()), (tracking, inner), strict=True):
+    for made, own in zip(page.loops.controllers(page.start()), (tracking, inner), strict=True):
         assert made.input_labels == own.closed.controller.input_labels
         assert made.output_labels == own.closed.controller.output_labels
         np.testing.assert_allclose(made.D, own.closed.controller.D, rtol=1e-9, atol=1e-12)
@@ -129,14 +129,14 @@ def bench(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
     path = tmp_path_factory.mktemp("designs") / "gyro.toml"
     path.write_text(TWO)
     run = "platform_ctrl.app.background.Background.run"
-    monkeypatch.setattr(run, lambda _, task, **more: task.run(lambda line: None))
+    monkeypatch.setattr(run, lambda _, task, **more: task(lambda line: None))
     return Backend(path)
 
 
 def values(bench: Backend, settings: Settings) -> list[float]:
     """Return the requirements of the settings once the selected design has been made for them."""
     there = threading.Event()
-    end = bench.on_designed(there.set)
+    end = bench.loops.listen(there.set)
     try:
         picture = bench.picture(settings)
     except DesignPending:
@@ -270,7 +270,7 @@ def shipped() -> Backend:
 
 
 def _controller(bench: Backend, settings: Settings) -> System:
-    return bench._loops.caged(settings)[0].controller
+    return bench.loops.caged(settings)[0].controller
 
 
 def _differ(one: System, other: System) -> bool:
@@ -317,7 +317,7 @@ def test_a_slider_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Back
 
 
 def chips(backend: Backend, settings: Settings, measure: bool = True) -> dict[str, ChipState]:
-    parts = backend.job_parts.parts(settings)
+    parts = list(backend.job_parts.parts(settings))
     for one in backend.job_parts.open(parts) if measure else ():
         backend.job_parts.measure(one)
     return {one.chip.key: one for one in backend.job_parts.states(parts)}
@@ -336,7 +336,7 @@ def test_each_chip_has_the_least_margin_of_its_part(backend: Backend) -> None:
         sum(not one.passed for one in picture.requirements),
     )
     # The coupled check of the controllers as `save` writes them.
-    controllers = backend._loops.controllers(settings)
+    controllers = backend.loops.controllers(settings)
     whole = coupled_check(read_job(backend.path), linearise(backend.read.platform), controllers)
     assert found["coupled"].worst is not None
     assert found["coupled"].worst.margin == pytest.approx(min(one.margin for one in whole.results), rel=1e-9)

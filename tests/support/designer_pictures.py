@@ -112,7 +112,6 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
         ),
         poles=present,
         other_poles=np.concatenate([poles(k * gain) for k in spread[1:]]) if plants else np.zeros(0, np.complex128),
-        damping=0.1,
         step=time("1 mN m step at Q4", None),
         Omega_time=time("1 rad/s about axis 1", 1e-6),
         Omega_frequency=FrequencyGain(
@@ -125,8 +124,7 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             high=1.1 * from_rate if plants else np.zeros(0),
             limit=1e-3,
         ),
-        bandwidth=asked.limit,
-        disk_margin=0.5,
+        limits={"damping": 0.1, "bandwidth": asked.limit, "disk margin": 0.5},
         measured=Measured(
             margins=Margins(
                 disk=0.3,

@@ -5,37 +5,32 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Any
 
 from platform_ctrl.errors import ArgumentError
 
 Say = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class Sleeping:
-    """An answer that never comes."""
-
-    def run(self, say: Say) -> None:
-        say("asleep")
-        time.sleep(600.0)
+def sleeping(*given: Any) -> None:
+    """Never answer."""
+    given[-1]("asleep")
+    time.sleep(600.0)
 
 
-@dataclass(frozen=True)
-class Who:
-    """Which process answers; with `wrong` it refuses."""
-
-    wrong: bool = False
-
-    def run(self, say: Say) -> int:
-        if self.wrong:
-            raise ArgumentError("given nonsense; expected sense")
-        return os.getpid()
+def who(say: Say) -> int:
+    """Return which process answers."""
+    del say
+    return os.getpid()
 
 
-@dataclass(frozen=True)
-class Dying:
-    """The process that is asked dies."""
+def refusing(say: Say) -> None:
+    """Refuse."""
+    del say
+    raise ArgumentError("given nonsense; expected sense")
 
-    def run(self, say: Say) -> None:
-        os._exit(3)
+
+def dying(say: Say) -> None:
+    """End the process that is asked."""
+    del say
+    os._exit(3)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 from bokeh.models import FixedTicker, LayoutDOM
@@ -173,10 +171,10 @@ class Plots:
             self.panels += (*self._over_frequency, *self._falls)
         # The sources with colours: those that were largest first, so that none changes its colour while a slider moves.
         self._largest: tuple[str, ...] = ()
-        self.layout: dict[str, LayoutDOM] = {one.name: one.layout for one in self.panels}
+        self.layout: dict[str, LayoutDOM] = {one.name: one.laid_out() for one in self.panels}
 
     def show(self, picture: Drawing) -> None:
-        """Follow a picture: all changes go to the browser together, no model is made or removed.
+        """Follow a picture; no model is made or removed.
 
         Data that are not finite are gaps; a plot with nothing to draw shows a message.
         """
@@ -187,16 +185,14 @@ class Plots:
             for view in {view for one in self._loop for view in one.views}:
                 view.forget()
         self._subject = subject
-        with self._combined():
-            for one in self._loop:
-                one.show(picture)
+        for one in self._loop:
+            one.show(picture)
 
     def dark(self, dark: bool) -> None:
         """Switch the theme in place."""
-        with self._combined():
-            self._theme.change(dark)
-            for one in self.panels:
-                one.again()
+        self._theme.change(dark)
+        for figure in (figure for one in self.panels for figure in one.figures):
+            figure.again()
 
     def show_budget(self, found: LineOfSightBudget) -> None:
         """Follow the budget of the line of sight, of a job that has one."""
@@ -204,23 +200,10 @@ class Plots:
             self._largest = tuple(found.names[k] for k in found.ranking[:_CURVES])
         falls = waterfalls(self._budget, found)
         room = max(_ROWS, *(1 + len(one.names) for one in falls))
-        with self._combined():
-            for panel in self._over_frequency:
-                panel.show_budget(found, self._largest)
-            for fall, one in zip(self._falls, falls, strict=True):
-                fall.show_budget(one, self._largest, room)
-
-    @contextmanager
-    def _combined(self) -> Iterator[None]:
-        document = self.layout["bode"].document
-        if document is None or document.callbacks.hold_value is not None:
-            yield
-            return
-        document.hold("combine")
-        try:
-            yield
-        finally:
-            document.unhold()
+        for panel in self._over_frequency:
+            panel.show_budget(found, self._largest)
+        for fall, one in zip(self._falls, falls, strict=True):
+            fall.show_budget(one, self._largest, room)
 
 
 def _frequencies(low: float, high: float) -> tuple[float, float]:

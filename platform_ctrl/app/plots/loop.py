@@ -80,7 +80,7 @@ def _trouble(picture: Drawing) -> str:
 
 def open_loop(picture: Drawing) -> list[Curves]:
     """Return gain and phase of the loop broken at a torquer."""
-    bode, at, required = picture.bode, picture.crossover, picture.bandwidth
+    bode, at, required = picture.bode, picture.crossover, picture.limits.get("bandwidth")
     upright = [(bode.nyquist * HZ, "reference", "")] if math.isfinite(bode.nyquist) else []
     limits = [(required, "limit", "required bandwidth")] if required is not None else []
     crossover = [(at * HZ, "series-1", "")] if at is not None and math.isfinite(at) else []
@@ -136,7 +136,7 @@ def _margins(bode: Bode) -> list[tuple[float, float, float, str]]:
 
 def closed_loop(picture: Drawing) -> list[Curves]:
     """Return |S| and |T|, and the gains from noise and from a torque."""
-    bode, alpha, bandwidth = picture.bode, picture.disk_margin, picture.bandwidth
+    bode, alpha, bandwidth = picture.bode, *map(picture.limits.get, ("disk margin", "bandwidth"))
     f, w = bode.frequency * HZ, bode.band_frequency * HZ
     sets = _levels(bode.band) if bode.band.size else ()
     curves = [
@@ -205,7 +205,7 @@ class NicholsPanel(Panel):
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
-        bode, alpha = picture.bode, picture.disk_margin
+        bode, alpha = picture.bode, picture.limits.get("disk margin")
         f = bode.frequency * HZ
         own = Curve(x=bode.phase, y=decibels(bode.response), name="L", form="strong", kind="traced", along=f)
         curves = [own]
@@ -298,7 +298,7 @@ class LocusPanel(Panel):
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
-        locus, damping = picture.locus, picture.damping
+        locus, damping = picture.locus, picture.limits.get("damping")
         self._follow(locus.view.reach)
         curves = [poles(picture.poles, kind="pole")]
         for look, one in designs(picture):

@@ -53,19 +53,11 @@ _GLYPHS: dict[str, tuple[Any, tuple[str, ...], tuple[str, ...], Row]] = {
     "cloud": (models.Scatter, _PLACE, (), {"marker": "dot", "size": 8, "line_alpha": 0.0, "fill_alpha": 0.35}),
     "lines": (models.MultiLine, ("xs", "ys", "line_alpha", *_STROKE), ("name", "unit"), {}),
     "traced": (models.Line, _PLACE, ("at",), {}),
-    "points": (
-        models.Scatter,
-        (*_PLACE, "marker", "size", "line_width", "line_color", "fill_color"),
-        ("name", "words"),
-        {},
-    ),
-    "words": (
-        models.Text,
-        (*_PLACE, "text", "text_color", "text_align", "text_baseline", "x_offset", "y_offset"),
-        (),
-        {"text_font_size": value("10px"), "text_font": value(views.FONT)},
-    ),
-}
+    "points": (models.Scatter, (*_PLACE, "marker", "size", "line_width", "line_color", "fill_color"),
+               ("name", "words"), {}),
+    "words": (models.Text, (*_PLACE, "text", "text_color", "text_align", "text_baseline", "x_offset", "y_offset"),
+              (), {"text_font_size": value("10px"), "text_font": value(views.FONT)}),
+}  # fmt: skip
 # Points of a short line; how far a limit is shaded, in multiples of it.
 _FEW = 4
 _BEYOND = 1e4
@@ -164,15 +156,15 @@ class Figure:
             self.plot.on_change(name, lambda attr, old, new: self._resized())
         # Each model that comes later has Bokeh look through all of them.
         for name in parts.split():
-            self._source(name)
+            self._source(name, {one: [] for one in _columns(name)})
 
-    def _source(self, name: str) -> models.ColumnDataSource:
-        """Return the source of a name; the first time what it is drawn with is made."""
+    def _source(self, name: str, data: Row) -> models.ColumnDataSource:
+        """Return the source of a name; the first time it is made with `data`, and what it is drawn with."""
         if name not in self.sources:
-            make, fields, more, look = _GLYPHS[name]
-            columns, policy, view = [*fields, *more], self._theme.policy, models.CDSView(filter=self._theme.every)
+            make, fields, _, look = _GLYPHS[name]
+            policy, view = self._theme.policy, models.CDSView(filter=self._theme.every)
             self.sources[name] = source = models.ColumnDataSource(
-                data={one: [] for one in columns}, name=f"{self.plot.name}-{name}", selection_policy=policy
+                data=data, name=f"{self.plot.name}-{name}", selection_policy=policy
             )
             glyph = make(**{one: field(one) for one in fields}, **look)
             drawn = self.plot.add_glyph(source, glyph, view=view, nonselection_glyph=None, muted_glyph=None)
@@ -247,13 +239,10 @@ class Figure:
         rows["words"] = [_word(one, scale, colours[one.role]) for one in words]
         for name, each in rows.items():
             if each or name in self.sources:
-                source = self._source(name)
+                data: Row = {key: [one[key] for one in each] for key in _columns(name)}
                 if name in ("cloud", "traced"):
-                    views.put(
-                        source, {key: views.column(views.joined(one[key] for one in each)) for key in source.data}
-                    )
-                else:
-                    views.put(source, {key: [one[key] for one in each] for key in source.data})
+                    data = {key: views.column(views.joined(own)) for key, own in data.items()}
+                views.put(self._source(name, data), data)
 
     def _stroke(self, dashes: Sequence[int], width: float, role: str) -> Row:
         return {"line_dash": list(dashes), "line_width": width, "line_color": self._theme.colours[role]}
@@ -289,7 +278,7 @@ class Figure:
         if self.message is None and text:
             corner = models.Node(target="frame", symbol="top_left")
             self.message = Label(
-                x=corner, y=corner, x_offset=8, y_offset=-down, text="", text_baseline="top", text_font=views.FONT,
+                x=corner, y=corner, x_offset=8, y_offset=-down, text=text, text_baseline="top", text_font=views.FONT,
                 text_font_size=views.NORMAL, level="annotation", background_fill_alpha=0.85,
             )  # fmt: skip
             self.message.padding = 3
@@ -333,6 +322,10 @@ class Figure:
         axis.ticker = models.AdaptiveTicker(
             base=base, mantissas=list(mantissas), desired_num_ticks=5, num_minor_ticks=0
         )
+
+
+def _columns(name: str) -> tuple[str, ...]:
+    return (*_GLYPHS[name][1], *_GLYPHS[name][2])
 
 
 def _role(one: Curve) -> str:
@@ -386,11 +379,6 @@ class Panel:
         self.picture = picture
 
     @property
-    def other(self) -> str:
-        """What the panel can show instead, in words; empty: nothing."""
-        return self.others[self.turned] if self.others else ""
-
-    @property
     def caption(self) -> str:
         """A description for a screen reader: loop or plant, axes, curves, messages."""
         shown = [one for one in self.figures if one.plot.visible]
@@ -408,11 +396,6 @@ class Panel:
         for view in self.views:
             view.reset()
 
-    def again(self) -> None:
-        """Draw the same in other colours."""
-        for one in self.figures:
-            one.again()
-
     def turn(self) -> None:
         """Show what the panel can show instead."""
         self.turned = not self.turned
@@ -428,8 +411,12 @@ class Panel:
         self.theme.paint(out.x.mouse, line_color="reference")
         out.plot.add_tools(models.CrosshairTool(overlay=(across, out.x.mouse), visible=False))
         out.plot.on_event(DoubleTap, lambda event: self.reset())
-        self.layout.children = [*self.layout.children, out.plot]
         return out
+
+    def laid_out(self) -> Any:
+        """Return the layout with all figures: what comes later is placed with its data, which its view might miss."""
+        views.assign(self.layout, children=[one.plot for one in self.figures])
+        return self.layout
 
     def put(self, shown: Mapping[int, Curves], detail: str, message: str = "") -> None:
         """Show curves in the figures with these numbers, and no others."""
@@ -448,3 +435,4 @@ class Panel:
                 keys[look] = words if words == known else f"{known}, {words}"
         self.keys = sorted(((words, *look[:3]) for look, words in keys.items()), key=lambda one: one[1] == "limit")
         self.detail, self._said = detail, message
+        self.laid_out()

@@ -173,15 +173,14 @@ class View:
         self.range = models.Range1d(start=low, end=high, reset_start=low, reset_end=high)
         self.rest = (low, high)
         self._bounds, self.logarithmic, self.name = bounds, logarithmic, name
-        self.zoomed = self._setting = self._fitted = False
+        self.zoomed = self._fitted = False
         for name in ("start", "end"):
             self.range.on_change(name, self._changed)
 
     def _changed(self, name: str, old: object, new: object) -> None:
-        if not self._setting:
-            tolerance = 1e-6 * (self.rest[1] - self.rest[0])
-            ends = zip((self.range.start, self.range.end), self.rest, strict=True)
-            self.zoomed = not all(isinstance(a, int | float) and abs(a - b) <= tolerance for a, b in ends)
+        tolerance = 1e-6 * abs(self.rest[1] - self.rest[0])
+        ends = zip((self.range.start, self.range.end), self.rest, strict=True)
+        self.zoomed = not all(isinstance(a, int | float) and abs(a - b) <= tolerance for a, b in ends)
 
     def fit(self, data: tuple[float, float] | None) -> None:
         """Show `data`, the smallest and the largest number; None leaves the view as it is.
@@ -208,19 +207,11 @@ class View:
         """Set the bounds without zoom; a zoomed view changes only when it is reset."""
         if (low, high) != self.rest:
             self.rest = (low, high)
-            self._set(reset_start=low, reset_end=high, **({} if self.zoomed else {"start": low, "end": high}))
+            self.range.update(reset_start=low, reset_end=high, **({} if self.zoomed else {"start": low, "end": high}))
 
     def reset(self) -> None:
         """Undo the user's zoom."""
-        self.zoomed = False
-        self._set(start=self.rest[0], end=self.rest[1])
-
-    def _set(self, **ends: float) -> None:
-        self._setting = True
-        try:
-            self.range.update(**ends)
-        finally:
-            self._setting = False
+        self.range.update(start=self.rest[0], end=self.rest[1])
 
     def _length(self, low: float, high: float) -> float:
         return math.log(high / low) if self.logarithmic else high - low
