@@ -89,6 +89,7 @@ def test_the_nichols_plot_is_of_the_plant_with_the_least_disk_margin(result: Job
     assert design.plants.labels[k] in columns.right[0].caption  # type: ignore[union-attr]
     with style.settings():
         [axes] = nichols_figure(result.loops[0], k).axes
+    assert axes.get_xticks()[1:-1].tolist() == [-300.0, -240.0, -180.0, -120.0, -60.0]
     drawn = [line.get_xydata() for line in axes.lines if len(line.get_xydata()) > 10]
     assert len(drawn) == 4  # two channels, with the worst and the nominal plant
     # Each curve passes the critical point on one side: it is shown in the turn around −180 degrees.

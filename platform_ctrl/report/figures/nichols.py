@@ -159,6 +159,7 @@ def nichols_plot(curves: Sequence[LoopCurve], alphas: Sequence[float], *, small:
     if small:
         panel.set_xlim(-300.0, -60.0)
         panel.set_ylim(-24.0, 24.0)
+        panel.xaxis.set_major_locator(MultipleLocator(60.0))
         panel.yaxis.set_major_locator(MultipleLocator(12.0))
     shaded = [
         draw_region(panel, alpha, _centres(panel), ("-", (0, (4, 1.5)), DOTTED)[k % 3])
