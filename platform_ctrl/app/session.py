@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 # Milliseconds without a change after which the influence of the sliders is computed.
 IDLE = 350
 # Longest time that measuring waits for the drawing to be sent, s.
-_SENDING = 0.05
+_SENDING = 0.2
 # Views of the page: the plots of the loop, or the budget of the line of sight.
 VIEWS = ("loop", "budget")
 # Requests that change the settings: the method of `Backend` that does it, with what belongs to the request.
@@ -242,7 +242,7 @@ class Session:
         self._sent.clear()
         self._drawing = drawing
         self.connection.later(lambda: self._draw(drawing))
-        # Measuring would only keep it from being sent: the browser paints meanwhile.
+        # Measuring would keep it from being sent, for milliseconds at each message: the browser paints meanwhile.
         self._sent.wait(_SENDING)
 
     def _draw(self, drawing: Drawing) -> None:
