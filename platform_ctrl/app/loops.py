@@ -223,7 +223,7 @@ def _margins(loop: CagedLoop, metrics: LoopMetrics, curves: CagedCurves, bode: B
     inside = np.flatnonzero(plants.of(_BAND))
     worst = int(inside[np.argmin(metrics.disk_margin[inside])])
     disk = float(metrics.disk_margin[0])  # of the nominal plant
-    if not all(np.array_equal(getattr(loop.shown, of)[0], getattr(plants, of)[0]) for of in "ABCD"):
+    if not all(map(np.array_equal, loop.shown.arrays.at(0)[:4], plants.arrays.at(0)[:4])):
         request = MetricRequest(kind="disk margin", over=get_args(Group))
         disk = float(measured(shown, request, exact=loop.exact)[0])
     bandwidth = 0.0
