@@ -362,8 +362,7 @@ RUN_METRICS: dict[str, RunMetric] = {
             name="largest angle between stops",
             key="angle_between_stops",
             unit="rad",
-            meaning="largest magnitude of the angle of a gimbal with stops; those that may turn on, as wheels, do not "
-            "count",
+            meaning="largest magnitude of the angle of a gimbal with stops; others, as wheels, do not count",
             stops=True,
         ),
         RunMetric(
@@ -419,8 +418,7 @@ RUN_METRICS: dict[str, RunMetric] = {
             key="attenuation_db",
             unit="dB",
             sense="at least",
-            meaning="rms of the platform rate over that of `los_rate1` or `los_rate2`, the larger, both about their "
-            "means, in dB, caged",
+            meaning="rms of the platform rate over the larger of `los_rate1` and `los_rate2`, about the means, dB, caged",
             sight=True,
         ),
     )
