@@ -418,7 +418,7 @@ RUN_METRICS: dict[str, RunMetric] = {
             key="attenuation_db",
             unit="dB",
             sense="at least",
-            meaning="rms of the platform rate over the larger of `los_rate1` and `los_rate2`, about the means, dB, caged",
+            meaning="rms of the platform rate over the larger of `los_rate1` and `los_rate2`, about means, dB, caged",
             sight=True,
         ),
     )
