@@ -83,6 +83,7 @@ class PlantSet:
     held: tuple[str, ...] = ()
     dry_friction: bool = False
     tilted: bool = False  # whether in `disturbances` gravity stays where it is while a held root turns
+    quantised: tuple[str, ...] = ()  # sensors with steps, which are not in `noise`
     limited: tuple[str, ...] = ()  # angles, in words, at which the gain of resolved readings is limited: a keyhole
     # The budget of the line of sight, where the loop has limits on it, and its forms for a search: see `with_sight`.
     sight_budget: SightBudget | None = None

@@ -207,6 +207,7 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         held=(*linear.held, *([job.platform.root_name] if signals.held and not signals.free and reacts else [])),
         dry_friction=bool(linear.cases[0].platform.dry_frictions),
         tilted=linear.tilted is not None,
+        quantised=tuple(one.name for one in signals.sensors if one.quantisation),
     )
     if signals.resolvers:
         still = np.zeros(len(job.platform.gimbals))

@@ -180,6 +180,8 @@ class LoopRequirement(Requirement):
                 words += drifting(free)
             if self.kind == "torque noise" and free:
                 words.append("with an hour of that drift")
+            if self.kind == "torque noise" and plants.quantised:
+                words.append(f"quantisation of {', '.join(plants.quantised)} not counted")
             if plants.dry_friction:
                 has = np.any(plants.of(self.over) & plants.of(("friction",)))
                 words.append("with dry friction" if has else "without dry friction")

@@ -185,7 +185,10 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[StateSpace
     roots = [k for k, name in enumerate(channels) if name in job.platform.root_torquers]
     if roots:
         noisiest = max(roots, key=lambda k: float(torque_noise[k]))
-        evidence = f"torquer {channels[noisiest]}"
+        coarse = [one.name for one in job.platform.sensors if one.quantisation and one.name in together.seen]
+        evidence = f"torquer {channels[noisiest]}" + (
+            f"; quantisation of {', '.join(coarse)} not counted" if coarse else ""
+        )
         measured[METRICS["torque noise"].name] = (float(torque_noise[noisiest]), evidence, "exact")
     results = [
         one.judge(found, subject=subject, stage="coupled", evidence=evidence, method=method)
@@ -238,16 +241,16 @@ class _Together:
     def __init__(self, job: Job, controllers: Sequence[StateSpace], whole: models.CoupledPlant) -> None:
         self._job, self._whole = job, whole
         plant = self._plant = whole.system
-        self._seen, torquers = models.used_signals(job, controllers, plant)
+        self.seen, torquers = models.used_signals(job, controllers, plant)
         self.channels, self.uncontrolled, self.conserved = tuple(torquers), whole.uncontrolled, whole.conserved
         self.controller: StateSpace | None = None
         self._periodic: PeriodicLoop | None = None
-        by_sample = interconnected_by_sample(controllers, self._seen, torquers, job.sampling.period)
+        by_sample = interconnected_by_sample(controllers, self.seen, torquers, job.sampling.period)
         at, seen = (
             [labels.index(name) for name in names]
-            for labels, names in ((list(plant.input_labels), torquers), (list(plant.output_labels), self._seen))
+            for labels, names in ((list(plant.input_labels), torquers), (list(plant.output_labels), self.seen))
         )
-        read = [k for k, name in enumerate(self._seen) if any(name in K.input_labels for K in controllers)]
+        read = [k for k, name in enumerate(self.seen) if any(name in K.input_labels for K in controllers)]
         arrays = System.of(plant, "coupled plant")
         if len(by_sample) == 1:
             self.controller = one_controller(job, controllers, plant)
@@ -314,7 +317,7 @@ class _Together:
         """Rms of each torque, N m; of periodic loops over the samples of a period."""
         sensors = {s.name: s for s in self._job.platform.sensors}
         period, often = self._job.sampling.period, self._job.often_read
-        rms = np.array([sensors[name].sampled_noise(period, often.get(name, 1)) for name in self._seen], np.float64)
+        rms = np.array([sensors[name].sampled_noise(period, often.get(name, 1)) for name in self.seen], np.float64)
         m = len(self.channels)
         if self._periodic is None:
             return drifting_rms(self._own.part(slice(m), slice(m, None)), rms)

@@ -19,6 +19,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.design.sections import gain
 from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.requirements import requirement
 from platform_ctrl.job.resolve import resolver
 from platform_ctrl.job.scenario import Sine
 from platform_ctrl.mechanics.linearisation import linearise
@@ -58,10 +59,12 @@ def test_an_encoder_that_reads_too_much_turns_the_readings_too_far() -> None:
 def test_noise_is_turned_like_the_readings() -> None:
     """At a pitch of 60 degrees the yaw gyro's noise counts twice."""
     data = resolved_job(operation=ANGLES | {"angles": {"pitch": [np.pi / 3]}})
-    data["plant"]["rate_sensor"][0]["noise_rms"] = 1e-3
+    data["plant"]["rate_sensor"][0] |= {"noise_rms": 1e-3, "quantisation": 1e-4}
     data["plant"]["rate_sensor"][1]["noise_rms"] = 3e-3
     plants = plants_of(read := read_job(data), read.loops[0])
-    rms = torque_noise(Loop(plants, gain(-1e-2 * np.eye(2))))
+    K = gain(-1e-2 * np.eye(2))._replace(dt=1.0 / RATE_HZ)
+    assert "; quantisation of gyro not counted" in requirement("torque noise", 1.0).check(plants, K).evidence
+    rms = torque_noise(Loop(plants, K))
     np.testing.assert_allclose(rms[plants.labels.index("pitch = 1.0472 rad")] / rms[0], [2.0, 1.0], rtol=1e-9)
 
 
