@@ -296,7 +296,7 @@ class Backend:
             spec=spec,
             design=design,
             model=self.loops.plants.model,
-            plant_set=plants,
+            plant_set=self.loops.beside_others(settings, spec, plants),
             directions=directions,
             progress=Local(progress),
         )

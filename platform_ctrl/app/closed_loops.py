@@ -213,9 +213,7 @@ class ClosedLoops:
         """Return the selected loop with plants of its own, and lines about its controller."""
         spec, design = self.design(settings)
         plants, _ = self.plants_of(settings, spec, design)
-        if self._beside(spec):
-            others = [self._closed(settings, one, False)[0] for one in self.read.loops if one.name != spec.name]
-            plants = beside(plants, {one.loop: one.controller for one in others})
+        plants = self.beside_others(settings, spec, plants)
         at = plants.labels.index(settings.plant) if settings.plant in plants.labels else 0
         note = "" if spec.around is None else self._closed_design(settings, self.plants.inside(spec))[2]
         loop = CagedLoop(
@@ -250,6 +248,13 @@ class ClosedLoops:
         if self._beside(spec):
             return tuple(self.closed_key(settings, one) for one in self.read.loops if one.name != spec.name)
         return None if spec.around is None else self.closed_key(settings, self.plants.inside(spec))
+
+    def beside_others(self, settings: Settings, spec: LoopSpec, plants: PlantSet) -> PlantSet:
+        """Return plants of a loop with the others closed, where its values depend on them."""
+        if not self._beside(spec):
+            return plants
+        others = [self._closed(settings, one, False)[0] for one in self.read.loops if one.name != spec.name]
+        return beside(plants, {one.loop: one.controller for one in others})
 
     def _beside(self, spec: LoopSpec) -> bool:
         """Whether the values of a loop depend on the other loops: they have limits of the line of sight."""

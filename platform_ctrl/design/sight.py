@@ -89,6 +89,11 @@ class LoopSight:
         K = controller._replace(dt=self.plants.period)
         K = K if self.sense is None else K._replace(B=K.B @ self.sense, D=K.D @ self.sense)
         own = delivered(K, self.plants, "loop")
+        for one in self.job.loops:
+            if one.name not in (self.loop, *self.beside):
+                raise ArgumentError(
+                    f"line of sight: the loop {one.name!r} moves it too, and has no controller yet; design it"
+                )
         return [own if one.name == self.loop else self.beside[one.name] for one in self.job.loops]
 
     def _balanced(self, controller: System) -> tuple[BudgetLoop, list[Balanced]]:
