@@ -87,9 +87,17 @@ class Backend:
 
     # Settings and what they may be.
 
-    def channels(self, settings: Settings) -> tuple[str, ...]:
-        """Return the torquers at which the loop may be shown broken."""
-        return self.loops.plants.read.channels_of(self.loops.spec(settings.loop))
+    def choices(self, settings: Settings) -> dict[str, tuple[Any, ...]]:
+        """Return what may be chosen from each list of the page."""
+        spec = self.loops.spec(settings.loop)
+        return {
+            "loop": tuple(one.name for one in self.read.loops),
+            "design": tuple(one.name for one in spec.designs),
+            "channel": self.loops.plants.read.channels_of(spec),
+            "plant": self.loops.plants.labels(spec),
+            "axis": (1, 2, 3),
+            "band": (True, False),
+        }
 
     def start(self, loop: str | None = None) -> Settings:
         """Return the settings of the job file, at one of its loops; None: the first that sliders shape at once."""
@@ -145,14 +153,7 @@ class Backend:
 
     def with_choice(self, settings: Settings, name: str, value: Any) -> Settings:
         """Return the settings with something else chosen from a list of the page."""
-        choices: dict[str, tuple[Any, ...]] = {
-            "loop": tuple(one.name for one in self.read.loops),
-            "design": tuple(one.name for one in self.loops.spec(settings.loop).designs),
-            "channel": self.channels(settings),
-            "plant": self.loops.plants.labels(self.loops.spec(settings.loop)),
-            "axis": (1, 2, 3),
-            "band": (True, False),
-        }
+        choices = self.choices(settings)
         known_name("choice", name, tuple(choices))
         if value not in choices[name] or type(value) is not type(choices[name][0]):
             raise ArgumentError(f"{name} must be one of {', '.join(map(str, choices[name]))}, got {short(value)}")

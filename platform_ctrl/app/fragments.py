@@ -64,17 +64,10 @@ def number(x: float | None, digits: int = 3) -> str:
 
 def selectors(backend: Backend, settings: Settings, view: str) -> str:
     """Return the lists that say what is shown; `view` is empty where the job has no budget."""
-    loops, spec = backend.read.loops, backend.loops.spec(settings.loop)
     # The first loop of each kind, the one that is shown in place of its own.
-    modes = {one.has_plants: one.name for one in (*reversed(loops), spec)}
-    choices = {
-        "mode": [modes[True], modes[False]] if len(modes) == 2 else [],
-        "loop": [one.name for one in loops],
-        "design": [one.name for one in spec.designs],
-        "channel": backend.channels(settings),
-        "axis": [1, 2, 3],
-        "plant": backend.loops.plants.labels(spec),
-    }
+    every = (*reversed(backend.read.loops), backend.loops.spec(settings.loop))
+    modes = {one.has_plants: one.name for one in every}
+    choices = {**backend.choices(settings), "mode": [modes[True], modes[False]] if len(modes) == 2 else []}
     return fragment("selectors", settings=settings, choices=choices, view=view)
 
 

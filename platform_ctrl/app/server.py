@@ -308,11 +308,6 @@ class AllowedHosts:
             names |= LOOPBACK_NAMES | ({_bracketed(host.lower())} - {""})
         return cls(listening=host, names=frozenset(names))
 
-    @property
-    def local_only(self) -> bool:
-        """Whether only this machine reaches what listens."""
-        return is_loopback(self.listening)
-
     def refusal(self, headers: Mapping[str, str], page: bool = False) -> str | None:
         """Return why a request is refused in one line, or None; to the `page` itself a link elsewhere may lead.
 

@@ -94,16 +94,12 @@ class Session:
         self._idle: Any = None
         self._stop_listening = backend.loops.listen(self.again)
 
-    def roots(self) -> list[Any]:
-        """Return the roots of the document, by whose names the template places them."""
-        return [*self.plots.layout.values(), self.connection.model]
-
     def close(self, session_context: object) -> None:
         """Cancel all tasks and release everything; the page is closed."""
         self._stop_listening()
         self.requests.end()
         self._tasks.close()
-        self.connection.close()
+        self.connection.document = None  # nothing is sent any more
         self._idle = self.picture = self._drawing = self._awaited = None
 
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
@@ -361,7 +357,7 @@ def page(backend: Backend, document: Document) -> None:
     texts = given.get("state") or [b""]
     session = Session(backend, document, bytes(texts[0]).decode("utf-8", "replace"))
     with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
-        for root in session.roots():
+        for root in (*session.plots.layout.values(), session.connection.model):
             document.add_root(root)
     document.on_session_destroyed(session.close)
     document.title = backend.read.name

@@ -278,22 +278,18 @@ def option_sliders(
         relative = kind.unit == "Hz" or math.isinf(kind.high)
         high = min(_REACH * middle, kind.high * rate_hz) if relative else kind.high
         low = middle / _REACH if relative else kind.low
+        own = {of: getattr(kind, of) for of in ("label", "unit", "group", "logarithmic", "tip", "part")}
         out.append(
             Slider(
                 name=name,
-                label=kind.label,
-                unit=kind.unit,
-                group=kind.group,
                 low=min(low, high, options[name]),
                 high=max(high, options[name]),
                 value=options[name],
                 start=middle,
-                logarithmic=kind.logarithmic,
-                tip=kind.tip,
                 fixed=name in fixed,
-                part=kind.part,
                 tunable=name in offered.tunable and method in _TUNED,
                 background=not offered.instant,
+                **own,
             )
         )
     return out

@@ -71,10 +71,6 @@ class Connection:
         self.model = MessageModel(name="messages")
         self._answered = 0
 
-    def close(self) -> None:
-        """Release the document: nothing is sent any more."""
-        self.document = None
-
     def later(self, act: Callable[[], None]) -> None:
         """Call `act` on the server's loop; from any thread."""
         document = self.document

@@ -128,7 +128,7 @@ def _checked(job: Path, controllers: Path | None) -> str:
 
 def _announce(server: PageServer, name: str, as_json: bool, port: int | None) -> None:
     """Print where the page is."""
-    from platform_ctrl.app.server import PORT
+    from platform_ctrl.app.server import PORT, is_loopback
 
     if as_json:
         typer.echo(json.dumps({"schema": 1, "job": name, "address": server.address, "port": server.port}))
@@ -136,7 +136,7 @@ def _announce(server: PageServer, name: str, as_json: bool, port: int | None) ->
         if port is None and server.port != PORT:
             typer.echo(f"port {PORT} is taken: another one is used", err=True)
         typer.echo(f"{name}: {server.address} (Ctrl-C ends it)")
-    if not server.hosts.local_only:
+    if not is_loopback(server.hosts.listening):
         names = ", ".join(sorted(server.hosts.names))
         words = f"anybody who has the link and reaches this machine on port {server.port} as {names} can see this job"
         more = "keep its processors busy and write files where the page saves"

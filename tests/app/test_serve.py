@@ -176,7 +176,7 @@ def test_other_machines_are_accepted_only_by_name(host: str) -> None:
     with pytest.raises(InputError, match=f"--host {host}: other machines could reach the page; give --allow"):
         AllowedHosts.of(host)
     hosts = AllowedHosts.of(host, ["Lab-PC.local", "192.0.2.7", "2001:db8::1"])
-    assert not hosts.local_only
+    assert hosts.listening == host
     for named in ("lab-pc.local:5006", "192.0.2.7:5006", "[2001:db8::1]:5006", "LAB-PC.LOCAL."):
         assert hosts.refusal({"Host": named, "Origin": f"http://{named}"}) is None
     for named in ("127.0.0.1:5006", "localhost", "lab-pc", "", "lab-pc.local:", "lab-pc.local:5006:1"):
