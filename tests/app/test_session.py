@@ -290,22 +290,23 @@ def test_a_cancelled_task_ends_the_process_and_the_next_task_starts_another(
     assert resident.run(who, silent, never) not in (first, os.getpid())
 
 
-def test_ending_the_runner_ends_its_process_and_refuses_tasks(resident: Background) -> None:
-    process = resident.run(who, silent, never)
+def test_ending_the_runner_ends_its_process_and_refuses_tasks() -> None:
+    runner = Background()
+    process = runner.run(who, silent, never)
     asleep, ended = threading.Event(), []
 
     def ask() -> None:
         try:
-            resident.run(sleeping, lambda line: asleep.set(), never)
+            runner.run(sleeping, lambda line: asleep.set(), never)
         except TaskCancelled:
             ended.append(time.monotonic())
 
     asking = threading.Thread(target=ask)
     asking.start()
     assert asleep.wait(60.0)
-    resident.end()
+    runner.end()
     asking.join(60.0)
     assert ended
     assert gone(process)
     with pytest.raises(TaskCancelled):
-        resident.run(who, silent, never)
+        runner.run(who, silent, never)

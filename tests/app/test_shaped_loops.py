@@ -343,7 +343,7 @@ def test_each_chip_has_the_least_margin_of_its_part(backend: Backend) -> None:
 
 
 def test_a_job_is_met_only_when_all_of_its_parts_are(backend: Backend) -> None:
-    settings = backend.start()
+    settings = backend.moved(backend.start(), "crossover_hz", 40.5)  # for which no test has flown a run
     states = chips(backend, settings)
     verdict, line = job_verdict(list(states.values()))
     every = sum(one.count for one in states.values())
