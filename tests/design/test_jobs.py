@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from design.test_sight import two_loops
 from platform_ctrl import read_job
 from platform_ctrl.design import jobs
 from platform_ctrl.design.jobs import attempted_loops
@@ -113,3 +114,9 @@ def test_a_design_whose_process_is_killed_fails_alone(job, monkeypatch):
     assert [one.name for one in outcome.failed] == [first.name]
     assert "killed, perhaps because memory ran out; try fewer plants" in str(outcome.failed[0].error)
     assert [one.name for one in outcome.designs] == [one.name for one in others]
+
+
+def test_a_loop_beside_one_that_has_failed_is_refused():
+    yaw, pitch = attempted_loops(two_loops(yaw_hz=900, jitter=1.0))
+    assert yaw.failure is not None
+    assert "loop 'yaw', which moves the line of sight too, has failed" in str(pitch.failure.error)
