@@ -15,7 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 from platform_ctrl.analysis.logs import ColumnUnit, G, Log, Quantity, column_unit, read_log
 from platform_ctrl.common.values import FloatArray, input_value, replaced, value
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.spectra import PROFILES, SPECTRA, Lines, LogSpectrum, PsdSpectrum, SourceSpectrum
+from platform_ctrl.job.spectra import (
+    PROFILES,
+    SPECTRA,
+    HarmonicSpectrum,
+    Lines,
+    LogSpectrum,
+    PsdSpectrum,
+    SourceSpectrum,
+)
 from platform_ctrl.plant import fields
 from platform_ctrl.plant import mistakes as mistake
 from platform_ctrl.plant.platform import Platform
@@ -293,6 +301,13 @@ class BudgetSpec:
             out[a, b] = math.sqrt(one.coherence) * np.exp(-1j * one.phase)
             out[b, a] = out[a, b].conjugate()
         return out
+
+    def without_motors(self, platform: Platform) -> str:
+        """Return the words that cogging and ripple of motors are no part of it; none where harmonics stand for them."""
+        stated = {one.gimbal for one in self.sources if isinstance(one.spectrum, HarmonicSpectrum)}
+        uneven = (one for one in platform.motors if one.cogging is not None or one.ripple is not None)
+        names = [one.name or one.gimbal for one in uneven if one.gimbal not in stated]
+        return f"without cogging and ripple of {', '.join(names)}, which runs show" if names else ""
 
 
 # A mean specific force so near to 1 is gravity in g rather than 1 m/s².

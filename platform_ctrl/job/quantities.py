@@ -228,6 +228,8 @@ def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tup
     read = {name for spec in job.loops for name in spec.sensors}
     if moving and job.Omega.any() and not read & job.platform.root_attitudes:
         words.append(f"Omega is zero, as no loop reads the attitude of {job.platform.root_name}")
+    if job.budget is not None and (uneven := job.budget.without_motors(job.platform)):
+        words.append(f"the budget of the line of sight is {uneven}")
     if not kinds & {"rate", "pointing"}:
         return _assuming(words)
     rate = float(max(job.Omega))

@@ -22,6 +22,7 @@ from platform_ctrl.design import loops
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.design.sections import gain
 from platform_ctrl.errors import ArgumentError, NotFoundError
+from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.simulation import Scenario, TimeTable, simulate
@@ -205,6 +206,18 @@ def test_correlated_sources_count_together_in_the_total_alone(tmp_path: Path) ->
     assert found.total[0] == pytest.approx(by_hand(coherence=coherence).total[0], rel=1e-4)
     assert found.rms[:, 0] == pytest.approx(by_hand().rms[:, 0], rel=1e-4)
     assert found.total[0] != pytest.approx(by_hand().total[0], rel=1e-3)
+
+
+def test_a_budget_says_whose_cogging_it_leaves_out(tmp_path: Path) -> None:
+    """The motor's in the plant, which runs have; a source of its harmonics stands for it."""
+    motor = '[[plant.motor]]\ngimbal = "pitch"\nrotor_inertia = 1e-6\ncogging = [[6.0, 0.02, 0.0]]\n'
+    turns = 'kind = "torque"\ngimbal = "pitch"\nharmonics = [[6, 0.02]]\nturning_rate = 1.0\n'
+    words = "without cogging and ripple of pitch, which runs show"
+    for source in ("", f'[[budget.source]]\nname = "motor"\n{turns}'):
+        of = job(tmp_path, f"limits = {{ jitter = 1.0 }}\n{motor}{source}")
+        [found] = line_of_sight_budget(of, controllers()).results
+        assert found.evidence.endswith(words) == (not source)
+        assert (f"that the budget of the line of sight is {words}" in assumed_words(of)) == (not source)
 
 
 def test_sines_are_lines_and_those_outside_of_the_band_do_not_count(tmp_path: Path) -> None:
