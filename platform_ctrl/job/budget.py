@@ -302,6 +302,12 @@ class BudgetSpec:
             out[b, a] = out[a, b].conjugate()
         return out
 
+    @property
+    def has_sines(self) -> bool:
+        """Whether there are sines within the band."""
+        lines = np.concatenate([one.lines.frequencies_hz for one in self.sources])
+        return bool(np.any((self.from_hz <= lines) & (lines <= self.to_hz)))
+
     def without_motors(self, platform: Platform) -> str:
         """Return the words that cogging and ripple of motors are no part of it; none where harmonics stand for them."""
         stated = {one.gimbal for one in self.sources if isinstance(one.spectrum, HarmonicSpectrum)}

@@ -170,7 +170,8 @@ def _result(loop: BudgetLoop, at: Balanced, apart: BudgetResult, together: Budge
                 ),
             )
         )
-    words = assumption(at.friction, at_angles(loop.job.platform, at.q)), budget.without_motors(loop.job.platform)
+    at_q = at_angles(loop.job.platform, at.q)
+    words = assumption(at.friction, at_q, budget.has_sines), budget.without_motors(loop.job.platform)
     linear = ", ".join(filter(None, words))
     return LineOfSightBudget(
         names=tuple(names),

@@ -265,6 +265,7 @@ def waterfalls(budget: BudgetSpec, found: LineOfSightBudget) -> tuple[Waterfall,
     return tuple(waterfall(budget, found, axis) for axis in (0, 1, None))
 
 
+_GAUSSIAN = "sines count as Gaussian"
 LINE_OF_SIGHT = "line of sight"  # subject of what is required of it
 
 
@@ -273,13 +274,14 @@ def across(rms: FloatArray) -> float:
     return float(math.hypot(rms[0], rms[1]))
 
 
-def assumption(friction: FrictionBalance, where: str) -> str:
-    """Return what verdicts rest on, in words."""
+def assumption(friction: FrictionBalance, where: str, sines: bool = False) -> str:
+    """Return what verdicts rest on, in words; `sines`: whether the budget has some."""
     fed = " less what is fed forward" if any(one is not None for one in friction.drives) else ""
     unsure = [words for words, holds in zip(friction.statement, friction.valid, strict=True) if not holds]
     dry = f", with dry friction{fed}" if friction.frictions else ""
     if np.any((friction.bristles[1] > 0.0) & (friction.resting == 0.0)):
         dry += " of bristles that give way, with which runs show up to a quarter more"
+    unsure += [_GAUSSIAN] if sines and friction.frictions else []
     return "; ".join([f"linear budget{f' at {where}' if where else ''}{dry}", *unsure])
 
 
@@ -311,10 +313,8 @@ def judged(
             for k in (0, 1)
             for j, nu in enumerate(budget.spatial_frequencies)
         )
-        lines = np.concatenate([one.lines.frequencies_hz for one in budget.sources])
         # The MTF of a large sine alone is less.
-        has = np.any((budget.from_hz <= lines) & (lines <= budget.to_hz))
-        of = f"{linear}; sines count as Gaussian" if has else linear
+        of = f"{linear}; {_GAUSSIAN}" if budget.has_sines and _GAUSSIAN not in linear else linear
         measured["contrast", ""] = (found, f"{nu:g} cycles/rad, exposure {exposure:g} s, {axis}, {of}")
     for source, own in zip(budget.sources, rms, strict=False):
         measured["limit", source.name] = (across(own), f"both axes, {linear}")

@@ -282,6 +282,7 @@ def test_dry_friction_shakes_as_in_the_non_linear_simulation(tmp_path: Path) -> 
     assert found.total[0] == pytest.approx(expected, rel=0.04)
     # Its equivalent damping alone is less than what shakes.
     assert found.rms[0, 0] < 0.96 * expected
+    assert assumption(found.friction, "", of.budget.has_sines).endswith("dry friction; sines count as Gaussian")
 
 
 @pytest.mark.parametrize("law", ["false", "true"])
