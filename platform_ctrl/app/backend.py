@@ -104,12 +104,8 @@ class Backend:
         start = self.loops.options.start
         if loop is None:
             # `closed` has a design that is built directly wherever a loop has any and its own is not made yet.
-            shaped = (
-                one.name
-                for one in self.read.loops
-                if any(built_directly(each) for each in one.designs if each.name == start.closed[one.name])
-            )
-            loop = next(shaped, start.loop)
+            each = (start.but(loop=name, design=design) for name, design in start.closed.items())
+            loop = next((one.loop for one in each if built_directly(self.loops.design(one)[1])), start.loop)
         return start if loop == start.loop else self.chosen(start, loop=loop)
 
     def chosen(self, settings: Settings, *, loop: str | None = None, design: str | None = None) -> Settings:
