@@ -261,6 +261,11 @@ class Motor:
         return abs(self.gear) * (self.torque_constant or 0.0) * self.efficiency
 
     @property
+    def least_share(self) -> float:
+        """Share of the torque of a current that ripple leaves where it takes most away, dimensionless."""
+        return 1.0 if self.ripple is None else 1.0 - float(self.ripple[:, 1].sum())
+
+    @property
     def drive(self) -> Torquer | None:
         """The torquer that it is, with what its supply allows; None without a current loop."""
         loop, constant, resistance, supply = self.current_loop, self.torque_constant, self.resistance, self.supply

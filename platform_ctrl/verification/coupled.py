@@ -405,7 +405,7 @@ def holding_results(job: Job, torquers: Collection[str], subject: str) -> Iterat
     for one in platform.torquers:
         if one.gimbal is not None and one.name in torquers:
             motor, limit = motors.get(one.name), inf if one.limit is None else one.gain * one.limit
-            rippled = 1.0 if motor is None or motor.ripple is None else 1.0 - motor.ripple[:, 1].sum()
+            rippled = 1.0 if motor is None else motor.least_share
             limits[one.gimbal] = limits.get(one.gimbal, 0.0) + rippled * limit
             borne = inf if motor is None or motor.continuous_current is None else motor.continuous_current
             borne = borne if motor is None else rippled * borne * motor.per_ampere

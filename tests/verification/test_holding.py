@@ -8,6 +8,7 @@ import platform_ctrl as pc
 from given_controllers import verdict
 from one_axis import job_of, loop_of
 from platform_ctrl import design
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.verification import check_job
 
 MASS, ARM, G = 2.0, 0.1, 9.81
@@ -68,6 +69,11 @@ def test_a_weight_that_no_torque_holds_is_a_requirement_that_is_missed(plant, sh
     found = at_rest(read)
     assert [one.value for one in found] == ([] if share is None else [pytest.approx(share)])
     assert not any(one.passed for one in found)
+
+
+def test_a_loop_has_the_limit_that_ripple_leaves():
+    read = job(motor(**ENOUGH, **SAMPLED, ripple=[[7, 0.2, 0.0], [9, 0.1, 0.0]]))
+    assert plants_of(read, read.loops[0]).torque_limit == pytest.approx([0.7 * 1.1 * WEIGHT])
 
 
 def test_the_worst_angle_of_the_job_counts():
