@@ -435,7 +435,7 @@ PARTS = {
     # Where a maximum lies is found to the root of the rounding errors only.
     "linear": Part(linear_systems, ((r"/peak$", 1e-7, 0.0),)),
     # An interior-point solver ends where its tolerance is met; a nearly cancelling response has fewer digits.
-    "synthesis": Part(synthesis, ((r"^lmi", 1e-4, 0.0),)),
+    "synthesis": Part(synthesis, ((r"^lmi", 1e-3, 0.0),)),
     "export": Part(export, ((r"^csv/", 1e-7, 0.0),)),
     "flights": Part(flights),
     "static-quick": Part(partial(static_gains, 2, 1000, ("AC15", "NN2", "NN8")), **GAINS),

@@ -104,8 +104,10 @@ def test_the_page_on_five_methods_has_the_values_of_their_designs(result, name):
             1e3 * rejection,
             found.controller.nstates,
         ]
-        # What a search finds moves a little from one processor to another.
-        assert shown[found.name] == pytest.approx(values, rel=0.05)
+        # What a search finds moves from one processor to another: a little, more where no limit holds it.
+        tolerances = [0.05] * 6 + [0.3, 0.0]
+        for stated, value, rel in zip(shown[found.name], values, tolerances, strict=True):
+            assert stated == pytest.approx(value, rel=rel)
 
 
 @pytest.mark.parametrize("name", ["LQG", "LMI"])

@@ -31,7 +31,7 @@ def plant(gyro):
     return analysis.sampled(gyro, PERIOD, DELAY, [LAG, LAG])
 
 
-def measurement(plant, noise=0.01, points=60, low=0.5, seed=0):
+def measurement(plant, noise=0.01, points=90, low=0.5, seed=0):
     w = 2.0 * np.pi * np.geomspace(low, 990.0, points)
     H = analysis.frequency_response(plant, w)
     rng = np.random.default_rng(seed)

@@ -55,7 +55,7 @@ def test_static_gains_reach_the_published_norms(name: str) -> None:
 def test_a_sampled_plant_gets_a_sampled_controller_of_the_same_norm() -> None:
     P = gyro().sample(0.2, method="bilinear")
     sampled, flat = (
-        design.structured(one, 2, 2, structure=design.StateSpaceOrder(states=1), starts=1) for one in (P, gyro())
+        design.structured(one, 2, 2, structure=design.StateSpaceOrder(states=1), starts=2) for one in (P, gyro())
     )
     assert sampled.controller.dt == 0.2
     # Two searches, which end at a kink of both.
