@@ -105,6 +105,7 @@ def two_loops(rate_hz=2000, start=None, yaw_hz=30, **limits):
     return pc.read_job(camera_job(budget=BUDGET, loop=loops))
 
 
+@pytest.mark.slow
 def test_several_loops_keep_the_jitter_that_they_have_together():
     given = verdict(two_loops(), [one.closed.controller for one in design.loops(two_loops())]).budget.jitter
     start = {"name": "pi", "method": "pi", "crossover_hz": 15, "integral_hz": 2, "tune": True}
