@@ -198,7 +198,7 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         noise=np.array([s.sampled_noise(sampling.period, often[s.name]) for s in signals.sensors]),
         groups=tuple(one.group for one in linear.cases),
         Omega=job.Omega,
-        torque_limit=_torque_limits(job, signals),
+        torque_limit=np.array([np.inf if t.limit is None else t.least_share * t.limit for t in signals.torquers]),
         states=tuple(states),
         sight=signals.sight,
         between=times,
@@ -219,12 +219,6 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         )
         found = dataclasses.replace(found, limited=near_keyhole(job, signals.resolvers))
     return found.on(tuning_grid(nutation, period))
-
-
-def _torque_limits(job: Job, signals: LoopSignals) -> FloatArray:
-    """Return the torque that each torquer has at any angle, N m, less its ripple; infinite without a limit."""
-    left = {one.name: one.least_share for one in job.platform.motors}
-    return np.array([np.inf if t.limit is None else left.get(t.name, 1.0) * t.limit for t in signals.torquers])
 
 
 def _held(linear: LinearPlants, sampling: Sampling, lags: FloatArray) -> System:

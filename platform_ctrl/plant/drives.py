@@ -89,6 +89,8 @@ class Torquer:
         limits are those of the command.
     winding
         Of a motor whose current is a state, or None.
+    least_share, lasting
+        Of a motor: share of its torque that ripple leaves at any angle, and the torque that it bears for ever, N m.
     """
 
     name: fields.Text = ""
@@ -103,6 +105,8 @@ class Torquer:
     command: str = ""
     gain: float = 1.0
     winding: Winding | None = None
+    least_share: float = 1.0
+    lasting: float = math.inf
 
     @staticmethod
     def _misfits(table: Mapping[str, Any]) -> Iterator[Misfit]:
@@ -283,6 +287,8 @@ class Motor:
             stall=per_ampere * supply / resistance,
             back_emf=per_ampere * K / resistance,
             winding=winding,
+            least_share=self.least_share,
+            lasting=per_ampere * (self.continuous_current or math.inf),
         )
 
 

@@ -399,17 +399,13 @@ def holding_results(job: Job, torquers: Collection[str], subject: str) -> Iterat
     rest for ever.
     """
     platform = job.platform
-    motors = {one.name: one for one in platform.motors}
     limits: dict[str, float] = {}
     lasting: dict[str, float] = {}
     for one in platform.torquers:
         if one.gimbal is not None and one.name in torquers:
-            motor, limit = motors.get(one.name), inf if one.limit is None else one.gain * one.limit
-            rippled = 1.0 if motor is None else motor.least_share
-            limits[one.gimbal] = limits.get(one.gimbal, 0.0) + rippled * limit
-            borne = inf if motor is None or motor.continuous_current is None else motor.continuous_current
-            borne = borne if motor is None else rippled * borne * motor.per_ampere
-            lasting[one.gimbal] = lasting.get(one.gimbal, 0.0) + borne
+            limit = inf if one.limit is None else one.gain * one.limit
+            limits[one.gimbal] = limits.get(one.gimbal, 0.0) + one.least_share * limit
+            lasting[one.gimbal] = lasting.get(one.gimbal, 0.0) + one.least_share * one.lasting
     forces = _torques_at_rest(job)
     for gimbal, limit in limits.items():
         own = forces[:, platform.gimbal(gimbal)]

@@ -229,11 +229,9 @@ def _heat(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> Iterator[Ch
             rms = math.sqrt(square)
             words = f"motor {motor.name}: {rms:.3g} A rms {over}, it bears {motor.continuous_current:.3g} A"
             name = f"rms current of {motor.name} over its continuous one"
-            wanted, over_limit = (
-                Requirement(name=name, limit=1.0, unit="", sense="at most"),
-                rms / motor.continuous_current,
-            )
-            found = wanted.judge(over_limit, subject=manoeuvre.name, stage="simulated", evidence=words)
+            wanted = Requirement(name=name, limit=1.0, unit="", sense="at most")
+            share = rms / motor.continuous_current
+            found = wanted.judge(share, subject=manoeuvre.name, stage="simulated", evidence=words)
             yield found if found.passed else found.because("take a larger motor or gear, or let it cool")
 
 
