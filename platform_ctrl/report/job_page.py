@@ -220,7 +220,7 @@ def _loop_tables(result: JobResult, outcome: LoopOutcome) -> list[page.Block]:
     if groups:
         title = f"Plants that “{outcome.use}” must work with"
         blocks.append(page.Subsection(title=title, blocks=(tables.group_table(groups),)))
-    if (found := loop_bounds(result.job, outcome)) is not None:
+    if (found := loop_bounds(result.job, outcome, result.inner(outcome))) is not None:
         says = page.Paragraph(text=sentences("bounds", found=found, hertz=found.bandwidth / (2.0 * np.pi)))
         blocks.append(page.Subsection(title="What bounds the bandwidth", blocks=(says, tables.bound_table(found))))
     return blocks

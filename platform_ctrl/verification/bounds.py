@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 
 import numpy as np
 from scipy import optimize
@@ -15,11 +15,12 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import replaced, value
 from platform_ctrl.design.cases import changed, modes_of
 from platform_ctrl.design.loop import LoopOutcome, with_commands
-from platform_ctrl.design.plants import plants_of
+from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.design.tuning import deciding
 from platform_ctrl.errors import ArgumentError, NotFoundError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.requirements import LoopRequirement
+from platform_ctrl.plant.platform import Platform, sensor_tables
 
 # By how much a parameter is eased, the range of gains that are tried, their steps, and how well the last one is found.
 _SHARE, _RANGE, _STEPS, _FOUND = 0.1, 8.0, 32, 1e-3
@@ -46,23 +47,25 @@ class LoopBounds:
 
 
 @functools.lru_cache(maxsize=32)
-def loop_bounds(job: Job, outcome: LoopOutcome) -> LoopBounds | None:
+def loop_bounds(job: Job, outcome: LoopOutcome, inner: LoopOutcome | None = None) -> LoopBounds | None:
     """Return what bounds a loop; None where it has no plants of its own, or nothing ends the rise of its gain.
+
+    A tracking loop needs `inner`, the rate loop that it commands, and has that loop's gain among its parameters.
 
     The gain is raised with the nominal plant and those that are worst for each requirement, at the start or the end,
     until one of the requirements that a larger gain makes worse is no longer met; then again with each parameter eased
     by a tenth.
     """
-    design, spec = outcome.closed, outcome.spec
+    design = outcome.closed
     plants = design.plants
-    if plants is None or design.measures is None or spec.kind == "tracking":
+    if plants is None or design.measures is None:
         return None
     found = _reached(outcome, _quick(outcome, plants))
     if found is None:
         return None
     gain, bandwidth, one = found
     bounds = []
-    for name, moved, eased in _eased(job, outcome):
+    for name, moved, eased in _eased(job, outcome, inner):
         # With what another requirement alone depends on, the end of the rise stays where it is.
         again = moved() if _ALONE.get(name, one.kind) == one.kind else plants
         end = found if again is plants else None if again is None else _reached(outcome, _quick(outcome, again), gain)
@@ -72,31 +75,65 @@ def loop_bounds(job: Job, outcome: LoopOutcome) -> LoopBounds | None:
     return LoopBounds(gain=gain, bandwidth=bandwidth, requirement=one.name, bounds=tuple(bounds))
 
 
-def _eased(job: Job, outcome: LoopOutcome) -> Iterator[tuple[str, Callable[[], PlantSet | None], float]]:
+def _eased(
+    job: Job, outcome: LoopOutcome, inner: LoopOutcome | None
+) -> Iterator[tuple[str, Callable[[], PlantSet | None], float]]:
     """Yield parameters by name, what makes the plants with each of them eased, and the factor of the parameter."""
-    design, spec = outcome.closed, outcome.spec.read_by(outcome.spec.closed)
-    plants, less, more = design.plants, 1.0 - _SHARE, 1.0 + _SHARE
+    spec, plants, less, more = outcome.spec, outcome.closed.plants, 1.0 - _SHARE, 1.0 + _SHARE
     assert plants is not None, "the loop has plants"
 
-    def of(other: Job) -> PlantSet | None:
-        made = plants_of(other, spec)
-        if made is not None and plants.feedforward is not None:
-            made = made.fed_forward(plants.feedforward)
-        if made is None or plants.sight_budget is None:
-            return made
-        return dataclasses.replace(made, sight_budget=replaced(plants.sight_budget, {"job": other, "plants": made}))
+    def of(other: Job, gain: float = 1.0) -> Callable[[], PlantSet | None]:
+        return functools.partial(_plants_in, other, outcome, inner, gain)
 
     if job.sampling.delay:
         sooner = dataclasses.replace(job.sampling, delay=less * job.sampling.delay)
-        yield "delay", functools.partial(of, replaced(job, {"sampling": sooner})), less
-    for name in modes_of(job, spec.gimbals, plants.torques):
+        yield "delay", of(replaced(job, {"sampling": sooner})), less
+    # Linear models round the age of a reading up to whole sample periods: it is changed by one of these.
+    read, period = spec.read_by(spec.closed).sensors, job.sampling.period
+    age = max(one.periods_late(period, job.every(spec)) for one in job.platform.sensors if one.name in read)
+    if age:
+        later = _read_later(job.platform, read, period)
+        yield "delay of its sensors", of(replaced(job, {"platform": later})), (age + 1) / age
+    moving = outcome if inner is None else inner
+    assert moving.closed.plants is not None, "a rate loop has plants"
+    for name in modes_of(job, moving.spec.gimbals, moving.closed.plants.torques):
         faster = changed(job.platform, {"frequency": {name: _SHARE}})
-        yield f"frequency of {name}", functools.partial(of, replaced(job, {"platform": faster})), more
-    kinds = {one.kind for one in outcome.spec.requirements}
+        yield f"frequency of {name}", of(replaced(job, {"platform": faster})), more
+    if inner is not None:
+        yield f"gain of {inner.spec.name}", of(job, more), more
+    kinds = {one.kind for one in spec.requirements}
     if "torque noise" in kinds:
         yield "noise", lambda: dataclasses.replace(plants, noise=less * plants.noise), less
     if "torque limit" in kinds:
         yield "torque limit", lambda: dataclasses.replace(plants, torque_limit=more * plants.torque_limit), more
+
+
+def _read_later(platform: Platform, names: Collection[str], time: float) -> Platform:
+    kinds = {kind: getattr(platform, kind) for kind in sensor_tables().values()}
+    late = {
+        kind: tuple(replaced(one, {"delay": one.delay + time}) if one.name in names else one for one in own)
+        for kind, own in kinds.items()
+    }
+    return replaced(platform, late)
+
+
+def _plants_in(job: Job, outcome: LoopOutcome, inner: LoopOutcome | None, gain: float = 1.0) -> PlantSet | None:
+    """Return a loop's plants in another job; those of a tracking loop with `gain` times the gain of the loop inside."""
+    if inner is not None:
+        inside, K = _plants_in(job, inner, None), inner.closed.controller
+        if inside is None:
+            return None
+        controller = with_commands(inside, K)
+        raised = controller._replace(C=gain * controller.C, D=gain * controller.D)
+        return tracking_plants(job, outcome.spec, inner.spec, inside, raised)[0]
+    plants, made = outcome.closed.plants, plants_of(job, outcome.spec.read_by(outcome.spec.closed))
+    if plants is None or made is None:
+        return None
+    if plants.feedforward is not None:
+        made = made.fed_forward(plants.feedforward)
+    if plants.sight_budget is None:
+        return made
+    return dataclasses.replace(made, sight_budget=replaced(plants.sight_budget, {"job": job, "plants": made}))
 
 
 def _quick(outcome: LoopOutcome, plants: PlantSet) -> PlantSet:
@@ -119,9 +156,18 @@ def _reached(outcome: LoopOutcome, plants: PlantSet, near: float = 1.0) -> tuple
     return found
 
 
-def _raised(outcome: LoopOutcome, plants: PlantSet, gain: float) -> LoopMetrics:
+def _raised(
+    outcome: LoopOutcome, plants: PlantSet, gain: float, requirements: Sequence[LoopRequirement] | None = None
+) -> LoopMetrics:
+    """Return what the requirements are about, by default all of them, with the controller's gain times `gain`."""
     K = with_commands(plants, outcome.closed.controller)
-    return measure(plants, K._replace(C=gain * K.C, D=gain * K.D), outcome.spec.requirements, exact=False)
+    requirements = outcome.spec.requirements if requirements is None else requirements
+    return measure(plants, K._replace(C=gain * K.C, D=gain * K.D), requirements, exact=False)
+
+
+def _ratios(metrics: LoopMetrics, requirements: Sequence[LoopRequirement]) -> list[float]:
+    unstable = not metrics.decay.min(initial=np.inf) > 0.0
+    return [np.inf if unstable else float(one.ratios(metrics).max(initial=0.0)) for one in requirements]
 
 
 def _risen(outcome: LoopOutcome, plants: PlantSet, near: float) -> tuple[float, float, LoopRequirement] | None:
@@ -129,18 +175,13 @@ def _risen(outcome: LoopOutcome, plants: PlantSet, near: float) -> tuple[float, 
 
     It is looked for from `near` on.
     """
-    requirements, measured = outcome.spec.requirements, functools.partial(_raised, outcome, plants)
-
-    def ratios(metrics: LoopMetrics) -> list[float]:
-        unstable = not metrics.decay.min(initial=np.inf) > 0.0
-        return [np.inf if unstable else float(one.ratios(metrics).max(initial=0.0)) for one in requirements]
-
-    before, after = ratios(measured(1.0 - 0.5 * _SHARE)), ratios(measured(1.0 + 0.5 * _SHARE))
-    rising = [k for k, (one, other) in enumerate(zip(before, after, strict=True)) if other > one]
+    every = outcome.spec.requirements
+    before, after = (_ratios(_raised(outcome, plants, 1.0 + k * 0.5 * _SHARE), every) for k in (-1.0, 1.0))
+    rising = [one for one, less, more in zip(every, before, after, strict=True) if more > less]
+    measured = functools.partial(_raised, outcome, plants, requirements=rising)
 
     def worst(gain: float) -> tuple[float, int]:
-        found = ratios(measured(gain))
-        return max(((found[k], k) for k in rising), default=(0.0, 0))
+        return max(((ratio, k) for k, ratio in enumerate(_ratios(measured(gain), rising))), default=(0.0, 0))
 
     rise = _RANGE ** (1.0 / _STEPS if worst(near)[0] <= 1.0 else -1.0 / _STEPS)
     low = near
@@ -153,4 +194,4 @@ def _risen(outcome: LoopOutcome, plants: PlantSet, near: float) -> tuple[float, 
     low, high = sorted((low, float(high)))
     # Where the loop is unstable nothing is measured: any ratio above 1 stands for it.
     gain = float(optimize.brentq(lambda x: min(worst(x)[0], 2.0) - 1.0, low, high, xtol=_FOUND * low))
-    return gain, measured(gain).bandwidth, requirements[worst(high)[1]]
+    return gain, measured(gain).bandwidth, rising[worst(gain)[1]]

@@ -236,7 +236,7 @@ def _controller(result: JobResult, design: Design) -> Record:
 
 def _bounds(result: JobResult, outcome: LoopOutcome) -> Record:
     """Return what bounds the bandwidth of a loop; nothing where that is not known."""
-    found = loop_bounds(result.job, outcome)
+    found = loop_bounds(result.job, outcome, result.inner(outcome))
     if found is None:
         return {}
     of = [_fields(one, "parameter", "sensitivity") for one in found.bounds]

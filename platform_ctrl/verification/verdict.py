@@ -75,6 +75,10 @@ class JobResult:
         coupled = self.coupled
         return assumed_words(self.job, *(() if coupled is None else (coupled.free_angles, coupled.uncontrolled)))
 
+    def inner(self, outcome: LoopOutcome) -> LoopOutcome | None:
+        """Return the rate loop that a tracking loop commands; None for other loops."""
+        return next((one for one in self.loops if one.spec.name == outcome.spec.around), None)
+
 
 def check_job(
     job: Job, loops: Sequence[LoopOutcome], progress: Progress | bool | None = None, *, prove: bool = False

@@ -212,3 +212,31 @@ def test_what_bounds_a_loop_is_said_beside_limits_of_the_line_of_sight():
         found.append(bounds_of(one))
     without, within = ((of.gain, of.requirement, of.bounds[0].sensitivity) for of in found)
     assert within == pytest.approx(without)
+
+
+def tracked(crossover: float) -> pc.Job:
+    """A loop on a reading that is 50 ms old, almost pure gain, around a rate loop fifty times as fast."""
+    plant = one_axis(
+        [0.05, 0.05, J],
+        torquer=[{"gimbal": "g", "name": "Q", "limit": 1.0}],
+        rate_sensor=[{"name": "gyro", "body": "g", "axis": [0, 0, 1]}],
+        pickoff=[{"gimbal": "g", "delay": 0.05}],
+    )
+    rates = {"crossover_hz": 100.0, "integral_hz": 1e-3, "rolloff_hz": 0.44 * RATE}
+    inner = loop_of("g", ["gyro"], "pi", kind="rate", name="rate", limits={"disk_margin": 0.1}, design=rates)
+    slow = {"name": "d", "method": "pi", "crossover_hz": crossover, "integral_hz": 1e-3}
+    outer = {"name": "T", "kind": "tracking", "around": "rate", "sensors": ["q"], "use": "d", "design": [slow]}
+    still = {"operation": {"Omega": [0.0, 0.0, 0.0]}}
+    return pc.read_job(job_of(plant, inner, outer | {"limits": {"disk_margin": 0.8}}, rate_hz=RATE, **still))
+
+
+def test_the_age_of_its_reading_bounds_a_tracking_loop_by_its_inverse():
+    outer, inner = design.loops(one := tracked(1.0))
+    found = loop_bounds(one, outer, inner)
+    by_name = {bound.parameter: bound.sensitivity for bound in found.bounds}
+    # The rate loop inside adds its own lag of about 1/(2 pi 100 Hz), which a larger gain shortens.
+    assert found.bounds[0].parameter == "delay of its sensors"
+    assert by_name["delay of its sensors"] == pytest.approx(-50.0 / (50.0 + 1.6), abs=0.03)
+    assert by_name["gain of rate"] == pytest.approx(1.6 / (50.0 + 1.6), abs=0.02)
+    outer, inner = design.loops(again := tracked(found.gain))
+    assert loop_bounds(again, outer, inner).gain == pytest.approx(1.0, abs=2e-3)
