@@ -180,6 +180,25 @@ def describing_function(friction: DryTorque, rms: float) -> Describing:
     return Describing(mean, viscous, math.sqrt(max(0.0, square - mean**2 - (viscous * rms) ** 2)))
 
 
+class FrictionGains(NamedTuple):
+    """What replaces the dry friction of J bearings in a linear loop; each (J,).
+
+    Attributes
+    ----------
+    viscous
+        Damping, N m s; 0 of bristles.
+    fed
+        Gain of what is fed forward, from the rate that a drive finds to its torque, N m s; 0 without drive.
+    share, slip
+        Of bristles, ż = share v − slip z, slip in 1/s; 0 of other friction.
+    """
+
+    viscous: FloatArray
+    fed: FloatArray
+    share: FloatArray
+    slip: FloatArray
+
+
 class BristleGains(NamedTuple):
     """The replacement of bristles, ż = share v − slip z, slip in 1/s, and their remainder over that of the sign."""
 
@@ -265,10 +284,10 @@ class FrictionBalance:
     bristles: FloatArray
 
     @property
-    def gains(self) -> FloatArray:
-        """Dampings (J,), N m s, 0 of bristles, and then their shares (B,) and slips (B,), 1/s."""
+    def gains(self) -> FrictionGains:
+        """What replaces the friction in a linear loop."""
         share, slip, *_ = self.bristles
-        return np.concatenate([np.where(slip > 0.0, 0.0, self.viscous), share[slip > 0.0], slip[slip > 0.0]])
+        return FrictionGains(np.where(slip > 0.0, 0.0, self.viscous), self.fed, share, slip)
 
     @property
     def sticking(self) -> FloatArray:
@@ -322,7 +341,7 @@ class FrictionBalance:
 
 def friction_balance(
     frictions: Sequence[Friction],
-    rate_rms: Callable[[FloatArray], FloatArray],
+    rate_rms: Callable[[FrictionGains], FloatArray],
     start: FloatArray | None = None,
     tolerance: float = 1e-8,
     drives: Sequence[FedFriction | None] = (),
@@ -330,13 +349,12 @@ def friction_balance(
 ) -> FrictionBalance:
     """Return the equivalent damping of J dry frictions at which the linear loop moves as assumed.
 
-    `rate_rms` gives, from the equivalent damping of the dry parts (J,), N m s, and the equivalent gains of the D drives
-    that there are, the rms of the relative rates (J,) and of the rates that these drives find (D,), rad/s, of the
-    linear loop with them; the viscous parts are the caller's. Of B bearings that do not turn and have bristles their
-    dampings are 0, and at the end there are their shares and slips, and the rms of their deflections, rad. `start`
+    `rate_rms` gives the rms of the relative rates (J,), rad/s, of the rates that the D drives find that there are
+    (D,), rad/s, and of the deflections of the B bearings that do not turn and have bristles (B,), rad, one behind the
+    other, of the linear loop with gains in the place of dry friction; the viscous parts are the caller's. `start`
     (J + D,) are first guesses of the rates, by default ten times coulomb_rate, or without one those of a loop without
-    dry friction; `drives` is what is fed forward
-    against each friction, or None; `turning` (J,) the mean rates of the bearings, rad/s.
+    dry friction; `drives` is what is fed forward against each friction, or None; `turning` (J,) the mean rates of the
+    bearings, rad/s.
 
     The remainder is that of the friction alone: how much of it a drive takes off depends on the spectra of the rates,
     see `friction_noise`. Raises `NotFoundError` where the rates still change by more than `tolerance`, relative, after
@@ -349,7 +367,9 @@ def friction_balance(
     torques += [one for one in drives if one is not None]
     elastic = [k for k, one in enumerate(torques) if isinstance(one, Friction) and one.bristle_stiffness]
     J, plain = len(frictions), len(torques)
-    near, undamped = _near(torques, len(elastic), rate_rms)
+    # Bristles that slip hold nothing.
+    none = FrictionGains(np.zeros(J), np.zeros(J), np.zeros(J), np.isin(np.arange(J), elastic).astype(np.float64))
+    near, undamped = _near(torques, lambda: rate_rms(none))
     rate = real_array("friction balance: start", start, (plain,)) if start is not None else 10.0 * near
     if start is None:
         rate[:J][means != 0.0] *= 1e-3
@@ -359,12 +379,15 @@ def friction_balance(
     before: tuple[FloatArray, FloatArray] | None = None
     for round_ in range(_ITERATIONS):
         found = [describing_function(one, float(at)) for one, at in zip(torques, rate[:plain], strict=True)]
-        gains = np.array([one.viscous for one in found])
-        gains[elastic] = 0.0
+        gains = FrictionGains(*np.zeros((4, J)))
+        gains.viscous[:] = [one.viscous for one in found[:J]]
+        gains.fed[driven] = [one.viscous for one in found[J:]]
+        gains.viscous[elastic] = 0.0
         each = zip(elastic, rate[plain:], deflection, strict=True)
         laws = [bristle_gains(frictions[k], max(float(rate[k]), _LEAST_RATE), float(p), float(z)) for k, p, z in each]
         of_bristles = np.array(laws).reshape(-1, 3).T
-        new = np.array(rate_rms(np.concatenate([gains, *of_bristles[:2]])), dtype=np.float64)
+        gains.share[elastic], gains.slip[elastic] = of_bristles[:2]
+        new = np.array(rate_rms(gains), dtype=np.float64)
         deflected = np.maximum(new[plain:], 1e-12 * deflection)
         deflection = deflected**0.4 * deflection**0.6
         # E[z ż] = 0.
@@ -378,16 +401,16 @@ def friction_balance(
         raise NotFoundError(f"friction balance: {words}; start from other rates, or simulate")
     bristles = np.array([[0.0], [0.0], [1.0], [0.0]]) * np.ones(J)
     bristles[:, elastic] = *of_bristles, math.sqrt(2.0 / math.pi) * deflected / slid
-    gains[elastic] = [frictions[k].bristle_stiffness for k in elastic] * rate[plain:] / rate[elastic]
-    measured, fed = np.zeros(J), np.zeros(J)
-    measured[driven], fed[driven] = new[J:plain], gains[J:]
+    viscous, measured = np.array(gains.viscous), np.zeros(J)
+    viscous[elastic] = [frictions[k].bristle_stiffness for k in elastic] * rate[plain:] / rate[elastic]
+    measured[driven] = new[J:plain]
     return FrictionBalance(
         frictions=tuple(frictions),
         drives=drives,
         rate=new[:J],
         measured=measured,
-        viscous=gains[:J],
-        fed=fed,
+        viscous=viscous,
+        fed=gains.fed,
         remainder=bristles[2] * [one.remainder for one in found[:J]],
         undamped=undamped[:J],
         turning=means,
@@ -405,15 +428,12 @@ def _stepped(x: FloatArray, y: FloatArray, before: tuple[FloatArray, FloatArray]
     return np.asarray(x + (y - x) / (1.0 - np.clip(slope, -20.0, 0.9)))
 
 
-def _near(
-    torques: Sequence[DryTorque], elastic: int, rate_rms: Callable[[FloatArray], FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Return small rates of torques, and where these have none of their own the rates without dry friction, rad/s."""
+def _near(torques: Sequence[DryTorque], without: Callable[[], FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return small rates of torques, and those `without` dry friction where any torque has none of its own, rad/s."""
     near = np.array([one.coulomb_rate for one in torques])
     if near.all():
         return near, np.full(len(near), math.inf)
-    none = np.concatenate([np.zeros(len(near) + elastic), np.ones(elastic)])
-    undamped = np.asarray(rate_rms(none), dtype=np.float64)[: len(near)]
+    undamped = np.asarray(without(), dtype=np.float64)[: len(near)]
     return np.where(near > 0.0, near, np.maximum(0.1 * undamped, 10.0 * _LEAST_RATE)), undamped
 
 

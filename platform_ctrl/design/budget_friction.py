@@ -12,7 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.budget_integrals import BudgetResult
-from platform_ctrl.analysis.dry_friction import FedFriction, FrictionBalance, about_mean, friction_balance
+from platform_ctrl.analysis.dry_friction import (
+    FedFriction,
+    FrictionBalance,
+    FrictionGains,
+    about_mean,
+    friction_balance,
+)
 from platform_ctrl.analysis.friction_noise import FoundRate, friction_noise
 from platform_ctrl.analysis.hybrid_plant import Density, HybridPlant, RandomDisturbance
 from platform_ctrl.analysis.interconnection import MultiRate
@@ -22,7 +28,6 @@ from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.budget_loop import BudgetLoop
 from platform_ctrl.errors import ArgumentError, NotFoundError
-from platform_ctrl.plant.sensors import LOS_RATES
 
 # Relative error of variances of a verdict.
 TOLERANCE = 1e-5
@@ -32,8 +37,6 @@ _FRICTION_TOLERANCE = 1e-4
 _NO_REMAINDER = 1e-9
 # Noise of dry friction in a cycle of several samples counts up to so many sample frequencies, or of the fastest mode.
 _SAMPLING, _MODES = 1.0, 4.0
-# Outputs of a drive where spectra are wanted: the rate that it finds, with the bearing's, with that behind a low-pass.
-_WITH_SPECTRA = 3
 
 
 class Balanced(NamedTuple):
@@ -47,30 +50,27 @@ class Balanced(NamedTuple):
 def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = None) -> Balanced:
     """Return the replacement of dry friction at gimbal angles (n,); `near` is the balance at others."""
     if not loop.dry:
-        return Balanced(q, friction_balance((), lambda gains: gains), ())
-    bearings = [len(LOS_RATES) + loop.job.platform.gimbal(one.gimbal) for one in loop.dry]
+        return Balanced(q, friction_balance((), lambda gains: gains.viscous), ())
     driven = [k for k, law in enumerate(loop.laws) if law is not None]
-    elastic = len(LOS_RATES) + len(loop.job.platform.gimbals)
-    first = elastic + len(loop.elastic)
     # Between what the budget counts and what the loop samples.
     corner = 2.0 * math.pi * math.sqrt(loop.budget.from_hz * 0.5 / loop.job.sampling.period)
     controller = _with_finders(loop, q)
 
-    def found(gains: FloatArray, spectra: bool) -> BudgetResult:
+    def found(gains: FrictionGains, spectra: bool) -> BudgetResult:
         plant = _balancing_plant(loop, gains, q, corner if spectra else None)
         return loop.prepared(plant, loop.together, ()).of(controller, TOLERANCE, over_frequency=spectra)
 
-    def rates(gains: FloatArray) -> FloatArray:
+    def rates(gains: FrictionGains) -> FloatArray:
         try:
             total = found(gains, False).total
         except ArgumentError as error:
-            if not gains.any():
+            if not any(one.any() for one in (gains.viscous, gains.fed, gains.share)):
                 raise
             raise NotFoundError(
                 "budget: with the damping that dry friction has at these rates the loop is not stable: bearings stick "
                 "and slip; say in [budget.turning] how fast they turn, or limit the line of sight in a manoeuvre"
             ) from error
-        return np.asarray(total[[*bearings, *range(first, first + len(driven)), *range(elastic, first)]])
+        return np.asarray(total[[*loop.bearings, *range(loop.behind, len(total)), *range(loop.bent, loop.behind)]])
 
     drives = tuple(
         None if law is None else FedFriction(friction=law.friction, friction_rate=law.friction_rate)
@@ -78,30 +78,33 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
     )
     start = None if near is None else np.concatenate([near.rate, near.measured[driven]])
     balance = friction_balance(loop.dry, rates, start, _FRICTION_TOLERANCE, drives, loop.turning)
-    J = len(loop.dry)
-    moved = found(np.concatenate([balance.gains[:J], balance.fed[driven], balance.gains[J:]]), True)
+    moved = found(balance.gains, True)
+    of_drives = dict(zip(driven, moved.total_cumulative[loop.behind :].reshape(-1, 3, len(moved.edges)), strict=True))
     lowest = 2.0 * math.pi * loop.budget.from_hz
     left, rest, highest = np.zeros(len(drives)), [], _highest(loop, balance, q)
-    for k, (one, drive, at) in enumerate(zip(loop.dry, drives, bearings, strict=True)):
-        of_drive = None
+    for k, (one, drive, at) in enumerate(zip(loop.dry, drives, loop.bearings, strict=True)):
+        if balance.remainder[k] <= _NO_REMAINDER * max(one.breakaway):
+            continue  # it turns all the time
+        of_drive, less = None, 1.0
         if drive is not None:
-            place = first + _WITH_SPECTRA * driven.index(k)
-            spectra = moved.total_cumulative[place : place + _WITH_SPECTRA]
+            alone, together, filtered = of_drives[k]
             of_drive = FoundRate(
                 drive=drive,
                 rms=float(balance.measured[k]),
-                alone=spectra[0],
-                together=spectra[1],
-                filtered=spectra[2],
+                alone=alone,
+                together=together,
+                filtered=filtered,
                 corner=corner,
             )
-        if balance.remainder[k] <= _NO_REMAINDER * max(one.breakaway):
-            continue  # it turns all the time
-        bearing, less = about_mean(one, float(loop.turning[k])), 1.0
-        if drive is None and one in loop.elastic:
-            at, less = elastic + loop.elastic.index(one), float(balance.bristles[2, k])
+        elif k in loop.elastic:
+            at, less = loop.bent + loop.elastic.index(k), float(balance.bristles[2, k])
         noise = friction_noise(
-            bearing, float(balance.rate[k]), moved.edges, moved.total_cumulative[at], lowest, of_drive
+            about_mean(one, float(loop.turning[k])),
+            float(balance.rate[k]),
+            moved.edges,
+            moved.total_cumulative[at],
+            lowest,
+            of_drive,
         )
         if noise is not None:
             left[k] = less * noise.rms
@@ -151,48 +154,41 @@ def _with_finders(loop: BudgetLoop, q: FloatArray) -> MultiRate:
     return controller._replace(fast=System(A, B, C, D, dt))
 
 
-def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner: float | None) -> HybridPlant:
+def _balancing_plant(loop: BudgetLoop, gains: FrictionGains, q: FloatArray, corner: float | None) -> HybridPlant:
     """Return the model with a further control for each drive, whose input is the rate that it finds.
 
-    `gains` are the damping (J,) in the place of dry friction, those of the drives, then those of bristles. Further
-    outputs: the rate that each drive finds, as it acts on the bearing; with a `corner` also its sums with the bearing's
-    own rate, and with that behind a low-pass.
+    Further outputs for each drive: the rate that it finds, as it acts on the bearing; with a `corner` also its sums
+    with the bearing's own rate, and with that behind a low-pass.
     """
-    J = len(loop.dry)
-    laws = [(law, one) for law, one in zip(loop.laws, loop.dry, strict=True) if law is not None]
-    base = loop.damped(np.delete(gains, slice(J, J + len(laws))), q)
+    pairs = zip(loop.laws, loop.dry, gains.fed, strict=True)
+    laws = [(law, one.gimbal, fed) for law, one, fed in pairs if law is not None]
+    base = loop.damped(gains, q)
     A, B, C, D, _ = base.plant
     n, m = len(A), base.controls
-    lags = [base.lag[loop.torquers.index(law.torquer)] for law, _ in laws]
-    columns = [gain * B[:, m + loop.torque_on(one.gimbal)] for gain, (_, one) in zip(gains[J:], laws, strict=False)]
+    columns = [fed * B[:, m + loop.torque_on(gimbal)] for _, gimbal, fed in laws]
     B = np.insert(B, m, np.array(columns).reshape(-1, n), axis=1)
     D = np.insert(D, m, np.zeros((len(laws), len(D))), axis=1)
     own = np.eye(len(laws), B.shape[1], m)
     if corner is None:
         C, D = np.vstack([C, np.zeros((len(laws), n))]), np.vstack([D, own])
     else:
-        for row, (_, one) in zip(own, laws, strict=True):
-            rate = loop.job.platform.gimbal(one.gimbal)
+        for row, (_, gimbal, _) in zip(own, laws, strict=True):
+            rate = loop.job.platform.gimbal(gimbal)
             seen, direct = A[rate], B[rate]
-            size = len(A)
-            behind = np.eye(1, size + 1, size)
-            C = np.vstack([np.pad(C, ((0, 0), (0, 1))), np.zeros(size + 1), np.append(seen, 0.0), behind])
+            behind = np.eye(1, len(A) + 1, len(A))
+            C = np.vstack([np.pad(C, ((0, 0), (0, 1))), np.zeros(len(A) + 1), np.append(seen, 0.0), behind])
             A = np.vstack([np.pad(A, ((0, 0), (0, 1))), np.append(corner * seen, -corner)])
             B = np.vstack([B, corner * direct])
             D = np.vstack([D, row, row + direct, row])
     tilted = base.of_integral
-    return HybridPlant(
-        plant=System(A, B, C, D),
-        controls=m + len(laws),
-        measured=base.measured,
-        period=base.period,
-        delay=base.delay,
-        lag=np.append(base.lag, lags),
-        reading_delay=base.reading_delay,
-        integrated=(*base.integrated, *(False for _ in range(len(C) - base.measured - base.outputs))),
-        cycle=base.cycle,
-        of_integral=None if tilted is None else np.pad(tilted, ((0, len(A) - n), (0, 0))),
-    )
+    changes = {
+        "plant": System(A, B, C, D),
+        "controls": m + len(laws),
+        "lag": np.append(base.lag, [base.lag[loop.torquers.index(law.torquer)] for law, *_ in laws]),
+        "integrated": base.integrated + (False,) * (len(C) - base.measured - base.outputs),
+        "of_integral": None if tilted is None else np.pad(tilted, ((0, len(A) - n), (0, 0))),
+    }
+    return replaced(base, changes)
 
 
 def prepared(loop: BudgetLoop, at: Balanced) -> tuple[JitterBudget, JitterBudget]:

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from platform_ctrl.analysis.dry_friction import FrictionGains
 from platform_ctrl.analysis.hybrid_plant import (
     Density,
     Disturbance,
@@ -59,9 +60,12 @@ class BudgetLoop:
         self.torquers = [one.name for one in job.platform.torquers if one.name in used]
         self.laws = self._drives()
         self.turning = self._turning()
-        self.elastic = [
-            one for one, rate in zip(self.dry, self.turning, strict=True) if one.bristle_stiffness and not rate
-        ]
+        # Of `dry` those on bristles, which take part in the model while a bearing does not turn.
+        self.elastic = [k for k, one in enumerate(self.dry) if one.bristle_stiffness and not self.turning[k]]
+        # Of the outputs of `damped` the rates of these bearings, the first deflection, and what comes behind.
+        self.bearings = [len(LOS_RATES) + job.platform.gimbal(one.gimbal) for one in self.dry]
+        self.bent = len(LOS_RATES) + len(job.platform.gimbals)
+        self.behind = self.bent + len(self.elastic)
         self.cycle = self.controllers_of(controllers, job.trims[0]).cycle
         self.inputs: list[str] = []
         columns = [self._input(source) for source in budget.sources]
@@ -128,12 +132,12 @@ class BudgetLoop:
         """Return what sources do to a plant, for any controller."""
         return JitterBudget(plant, sources, exposures, 2.0 * math.pi * self.budget.from_hz)
 
-    def damped(self, gains: FloatArray, q: FloatArray) -> HybridPlant:
-        """Return the model about gimbal angles with the `gains` of a `FrictionBalance` in the place of dry friction.
+    def damped(self, gains: FrictionGains, q: FloatArray) -> HybridPlant:
+        """Return the model about gimbal angles with gains in the place of dry friction, but those of drives.
 
         Outputs behind the readings: rates of the line of sight and of the gimbals, deflections of bristles.
         """
-        added = dict(zip((one.gimbal for one in self.dry), map(float, gains), strict=False))
+        added = dict(zip((one.gimbal for one in self.dry), map(float, gains.viscous), strict=True))
         frictions = [
             dataclasses.replace(one, viscous=one.viscous + added[one.gimbal], coulomb=(0.0, 0.0), breakaway=(0.0, 0.0))
             if one.gimbal in added
@@ -159,13 +163,15 @@ class BudgetLoop:
         B, D = np.hstack([B, inside, outside]), np.pad(D, ((0, 0), (0, 2 * len(momenta))))
         labels = [*shown.input_labels, *map(_torque_on, model.angle_names), *map(_from_outside, model.angle_names)]
         columns = [labels.index(name) for name in (*controls, *self.inputs)]
+        # Limits on base motion take a sine at full rate of any frequency, whose tilt ends at 1 rad (`PlantResponses`).
+        # Here the density of a source says how far the root tilts, and no rate that would end it.
         tilted = tilting(shown.B, platform) @ np.array([[one == name for one in self.inputs] for name in OMEGA_NAMES])
         # The gimbals' rates: the first states are their angles.
-        rates = len(model.angle_names)
-        plant = System(A, B[:, columns], np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])[:, columns])
-        for one, share, slip in zip(self.elastic, *np.split(gains[len(self.dry) :], 2), strict=True):
-            k = self.job.platform.gimbal(one.gimbal)
-            plant = _with_bristles(plant, one, (k, momenta[k]), share, slip)
+        rates = slice(len(model.angle_names))
+        plant = System(A, B[:, columns], np.vstack([C, A[rates]]), np.vstack([D, B[rates]])[:, columns])
+        for k in self.elastic:
+            at = self.job.platform.gimbal(self.dry[k].gimbal)
+            plant = _with_bristles(plant, self.dry[k], (at, momenta[at]), gains.share[k], gains.slip[k])
         period, often = self.job.sampling.period, self.job.often_read
         late = {one.name: one.periods_late(period, often.get(one.name, 1)) for one in platform.sensors}
         return HybridPlant(
@@ -176,7 +182,7 @@ class BudgetLoop:
             delay=self.job.sampling.delay,
             lag=np.array([torquers[name].lag for name in self.torquers]),
             reading_delay=tuple(late[name] for name in self.sensors),
-            integrated=(True,) * len(LOS_RATES) + (False,) * (rates + len(self.elastic)),
+            integrated=(True,) * len(LOS_RATES) + (False,) * (self.behind - len(LOS_RATES)),
             cycle=self.cycle,
             of_integral=np.pad(tilted, ((0, len(self.elastic)), (0, 0))) if tilted.any() else None,
         )

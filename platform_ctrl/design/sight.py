@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.budget_integrals import motion_transfer
 from platform_ctrl.analysis.mean_squares import mean_square
-from platform_ctrl.analysis.metrics import BUDGET_METRICS
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sight import MeanSquare
@@ -44,7 +44,7 @@ class LoopSight:
 
     def exact(self, controller: System) -> Mapping[str, float]:
         """Return the limits' values at the job's gimbal angles where they are worst; infinite or 0 without a budget."""
-        out = {key: one.worst for key, one in BUDGET_METRICS.items() if key != "limit"}
+        out = {one.key: one.worst for one in METRICS.values() if one.of_sight}
         try:
             loop, places = self._balanced(controller)
             found = [prepared(loop, at)[1].of(self._whole(loop, controller, at), TOLERANCE) for at in places]

@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import erf
 
-from platform_ctrl.analysis.dry_friction import FedFriction, describing_function, friction_balance
+from platform_ctrl.analysis.dry_friction import FedFriction, FrictionGains, describing_function, friction_balance
 from platform_ctrl.analysis.friction_noise import friction_noise
 from platform_ctrl.errors import NotFoundError
 from platform_ctrl.plant.force_elements import Friction
@@ -75,8 +75,8 @@ def test_what_is_fed_forward_is_balanced_with_the_friction() -> None:
     drive = FedFriction(friction=0.015, friction_rate=1e-3)
     q, inertia = 1e-4, 0.5
 
-    def rates(gains: np.ndarray) -> np.ndarray:
-        v = math.sqrt(q / (2.0 * inertia * (gains[0] - 0.5 * gains[1] + 1e-3)))
+    def rates(gains: FrictionGains) -> np.ndarray:
+        v = math.sqrt(q / (2.0 * inertia * (gains.viscous[0] - 0.5 * gains.fed[0] + 1e-3)))
         return np.array([v, 0.9 * v])
 
     found = friction_balance([BEARING], rates, drives=[drive])
@@ -104,22 +104,22 @@ def test_the_balance_is_a_fixed_point_of_the_linear_loop() -> None:
     # White torque on an inertia with damping b: the variance of the rate is q/(2 J b).
     q, inertia = 1e-4, 0.5
 
-    def rate(b: np.ndarray) -> np.ndarray:
-        return np.sqrt(q / (2.0 * inertia * (b + 1e-3)))
+    def rate(gains: FrictionGains) -> np.ndarray:
+        return np.sqrt(q / (2.0 * inertia * (gains.viscous + 1e-3)))
 
     found = friction_balance([BEARING], rate)
-    assert found.rate == pytest.approx(rate(found.viscous), rel=1e-7)
+    assert found.rate == pytest.approx(rate(found.gains), rel=1e-7)
     assert found.viscous[0] == pytest.approx(describing_function(BEARING, float(found.rate[0])).viscous, rel=1e-7)
     # Sliding fast against coulomb_rate: 2 J b σ² = q with b = √(2/π) F/σ.
     assert found.rate[0] == pytest.approx(q / (2.0 * inertia * math.sqrt(2.0 / math.pi) * 0.02), rel=0.1)
 
 
 def test_a_bearing_that_hardly_slides_is_named() -> None:
-    slow = friction_balance([BEARING], lambda b: np.full(1, 1e-3))
+    slow = friction_balance([BEARING], lambda gains: np.full(1, 1e-3))
     assert slow.sticking[0] == pytest.approx(math.erf(1.0 / math.sqrt(2.0)))
     assert not slow.valid[0]
     assert "does not hold" in slow.statement[0]
-    fast = friction_balance([BEARING], lambda b: np.full(1, 0.1))
+    fast = friction_balance([BEARING], lambda gains: np.full(1, 0.1))
     assert fast.valid[0]
     assert "not in proportion to the rate" in fast.statement[0]
 
@@ -127,7 +127,7 @@ def test_a_bearing_that_hardly_slides_is_named() -> None:
 def test_rates_that_never_settle_are_refused() -> None:
     jumping = itertools.cycle([np.array([1e-3]), np.array([1.0])])
     with pytest.raises(NotFoundError, match="no rates found"):
-        friction_balance([BEARING], lambda b: next(jumping))
+        friction_balance([BEARING], lambda gains: next(jumping))
 
 
 def test_friction_that_sticks_is_described_by_its_sign_and_judged_by_what_it_holds_back() -> None:
@@ -138,21 +138,21 @@ def test_friction_that_sticks_is_described_by_its_sign_and_judged_by_what_it_hol
         assert found.remainder == pytest.approx(0.02 * math.sqrt(1.0 - 2.0 / math.pi))
     # A body of J = 0.01 under white torque of 2 J b σ² = q, with a viscous friction that limits it.
     for q, valid in ((1.0, True), (1e-3, False)):
-        balance = friction_balance([sticks], lambda b, q=q: np.sqrt(q / (2.0 * 0.01 * (b + 0.1))))
+        balance = friction_balance([sticks], lambda gains, q=q: np.sqrt(q / (2.0 * 0.01 * (gains.viscous + 0.1))))
         assert bool(balance.valid[0]) is valid
         assert ("it sticks" in balance.statement[0]) is not valid
 
 
 def test_a_bearing_that_turns_all_the_time_has_the_slope_of_its_friction_there_and_no_noise() -> None:
     bearing = Friction(gimbal="pitch", coulomb=(0.02, 0.02), breakaway=(0.03, 0.03), stribeck_rate=0.1)
-    found = friction_balance([bearing], lambda b: np.full(1, 1e-4), turning=[0.05])
+    found = friction_balance([bearing], lambda gains: np.full(1, 1e-4), turning=[0.05])
     slope = -2.0 * 0.05 / 0.1**2 * 0.01 * math.exp(-0.25)  # of 0.02 + 0.01 exp(-(v/0.1)²)
     assert found.viscous[0] == pytest.approx(slope, rel=1e-5)
     assert found.remainder[0] < 1e-5 * 0.03
     assert found.valid[0]
     assert "it turns at 0.05 rad/s" in found.statement[0]
     # One that often turns back is described, and not trusted.
-    often = friction_balance([bearing], lambda b: np.full(1, 0.05), turning=[0.05])
+    often = friction_balance([bearing], lambda gains: np.full(1, 0.05), turning=[0.05])
     assert not often.valid[0]
     assert often.sticking[0] == pytest.approx(0.5 * math.erfc(1.0 / math.sqrt(2.0)))
     x = np.random.default_rng(1).normal(size=400_000)
