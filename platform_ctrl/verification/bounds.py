@@ -89,8 +89,9 @@ def _eased(
         sooner = dataclasses.replace(job.sampling, delay=less * job.sampling.delay)
         yield "delay", of(replaced(job, {"sampling": sooner})), less
     # Linear models round the age of a reading up to whole sample periods: it is changed by one of these.
-    read, period = spec.read_by(spec.closed).sensors, job.sampling.period
-    age = max(one.periods_late(period, job.every(spec)) for one in job.platform.sensors if one.name in read)
+    read, period = {*spec.read_by(spec.closed).sensors, *plants.angles}, job.sampling.period
+    ages = [one.periods_late(period, job.every(spec)) for one in job.platform.sensors if one.name in read]
+    age = max(ages, default=0)
     if age:
         later = _read_later(job.platform, read, period)
         yield "delay of its sensors", of(replaced(job, {"platform": later})), (age + 1) / age
