@@ -11,30 +11,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import attenuation_db, over_limit, run_metrics, worst_value
+from platform_ctrl.analysis.metrics import over_limit, run_metrics
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.campaign import store
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.mistakes import one_line
+from platform_ctrl.simulation.batch import BatchResult, run_values, simulate_batch
+from platform_ctrl.simulation.closed_loop import simulate
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.job.scenario import Scenario
-    from platform_ctrl.simulation.batch import BatchResult
     from platform_ctrl.verification.simulated import Run
 
 
 def simulate_runs(plan: Plan, runs: Sequence[int]) -> dict[str, store.Array]:
     """Simulate runs of a plan and return their columns, each with one entry a run."""
-    from platform_ctrl import simulation
-
     columns = inputs_of(plan, runs)
     scenarios = plan.scenarios_with(columns, runs)
-    result = simulation.simulate_batch(
-        scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=1
-    )
+    result = simulate_batch(scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step)
     return {**columns, **_outcomes(scenarios, result, metrics_of(plan))}
 
 
@@ -51,32 +48,16 @@ def metrics_of(plan: Plan) -> tuple[str, ...]:
     return run_metrics(manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres)
 
 
-def metric_of(result: BatchResult, name: str, scenarios: Sequence[Scenario]) -> store.Array:
-    """Return a metric of the runs of `scenarios` by its key, the worst of all axes, (N,)."""
-    jitter = result.line_of_sight_rms
-    if name in ("los_rate_rms", "los_angle_rms"):
-        commanded = np.array([bool(one.commands) for one in scenarios])[:, None]
-        sight = np.where(commanded, jitter, np.hypot(jitter, result.line_of_sight_mean))
-        return np.asarray(sight[:, slice(0, 2) if name == "los_rate_rms" else slice(3, 5)].max(axis=1))
-    if name == "attenuation_db":
-        return attenuation_db(result.Omega_rms, jitter[:, :2])
-    if name == "angle_between_stops":
-        stopped = [k for k, one in enumerate(scenarios[0].platform.gimbals) if one.stops]
-        return np.asarray(result.angle[:, stopped].max(axis=1))
-    return np.asarray(getattr(result, name).max(axis=1, initial=0.0))
-
-
 def _outcomes(scenarios: Sequence[Scenario], result: BatchResult, names: Sequence[str]) -> dict[str, store.Array]:
     """Return the outcomes of runs, by the names of the columns."""
-    done = result.completed
-    metrics = {name: np.where(done, metric_of(result, name, scenarios), worst_value(name)) for name in names}
-    passed = done.copy()
+    metrics = {name: run_values(name, result, scenarios)[0] for name in names}
+    passed = result.completed
     answers: dict[str, store.Array] = {}
     for name in names:
         limits = np.array([one.limits.get(name, np.nan) for one in scenarios])
         limited = ~np.isnan(limits)
         met = over_limit(name, metrics[name], np.where(limited, limits, 1.0)) <= 1.0
-        passed &= met | ~limited
+        passed = passed & (met | ~limited)
         answers[f"{name}_passed"] = np.where(limited, met, np.array(None))
     return {
         **metrics,
@@ -165,23 +146,16 @@ def rerun(plan: Plan, number: int) -> Rerun:
     ArgumentError
         The plan has no such run, or it cannot be simulated.
     """
-    from platform_ctrl.simulation import simulate
     from platform_ctrl.verification.simulated import run_of
 
-    inputs = plan.inputs(number, number + 1)
-    scenario = plan.scenario(number)
-    row = {name: _plain(column[0]) for name, column in simulate_runs(plan, [number]).items()}
+    scenario, inputs = plan.scenario(number), plan.inputs(number, number + 1)
     trajectory = simulate(scenario, plan.controllers, period=plan.job.sampling.period, step=plan.step)
+    outcomes = _outcomes([scenario], trajectory.metrics, metrics_of(plan))
     base = next(one for one in plan.job.manoeuvres if one.name == inputs[store.MANOEUVRE][0])
     manoeuvre = dataclasses.replace(base, duration=scenario.duration, limits=dict(scenario.limits))
     job = dataclasses.replace(plan.job, platform=scenario.platform)
-    return Rerun(
-        number=number,
-        job=job,
-        inputs={name: row[name] for name in inputs},
-        metrics={name: item for name, item in row.items() if name not in inputs and name != store.RUN},
-        run=run_of(job, manoeuvre, trajectory),
-    )
+    inputs, metrics = ({name: _plain(column[0]) for name, column in part.items()} for part in (inputs, outcomes))
+    return Rerun(number=number, job=job, inputs=inputs, metrics=metrics, run=run_of(job, manoeuvre, trajectory))
 
 
 def recorded_row(folder: Path, number: int) -> Row | None:

@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
+from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db, worst_value
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.simulation import run_plan as plans
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.packing import sight_of
@@ -63,11 +65,11 @@ class BatchResult:
     line_of_sight_mean, line_of_sight_rms : (N, outputs)
         Line of sight: mean, and rms about it, of ``los_rate1``, ``los_rate2``, ``los_roll_rate``, rad/s, and of
         ``los_angle1``, ``los_angle2``, ``los_roll``, rad.
-    angle_following_error : (N, readings of angles)
-        Largest |reading − command| from `settle` on, without the sensor's bias and scale error, rad; 0 where nothing is
-        commanded.
-    rate_following_error : (N, readings of rates)
-        The same of rates, rad/s.
+    following_error : (N, readings)
+        Largest |reading − command| from `settle` on, without the sensor's bias and scale error, rad or rad/s; 0 where
+        nothing is commanded.
+    units
+        Units of the readings by their names, in the order of these columns.
     requested : (N,)
         Number of samples of a complete run.
     period
@@ -86,8 +88,8 @@ class BatchResult:
     Omega_rms: FloatArray
     line_of_sight_mean: FloatArray
     line_of_sight_rms: FloatArray
-    angle_following_error: FloatArray
-    rate_following_error: FloatArray
+    following_error: FloatArray
+    units: dict[str, str]
     period: float
 
     @property
@@ -102,6 +104,68 @@ class BatchResult:
             "completed" if done == requested else f"diverged at t = {done * self.period:.6g} s"
             for done, requested in zip(self.samples.tolist(), self.requested.tolist(), strict=True)
         )
+
+    @property
+    def angle_following_error(self) -> FloatArray:
+        """The following errors of the readings of angles (N, k), rad."""
+        return self.following_error[:, [unit == "rad" for unit in self.units.values()]]
+
+    @property
+    def rate_following_error(self) -> FloatArray:
+        """The following errors of the readings of rates (N, k), rad/s."""
+        return self.following_error[:, [unit == "rad/s" for unit in self.units.values()]]
+
+
+def run_values(key: str, result: BatchResult, scenarios: Sequence[Scenario]) -> tuple[FloatArray, list[str]]:
+    """Return a metric of runs by its key in `RUN_METRICS`, the worst of its signals.
+
+    Parameters
+    ----------
+    key
+        Of the metric.
+    result, scenarios
+        The N runs, as of `simulate_batch`.
+
+    Returns
+    -------
+    values : (N,)
+        In the metric's unit; the worst there is where a run diverged.
+    names : N texts
+        The signal of which the value is; how the run ended where it diverged.
+    """
+    values, names = _signals(key, result, scenarios)
+    if not names:
+        values, names = np.zeros((len(scenarios), 1)), ["none"]
+    worst = values.argmin(axis=1) if RUN_METRICS[key].sense == "at least" else values.argmax(axis=1)
+    done = result.completed
+    found = np.where(done, values[np.arange(len(values)), worst], worst_value(key))
+    return found, [names[k] if yes else ended for k, yes, ended in zip(worst, done, result.ended, strict=True)]
+
+
+def _signals(key: str, result: BatchResult, scenarios: Sequence[Scenario]) -> tuple[FloatArray, Sequence[str]]:
+    """Return a metric of each of its signals (N, k), and their names."""
+    platform, jitter = scenarios[0].platform, result.line_of_sight_rms
+    match key:
+        case "angle" | "gimbal_rate":
+            return getattr(result, key), platform.angle_names
+        case "angle_between_stops":
+            stopped = [k for k, one in enumerate(platform.gimbals) if one.stops]
+            return result.angle[:, stopped], [platform.angle_names[k] for k in stopped]
+        case "attitude":
+            return result.attitude, ("axis 1", "axis 2", "axis 3")
+        case "torque_share":
+            return result.torque_share, [torquer.name for torquer in platform.torquers]
+        case "angle_following_error" | "rate_following_error":
+            of_unit = [name for name, unit in result.units.items() if unit == RUN_METRICS[key].unit]
+            return getattr(result, key), of_unit
+        case "attenuation_db":
+            each = [attenuation_db(result.Omega_rms, jitter[:, [k]]) for k in (0, 1)]
+            return np.stack(each, axis=1), LOS_RATES[:2]
+        case _:
+            # Under a command the mean turns on purpose; without one it is an error like any other.
+            commanded = np.array([bool(one.commands) for one in scenarios])[:, None]
+            sight = np.where(commanded, jitter, np.hypot(jitter, result.line_of_sight_mean))
+            return (sight[:, :2], LOS_RATES[:2]) if key == "los_rate_rms" else (sight[:, 3:5], LOS_ANGLES[:2])
 
 
 def simulate_batch(
@@ -158,23 +222,28 @@ def simulate_batch(
         raise ArgumentError(
             "scenarios: their plants differ in gimbals, torquers or sensors; simulate them one kind at a time"
         )
+    # All batches are put together, and with that checked, before the first one is computed.
+    batches = _batches(members, controllers, period, noise)
+    return _gathered(members, [(places, batch_metrics(batched, threads)) for places, batched in batches], period)
+
+
+def _gathered(
+    members: Sequence[plans.PreparedRun], found: Sequence[tuple[Sequence[int], FloatArray]], period: float
+) -> BatchResult:
+    """Return the result of runs from the metrics (k, slots) of their batches, each with the places of its k runs."""
     shape = members[0].skeleton if members else None
     n, nu, sight = (shape.at.n, len(shape.targets), len(shape.sight)) if shape else (0, 0, 0)
     widths = widths_of_metrics(n, nu, sight)
-    # All batches are put together, and with that checked, before the first one is computed.
-    batches = _batches(members, controllers, period, noise)
     units: dict[str, str] = {}
-    for places, _ in batches:
+    for places, _ in found:
         units |= members[places[0]].scenario.units
     rows, errors, names = np.empty((len(members), sum(widths))), np.zeros((len(members), len(units))), [*units]
-    for places, batched in batches:
-        found = batch_metrics(batched, threads)
+    for places, metrics in found:
         commanded = [names.index(name) for name in commanded_readings(members[places[0]].scenario)]
-        rows[places], errors[np.ix_(places, commanded)] = np.split(found, [sum(widths)], axis=1)
+        rows[places], errors[np.ix_(places, commanded)] = np.split(metrics, [sum(widths)], axis=1)
     angle, attitude, share, saturated, contacts, samples, rate, settled, mean, squares = np.split(
         rows, np.cumsum(widths[:-1]), axis=1
     )
-    of_rates = np.array([unit == "rad/s" for unit in units.values()], dtype=np.bool_)
     rms = np.sqrt(squares / np.maximum(settled, 1.0))
     return BatchResult(
         angle=angle,
@@ -189,8 +258,8 @@ def simulate_batch(
         Omega_rms=rms[:, :3],
         line_of_sight_mean=mean[:, 3:],
         line_of_sight_rms=rms[:, 3:],
-        angle_following_error=errors[:, ~of_rates],
-        rate_following_error=errors[:, of_rates],
+        following_error=errors,
+        units=units,
         period=period,
     )
 
@@ -302,8 +371,8 @@ def batch_metrics(batched: plans.Batch, threads: int = 1, record: FloatArray = _
 
 def recorded(
     member: plans.PreparedRun, controller: plans.ControllerRows, period: float, noise: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Simulate one scenario alone; return its record, a row a sample, and its metrics (slots,)."""
+) -> tuple[FloatArray, BatchResult]:
+    """Simulate one scenario alone; return its record, a row a sample, and its metrics."""
     batched = plans.batch([member], controller, period, noise)
     at, shared = batched.packed.at, batched.shared
     # q, rates, Omega, p, attitude, readings, commands, torques, servo rotors' spins and torques, line of sight.
@@ -315,7 +384,7 @@ def recorded(
     except MemoryError:
         takes = f"the record of {samples} samples takes {samples * columns * 8 / 1e9:.3g} GB"
         raise SimulationError(f"{takes}, more memory than there is; simulate a shorter run") from None
-    return record, batch_metrics(batched, record=record)[0]
+    return record, _gathered([member], [([0], batch_metrics(batched, record=record))], period)
 
 
 def compile_kernel() -> None:

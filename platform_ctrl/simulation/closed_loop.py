@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.simulation.added_states import servo_rotors
-from platform_ctrl.simulation.batch import merged_controller, recorded
-from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
+from platform_ctrl.simulation.batch import BatchResult, merged_controller, recorded
 from platform_ctrl.simulation.run_plan import prepared_run
 from platform_ctrl.simulation.scenarios import commanded_readings, courses_of, expect_several, steps
 
@@ -52,12 +51,8 @@ class Trajectory:
         those that are commanded.
     commanded_units
         Of these readings, ``"rad"`` or ``"rad/s"``.
-    following_error : (commanded readings,)
-        Largest |reading − command| from the scenario's `settle` on, without bias and scale errors of the sensors.
-    saturated : (torquers,)
-        Number of samples whose command reached the torquer's limit.
-    stop_contacts : (n,)
-        How often each gimbal came up against a stop.
+    metrics
+        Those of this one run, as a batch has them.
     ended
         ``"completed"``, or ``"diverged at t = ... s"``: the arrays then end there.
     mode, period, delay, step, seed
@@ -84,9 +79,7 @@ class Trajectory:
     rotor_names: tuple[str, ...]
     commanded_names: tuple[str, ...]
     commanded_units: tuple[str, ...]
-    following_error: FloatArray
-    saturated: NDArray[np.int64]
-    stop_contacts: NDArray[np.int64]
+    metrics: BatchResult
     ended: str
     mode: Mode
     period: float
@@ -98,6 +91,22 @@ class Trajectory:
     def completed(self) -> bool:
         """Whether the run reached its end."""
         return self.ended == "completed"
+
+    @property
+    def following_error(self) -> FloatArray:
+        """Largest |reading − command| from the scenario's `settle` on, without errors of sensors, by commanded name."""
+        readings = list(self.metrics.units)
+        return self.metrics.following_error[0, [readings.index(name) for name in self.commanded_names]]
+
+    @property
+    def saturated(self) -> NDArray[np.int64]:
+        """Number of samples whose command reached the torquer's limit, (torquers,)."""
+        return np.asarray(self.metrics.saturated[0])
+
+    @property
+    def stop_contacts(self) -> NDArray[np.int64]:
+        """How often each gimbal came up against a stop, (n,)."""
+        return np.asarray(self.metrics.stop_contacts[0])
 
     @property
     def attitude_angles(self) -> FloatArray:
@@ -175,14 +184,7 @@ def simulate(
     controller = merged_controller(scenario, controllers, period)
     record, metrics = recorded(member, controller, period, noise)
     platform = scenario.platform
-    following = metrics[len(metrics) - len(commanded) :]
-    widths = widths_of_metrics(len(platform.gimbals), len(platform.torquers), 0)
-    saturated, contacts, samples = (
-        np.rint(part).astype(np.int64) for part in np.split(metrics, np.cumsum(widths))[3:6]
-    )
-    done = int(samples[0])
-    ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
-    record = record[:done]
+    record = record[: int(metrics.samples[0])]
     n, nu, servos = len(platform.gimbals), len(platform.torquers), servo_rotors(platform)
     widths = (n, n, 3, n, 4, len(readings), nu, nu, len(servos), len(servos))
     angle, rate, Omega, momentum, attitude, reading, command, torque, spin, motor, sight = np.split(
@@ -209,10 +211,8 @@ def simulate(
         rotor_names=tuple(r.name for r in servos),
         commanded_names=commanded,
         commanded_units=tuple(readings[name] for name in commanded),
-        following_error=following,
-        saturated=saturated,
-        stop_contacts=contacts,
-        ended=ended,
+        metrics=metrics,
+        ended=metrics.ended[0],
         mode=scenario.mode,
         period=period,
         delay=scenario.delay,

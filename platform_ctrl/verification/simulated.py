@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db, run_metrics, worst_value
+from platform_ctrl.analysis.metrics import RUN_METRICS, run_metrics
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import positive, whole
 from platform_ctrl.common.values import FloatArray, value
@@ -30,9 +30,8 @@ from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.job.manoeuvre import Manoeuvre
 from platform_ctrl.job.resolve import KEYHOLE
 from platform_ctrl.job.scenario import SOURCE_KIND, Scenario, Sine, Vibration
-from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.simulation import simulate
-from platform_ctrl.simulation.batch import simulate_batch
+from platform_ctrl.simulation.batch import run_values, simulate_batch
 from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.simulation.scenarios import equilibrium_torques
 from platform_ctrl.simulation.step_limit import longest_step
@@ -84,7 +83,10 @@ def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[Sta
 
 def run_of(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> Run:
     """Return a trajectory as a run of a manoeuvre, with its verdicts."""
-    found, lost = _largest(job, manoeuvre, trajectory), _lost(job, trajectory)
+    found, lost = {}, _lost(job, trajectory)
+    for key in run_metrics([manoeuvre.limits]):
+        [worst], [signal] = run_values(key, trajectory.metrics, [job.scenario(manoeuvre)])
+        found[key] = float(worst), signal
     results = _judged(job, manoeuvre, trajectory, found, lost)
     return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=results, largest=found, lost=lost)
 
@@ -141,46 +143,6 @@ def _for_good(there: NDArray[np.bool_]) -> int | None:
     begin = int(rarely[-1]) + 1 if len(rarely) else 0
     first = begin + int(np.argmax(there[begin:])) if begin < len(there) and there[begin:].any() else len(there)
     return first if len(there) - first >= _REST * len(there) else None
-
-
-def _largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
-    """Return the run's metrics by the names of the limits, each with the signal that it belongs to.
-
-    See `platform_ctrl.analysis.metrics.RUN_METRICS`; those on demand only where the manoeuvre limits them. Infinite
-    when the run diverged.
-    """
-    names = run_metrics([manoeuvre.limits])
-    if not trajectory.completed:
-        return {name: (worst_value(name), trajectory.ended) for name in names}
-    shares = np.abs(trajectory.command) / _reach(job, trajectory)
-    settled = trajectory.t >= manoeuvre.settle - 1e-9 * trajectory.period
-    shown = trajectory.line_of_sight[settled]
-    base, jitter = trajectory.Omega[settled].std(axis=0), shown.std(axis=0)
-    # Under a command the mean turns on purpose; without one it is an error like any other.
-    sight = jitter if manoeuvre.commands else np.sqrt(np.mean(shown**2, axis=0))
-    angles, stopped = np.abs(trajectory.q).max(axis=0), [k for k, one in enumerate(job.platform.gimbals) if one.stops]
-    found = {
-        "angle": _worst(angles, trajectory.angle_names, "no gimbal"),
-        "angle_between_stops": _worst(angles[stopped], [trajectory.angle_names[k] for k in stopped]),
-        "attitude": _worst(np.abs(trajectory.attitude_angles).max(axis=0), ("axis 1", "axis 2", "axis 3")),
-        "torque_share": _worst(shares.max(axis=0), trajectory.torquer_names),
-        "gimbal_rate": _worst(np.abs(trajectory.rate).max(axis=0), trajectory.angle_names, "no gimbal"),
-    }
-    for key in names:
-        if RUN_METRICS[key].commanded:
-            mine = [one == RUN_METRICS[key].unit for one in trajectory.commanded_units]
-            names_of = np.array(trajectory.commanded_names)[mine].tolist()
-            found[key] = _worst(trajectory.following_error[mine], names_of, "nothing commanded")
-    if sight.size:
-        found["los_angle_rms"] = _worst(sight[3:5], LOS_ANGLES)
-        found["los_rate_rms"] = _worst(sight[:2], LOS_RATES)
-        attenuation = float(attenuation_db(base, jitter[:2]))
-        found["attenuation_db"] = attenuation, _worst(jitter[:2], LOS_RATES)[1] if base.any() else "no base motion"
-    return {name: found[name] for name in names}
-
-
-def _worst(values: FloatArray, names: Sequence[str], without: str = "") -> tuple[float, str]:
-    return (float(values.max()), names[int(values.argmax())]) if values.size else (0.0, without)
 
 
 def _judged(
