@@ -32,33 +32,33 @@ class Curve:
 
     x: FloatArray
     y: FloatArray
-    name: str = ""  # In the legend; empty: like another one
-    series: int | None = 0  # Which colour and marker; None: what others are compared with, grey
-    dashes: int | None = None  # Which dashes, 0: solid; None: those of the series
-    # "strong": what counts, "thin": what goes with a line, "mark": points, "band": from y up to `top`
+    name: str = ""  # Entry of the legend; empty: no entry
+    series: int | None = 0  # Number of colour and marker; None: grey, a reference for the other curves
+    dashes: int | None = None  # Number of the dash pattern, 0: solid; None: the pattern of the series
+    # "strong": the curve that counts, "thin": belongs to another line, "mark": points, "band": from y up to `top`
     form: Literal["line", "strong", "thin", "mark", "band"] = "line"
     top: FloatArray | None = None
-    role: str = ""  # Its colour by its role in the palette, where it has none of a series
-    kind: str = ""  # What it is, where that has a look of its own
-    along: FloatArray | None = None  # What each point belongs to
-    words: tuple[str, ...] = ()  # About each point, or about a line without a name
+    role: str = ""  # Colour by role in the palette, for a curve without the colour of a series
+    kind: str = ""  # Kind of the curve, for kinds that are drawn in a way of their own
+    along: FloatArray | None = None  # Parameter of each point, such as a frequency or a gain
+    words: tuple[str, ...] = ()  # Text for each point, or for a line without a name
 
 
 @value
 class Level:
-    """A level of a gain that is required, or wished for; with an end it holds for a part of the frequencies."""
+    """A limit (hard) or goal for a gain, perhaps for a band of frequencies only."""
 
     y: float
     text: str
     hard: bool = True
     start: float | None = None
     end: float | None = None
-    shaded: bool = False  # Beyond it, seen from zero
+    shaded: bool = False  # Whether the side of the level away from zero is shaded
 
 
 @value
 class Words:
-    """Words at a point of a panel: beside it by pixels to the right and up, aligned there."""
+    """Text at a point of a panel, moved by `beside`, pixels to the right and up, and aligned there."""
 
     x: float
     y: float
@@ -66,27 +66,27 @@ class Words:
     beside: tuple[float, float] = (0.0, 0.0)
     align: tuple[str, str] = ("center", "bottom")
     role: str = "muted"
-    least: float = 0.0  # Height of a panel, pixels, from which there is room for them
+    least: float = 0.0  # Least height of a panel with room for the text, pixels
 
 
 @value
 class Curves:
-    """Curves of a panel, over frequency in Hz where nothing else is said."""
+    """Curves of one panel, over frequency in Hz unless stated otherwise."""
 
     curves: tuple[Curve, ...]
     title: str = ""
-    quantity: str = ""  # What is shown, with its unit
+    quantity: str = ""  # Label of the y axis: quantity and unit
     kind: Literal["gain", "phase"] = "gain"
-    low: float = 0.0  # No lower and no higher gains are shown
+    low: float = 0.0  # Gains below `low` and above `high` are cut off
     high: float = math.inf
     levels: tuple[Level, ...] = ()
-    references: Mapping[float, str] = field(default_factory=dict)  # Grey levels with their words
-    required: float | None = None  # Frequency up to which something is required, and one that is wished for
+    references: Mapping[float, str] = field(default_factory=dict)  # Grey lines at these y, with their text
+    required: float | None = None  # Required bandwidth, and the one that is a goal
     wished: float | None = None
-    verticals: tuple[tuple[float, str, str], ...] = ()  # Vertical lines: where, role of the colour, words
+    verticals: tuple[tuple[float, str, str], ...] = ()  # Vertical lines: x, role of the colour, text
     words: tuple[Words, ...] = ()
-    unit: str = ""  # Plain unit of y, where a prefix may be chosen for it
-    view: tuple[float, float] | None = None  # What of y has to be seen; None: what follows from the curves
+    unit: str = ""  # Unit of y without prefix, for panels that choose a prefix
+    view: tuple[float, float] | None = None  # Range of y that must be visible; None: the range of the curves
 
 
 def decibels(response: ComplexArray) -> FloatArray:
