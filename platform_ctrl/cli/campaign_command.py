@@ -180,9 +180,8 @@ def show_campaign(summary: Summary) -> None:
         lines.append(f"worst: run {one.run}, {one.manoeuvre}: {words[0]} {words[1]} ({words[2]})")
     for line in lines:
         show_words(console, line, indent="  ")
-    first, *more = tables.verdict(summary), *tables.verdict_lines(summary)
-    show_verdict(console, summary.passed, first)
-    for line in more:
+    show_verdict(console, summary.passed, ", ".join(filter(None, tables.verdict(summary))))
+    for line in tables.verdict_lines(summary):
         show_words(console, line)
 
 

@@ -92,7 +92,7 @@ def _designed(job: Path, folder: Path, *, prove: bool, as_json: bool, quiet: boo
             raise failures[0].error
         result = check_job(read, outcomes, say, prove=prove)
         record = write_record(result_record(result), folder / arguments.RESULT)  # before anything is drawn
-        drawn = _drawn(result, folder, ["design", str(job), "-o", str(folder)], say)
+        drawn = _drawn(result, folder, ["design", str(job), "-o", str(folder)], say, file=str(job))
     code = _show(result, record, folder, drawn, as_json, job)
     for one in failures:
         code = failed(f"{one.loop}, {one.name}: {one.sentence}", 1)
@@ -235,7 +235,7 @@ def check(
             record |= {"passed": record["passed"] and summary.passed, "campaign": passed}
         record = write_record(record, folder / arguments.RESULT)
         compared = None if accepted is None else compare(record, accepted, read.tolerance)
-        drawn = _drawn(result, folder, command, say, campaign=summary, again=shlex.join(again))
+        drawn = _drawn(result, folder, command, say, file=str(job), campaign=summary, again=shlex.join(again))
     noted(used)
     for note in notes:
         noted(f"{file}: not confirmed: {note}")
@@ -331,4 +331,4 @@ def _show(
         noted(line)
     if not (as_json or result.passed):
         typer.echo(f"next:   {shlex.join(['platform-ctrl', 'serve', str(job)])} proposes what to change")
-    return 0 if result.passed and (campaign is None or campaign.passed) else 1
+    return 0 if record["passed"] else 1

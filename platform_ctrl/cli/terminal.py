@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import sys
 import textwrap
 from collections import Counter
@@ -80,12 +79,14 @@ def show_result(result: JobResult, campaign: Summary | None = None) -> None:
     goals = [goal for outcome in result.loops for goal in outcome.closed.goals]
     show_requirements(console, [*result.requirements, *goals], result)
     _show_alternatives(console, result)
-    words = summary_words(result.requirements, quantities.added_words(result.job.platform) + result.assumptions)
+    assumed = f", {result.assumptions}" if result.assumptions else ""
+    words = summary_words(result.requirements, quantities.added_words(result.job.platform) + assumed)
+    passed = result.passed
     if campaign is not None:
         from platform_ctrl.report.campaign_tables import campaign_words
 
-        words += f"; {campaign_words(campaign)}"
-    show_verdict(console, result.passed and (campaign is None or campaign.passed), words)
+        words, passed = f"{words}; {campaign_words(campaign)}", passed and campaign.passed
+    show_verdict(console, passed, words)
 
 
 def show_run(run: Run) -> None:
@@ -154,11 +155,10 @@ def show_block(console: Console, block: Table) -> None:
 
 def show_words(console: Console, words: str, style: str = "", indent: str = "") -> None:
     """Print a statement, wrapped between words; a number keeps its unit."""
-    together = re.sub(r"(?<=\d) (?=[^\W\d]|[%°/])", "\N{NO-BREAK SPACE}", words)
     wrapper = textwrap.TextWrapper(
         console.width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
-    for line in wrapper.wrap(together):
+    for line in wrapper.wrap(quantities.tied(words)):
         shown = line.replace("\N{NO-BREAK SPACE}", " ")
         console.print(shown, style=style, markup=False, highlight=False, soft_wrap=True)
 
@@ -176,14 +176,14 @@ def show_requirements(
     from platform_ctrl.report.tables import requirement_row
 
     order = sorted((one for one in results if not _as_good_as_can_be(one)), key=severity)
-    subjects = sorted({subject_of(one): severity(one) for one in reversed(order)}.items(), key=lambda item: item[::-1])
+    subjects = sorted({one.title: severity(one) for one in reversed(order)}.items(), key=lambda item: item[::-1])
     cells: list[tuple[str | Text, ...]] = []
     styles = []
     for subject, _ in subjects:
         if titles:
             cells.append(("", subject, "", "", ""))
             styles.append("bold")
-        for one in (one for one in order if subject_of(one) == subject):
+        for one in (one for one in order if one.title == subject):
             row = requirement_row(one, of)
             mark = "met" if one.passed else "NOT MET" if one.hard else "not met"
             colour = "green" if one.hard and one.passed else ""
@@ -236,16 +236,11 @@ def campaign_progress(quiet: bool, runs: int) -> Iterator[Callable[[int, int], N
         check()
 
 
-def subject_of(one: CheckResult) -> str:
-    """Return the loop or manoeuvre that a result is about, and its design."""
-    return f"{one.subject}, {one.design}" if one.design else one.subject
-
-
 def summary_words(results: Sequence[CheckResult], more: str = "") -> str:
     """Return how many requirements are met, `more`, and which one is the worst or the tightest."""
     words = quantities.met_words(results) + more
     if (worst := tightest(results)) is not None:
-        words += f"; {'tightest' if worst.passed else 'worst'}: {subject_of(worst)}, {worst.name}"
+        words += f"; {'tightest' if worst.passed else 'worst'}: {worst.title}, {worst.name}"
         words += f" ({quantities.percent(worst.margin)})" if abs(worst.margin) < 10.0 else ""
     return words
 
@@ -266,7 +261,7 @@ def missed_text(requirements: Sequence[CheckResult], title: str) -> str:
     rows = [("", "value", "limit", "margin", "")]
     for one in missed:
         shown = quantities.compared(one)
-        name, limit = f"{subject_of(one)}: {one.name}", f"{one.sense} {shown[1]}"
+        name, limit = f"{one.title}: {one.name}", f"{one.sense} {shown[1]}"
         rows.append((name, shown[0], limit, quantities.percent(one.margin), one.evidence))
     head = f"{title}: {len(missed)} of {quantities.count(len(requirements), 'requirement')} not met"
     return "\n".join([head, *_table(rows)])

@@ -65,6 +65,11 @@ class CheckResult:
     reason: str = ""
     valid: bool = True
 
+    @property
+    def title(self) -> str:
+        """Loop or manoeuvre that it is about, and its design."""
+        return f"{self.subject}, {self.design}" if self.design else self.subject
+
     def because(self, reason: str) -> CheckResult:
         """Return the result with a reason, or as it is without one."""
         return replace(self, reason=reason, evidence=f"{self.evidence}, {reason}") if reason else self

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from decimal import Decimal
 from typing import TYPE_CHECKING
@@ -176,6 +177,14 @@ def listed(words: list[str] | tuple[str, ...]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
+_UNTIED = re.compile(r"(?<=\d) (?=[^\W\d]|[%°/])|(?<=[≤≥]) ")
+
+
+def tied(words: str) -> str:
+    """Return words in which no line ends between a number and its unit, or after a sign of comparison."""
+    return _UNTIED.sub("\N{NO-BREAK SPACE}", words)
+
+
 def axis_text(axis: Sequence[float] | FloatArray) -> str:
     """Return +1, −3 for a body axis, otherwise its components."""
     k = max(range(3), key=lambda k: abs(axis[k]))
@@ -206,7 +215,7 @@ def added_words(platform: Platform) -> str:
 def _assuming(statements: Sequence[str]) -> str:
     """Return the statements as one clause, each with its own "that": some hold lists; nothing where there are none."""
     words = [f"that {statement}" for statement in statements]
-    return f", assuming {', and '.join([', '.join(words[:-1]), words[-1]][-len(words) :])}" if words else ""
+    return f"assuming {', and '.join([', '.join(words[:-1]), words[-1]][-len(words) :])}" if words else ""
 
 
 def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tuple[str, ...] = ()) -> str:

@@ -33,6 +33,8 @@ WORST_CASE: tuple[Group, ...] = ("nominal", "uncertainty", "Omega", "angles", "f
 FAULTS: tuple[Group, ...] = ("nominal", "faults")
 # Groups of plants by the ending of a limit's key, and how a name says them.
 SCOPES: dict[str, tuple[Group, ...]] = {"": NOMINAL, "worst_case": WORST_CASE, "faults": FAULTS}
+# How the name of a goal begins.
+GOAL = "goal: "
 SCOPE_WORDS = {"": "", "worst_case": ", worst case", "faults": " with a fault"}
 
 
@@ -405,6 +407,6 @@ def _required(limits: Mapping[str, float], kind: str, hard: bool) -> tuple[LoopR
                 frequency=None if edge is None else 2.0 * np.pi * edge,
                 lowest=2.0 * np.pi * limits.get(metric.lowest_key, 0.0),
             )
-            words = f"{'' if hard else 'goal: '}{of_readings(metric.name, kind)}{SCOPE_WORDS[scope]}"
+            words = f"{'' if hard else GOAL}{of_readings(metric.name, kind)}{SCOPE_WORDS[scope]}"
             out.append(replaced(one, {"name": words, "unit": of_readings(one.unit, kind)}))
     return tuple(out)

@@ -13,6 +13,7 @@ from platform_ctrl.common.files import templates
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import began_with_interrupt, reason
+from platform_ctrl.job.quantities import tied
 from platform_ctrl.report import style
 
 if TYPE_CHECKING:
@@ -255,4 +256,5 @@ def html(document: PageContent) -> str:
     """Return a document as a page that needs nothing else."""
     palette = {theme: declarations(colours) for theme, colours in PALETTE.items()}
     pages = templates("platform_ctrl.report", autoescape=True)
+    pages.filters["tied"] = tied
     return pages.get_template("page.html").render(document=document, palette=palette)

@@ -7,7 +7,7 @@ from functools import partial
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.single_run import ROUNDING, rerun
-from platform_ctrl.campaign.store import identity, source_hashes
+from platform_ctrl.campaign.store import differences, identity, source_hashes
 from platform_ctrl.campaign.summary import Influence, Summary
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.quantities import count, listed, plain
@@ -19,17 +19,20 @@ from platform_ctrl.report.figures.runs import histograms, time_run, with_limit
 from platform_ctrl.report.tables import folded_facts, record_part, report_versions
 from platform_ctrl.verification.verdict import JobResult
 
-RERUN_COMMAND = "platform-ctrl simulate job.toml --run"
 
-
-def campaign_document(summary: Summary, *, command: str | None = None, again: str | None = None) -> page.PageContent:
+def campaign_document(
+    summary: Summary,
+    *,
+    command: str = "platform-ctrl campaign job.toml",
+    again: str = "platform-ctrl simulate job.toml --run",
+) -> page.PageContent:
     """Return the content of the page; `command` made the campaign, `again` and a run's number repeat that run."""
     job = summary.plan.job
     with style.settings():
-        sections = campaign_sections(summary, again or RERUN_COMMAND)
+        sections = campaign_sections(summary, again)
     last = (
         page.Paragraph(text="This page was made by"),
-        page.Listing(text=command or "platform-ctrl campaign job.toml"),
+        page.Listing(text=command),
         drawn_part(summary),
         folded_facts("Versions and digests", {**report_versions(), **identity(summary.plan)}),
         record_part(job),
@@ -39,19 +42,19 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
         title=job.name,
         source=". ".join(filter(None, [job.platform.name, job.platform.source])),
         passed=summary.statistics.passed,
-        verdict=tables.verdict(summary),
+        verdict=tables.verdict(summary)[0],
         sections=(*sections, page.PageSection(name="again", title="Inputs and versions", blocks=last)),
     )
 
 
 def campaign_sections(summary: Summary, again: str) -> list[page.PageSection]:
     """Return the results of a campaign, its inputs apart; the first section has no title."""
-    words, _, assumed = tables.verdict(summary).partition(", assuming ")
+    words, assumed = tables.verdict(summary)
     banner = page.Verdict(
         passed=summary.statistics.passed,
         words=page.sentence(words),
         lines=tuple(page.sentence(line) for line in tables.verdict_lines(summary)),
-        aside=f"Assuming {assumed}." if assumed else "",
+        aside=page.sentence(f"{assumed}.") if assumed else "",
     )
     bounds = page.Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet")
     sections = [page.PageSection(name="summary", title="", blocks=(banner,))]
@@ -117,7 +120,7 @@ def _influences(summary: Summary) -> tuple[page.Block, ...]:
         page.Group(title=page.sentence(title), rows=_influence_rows(found)) for title, found in groups.items() if found
     ]
     shared = [tables.cause_words(one) for one in tables.causes(summary) if one.in_every_violation]
-    lines = [page.Paragraph(text=f"{page.sentence(_tied(line))}.") for line in shared]
+    lines = [page.Paragraph(text=f"{page.sentence(line)}.") for line in shared]
     words = page.Paragraph(text=sentences("campaign_influences"), tone="quiet")
     titles = page.columns(f"with, and without|{numbers}", numbers)
     contrasts = page.Table(columns=titles, groups=tuple(rows), form="contrasts")
@@ -142,11 +145,6 @@ def _influence_rows(found: list[Influence]) -> tuple[page.Row, ...]:
             bounds = page.Cell(text=tables.chances(side.low, side.high))
             rows.append(page.Row(cells=(name, second, *numbers, bounds, last)))
     return tuple(rows)
-
-
-def _tied(words: str) -> str:
-    """Return words in which no line ends between a number and its per cent sign."""
-    return words.replace(" %", "\u00a0%")
 
 
 def _worst(summary: Summary, again: str) -> tuple[page.Block, ...]:
@@ -191,21 +189,16 @@ def _worst_trace(summary: Summary) -> list[page.PageSection]:
     return [page.PageSection(name="trace", title="The worst run", blocks=blocks)]
 
 
-def campaign_blocks(summary: Summary, result: JobResult, again: str | None) -> tuple[page.Block, ...]:
-    """Return a campaign as part of a job's report, with a warning if its plant, sampling or controllers differ."""
-    first, *others = campaign_sections(summary, again or RERUN_COMMAND)
+def campaign_blocks(summary: Summary, result: JobResult, again: str) -> tuple[page.Block, ...]:
+    """Return a campaign as part of a job's report, with a warning if its plant, its runs or its controllers differ."""
+    first, *others = campaign_sections(summary, again)
     parts = (page.Subsection(title=section.title, blocks=section.blocks) for section in others)
     runs = f"{count(summary.plan.runs, 'run')} of the job with everything that may vary."
-    different = differences(summary, result)
-    blocks: list[page.Block] = [page.Paragraph(text=page.sentence(runs))]
+    closed = [outcome.closed.controller for outcome in result.loops]
+    its = source_hashes(summary.plan.job, summary.plan.controllers)
+    different = differences(its, source_hashes(result.job, closed))
+    blocks: list[page.Block] = [page.Paragraph(text=runs)]
     if different:
-        words = f"It was simulated with other {listed(different)}: its values are not those of the design above."
+        words = f"It was simulated with {listed(different)}: its values are not those of the design above."
         blocks.append(page.Paragraph(text=words, tone="bad"))
     return (*blocks, *first.blocks, *parts, drawn_part(summary))
-
-
-def differences(summary: Summary, result: JobResult) -> list[str]:
-    """Return which of plant, controllers and sampling a campaign does not share with a job's result."""
-    closed = [outcome.closed.controller for outcome in result.loops]
-    its, own = source_hashes(summary.plan.job, summary.plan.controllers), source_hashes(result.job, closed)
-    return [name for name in its if its[name] != own[name]]

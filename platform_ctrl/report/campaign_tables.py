@@ -102,11 +102,11 @@ def _percent(probability: float, rounding: Rounding) -> str:
     return text if float(text) < 100.0 else "100" if rounding == "up" else "99.9999"
 
 
-def verdict(summary: Summary) -> str:
-    """Return the verdict in a few words, with what it rests on."""
+def verdict(summary: Summary) -> tuple[str, str]:
+    """Return the verdict in a few words, and what it rests on."""
     job = summary.plan.job
-    rests_on = simulated_words(job, [one for one, _ in job.campaign_manoeuvres])
-    return f"{violation_words(summary)}{added_words(job.platform)}{rests_on}"
+    words = f"{violation_words(summary)}{added_words(job.platform)}"
+    return words, simulated_words(job, [one for one, _ in job.campaign_manoeuvres])
 
 
 def violation_words(summary: Summary) -> str:
@@ -123,9 +123,9 @@ def violation_words(summary: Summary) -> str:
     return f"{words}, {count(lost, 'run')} could not be simulated" if lost and violation.runs else words
 
 
-def campaign_words(summary: Summary | None) -> str:
-    """Return what a campaign adds to the verdict on a job; nothing without one."""
-    return "" if summary is None else f"campaign: {violation_words(summary)}"
+def campaign_words(summary: Summary) -> str:
+    """Return what a campaign adds to the verdict on a job."""
+    return f"campaign: {violation_words(summary)}"
 
 
 def verdict_lines(summary: Summary) -> list[str]:
@@ -142,7 +142,8 @@ def verdict_lines(summary: Summary) -> list[str]:
     if found.diverged:
         lines.append(f"{count(found.diverged, 'run')} diverged, counted as violating every requirement")
     if found.not_simulated:
-        lines.append(f"{count(found.not_simulated, 'run')} could not be simulated and are not counted")
+        verb = "is" if found.not_simulated == 1 else "are"
+        lines.append(f"{count(found.not_simulated, 'run')} could not be simulated and {verb} not counted")
     return lines
 
 

@@ -137,10 +137,6 @@ def run(one: Run, platform: Platform) -> str:
     )
 
 
-# No line break between a number and its unit.
-_UNIT = re.compile(r"(?<=\d) (?=(?:%|\u00b0|m?rad|k?Hz|m?N m|1/s|s)\b|%)|(?<=[\u2264\u2265]) ")
-
-
 def opening(result: JobResult, campaign: Summary | None) -> list[str]:
     """Return one to three sentences: what was designed, and what holds of all loops together."""
     given = all(design.method == "given" for outcome in result.loops for design in outcome.designs)
@@ -149,7 +145,7 @@ def opening(result: JobResult, campaign: Summary | None) -> list[str]:
     if result.coupled is not None:
         found.append(sentences("together", check=result.coupled, loops=result.loops))
     found.append("" if campaign is None else _campaign(campaign))
-    return [_UNIT.sub("\u00a0", one) for one in found if one]
+    return [one for one in found if one]
 
 
 def _campaign(summary: Summary) -> str:

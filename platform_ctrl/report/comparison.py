@@ -25,12 +25,11 @@ from platform_ctrl.job.quantities import (
     plain,
     quantity,
 )
-from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES, of_readings, requirement
-from platform_ctrl.report.blocks import Cell, Column, Group, Row, Table, cells
+from platform_ctrl.job.requirements import GOAL, SCOPE_WORDS, SCOPES, of_readings, requirement
+from platform_ctrl.report.blocks import Cell, Column, Group, Row, Table, cells, table
 from platform_ctrl.verification.proofs import Proofs
 from platform_ctrl.verification.verdict import JobResult
 
-GOAL = "goal: "
 _MARGIN = METRICS["disk margin"].name
 _GROUPS: dict[PlantGroup, tuple[str, str]] = {
     "nominal": ("nominal", "the nominal one"),
@@ -164,11 +163,14 @@ def plants_in_words(plants: PlantSet) -> str:
     return f"{count(len(plants.labels), 'plant')}: {listed(parts)}" if len(parts) > 1 else "the nominal plant alone"
 
 
-def group_rows(design: Design) -> list[tuple[str, str, str, str, str, str]]:
-    """Return for each group: number of plants, least decay, damping and disk margin, and the plant of the last."""
+def group_table(design: Design) -> Table | None:
+    """Return for each group of plants that a design must work with how many they are, and the least of what counts.
+
+    That are decay, damping and disk margin, the latter with the plant in which it is. None: there is one group.
+    """
     plants, measures = design.plants, design.measures
     if plants is None or measures is None or len(set(plants.groups)) == 1:
-        return []
+        return None
     rows = []
     for group, (name, _) in _GROUPS.items():
         chosen = measures.of((group,))
@@ -188,7 +190,8 @@ def group_rows(design: Design) -> list[tuple[str, str, str, str, str, str]]:
                 where,
             )
         )
-    return rows
+    numbers = "|".join(["plants", *(METRICS[kind].name for kind in ("stability", "damping", "disk margin"))])
+    return table(f"group|{numbers}|with", rows, numbers=numbers, form="narrow")
 
 
 def signals(design: Design) -> dict[str, str]:

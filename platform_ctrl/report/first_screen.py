@@ -14,7 +14,6 @@ from platform_ctrl.job.judging import CheckResult, tightest
 from platform_ctrl.job.quantities import BOUND, compared, count, listed, percent, plain
 from platform_ctrl.report import blocks as page
 from platform_ctrl.report import tables
-from platform_ctrl.report.campaign_tables import campaign_words
 from platform_ctrl.report.captions import sentences
 from platform_ctrl.report.figures.nichols import nichols_figure
 from platform_ctrl.verification.changes import Change
@@ -46,15 +45,11 @@ def _verdict(result: JobResult, campaign: Summary | None) -> page.Verdict:
     goals = tables.goal_rows(result)
     missed = [row for row in tables.requirement_rows(result) if not row.checked.passed]
     reached = sum(goal.checked.passed for goal in goals)
-    assumed = result.assumptions.removeprefix(", ")
-    asides = [page.sentence(f"{assumed}.")] if assumed else []
+    asides = [page.sentence(f"{result.assumptions}.")] if result.assumptions else []
     asides += [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
-    return page.Verdict(
-        passed=result.passed and (campaign is None or campaign.passed),
-        words="; ".join(filter(None, (page.sentence(tables.verdict(result)), campaign_words(campaign)))),
-        lines=tuple(row.words for row in missed),
-        aside=" ".join(asides),
-    )
+    passed, words = tables.verdict(result, campaign)
+    lines = tuple(row.words for row in missed)
+    return page.Verdict(passed=passed, words=page.sentence(words), lines=lines, aside=" ".join(asides))
 
 
 def chain_table(result: JobResult) -> page.Table | None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,6 @@ from platform_ctrl.report import blocks as page
 from platform_ctrl.report import captions, comparison, curves, style, tables
 from platform_ctrl.report.budget_page import budget_blocks
 from platform_ctrl.report.campaign_page import campaign_blocks
-from platform_ctrl.report.campaign_tables import campaign_words
 from platform_ctrl.report.captions import opening, sentences
 from platform_ctrl.report.figures import job as figures
 from platform_ctrl.report.figures.nichols import nichols_figure
@@ -53,9 +53,9 @@ def write_page(result: JobResult | page.PageContent, path: str | os.PathLike[str
     path
         The file; an existing one is replaced.
     **options
-        ``command``: the command line that repeats the job; ``campaign``: summary of a campaign of the job, from
-        `platform_ctrl.campaign.summarise`, which becomes a section; ``again``: the command line that repeats one run of
-        the campaign, without the run's number at its end.
+        ``command``: the command line that repeats the job; ``file``: the job's file in it; ``campaign``: summary of a
+        campaign of the job, from `platform_ctrl.campaign.summarise`, which becomes a section; ``again``: the command
+        line that repeats one run of the campaign, without the run's number at its end.
 
     Returns
     -------
@@ -74,6 +74,7 @@ def prepared(
     result: JobResult | page.PageContent,
     *,
     command: str | None = None,
+    file: str = "job.toml",
     campaign: Summary | None = None,
     again: str | None = None,
 ) -> page.PageContent:
@@ -85,10 +86,12 @@ def prepared(
         From `platform_ctrl.verification.check_job`. A document is returned as it is.
     command
         The command line that repeats the job; default: one that reads the job printed at the end of the report.
+    file
+        The job's file, as commands that the report proposes name it.
     campaign
         Summary of a campaign of the job, from `platform_ctrl.campaign.summary.summarise`; it becomes a section.
     again
-        The command line that repeats one run of the campaign, without the run's number at its end.
+        The command line that repeats one run of the campaign, without the run's number at its end; default: of `file`.
 
     Returns
     -------
@@ -105,53 +108,56 @@ def prepared(
     job, palette = instance("result", result, JobResult).job, curves.palette_of(result.loops)
     together = [one for one in result.requirements if one.subject == ALL_LOOPS]
     of_runs = [one for run in result.runs for one in run.results]
+    again = again or f"platform-ctrl simulate {shlex.quote(file)} --run"
     with style.settings():
-        budget = page.made("Line-of-sight budget", lambda: budget_blocks(result))
-        sections = [
-            page.PageSection(
-                name="summary",
-                title="",
-                blocks=(
-                    *page.made("First screen", lambda: first_screen(result, campaign)),
-                    *page.made("Summary", lambda: _summary(result, campaign)),
-                    *page.made("What to change", lambda: change_part(result, changes(result))),
-                ),
-            ),
-            page.PageSection(
-                name="requirements",
-                title="Requirements",
-                blocks=page.made("Requirements", lambda: tables.requirement_table(result)),
-                **_judged(result.requirements),
-            ),
-            page.PageSection(name="plant", title="Plant and modes", blocks=_plant(result)),
+        sections = (
+            *_section("summary", "", lambda: _first(result, campaign)),
+            *_section("requirements", "Requirements", lambda: tables.requirement_table(result), result.requirements),
+            *_section("plant", "Plant and modes", lambda: _plant(result)),
             *(
-                page.PageSection(
-                    name=f"loop-{k}",
-                    title=page.sentence(outcome.spec.name),
-                    blocks=_loop(result, outcome, palette),
-                    **_judged(own_results(result, outcome)),
+                section
+                for k, one in enumerate(result.loops, 1)
+                for section in _section(
+                    f"loop-{k}",
+                    page.sentence(one.spec.name),
+                    partial(_loop, result, one, palette),
+                    own_results(result, one),
                 )
-                for k, outcome in enumerate(result.loops, 1)
             ),
-            page.PageSection(name="coupled", title="Coupled system", blocks=_coupled(result), **_judged(together)),
-            *([page.PageSection(name="budget", title="Line-of-sight budget", blocks=budget)] if budget else []),
-            *_runs(result, of_runs),
-            *_campaign(result, campaign, command, again),
-            page.PageSection(name="again", title="Inputs and versions", blocks=_again(result, command, campaign)),
-        ]
+            *_section("coupled", "Coupled system", lambda: _coupled(result), together),
+            *_section("budget", "Line-of-sight budget", lambda: budget_blocks(result)),
+            *_section("runs", "Simulated runs", lambda: _runs(result), of_runs),
+            *_section("campaign", "Campaign", lambda: _campaign(result, campaign, file, again)),
+            *_section("again", "Inputs and versions", lambda: _again(result, command, campaign)),
+        )
+    passed, verdict = tables.verdict(result, campaign)
     return page.PageContent(
         kicker="platform_ctrl: design and check of control loops",
         title=job.name,
         source=". ".join(filter(None, [job.platform.name, job.platform.source])),
-        passed=result.passed and (campaign is None or campaign.passed),
-        verdict="; ".join(filter(None, (tables.verdict(result), campaign_words(campaign)))),
-        sections=tuple(sections),
+        passed=passed,
+        verdict=verdict,
+        sections=sections,
     )
 
 
-def _judged(results: Sequence[CheckResult]) -> dict[str, Any]:
-    words, passed = section_verdict(results)
-    return {"verdict": words, "passed": passed}
+def _section(
+    name: str,
+    title: str,
+    make: Callable[[], page.Block | Sequence[page.Block] | None],
+    results: Sequence[CheckResult] = (),
+) -> list[page.PageSection]:
+    """Return a section with the blocks that `make` returns, and the verdict on its results; none without blocks."""
+    blocks, (verdict, passed) = page.made(title or "Summary", make), section_verdict(results)
+    return [page.PageSection(name=name, title=title, blocks=blocks, verdict=verdict, passed=passed)] if blocks else []
+
+
+def _first(result: JobResult, campaign: Summary | None) -> tuple[page.Block, ...]:
+    return (
+        *page.made("First screen", lambda: first_screen(result, campaign)),
+        *page.made("Summary", lambda: _summary(result, campaign)),
+        *page.made("What to change", lambda: change_part(result, changes(result))),
+    )
 
 
 def _summary(result: JobResult, campaign: Summary | None) -> tuple[page.Block, ...]:
@@ -216,10 +222,9 @@ def _loop_tables(result: JobResult, outcome: LoopOutcome) -> list[page.Block]:
     lines = [f"Not proved: {name}: {claim}" for name, one in proofs.items() for claim in one.claims if not claim.proved]
     lines += [f"“{one.name}” has failed: {one.sentence}." for one in outcome.failed]
     blocks += [page.Paragraph(text=line, tone="bad") for line in lines]
-    groups = comparison.group_rows(outcome.closed)
-    if groups:
-        title = f"Plants that “{outcome.use}” must work with"
-        blocks.append(page.Subsection(title=title, blocks=(tables.group_table(groups),)))
+    groups = comparison.group_table(outcome.closed)
+    if groups is not None:
+        blocks.append(page.Subsection(title=f"Plants that “{outcome.use}” must work with", blocks=(groups,)))
     if (found := loop_bounds(result.job, outcome, result.inner(outcome))) is not None:
         says = page.Paragraph(text=sentences("bounds", found=found, hertz=found.bandwidth / (2.0 * np.pi)))
         blocks.append(page.Subsection(title="What bounds the bandwidth", blocks=(says, tables.bound_table(found))))
@@ -293,14 +298,11 @@ def _coupled(result: JobResult) -> tuple[page.Block, ...]:
     return blocks
 
 
-def _runs(result: JobResult, judged: Sequence[CheckResult]) -> list[page.PageSection]:
+def _runs(result: JobResult) -> tuple[page.Block, ...]:
     if not result.runs:
-        return []
-    blocks = (
-        page.Paragraph(text=sentences("runs", seed=result.job.seed)),
-        *(block for run in result.runs for block in _run_blocks(run, result)),
-    )
-    return [page.PageSection(name="runs", title="Simulated runs", blocks=blocks, **_judged(judged))]
+        return ()
+    words = page.Paragraph(text=sentences("runs", seed=result.job.seed))
+    return (words, *(block for run in result.runs for block in _run_blocks(run, result)))
 
 
 def _run_blocks(run: Run, result: JobResult) -> tuple[page.Block, ...]:
@@ -311,17 +313,11 @@ def _run_blocks(run: Run, result: JobResult) -> tuple[page.Block, ...]:
     return (page.Subsection(title=name, blocks=(nothing,)),)
 
 
-def _campaign(
-    result: JobResult, campaign: Summary | None, command: str | None, again: str | None
-) -> list[page.PageSection]:
+def _campaign(result: JobResult, campaign: Summary | None, file: str, again: str) -> tuple[page.Block, ...]:
     if campaign is not None:
-        blocks = page.made("Campaign", lambda: campaign_blocks(campaign, result, again))
-    elif result.job.campaign is not None:
-        file = next(iter(shlex.split(command or "")[2:]), "job.toml")
-        blocks = (page.Paragraph(text=sentences("no_campaign", file=file)),)
-    else:
-        return []
-    return [page.PageSection(name="campaign", title="Campaign", blocks=blocks)]
+        return campaign_blocks(campaign, result, again)
+    without = result.job.campaign is not None
+    return (page.Paragraph(text=sentences("no_campaign", file=shlex.quote(file))),) if without else ()
 
 
 def _again(result: JobResult, command: str | None, campaign: Summary | None) -> tuple[page.Block, ...]:

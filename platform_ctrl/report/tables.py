@@ -8,19 +8,20 @@ from importlib.metadata import version
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.files import toml
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job import quantities
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import PROVED, CheckResult
 from platform_ctrl.job.reading import job_data
+from platform_ctrl.job.requirements import GOAL
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.modes import Mode, modes
 from platform_ctrl.plant.drives import Torquer
 from platform_ctrl.plant.sensors import PickOff
-from platform_ctrl.report import comparison
 from platform_ctrl.report.blocks import Cell, Group, Listing, Paragraph, Row, Subsection, Table, cells, columns, table
+from platform_ctrl.report.campaign_tables import campaign_words
 from platform_ctrl.verification import result_file
 from platform_ctrl.verification.bounds import LoopBounds
 from platform_ctrl.verification.coupled import CoupledCheck
@@ -36,11 +37,6 @@ class RequirementRow:
     limit: str
     margin: str
     share: float  # The margin as a number between −1 and 1, for a bar; 0 where there is none
-
-    @property
-    def subject(self) -> tuple[str, str]:
-        """A loop with its design, or a manoeuvre or what else is judged, without a design."""
-        return self.checked.subject, self.checked.design
 
     @property
     def words(self) -> str:
@@ -60,12 +56,12 @@ def goal_rows(result: JobResult) -> tuple[RequirementRow, ...]:
 
 def _ordered(result: JobResult, results: Sequence[CheckResult]) -> tuple[RequirementRow, ...]:
     # A loop may have the name of something else that is judged, of which no design is named.
-    subjects = list(dict.fromkeys((one.subject, one.design) for one in results))
+    subjects = list(dict.fromkeys(one.title for one in results))
 
     def place(one: CheckResult) -> tuple[int, bool, float]:
         # The row of complete proofs has no margin: it comes last.
         margin = np.inf if one.passed and one.name == PROVED.name else one.margin
-        return subjects.index((one.subject, one.design)), one.passed, margin
+        return subjects.index(one.title), one.passed, margin
 
     return tuple(requirement_row(one, result) for one in sorted(results, key=place))
 
@@ -83,9 +79,13 @@ def requirement_row(one: CheckResult, result: JobResult | None) -> RequirementRo
     return RequirementRow(checked=one, value=number, limit=limit, margin=margin, share=share)
 
 
-def verdict(result: JobResult) -> str:
-    """Return the verdict in a few words; a torquer that a template added belongs beside "met"."""
-    return f"{quantities.met_words(result.requirements)}{quantities.added_words(result.job.platform)}"
+def verdict(result: JobResult, campaign: Summary | None) -> tuple[bool, str]:
+    """Return whether all is met, by the runs of a campaign too, and that in a few words."""
+    # A torquer that a template added belongs beside "met".
+    words = f"{quantities.met_words(result.requirements)}{quantities.added_words(result.job.platform)}"
+    if campaign is None:
+        return result.passed, words
+    return result.passed and campaign.passed, f"{words}; {campaign_words(campaign)}"
 
 
 def _mark(part: Torquer | PickOff) -> str:
@@ -145,12 +145,13 @@ def requirement_table(result: JobResult) -> Table:
     """Return every requirement of a job, loop by loop, and each loop's goals after it."""
     rows, goals, groups = requirement_rows(result), goal_rows(result), []
     named = [(row, row_name(k)) for k, row in enumerate(rows)]
-    for subject in dict.fromkeys(row.subject for row in rows):
-        own = tuple(_requirement(row, name) for row, name in named if row.subject == subject)
-        groups.append(Group(title=", ".join(filter(None, subject)), rows=own))
-        wished = tuple(_requirement(row) for row in goals if row.subject == subject)
+    for title in dict.fromkeys(row.checked.title for row in rows):
+        own = tuple(_requirement(row, name) for row, name in named if row.checked.title == title)
+        groups.append(Group(title=title, rows=own))
+        wished = [row for row in goals if row.checked.title == title]
         if wished:
-            groups.append(Group(title=f"goals of {subject[0]}, not part of the verdict", rows=wished, quiet=True))
+            words = f"goals of {wished[0].checked.subject}, not part of the verdict"
+            groups.append(Group(title=words, rows=tuple(map(_requirement, wished)), quiet=True))
     titles = columns("requirement|value|limit|margin|stage|method|met", numbers="value|limit|margin")
     return Table(columns=titles, groups=tuple(groups), form="requirements")
 
@@ -169,7 +170,7 @@ def _requirement(row: RequirementRow, place: str = "") -> Row:
     bad = "bad" if tone == "bad" else ""
     return Row(
         cells=(
-            Cell(text=one.name if one.hard else one.name.removeprefix(comparison.GOAL), note=one.evidence),
+            Cell(text=one.name if one.hard else one.name.removeprefix(GOAL), note=one.evidence),
             Cell(text=row.value, tone=bad),
             Cell(text=row.limit),
             Cell(text=row.margin, tone="" if tone == "good" else tone, bar=abs(row.share) if row.margin else None),
@@ -179,13 +180,6 @@ def _requirement(row: RequirementRow, place: str = "") -> Row:
         missed=bool(bad),
         name=place,
     )
-
-
-def group_table(rows: Sequence[tuple[str, ...]]) -> Table:
-    """Return the groups of plants that a loop must work with."""
-    lowest = (METRICS[kind].name for kind in ("stability", "damping", "disk margin"))
-    numbers = "|".join(["plants", *lowest])
-    return table(f"group|{numbers}|with", list(rows), numbers=numbers, form="narrow")
 
 
 def bound_table(found: LoopBounds) -> Table:

@@ -55,7 +55,7 @@ def result_record(result: JobResult, bounds: bool = True) -> Record:
         "added": [part.name for part in job.platform.added],
         "job": job.name,
         "passed": result.passed,
-        "assumptions": result.assumptions.removeprefix(", "),
+        "assumptions": result.assumptions,
         "seed": job.seed,
         "sha256": job_hashes(job),
         "versions": versions(),
