@@ -327,16 +327,34 @@ class FrictionBalance:
     @property
     def statement(self) -> tuple[str, ...]:
         """A sentence for each bearing."""
-        columns = self.rate, self.sticking, self.valid, self.remainder, self.turning
-        rows = zip(self.frictions, self.drives, *columns, strict=True)
-        each = [_statement(one, drive, *map(float, numbers)) for one, drive, *numbers in rows]
-        for k in np.flatnonzero(self.resting):
-            each[k] = (
-                f"friction of gimbal {self.frictions[k].gimbal}: it rests on its bristles, deflected by "
-                f"{100 * self.bristles[3, k]:.2g} % rms of what they slide at; {self.remainder[k]:.3g} N m rms of its "
-                "torque are not in proportion to that"
+        sticking, valid, resting = self.sticking, self.valid, self.resting
+        return tuple(
+            self._said(k, float(sticking[k]), valid[k] > 0.0, resting[k] > 0.0) for k in range(len(self.frictions))
+        )
+
+    def _said(self, k: int, sticking: float, valid: bool, resting: bool) -> str:
+        friction, drive, rate, turning = self.frictions[k], self.drives[k], self.rate[k], self.turning[k]
+        where, rest = f"friction of gimbal {friction.gimbal}: ", f"{self.remainder[k]:.3g} N m rms of its torque"
+        if resting:
+            return (
+                f"{where}it rests on its bristles, deflected by {100 * self.bristles[3, k]:.2g} % rms of what they "
+                f"slide at; {rest} are not in proportion to that"
             )
-        return tuple(each)
+        less = "" if drive is None else f", less the {drive.friction:.3g} N m that are fed forward,"
+        left = f"{rest}{less} are not in proportion to the rate"
+        if turning:
+            back = f"turns at {turning:.3g} rad/s, with {rate:.3g} rad/s rms beside that"
+            if valid:
+                return f"{where}it {back}; {left}"
+            return f"{where}the linear budget does not hold: it {back}, and often turns back; simulate; {left}"
+        if valid:
+            still = "of the time nearly at rest" if friction.coulomb_rate else "of its motion held back by friction"
+            return f"{where}it slides at {rate:.3g} rad/s rms, {100 * sticking:.2g} % {still}; {left}"
+        if friction.coulomb_rate:
+            slow = f"the rate is below {friction.coulomb_rate:.3g} rad/s for {100 * sticking:.2g} % of the time"
+        else:
+            slow = f"it sticks, {100 * sticking:.3g} % of the motion is held back by friction"
+        return f"{where}the linear budget does not hold: {slow} (rms {rate:.3g} rad/s); simulate; {left}"
 
 
 def friction_balance(
@@ -440,30 +458,3 @@ def _near(torques: Sequence[DryTorque], without: Callable[[], FloatArray]) -> tu
 def about_mean(friction: Friction, turning: float) -> Friction | TurningFriction:
     """Return a friction about a mean rate, rad/s: itself where that is 0."""
     return TurningFriction(friction=friction, turning=turning) if turning else friction
-
-
-def _statement(
-    friction: Friction,
-    drive: FedFriction | None,
-    rate: float,
-    sticking: float,
-    holds: float,
-    remainder: float,
-    turning: float,
-) -> str:
-    where = f"friction of gimbal {friction.gimbal}: "
-    less = "" if drive is None else f", less the {drive.friction:.3g} N m that are fed forward,"
-    left = f"{remainder:.3g} N m rms of its torque{less} are not in proportion to the rate"
-    if turning:
-        back = f"turns at {turning:.3g} rad/s, with {rate:.3g} rad/s rms beside that"
-        if holds:
-            return f"{where}it {back}; {left}"
-        return f"{where}the linear budget does not hold: it {back}, and often turns back; simulate; {left}"
-    if holds:
-        still = "of the time nearly at rest" if friction.coulomb_rate else "of its motion held back by friction"
-        return f"{where}it slides at {rate:.3g} rad/s rms, {100 * sticking:.2g} % {still}; {left}"
-    if friction.coulomb_rate:
-        slow = f"the rate is below {friction.coulomb_rate:.3g} rad/s for {100 * sticking:.2g} % of the time"
-    else:
-        slow = f"it sticks, {100 * sticking:.3g} % of the motion is held back by friction"
-    return f"{where}the linear budget does not hold: {slow} (rms {rate:.3g} rad/s); simulate; {left}"

@@ -205,7 +205,7 @@ def tuned_options(
     problem = dataclasses.replace(problem, progress=progress)
     method = METHODS[problem.design.method]
     assert isinstance(method, TunedMethod), "the app tunes what is built from its options"
-    channel, seen, period = problem.channel, method.seen(problem.plants), problem.plants.period
+    channel, seen, period = problem.channel, problem.plants.regular(), problem.plants.period
     together = [name for name in method.rates if name in movable]
     return tuned(
         problem,

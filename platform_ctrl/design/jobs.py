@@ -131,7 +131,8 @@ def attempted_loops(
             own = [one and beside(one, controllers) for one in plants_of_all[spec.name]]
             return problems_of(job, spec, model, own, None, say)
 
-        _limit_sight(sighted, made, beside_others, lambda problems: maker.made(problems, say))
+        if sighted:
+            _limit_sight(sighted, made, beside_others, lambda problems: maker.made(problems, say))
     if folder is not None:
         keep(folder, maker.newest.items())
     return in_order(job, [made[spec.name] for spec in job.loops])
@@ -390,8 +391,9 @@ def taken_over(problem: LoopProblem, kept: Kept) -> Design | None:
     """Return a design that is kept, not measured yet; None where what is kept is no whole design."""
     name = f"{problem.spec.name}, {problem.design.name}"
     try:
-        A, B, C, D = (np.array(kept[name], dtype=np.float64).reshape(kept["shapes"][name]) for name in "ABCD")
-        K = System(A, B, C, D, kept["dt"]).to_control(kept["inputs"], kept["outputs"], name=name)
+        inputs, outputs = kept["inputs"], kept["outputs"]
+        whole = np.array(kept["matrices"], dtype=np.float64)
+        K = System.split(whole, len(whole) - len(outputs), kept["dt"]).to_control(inputs, outputs, name=name)
         options, claims = dict(kept["options"]), dict(kept["claims"])
     except (LookupError, TypeError, ValueError):
         return None
@@ -400,10 +402,8 @@ def taken_over(problem: LoopProblem, kept: Kept) -> Design | None:
 
 def _kept(design: Design) -> Kept:
     K = design.controller
-    matrices = {name: np.asarray(getattr(K, name)) for name in "ABCD"}
     return {
-        **{name: matrix.ravel().tolist() for name, matrix in matrices.items()},
-        "shapes": {name: list(matrix.shape) for name, matrix in matrices.items()},
+        "matrices": np.block([[K.A, K.B], [K.C, K.D]]).tolist(),
         "dt": float(K.dt),
         "inputs": list(K.input_labels),
         "outputs": list(K.output_labels),

@@ -162,22 +162,22 @@ def limits_and_goals(
     return tuple(map(result, spec.requirements)), tuple(map(result, spec.goals))
 
 
-def measured(spec: LoopSpec, name: str, method: str, controller: System | StateSpace, plants: PlantSet) -> Design:
+def measured(spec: LoopSpec, design: Design) -> Design:
+    """Return a design of plants with what its controller does in the closed loops, judged."""
+    plants = design.plants
+    assert plants is not None, "the loop has plants"
+    measures = measure(plants, with_commands(plants, design.controller), spec.requests)
+    results, goals = limits_and_goals(spec, design.name, plants, measures)
+    return dataclasses.replace(design, measures=measures, results=results, goals=goals)
+
+
+def given_design(
+    spec: LoopSpec, name: str, controller: System | StateSpace, plants: PlantSet, method: str = "given"
+) -> Design:
     """Return a controller of what the plants measure, perhaps of its commands behind it, as a design, measured."""
     K = controller if isinstance(controller, System) else with_commands(plants, controller)
-    K = K._replace(dt=plants.period)
-    measures = measure(plants, K, spec.requests)
-    results, goals = limits_and_goals(spec, name, plants, measures)
-    return Design(
-        loop=spec.name,
-        name=name,
-        method=method,
-        controller=delivered(K, plants, f"{spec.name}, {name}"),
-        plants=plants,
-        measures=measures,
-        results=results,
-        goals=goals,
-    )
+    made = delivered(K._replace(dt=plants.period), plants, f"{spec.name}, {name}")
+    return measured(spec, Design(loop=spec.name, name=name, method=method, controller=made, plants=plants))
 
 
 def _commands(plants: PlantSet) -> list[str]:
@@ -193,11 +193,10 @@ def delivered(K: System, plants: PlantSet, name: str) -> StateSpace:
 
 def with_commands(plants: PlantSet, controller: StateSpace) -> System:
     """Return a controller of what the plants measure and, if it takes their commands, of these behind it."""
-    own = plants.joined(controller)
-    given, names = plants.without_feedforward(controller)
-    commands = _commands(plants)
-    if not set(commands) <= set(names):
+    own, commands = plants.joined(controller), _commands(plants)
+    if not set(commands) <= set(controller.input_labels):
         return own
+    given, names = plants.without_feedforward(controller)
     at = [names.index(name) for name in (*plants.angles, *commands)]
     of = [controller.output_labels.index(name) for name in plants.torques]
     p, K = len(plants.angles), given.part(of, at)

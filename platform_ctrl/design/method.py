@@ -251,8 +251,7 @@ def evaluated(problem: LoopProblem) -> Design:
     method = METHODS[problem.design.method]
     out = method.design(problem) if problem.known is None else problem.known
     if (plants := out.plants) is not None:
-        found = measured(problem.spec, out.name, out.method, out.controller, plants)
-        out = replace(out, measures=found.measures, results=found.results, goals=found.goals)
+        out = measured(problem.spec, out)
     if method.goals:
         ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
         largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
@@ -287,11 +286,7 @@ class TunedMethod(Method):
 
     @abstractmethod
     def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
-        """Return the sampled controller u = K y of complete options."""
-
-    def seen(self, plants: PlantSet) -> PlantSet:
-        """Return the plants that the controller is made for."""
-        return plants
+        """Return the sampled controller u = K y of complete options; drifting angles of the plants decay slowly."""
 
     def upper_bounds(self, period: float) -> dict[str, float]:
         """Return the largest values that the tuner may use: the ends of the options' sliders."""
@@ -323,7 +318,7 @@ class TunedMethod(Method):
 
     def design(self, problem: LoopProblem) -> Design:
         """Return the loop of a job, with ``tune = true`` its options moved until the limits are met."""
-        channel, plants = problem.channel, self.seen(problem.plants)
+        channel, plants = problem.channel, problem.plants.regular()
 
         def build(options: dict[str, float]) -> System:
             return self.controller(options, channel, plants)

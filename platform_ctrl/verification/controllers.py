@@ -16,7 +16,7 @@ from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.text import unused
 from platform_ctrl.design.jobs import in_order, plants_of_designs, problems_of
-from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, measured, with_largest_rates
+from platform_ctrl.design.loop import Design, FailedDesign, LoopOutcome, given_design, with_largest_rates
 from platform_ctrl.design.method import LoopProblem
 from platform_ctrl.design.methods import METHODS
 from platform_ctrl.design.sight import beside
@@ -234,7 +234,7 @@ def _measured(problem: LoopProblem, name: str, K: StateSpace, closed: bool) -> D
     spec, design, plants = problem.spec, problem.design, problem.plant_set
     if plants is None:
         return Design(loop=spec.name, name=name, method="given", controller=K)
-    made = measured(spec, name, "given", K, plants)
+    made = given_design(spec, name, K, plants)
     if design.name == name and design.responses is not None:
         made = METHODS[design.method].judged(problem, made)
     return with_largest_rates(made) if spec.kind == "caging" and closed else made

@@ -20,7 +20,7 @@ from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.tasks import decode_state, encode_state
-from platform_ctrl.design.loop import closed_loop_poles, measured, sampled_plant
+from platform_ctrl.design.loop import closed_loop_poles, given_design, sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job, LoopSpec
@@ -103,7 +103,7 @@ def test_poles_and_requirements_are_those_of_the_certified_design(
 ) -> None:
     _, spec, plants, K = _closed(bench, settings)
     design = next(d for d in spec.designs if d.name == settings.design)
-    made = measured(spec, design.name, design.method, K, plants)
+    made = given_design(spec, design.name, K, plants, design.method)
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in made.results]
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in made.results], rtol=1e-6)
     s = continuous_poles(closed_loop_poles(plants, made.controller), plants.period)

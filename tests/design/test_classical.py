@@ -12,7 +12,7 @@ from one_axis import job_of, loop_of
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design import tuning
 from platform_ctrl.design.cases import rows_of
-from platform_ctrl.design.loop import measured
+from platform_ctrl.design.loop import given_design
 from platform_ctrl.design.loop_signals import channels
 from platform_ctrl.design.method import instability
 from platform_ctrl.design.methods import read_job
@@ -145,7 +145,7 @@ def test_no_integrator_is_doubled(model):
 
 def test_an_unstable_controller_is_not_certified(job, two_axis):
     growing = gain(np.array([[0.0, 40.0], [40.0, 0.0]]))
-    error = instability(measured(job.loops[1], "growing", "classical", growing, two_axis), False)
+    error = instability(given_design(job.loops[1], "growing", growing, two_axis, "classical"), False)
     assert "grows at" in str(error)
 
 

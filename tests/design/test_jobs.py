@@ -61,7 +61,7 @@ def test_a_damaged_file_counts_as_none(data, tmp_path):
     designed(data, tmp_path)
     file = tmp_path / jobs.FILE
     whole = file.read_text()
-    digit = whole.index('"B": [') + 8
+    digit = whole.index('"dt": ') + 6
     partial = {key: {} for key in json.loads(whole)["designs"]}
     for damaged in (
         whole[:100],

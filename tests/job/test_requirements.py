@@ -14,7 +14,7 @@ from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import Group
-from platform_ctrl.design.loop import measured
+from platform_ctrl.design.loop import given_design
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.requirements import (
@@ -230,7 +230,7 @@ def test_goals_are_soft_and_no_verdict_rests_on_them(job, plants, controller):
     spec = dataclasses.replace(spec, limits={"damping": 0.01}, soft={"bandwidth_hz": 500.0, "damping": 0.01})
     assert all(one.hard for one in spec.requirements)
     assert not any(one.hard for one in spec.goals)
-    made = measured(spec, "by hand", "given", controller, plants)
+    made = given_design(spec, "by hand", controller, plants)
     assert made.passed
     assert {one.name: one.passed for one in made.goals} == {"goal: bandwidth": False, "goal: damping": True}
     assert not any(one.hard for one in made.goals)
@@ -242,7 +242,7 @@ def test_a_stopped_rotor_that_nothing_is_asked_of_fails_no_loop(job, controller)
     stopped = plants_of(dataclasses.replace(job, faults=Faults(slow_rotor=0.0)), job.loops[0])
     (spec,) = job.loops
     lenient = {"damping": 0.01}
-    assert measured(dataclasses.replace(spec, limits=lenient), "K", "given", controller, stopped).passed
+    assert given_design(dataclasses.replace(spec, limits=lenient), "K", controller, stopped).passed
     strict = dataclasses.replace(spec, limits=lenient | {"disk_margin_faults": 1e-3})
-    missed = {one.name for one in measured(strict, "K", "given", controller, stopped).results if not one.passed}
+    missed = {one.name for one in given_design(strict, "K", controller, stopped).results if not one.passed}
     assert missed == {"minimum decay rate with a fault", "disk margin with a fault"}

@@ -1,6 +1,6 @@
 """The full-order H-infinity loops: mixed sensitivity on the exactly sampled plant.
 
-In the channels of the gyros (see `channels`), in the w-plane of the exactly sampled plant,
+In the channels of the gyros (see `design.loop_signals`), in the w-plane of the exactly sampled plant,
 
     ::
 
@@ -32,7 +32,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.system import System, block
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import Design, LoopOutcome, measured
+from platform_ctrl.design.loop import Design, LoopOutcome, given_design
 from platform_ctrl.design.loop_signals import Channels
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.sections import between
@@ -287,9 +287,8 @@ def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "g
     plants = loop.closed.plants
     if plants is None:
         raise ArgumentError(f"with_controller: the loop {loop.spec.name!r} has no plants of its own; give another")
-    if controller.dt:
-        given = controller
-    else:
+    own = controller
+    if not controller.dt:
         (weighted, channel), K = _weighted(loop, weights), System.of(controller, "controller")
         size = len(weighted.torque_unit)
         measured_signals = size + weighted.further
@@ -299,8 +298,8 @@ def with_controller(loop: LoopOutcome, controller: StateSpace, *, name: str = "g
                 f"measurements and controls, got {K.D.shape[1]} and {K.D.shape[0]}"
             )
         sampled = weighted.at_gimbals(K, channel, plants.period)
-        given = channel.of_readings(sampled).to_control(plants.angles, plants.torques)
-    made = measured(loop.spec, name, "given", given, plants)
+        own = channel.of_readings(sampled).to_control(plants.angles, plants.torques)
+    made = given_design(loop.spec, name, own, plants)
     kept = tuple(one for one in loop.designs if one.name != name)
     return replace(loop, designs=(*kept, replace(made, directions=loop.closed.directions)), use=name)
 

@@ -1,6 +1,6 @@
 """LQG loops: `control.dlqr` and `control.dlqe` on the exactly sampled plant, with integral action.
 
-In the directions of the gyros (see `design.partition.Channels`), with hold, delay and torquer lag in the states x,
+In the directions of the gyros (see `design.loop_signals.Channels`), with hold, delay and torquer lag in the states x,
 
     x[k+1] = A x + B (u + r) + B_Omega Omega,    y = C x + D u + n,    xi[k+1] = xi + 2π integral_hz T y
 
@@ -91,10 +91,6 @@ class LQG(TunedMethod):
         "inertial_recovery",
     )
     reserve = _RESERVE
-
-    def seen(self, plants: PlantSet) -> PlantSet:
-        """Return the plants, their drifting angles held weakly."""
-        return plants.regular()
 
     def controller(self, options: dict[str, float], channel: Channels, plants: PlantSet) -> System:
         """Return the sampled controller of complete options; states are x̂(k|k−1) and the sums."""
