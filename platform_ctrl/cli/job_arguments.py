@@ -67,9 +67,7 @@ def job_of(path: Path) -> Job:
     try:
         return read_job(path)
     except InputError as error:
-        words = str(error)
-        more = "; platform-ctrl new writes one" if words.endswith(f"{path.name}: there is no such file") else ""
-        raise InputError(_not_a_job(path) or words + more) from None
+        raise InputError(_not_a_job(path) or str(error)) from None
 
 
 def _not_a_job(path: Path) -> str | None:
@@ -181,7 +179,7 @@ def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
     except (FileExistsError, NotADirectoryError):
         raise InputError(f"-o {folder}: is no folder, or its path leads through a file; name a folder") from None
     except OSError as error:
-        raise InputError(f"-o {folder}: cannot be written to: {error.strerror or error}") from None
+        raise InputError(f"-o {folder}: cannot be written to: {error.strerror or error}; name another folder") from None
     for name in files:
         if os.path.isdir(folder / name):
             raise InputError(f"-o {folder}: {name} is a folder there, but must be a file or not exist")
@@ -205,4 +203,4 @@ def expect_target(option: str, target: Path, others: Sequence[Path], folder: boo
         with tempfile.TemporaryFile(dir=target.parent):
             pass
     except OSError as error:
-        raise InputError(f"{where}: cannot be written: {error.strerror or error}") from None
+        raise InputError(f"{where}: cannot be written: {error.strerror or error}; name another {kind}") from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -53,6 +53,13 @@ def base_key(key: str, known: Mapping[str, Any], reading: str) -> tuple[str, str
         if own == quantity and (suffix != "bits" or base == "quantisation"):
             return base, suffix
     return None
+
+
+def units_of(key: str, known: Iterable[str]) -> list[str]:
+    """Return the known key that `key` is with another ending, and that key with each unit it may have; none without."""
+    base = max((one for one in known if one in _OF_KEY and key.startswith(f"{one}_")), key=len, default="")
+    fitting = [one for one, (quantity, _) in SUFFIXES.items() if quantity == _OF_KEY.get(base) and one != "bits"]
+    return [base, *(f"{base}_{suffix}" for suffix in fitting)] if base else []
 
 
 def in_si(item: Any, suffix: str) -> Any:

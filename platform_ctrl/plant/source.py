@@ -66,7 +66,7 @@ def platform_source(name: str) -> str:
     files = _shipped_files()
     if name not in files:
         hint = f'; a file of that name is read as "./{name}"' if os.path.isfile(name) else ""
-        raise InputError(f"there is no shipped model {given(name)}: {suggestion(name, sorted(files))}{hint}")
+        raise InputError(f"there is no shipped model {given(name)}; {suggestion(name, sorted(files))}{hint}")
     return files[name].read_text(encoding="utf-8")
 
 
@@ -88,7 +88,7 @@ def open_shipped(name: str) -> InputData:
 
 def open_file(path: Path) -> InputData:
     """Return the file at `path`."""
-    label, text = one_line(str(path)), read_text(path, "a TOML file", MOST_OF_TOML)
+    label, text = one_line(str(path)), read_text(path, "a TOML file (platform-ctrl new writes one)", MOST_OF_TOML)
     if text.lstrip().startswith("<"):  # as no TOML
         made = shlex.join(["platform-ctrl", "import", label, "-o", "plant.toml"])
         raise InputError(f"{label}: is XML; a robot description (URDF, MJCF, SDF) becomes a plant file by {made}")
@@ -106,7 +106,7 @@ def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:
         # utf-8-sig: some editors put a byte order mark at the head, which neither TOML nor JSON knows.
         return data.decode("utf-8-sig")
     except FileNotFoundError:
-        raise InputError(f"{label}: there is no such file{_meant(path)}") from None
+        raise InputError(f"{label}: there is no such file; {_meant(path) or f'give {expected}'}") from None
     except IsADirectoryError:
         raise InputError(f"{label}: is a directory; give {expected}") from None
     except UnicodeDecodeError as error:
@@ -124,7 +124,7 @@ def _meant(path: Path) -> str:
     with contextlib.suppress(OSError):
         stems = {one.stem: one.name for one in path.parent.iterdir() if one.suffix == path.suffix}
         close = nearest(path.stem, stems)
-        return "" if close is None else f"; did you mean {given(stems[close])}?"
+        return "" if close is None else f"did you mean {given(stems[close])}?"
     return ""
 
 

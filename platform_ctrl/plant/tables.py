@@ -19,7 +19,7 @@ import numpy as np
 from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.values import input_value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.plant.fields import BITS, Expected, Refers, Unfit, base_key, in_si
+from platform_ctrl.plant.fields import BITS, Expected, Refers, Unfit, base_key, in_si, units_of
 from platform_ctrl.plant.mistakes import Misfit, Mistake, Path, at, given, suggestion
 
 T = TypeVar("T")
@@ -441,6 +441,8 @@ def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
     def words() -> str:
         is_table = isinstance(item, Mapping) or (isinstance(item, list) and any(isinstance(x, Mapping) for x in item))
         what = "table" if is_table else "key"
-        return f"unknown {what} {given(path[-1])}; {suggestion(str(path[-1]), known)}"
+        units = units_of(str(path[-1]), known)
+        hint = f"it may be {' or '.join(map(given, units))}" if units else suggestion(str(path[-1]), known)
+        return f"unknown {what} {given(path[-1])}; {hint}"
 
     return Mistake(path, words)

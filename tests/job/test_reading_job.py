@@ -104,7 +104,9 @@ def test_a_source_that_is_no_source_is_one_line(source: object) -> None:
 
 
 def test_a_job_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:
-    assert refusal(read_job, tmp_path / "nowhere.toml").endswith("nowhere.toml: there is no such file")
+    assert refusal(read_job, tmp_path / "nowhere.toml").endswith(
+        "nowhere.toml: there is no such file; give a TOML file (platform-ctrl new writes one)"
+    )
     assert "nowhere: there is no such file" in refusal(read_job, str(tmp_path / "nowhere"))
     (tmp_path / "broken.toml").write_text("loop = [", encoding="utf-8")
     assert "is not TOML" in refusal(read_job, tmp_path / "broken.toml")

@@ -160,8 +160,8 @@ def test_a_broken_file_is_one_line(content: bytes, fragments: list[str], tmp_pat
 
 def test_a_file_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:
     missing = tmp_path / "nowhere.toml"
-    assert refusal(read_platform, missing) == f"{missing}: there is no such file"
-    assert refusal(read_platform, str(missing)) == f"{missing}: there is no such file"
+    assert refusal(read_platform, missing).startswith(f"{missing}: there is no such file; give a TOML file")
+    assert refusal(read_platform, str(missing)) == refusal(read_platform, missing)
     assert "is a directory" in refusal(read_platform, tmp_path) or os.name == "nt"
     assert "cannot be read" in refusal(read_platform, "a\0b.toml")
     assert "cannot be read" in refusal(read_platform, "x" * 10_000 + ".toml")
