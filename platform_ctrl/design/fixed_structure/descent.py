@@ -230,9 +230,8 @@ class Search:
 
     def _bandwidth(self, family: Parametrised, x: FloatArray) -> float:
         """Return the bandwidth in Hz, roughly, as a start for the wanted one."""
-        loops = LoopGradients(self._plants.only([0]), family.block(x[: len(family.start)]))
-        kept = slice(loops.plants.kept)
-        sizes = np.maximum(*map(largest_singular_values, (loops.S_output[0, :, kept, kept], loops.S_input[0])))
+        loop = Loop(self._plants.only([0]), family.block(x[: len(family.start)]))
+        sizes = np.maximum(*(largest_singular_values(S[0]) for S in loop.sensitivities))
         above = np.flatnonzero(sizes >= LEVEL)
         k = int(above[0]) if above.size else len(sizes) - 1
         return float(self._plants.frequency[max(k - 1, 0)]) / (2.0 * np.pi)

@@ -13,15 +13,16 @@ import numpy as np
 
 from platform_ctrl.analysis.between_samples import Disturbed, response_at
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
-from platform_ctrl.analysis.loop import SENSITIVITIES
+from platform_ctrl.analysis.loop import SENSITIVITIES, Loop
 from platform_ctrl.analysis.norms import LEVEL, stationary_covariance
 from platform_ctrl.analysis.plant_set import REGULAR, PlantSet
 from platform_ctrl.analysis.poles import SPLIT, continuous_poles
 from platform_ctrl.analysis.sight import MeanSquare
 from platform_ctrl.analysis.singular_values import largest_singular_values
-from platform_ctrl.analysis.system import ComplexArray, System
+from platform_ctrl.analysis.system import ComplexArray, System, block
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure import maps
+from platform_ctrl.design.sections import gain
 
 # Share of the grid's spacing at which a top is looked at again.
 _CLOSER = 0.2
@@ -80,31 +81,12 @@ class LoopGradients:
         self.A_K, self.B_K, self.C_K, self.D_K, _ = controller
         self.M = np.block([[self.A_K, self.B_K], [self.C_K, self.D_K]])
         self.order = len(self.A_K)
-        self.p, self.m = plants.C.shape[-2], plants.B.shape[-1]
-        self._poles: Poles | None = None
-
-    @cached_property
-    def K(self) -> ComplexArray:
-        """The controller's response on the grid, (F, m, p)."""
-        return self.controller_response(np.exp(1j * self.plants.frequency * self.plants.period))[0]
-
-    @cached_property
-    def _sensitivities(self) -> tuple[ComplexArray, ComplexArray]:
-        return sensitivities_of_plants(self.plants.response, self.K)
-
-    @property
-    def S_output(self) -> ComplexArray:
-        """The sensitivities at the plants' outputs, (N, F, p, p)."""
-        return self._sensitivities[0]
-
-    @property
-    def S_input(self) -> ComplexArray:
-        """The same at their inputs, (N, F, m, m)."""
-        return self._sensitivities[1]
+        self.loop = Loop(plants, controller)  # what needs no derivative
+        self.p, self.m = self.loop.p, self.loop.m
 
     def unstable(self) -> maps.Numbers:
         """Return the plants whose loops are not stable, the fastest growing first."""
-        largest = np.abs(np.linalg.eigvals(self._stacked()[0])).max(axis=-1, initial=0.0)
+        largest = np.abs(np.linalg.eigvals(self._closed.A)).max(axis=-1, initial=0.0)
         return np.argsort(-largest, kind="stable")[: int(np.sum(largest >= 1.0))]
 
     def controller_response(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -149,9 +131,9 @@ class LoopGradients:
         cut = slice(int(inside[0]), int(inside[-1]) + 1)
         response = maps.Responses(
             self.plants.response[members, cut],
-            np.broadcast_to(self.K[cut], (len(members), len(inside), self.m, self.p)),
-            self.S_output[members, cut],
-            self.S_input[members, cut],
+            np.broadcast_to(self.loop.K[cut], (len(members), len(inside), self.m, self.p)),
+            self.loop.S_output[members, cut],
+            self.loop.S_input[members, cut],
             np.broadcast_to(self.fed(w[cut]), (len(members), len(inside), self.m, 3)),
             *((one[members, cut] for one in self.plants.disturbed_on_grid()) if of.disturbed else _UNDISTURBED),
         )
@@ -180,7 +162,7 @@ class LoopGradients:
 
     def _hidden(self, of: maps.Map, floor: float, members: maps.Numbers, band: tuple[float, float]) -> maps.Pieces:
         """Return a map's largest singular value at resonances narrower than the grid or below it, from `floor` on."""
-        s = self.poles().s[members]
+        s = self.poles.s[members]
         narrow = (
             np.isfinite(s)
             & (s.imag > band[0])
@@ -240,7 +222,7 @@ class LoopGradients:
 
     def damping(self, floor: float, limit: float, members: maps.Numbers) -> maps.Pieces:
         """Return limit/damping of the poles."""
-        s = self.poles().s[members]
+        s = self.poles.s[members]
         finite = np.isfinite(s)
         size = np.where(finite, np.abs(s), 1.0)
         ratio, slope = maps.at_least(np.where(finite, -s.real / size, 1.0), limit)
@@ -258,7 +240,7 @@ class LoopGradients:
 
         The ratio limit/decay would be hardly visible until it is too late.
         """
-        s = self.poles().s[members]
+        s = self.poles.s[members]
         unit = _DECAY_UNIT * self.plants.nutation
         if limit > 0.0:
             # No decay at all has to be worse than most other things.
@@ -272,7 +254,7 @@ class LoopGradients:
 
     def fastest(self, floor: float, limit: float, members: maps.Numbers) -> maps.Pieces:
         """Return |w|/limit of the closed-loop poles in the w-plane, w = (2/T) (z − 1)/(z + 1)."""
-        z = self.poles().z[members]
+        z = self.poles.z[members]
         two = 2.0 / self.plants.period
         w = two * (z - 1.0) / (z + 1.0)
         row, k = maps.reaching(np.abs(w) / limit, z.imag >= 0.0, floor)
@@ -297,63 +279,49 @@ class LoopGradients:
         gradient[:, : self.order, : self.order] = np.real(factor[:, None, None] * y[k][:, :, None] * x.T[k][:, None, :])
         return maps.Pieces(ratio=np.abs(w) / limit, gradient=gradient, plant=np.zeros(len(k), dtype=np.intp))
 
+    @cached_property
     def poles(self) -> Poles:
-        """Return the poles of every closed loop."""
-        if self._poles is None:
-            A, into, out = self._stacked()
-            z, x = np.linalg.eig(A)
-            # Left eigenvectors. Where A is defective, as with several samples of pure delay, slopes do not exist.
-            y = left_vectors(x)
-            s = continuous_poles(z, self.plants.period)
-            left, right = np.asarray(y @ into, dtype=np.complex128), np.asarray(out @ x, dtype=np.complex128)
-            self._poles = Poles(np.asarray(z, dtype=np.complex128), s, left, right)
-        return self._poles
+        """The poles of every closed loop."""
+        z, x = np.linalg.eig(self._closed.A)
+        # Left eigenvectors. Where A is defective, as with several samples of pure delay, slopes do not exist.
+        y = left_vectors(x)
+        s = continuous_poles(z, self.plants.period)
+        entries = len(self.M)
+        left, right = y @ self._closed.B[..., :entries], self._closed.C[..., entries:, :] @ x
+        return Poles(*(np.asarray(one, dtype=np.complex128) for one in (z, s, left, right)))
 
     def _pole_gradient(self, factor: ComplexArray, plant: maps.Numbers, k: maps.Numbers) -> FloatArray:
         """Return the gradient of Re(factor ds) for pole `k` of `plant`."""
-        poles = self.poles()
+        poles = self.poles
         scale = factor / (poles.z[plant, k] * self.plants.period)
         a, b = poles.left[plant, k], poles.right[plant, :, k]
         return np.asarray(np.real(scale[:, None, None] * a[:, :, None] * b[:, None, :]))
 
-    def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return A of every closed loop, states [x, x_K], and L, R with dA = L dM R."""
-        plants, n, n_K = self.plants, self.plants.A.shape[-1], self.order
-        N = len(plants.A)
-        A = np.zeros((N, n + n_K, n + n_K))
-        A[:, :n, :n] = plants.A
-        B = np.zeros((N, n + n_K, n_K + self.m))
-        B[:, n:, :n_K] = np.eye(n_K)
-        B[:, :n, n_K:] = plants.B
-        C = np.zeros((N, n_K + self.p, n + n_K))
-        C[:, :n_K, n:] = np.eye(n_K)
-        C[:, n_K:, :n] = plants.C
-        before, after = self._direct(plants.arrays.D)
-        right = before @ C
-        return A + B @ self.M @ right, B @ after, right
+    @cached_property
+    def _closed(self) -> System:
+        """M closed around every plant with the controller's delays beside it, inputs [x_K', u] and outputs [x_K, y].
 
-    def _direct(self, D: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (I − D̄ M)⁻¹ and (I − M D̄)⁻¹, where D̄ holds the plant's direct term."""
-        n_K = self.order
-        whole = np.zeros((*D.shape[:-2], n_K + self.p, n_K + self.m))
-        whole[..., n_K:, n_K:] = D
-        return (
-            np.linalg.inv(np.eye(n_K + self.p) - whole @ self.M),
-            np.linalg.inv(np.eye(n_K + self.m) - self.M @ whole),
-        )
+        From disturbances of M's outputs and noise of its inputs to both: see `System.feedback`; dA = L dM R with L from
+        the first ones and R to the last ones.
+        """
+        A, B, C, D, dt = self.plants.arrays
+        own = np.eye(self.order)
+        beside = block([[A, 0, 0, B], [0, 0, own, 0], [0, own, 0, 0], [C, 0, 0, D]])
+        return System.split(beside, A.shape[-1] + self.order, dt).feedback(gain(self.M))
 
     def noise(self, limit: float, members: maps.Numbers) -> maps.Pieces:
         """Return rms/limit of the torques from pick-off noise, a piece for each torquer; nothing for unstable loops."""
-        stacked = self._stacked()
-        stable = [k for k in members if np.all(self.poles().s[k].real < 0.0)]
-        return maps.joined([self.none(), *(self._noise(limit, int(k), *(item[k] for item in stacked)) for k in stable)])
+        stable = [k for k in members if np.all(self.poles.s[k].real < 0.0)]
+        return maps.joined([self.none(), *(self._noise(limit, int(k)) for k in stable)])
 
-    def _noise(self, limit: float, plant: int, A: FloatArray, L: FloatArray, R: FloatArray) -> maps.Pieces:
-        before, after = self._direct(self.plants.arrays.D[plant])
-        n_K = self.order
+    def _noise(self, limit: float, plant: int) -> maps.Pieces:
+        loop, entries = self._closed.at(plant), len(self.M)
+        torques, noise = slice(self.order, entries), slice(entries + self.order, None)
         # The noise enters with the measurement: ȳ = R x + F n, u = M_u ȳ.
-        F, M_u, shown = before[:, n_K:], self.M[n_K:], after[n_K:]
-        B, C, D = L @ self.M[:, n_K:], M_u @ R, M_u @ F
+        A, L, R = loop.A, loop.B[:, :entries], loop.C[entries:]
+        F = (loop.D[entries:, entries:] + np.eye(self.order + self.p))[:, self.order :]
+        shown = (loop.D[:entries, :entries] + np.eye(entries))[torques]
+        B, C, D = loop.B[:, noise], loop.C[torques], loop.D[torques, noise]
         into = self.plants.noise_input(plant)
         variance = into @ into.T
         X = stationary_covariance(A, B @ into)
