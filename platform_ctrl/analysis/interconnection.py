@@ -18,13 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, schur, solve_sylvester
 
-from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System, block, scaled, state_scaling
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import is_rate
+
+# Ending of the name of a command: what a loop holds a reading at.
+COMMAND = "_command"
 
 
 class MultiRate(NamedTuple):
@@ -61,6 +62,8 @@ class MultiRate(NamedTuple):
         """Return the controller of one sample. States: those of `fast`, then of each slower one with its outputs."""
         if not self.slow:
             return self.fast
+        from scipy.linalg import block_diag
+
         own = [_held(K, sample % n == 0) for K, n in zip(self.slow, self.every, strict=True)]
         A, B, C, D = (block_diag(np.zeros((0, 0)), *(K[k] for K in own)) for k in range(4))
         p, m = self.fast.B.shape[1] - self.held, len(self.fast.C) - self.read
@@ -257,6 +260,8 @@ class BackCalculation:
 
 def back_calculation(K: System, limited: Sequence[bool]) -> BackCalculation:
     """Return the anti-windup of a sampled controller some of whose outputs are `limited`."""
+    from scipy.linalg import schur
+
     limits = np.array(limited, dtype=np.bool_)[:, None]
     none = np.zeros((len(K.A), len(limits)))
     A, B, C = scaled(K.A, K.B, K.C)
@@ -280,6 +285,8 @@ def back_calculation(K: System, limited: Sequence[bool]) -> BackCalculation:
 
 def _integral_share(t: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, k: int) -> float:
     """Return T/Tt for the integral time: gain of the integrals in one sample over that of the rest at z = 1."""
+    from scipy.linalg import solve_sylvester
+
     if k < len(t):
         # The other states, decoupled from the integrating ones, have a gain at z = 1.
         X = solve_sylvester(t[:k, :k], -t[k:, k:], -t[:k, k:])
@@ -324,6 +331,8 @@ def _slower(controller: MultiRate, w: FloatArray, e: ComplexArray) -> tuple[Comp
 
     They read e (N, R, read, p + h): components that a slow loop cannot tell apart add up.
     """
+    from scipy.linalg import block_diag
+
     N, R, _, width = e.shape
     h, read = controller.held, controller.read
     p = width - h

@@ -17,6 +17,7 @@ from platform_ctrl.analysis.between_samples import (
     disturbed,
 )
 from platform_ctrl.analysis.feedback import feedback_part
+from platform_ctrl.analysis.interconnection import COMMAND
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sight import MeanSquare, SightBudget
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
@@ -31,8 +32,6 @@ BoolArray = NDArray[np.bool_]
 _ALIKE = 1e-9
 # Rate at which drifting angles decay in plants for a synthesis, 1/s: slow beside any loop.
 REGULAR = 5e-3
-# Ending of the name of a command: what a loop holds a reading at.
-COMMAND = "_command"
 
 # What a plant of a set represents: the nominal one; other parameters; another platform rate; other gimbal angles;
 # dry friction by its describing function; a part that fails.

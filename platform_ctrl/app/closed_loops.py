@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from platform_ctrl.analysis.feedback import with_error_alone
+from platform_ctrl.analysis.interconnection import COMMAND
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.app.background import Background, DesignPending, Requests, TaskCancelled, made_design
 from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays, existing_designs, loop_names

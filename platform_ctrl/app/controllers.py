@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from platform_ctrl.analysis.feedback import feedback_part
-from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.interconnection import COMMAND
 from platform_ctrl.analysis.system import System
 from platform_ctrl.app.excitation import first_axis
 from platform_ctrl.app.plants import JobPlants

@@ -12,7 +12,7 @@ import numpy as np
 
 from platform_ctrl.analysis.curves import RootLocus, loop_phase, traced_locus
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
-from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.interconnection import COMMAND
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, System

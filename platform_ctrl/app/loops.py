@@ -14,13 +14,13 @@ from typing import get_args
 import numpy as np
 
 from platform_ctrl.analysis.feedback import commanded_loop, sensitivities_of_plants, with_error_alone
-from platform_ctrl.analysis.interconnection import interconnected
+from platform_ctrl.analysis.interconnection import COMMAND, interconnected
 from platform_ctrl.analysis.loop import Loop, Transfer
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
 from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import bandwidth_of_response, peak
-from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
+from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, following_grid, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, Index, StateSpace, System

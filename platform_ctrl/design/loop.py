@@ -10,9 +10,10 @@ from dataclasses import field
 import numpy as np
 
 from platform_ctrl.analysis.feedback import with_error_alone
+from platform_ctrl.analysis.interconnection import COMMAND
 from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
-from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop_signals import Channels

@@ -17,7 +17,8 @@ from platform_ctrl.analysis.between_samples import (
     rows_between,
 )
 from platform_ctrl.analysis.feedback import commanded_loop, with_error_alone
-from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.interconnection import COMMAND
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import tuning_grid, without_drift
 from platform_ctrl.analysis.sampling import every_nth, held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.analysis.system import System, seen_states

@@ -9,11 +9,10 @@ from dataclasses import field
 import numpy as np
 
 from platform_ctrl.analysis.budget_integrals import motion_transfer
-from platform_ctrl.analysis.mean_squares import mean_square
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sight import MeanSquare
+from platform_ctrl.analysis.sight import MeanSquare, mean_square
 from platform_ctrl.analysis.system import ComplexArray, StateSpace, System
 from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.design.budget_friction import TOLERANCE, Balanced, balanced_at_trims, prepared

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.interconnection import COMMAND
 from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.arguments import positive, short
 from platform_ctrl.common.files import write_json, write_whole

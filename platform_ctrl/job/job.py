@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.interconnection import COMMAND
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.job.budget import BudgetSpec
 from platform_ctrl.job.drive import Drive, DriveLaw, drive_law

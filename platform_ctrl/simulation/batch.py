@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.interconnection import interconnected_by_sample
+from platform_ctrl.analysis.interconnection import COMMAND, interconnected_by_sample
 from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db, worst_value
-from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError

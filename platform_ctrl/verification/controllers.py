@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.interconnection import COMMAND
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.text import unused
 from platform_ctrl.design.jobs import in_order, plants_of_designs, problems_of
