@@ -15,6 +15,11 @@ import pytest
 from filelock import FileLock
 from hypothesis import settings
 
+# Hundreds of processes load what these load: byte code is kept, whatever the environment says.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+# Until all is loaded there is no garbage worth the time to look for it.
+gc.disable()
 # Before numpy is loaded: on small matrices BLAS threads spend their time waiting for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # No window, whichever test loads pyplot first.
@@ -35,6 +40,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
