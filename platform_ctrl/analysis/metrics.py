@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis import loop, measuring
 from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
@@ -34,8 +35,8 @@ class Quantity:
 
     @property
     def worst(self) -> float:
-        """The value where there is none to be had: 0 where larger is better, else infinite."""
-        return 0.0 if self.sense == "at least" else np.inf
+        """The value where there is none to be had: infinite; where larger is better 0, in dB minus infinity."""
+        return np.inf if self.sense == "at most" else -np.inf if self.unit == "dB" else 0.0
 
 
 @value
@@ -431,16 +432,14 @@ def run_metrics(limits: Iterable[Mapping[str, float]]) -> tuple[str, ...]:
     return tuple(key for key, metric in RUN_METRICS.items() if metric.always or key in limited)
 
 
-def over_limit(key: str, values: FloatArray, limits: FloatArray) -> FloatArray:
-    """Return metrics of runs relative to their limits, (k,): above 1 the limit is violated."""
-    if RUN_METRICS[key].sense == "at most":
-        return np.asarray(values / limits)
-    return np.asarray(np.divide(limits, values, out=np.full_like(values, np.inf), where=values > 0.0))
-
-
-def worst_value(key: str) -> float:
-    """Return the value of a run that diverged."""
-    return np.inf if RUN_METRICS[key].sense == "at most" else -np.inf
+def over_limit(values: ArrayLike, limits: ArrayLike, sense: Sense) -> FloatArray:
+    """Return values relative to their limits: at most 1 where a limit is met, infinite where a value is no number."""
+    x, bound = np.broadcast_arrays(np.asarray(values, np.float64), np.asarray(limits, np.float64))
+    met, (upper, lower) = (x <= bound, (x, bound)) if sense == "at most" else (x >= bound, (bound, x))
+    with np.errstate(over="ignore"):
+        ratio = np.divide(upper, lower, out=np.full(x.shape, np.inf), where=lower > 0.0)
+    ratio = np.where(bound == 0.0, np.where(met, 1.0, np.inf), ratio)
+    return np.where(np.isfinite(x), ratio, np.inf)
 
 
 def attenuation_db(base: FloatArray, sight: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import over_limit, run_metrics
+from platform_ctrl.analysis.metrics import RUN_METRICS, over_limit, run_metrics
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.campaign import store
 from platform_ctrl.common.values import value
@@ -56,7 +56,7 @@ def _outcomes(scenarios: Sequence[Scenario], result: BatchResult, names: Sequenc
     for name in names:
         limits = np.array([one.limits.get(name, np.nan) for one in scenarios])
         limited = ~np.isnan(limits)
-        met = over_limit(name, metrics[name], np.where(limited, limits, 1.0)) <= 1.0
+        met = over_limit(metrics[name], limits, RUN_METRICS[name].sense) <= 1.0
         passed = passed & (met | ~limited)
         answers[f"{name}_passed"] = np.where(limited, met, np.array(None))
     return {

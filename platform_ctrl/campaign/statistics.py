@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.metrics import RUN_METRICS, over_limit, worst_value
+from platform_ctrl.analysis.metrics import RUN_METRICS, over_limit
 from platform_ctrl.campaign.store import (
     DIVERGED,
     ENDED,
@@ -250,8 +250,9 @@ def over_limits(data: Mapping[str, Array], metrics: Sequence[str], limits: Limit
     out = np.empty((len(metrics), 3, len(place)))
     for name, row in zip(metrics, out, strict=True):
         bound = np.array([limits.get(one, {}).get(name, np.nan) for one in names])[place]
-        value = np.where(np.isfinite(data[name]), data[name], worst_value(name))
-        ratio = over_limit(name, value, np.where(np.isnan(bound), 1.0, bound))
+        metric = RUN_METRICS[name]
+        value = np.where(np.isfinite(data[name]), data[name], metric.worst)
+        ratio = over_limit(value, bound, metric.sense)
         row[:] = value, bound, np.where(np.isnan(bound), -np.inf, ratio)
     return out
 

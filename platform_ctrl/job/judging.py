@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import METRICS, Quantity, Sense
+from platform_ctrl.analysis.metrics import METRICS, Quantity, Sense, over_limit
 from platform_ctrl.common.values import input_value, value
 
 Stage = Literal["decoupled", "coupled", "simulated"]
@@ -114,14 +114,7 @@ class Requirement:
 
     def ratio(self, measured: float) -> float:
         """Return a number that is at most 1 when the bound is met."""
-        measured = float(measured)
-        if not np.isfinite(measured):
-            return float("inf")
-        if self.limit == 0.0:
-            return 1.0 if (measured <= 0.0 if self.sense == "at most" else measured >= 0.0) else float("inf")
-        if self.sense == "at most":
-            return measured / self.limit
-        return self.limit / measured if measured > 0.0 else float("inf")
+        return float(over_limit(measured, self.limit, self.sense))
 
     def judge(
         self,

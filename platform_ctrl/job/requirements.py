@@ -13,7 +13,7 @@ from typing import get_args
 import numpy as np
 
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
-from platform_ctrl.analysis.metrics import METRICS, Metric
+from platform_ctrl.analysis.metrics import METRICS, Metric, over_limit
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.system import StateSpace, System
 from platform_ctrl.common.arguments import known_name, nearest, one_of, positive
@@ -109,7 +109,7 @@ class LoopRequirement(Requirement):
         ArgumentError
             `metrics` were measured without this requirement.
         """
-        return np.array([self.ratio(float(found)) for found in self.values(metrics)])
+        return over_limit(self.values(metrics), self.limit, self.sense)
 
     def result(self, plants: PlantSet, metrics: LoopMetrics, *, subject: str = "", design: str = "") -> CheckResult:
         """Judge the worst value; the evidence names the plant, or the torquer, that it is from.

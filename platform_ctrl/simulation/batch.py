@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.interconnection import COMMAND, interconnected_by_sample
-from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db, worst_value
+from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
@@ -135,9 +135,9 @@ def run_values(key: str, result: BatchResult, scenarios: Sequence[Scenario]) -> 
     values, names = _signals(key, result, scenarios)
     if not names:
         values, names = np.zeros((len(scenarios), 1)), ["none"]
-    worst = values.argmin(axis=1) if RUN_METRICS[key].sense == "at least" else values.argmax(axis=1)
-    done = result.completed
-    found = np.where(done, values[np.arange(len(values)), worst], worst_value(key))
+    metric, done = RUN_METRICS[key], result.completed
+    worst = values.argmin(axis=1) if metric.sense == "at least" else values.argmax(axis=1)
+    found = np.where(done, values[np.arange(len(values)), worst], metric.worst)
     return found, [names[k] if yes else ended for k, yes, ended in zip(worst, done, result.ended, strict=True)]
 
 
