@@ -59,8 +59,7 @@ def unit_points(sampling: Points, seed: int, runs: int, dimensions: int, first: 
             steps = -(-dimensions // 4)
             generator = np.random.Philox(key=seed)
             generator.advance(first * steps)
-            raw = generator.random_raw((last - first) * steps * 4).reshape(last - first, 4 * steps)[:, :dimensions]
-            return (raw >> np.uint64(11)).astype(np.float64) * 0.5**53 + 0.5**54
+            return np.random.Generator(generator).random((last - first, 4 * steps))[:, :dimensions] + 0.5**54
 
 
 def _sobol(seed: int, dimensions: int, first: int, last: int) -> FloatArray:

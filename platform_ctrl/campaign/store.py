@@ -186,7 +186,7 @@ class Store:
         self._schema = arrow().schema([*types.items()])
         self.folder, self.table, self.runs = folder, folder / TABLE, runs
         self.record: Record = {"schema": SCHEMA, **about, "runs": runs, "identity": identity, "complete": False}
-        with self._told(folder):
+        with self._writing(folder):
             if restart:
                 shutil.rmtree(self.table, ignore_errors=True)
                 (folder / RECORD).unlink(missing_ok=True)
@@ -212,7 +212,7 @@ class Store:
         pa = arrow()
         arrays = [pa.array(columns[field.name], type=field.type, from_pandas=True) for field in self._schema]
         path = self.table / f"{runs.start:012d}-{runs.stop:012d}.parquet"
-        with self._told(self.table), replaced_file(path) as file:
+        with self._writing(self.table), replaced_file(path) as file:
             pa.parquet.write_table(pa.Table.from_arrays(arrays, schema=self._schema), file)
         self._parts = sorted([*self._parts, runs], key=lambda part: part.start)
 
@@ -231,7 +231,7 @@ class Store:
         counts |= {"passed": passed, "not passed": data.num_rows - passed - counts[NOT_SIMULATED]}
         reasons = sorted(words for words in endings if words.startswith(NOT_SIMULATED))[:_REASONS]
         self.record |= {"complete": True, "counts": counts, "reasons": {words: endings[words] for words in reasons}}
-        with self._told(self.folder / RECORD):
+        with self._writing(self.folder / RECORD):
             write_campaign_record(self.folder, self.record)
 
     def _whole_parts(self) -> list[range]:
@@ -253,7 +253,7 @@ class Store:
         return found
 
     @contextmanager
-    def _told(self, path: Path) -> Iterator[None]:
+    def _writing(self, path: Path) -> Iterator[None]:
         try:
             yield
         except OSError as error:

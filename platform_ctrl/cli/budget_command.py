@@ -10,7 +10,7 @@ import typer
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.cli import job_arguments as arguments
 from platform_ctrl.cli.exits import noted, print_json
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import ArgumentError, InputError, NotFoundError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -103,9 +103,14 @@ def _simulated(
 def _others(
     job: Job, closed: Sequence[StateSpace], alternatives: Sequence[StateSpace], say: Callable[[str], None]
 ) -> dict[str, LineOfSightBudget | None]:
-    """Return the budget with each alternative in the place of the design that sets the same; None: not stable."""
+    """Return the budget with each alternative in the place of the design that sets the same; None: it has none.
+
+    What is shown of them is at zero gimbal angles.
+    """
+    from platform_ctrl.common.values import replaced
     from platform_ctrl.verification.budget import line_of_sight_budget
 
+    job = replaced(job, {"angles": {}})
     out: dict[str, LineOfSightBudget | None] = {}
     for one in alternatives:
         say(f"budget: {one.name}")
@@ -113,7 +118,7 @@ def _others(
         instead = [one if set(K.output_labels) == outputs else K for K in closed]
         try:
             out[str(one.name)] = line_of_sight_budget(job, instead)
-        except ArgumentError:
+        except (ArgumentError, NotFoundError):  # not stable, or bearings stick
             out[str(one.name)] = None
     return out
 
@@ -141,7 +146,7 @@ def show_budget(
     runs: SimulatedBudget | None = None,
     others: Mapping[str, LineOfSightBudget | None] | None = None,
 ) -> None:
-    """Print the tables of the report; `others` are the budgets of other designs, None where they are not stable."""
+    """Print the tables of the report; `others` are the budgets of other designs, None where they have none."""
     from platform_ctrl.cli.terminal import screen, show_block, show_words
     from platform_ctrl.report.budget_page import runs_table, sources_table, window_table
 

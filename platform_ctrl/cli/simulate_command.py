@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from platform_ctrl.job.manoeuvre import Manoeuvre
     from platform_ctrl.verification.simulated import Run
 
-TABLE = "campaign.parquet"
-
 
 class _Simulated(NamedTuple):
     """A run, and what is said of it beside its values."""
@@ -145,7 +143,7 @@ def _manoeuvre_run(
 def _campaign_run(job: Job, number: int, controllers: list[StateSpace], folder: Path, say: Progress) -> _Simulated:
     """Simulate a run of the campaign in a folder if there is one, else of the job's."""
     from platform_ctrl.campaign.single_run import recorded_plan, recorded_row, rerun, unlike
-    from platform_ctrl.campaign.store import RECORD, read_campaign_record
+    from platform_ctrl.campaign.store import RECORD, TABLE, read_campaign_record
 
     record = read_campaign_record(folder)
     plan, changed = recorded_plan(job, controllers, record)
@@ -178,6 +176,7 @@ def _show(found: _Simulated, line: str, as_json: bool) -> None:
         about = {"schema": 1, "job": job.name, "platform": job.platform.name, **found.about, **more}
         print_json(about | run_record(run))
     else:
+        from platform_ctrl.campaign.store import TABLE
         from platform_ctrl.cli.terminal import show_inputs, show_run
 
         if found.about:

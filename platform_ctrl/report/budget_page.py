@@ -61,7 +61,7 @@ def budget_blocks(result: JobResult) -> list[Block]:
 
 
 def sources_table(found: LineOfSightBudget, others: Mapping[str, LineOfSightBudget | None] | None = None) -> Table:
-    """Return what each source does; `others` are the budgets of other designs, None where they are not stable."""
+    """Return what each source does; `others` are the budgets of other designs, None where they have none."""
     rows, largest = [], max(found.total, default=0.0)
     for name, kind, rms, shares in zip(found.names, found.kinds, found.rms, found.shares, strict=True):
         # Rounding shows in axes on which a source does not act.
@@ -70,7 +70,7 @@ def sources_table(found: LineOfSightBudget, others: Mapping[str, LineOfSightBudg
         rows.append((name, kind, *(text for pair in zip(acting, percent, strict=True) for text in pair)))
     totals = {TOGETHER: _micro(found.total, largest), "both axes across, angles zero": _micro([found.jitter], largest)}
     for name, one in (others or {}).items():
-        totals[f"with {name}"] = ["not stable"] if one is None else _micro(one.total, largest)
+        totals[f"with {name}"] = ["no budget"] if one is None else _micro(one.total, largest)
     for name, numbers in totals.items():
         rows.append((name, "", *(text for one in numbers for text in (one, ""))))
     return _table("source, µrad rms|kind", [head for axis in found.axes for head in (axis, "")], rows)

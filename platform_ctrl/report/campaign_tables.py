@@ -39,7 +39,7 @@ def probability_rows(summary: Summary) -> tuple[ProbabilityRow, ...]:
 
 def _row(one: RequirementStatistics) -> ProbabilityRow:
     unit = "" if one.manoeuvre is None or one.requirement == PASSED else RUN_METRICS[one.requirement].unit
-    shown = {share: figure_words(figure, unit, one.limit) for share, figure in one.quantiles.items()}
+    shown = {share: value_words(number, unit, one.limit) for share, number in one.quantiles.items()}
     words = (
         requirement_name(one.requirement).removeprefix("largest "),
         DASH if one.limit is None else limit_words(one.requirement, one.limit, relative=one.manoeuvre is None),
@@ -48,27 +48,27 @@ def _row(one: RequirementStatistics) -> ProbabilityRow:
         chances(one.violation.low, one.violation.high),
         shown.get(0.5, ""),
         shown.get(0.99, ""),
-        "" if not one.values.size else figure_words(one.largest, unit, one.limit),
+        "" if not one.values.size else value_words(one.largest, unit, one.limit),
         str(one.worst[0].run) if one.worst else "",
     )
     return ProbabilityRow(group=one.manoeuvre or ALL_MANOEUVRES, words=words, numbers=one.violation)
 
 
-def limit_words(figure: str, limit: float, *, relative: bool = False) -> str:
+def limit_words(metric: str, limit: float, *, relative: bool = False) -> str:
     """Return a limit with its sense; `relative`: of ratios of values to their limits, which are to be at most one."""
     if relative:
         return f"{BOUND['at most']} {plain(limit)}"
-    return f"{BOUND[RUN_METRICS[figure].sense]} {quantity(limit, RUN_METRICS[figure].unit, 4, limit)}"
+    return f"{BOUND[RUN_METRICS[metric].sense]} {quantity(limit, RUN_METRICS[metric].unit, 4, limit)}"
 
 
-def requirement_name(figure: str | None) -> str:
+def requirement_name(metric: str) -> str:
     """Return the name of a requirement."""
-    return "any requirement" if figure in (None, PASSED) else RUN_METRICS[figure].name
+    return "any requirement" if metric == PASSED else RUN_METRICS[metric].name
 
 
-def figure_words(figure: float, unit: str, like: float | None) -> str:
+def value_words(number: float, unit: str, like: float | None) -> str:
     """Return a value with its unit, in the unit that suits the limit."""
-    return DIVERGED if math.isinf(figure) else quantity(figure, unit, 3, like)
+    return DIVERGED if math.isinf(number) else quantity(number, unit, 3, like)
 
 
 def chance(probability: float, rounding: Rounding = "nearest") -> str:
@@ -216,7 +216,7 @@ def worst_rows(summary: Summary, runs: Sequence[WorstRun], named: Sequence[str])
         unit = RUN_METRICS[one.requirement].unit
         words = [
             requirement_name(one.requirement).removeprefix("largest "),
-            figure_words(one.value, unit, one.limit),
+            value_words(one.value, unit, one.limit),
             limit_words(one.requirement, one.limit),
             DIVERGED if math.isinf(one.ratio) else plain(one.ratio, 3),
             ", ".join(shown),

@@ -117,12 +117,10 @@ def coupled(result: JobResult) -> str:
 def run(one: Run, platform: Platform) -> str:
     """A simulated run of a plant."""
     trajectory = one.trajectory
-    limits = {torquer.name: torquer.limit for torquer in platform.torquers if torquer.limit is not None}
-    largest = dict(zip(trajectory.torquer_names, np.abs(trajectory.command).max(axis=0), strict=True))
     stopped = [k for k, gimbal in enumerate(platform.gimbals) if gimbal.stops is not None]
     some = bool(stopped) and len(stopped) < len(platform.gimbals)  # the others may turn on, as wheels
-    angles = np.abs(trajectory.q[:, stopped] if some else trajectory.q)
-    pushed = max(((largest[name] / limit, name) for name, limit in limits.items()), default=None)
+    angles = trajectory.metrics.angle[0, stopped if some else slice(None)]
+    pushed = one.largest["torque_share"]
     return sentences(
         "run",
         trajectory=trajectory,
@@ -131,7 +129,7 @@ def run(one: Run, platform: Platform) -> str:
         some=some,
         saturated=int(trajectory.saturated.sum()),
         contacts=int(trajectory.stop_contacts.sum()),
-        pushed=pushed,
+        pushed=pushed if pushed[0] > 0.0 else None,  # torquers without a limit have no share of it
         servo=bool(platform.root_torquers),
         spinning=any(rotor.angular_momentum != 0.0 for rotor in platform.rotors),
     )

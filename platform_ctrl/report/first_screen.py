@@ -28,7 +28,7 @@ _TICKS = (-1.0, -0.25, -0.05, 0.05, 0.25, 1.0)
 
 
 def first_screen(result: JobResult, campaign: Summary | None) -> tuple[page.Block, ...]:
-    """Return verdict, chain and distances, beside the Nichols plot of the tightest loop where there is one.
+    """Return verdict, what limits each loop, and distances, beside a Nichols plot of the tightest loop if there is one.
 
     Where a run of a campaign violates a limit, the verdict is no pass.
     """
@@ -112,7 +112,7 @@ def distances(result: JobResult) -> tuple[page.Block, ...]:
 
 
 def _place(margin: float) -> float:
-    """Return the signed root: close to the limit distances are told apart."""
+    """Return the signed root: close to the limit distances can be distinguished."""
     return math.copysign(math.sqrt(abs(margin)), margin)
 
 

@@ -45,7 +45,7 @@ class RequirementRow:
 
 
 def requirement_rows(result: JobResult) -> tuple[RequirementRow, ...]:
-    """Return all requirements, subjects in the order of the chain, the worst first within each."""
+    """Return all requirements, subjects in the order of the verdict, the worst first within each."""
     return _ordered(result, result.requirements)
 
 

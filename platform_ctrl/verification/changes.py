@@ -38,7 +38,7 @@ _MET = 0.99
 _LEAST, _GAIN = 0.5, 0.05
 # How much it counts that a missed limit is still missed, beside the share that is left of it.
 _MISSED = 0.5
-# How much lost margin counts beside limits that are violated, and the largest ratio that is told from others.
+# How much lost margin counts beside limits that are violated, and the ratio beyond which all count alike.
 _LOSS, _WORST = 0.05, 10.0
 # A limit that is missed already is violated further by more than rounding.
 _FURTHER = 1.001

@@ -113,7 +113,7 @@ def budget_record(
         "requirements": [_requirement(one) for one in found.results],
     }
     if others:
-        # Instead of the design that is closed; None where the loop is not stable.
+        # Instead of the design that is closed; None where there is no budget.
         record["alternatives"] = [
             {"name": name, "rms": one and one.total, "across": one and one.jitter} for name, one in others.items()
         ]
@@ -147,7 +147,7 @@ def run_record(run: Run) -> Record:
     record = _fields(manoeuvre, "name", "mode", "axis", "duration") | {
         "ended": trajectory.ended,
         "passed": all(one.passed for one in run.results),
-        "largest": {name: {"value": figure, "signal": signal} for name, (figure, signal) in run.largest.items()},
+        "largest": {name: {"value": number, "signal": signal} for name, (number, signal) in run.largest.items()},
         "saturated": dict(zip(trajectory.torquer_names, trajectory.saturated, strict=True)),
         "stop_contacts": dict(zip(trajectory.angle_names, trajectory.stop_contacts, strict=True)),
         "seed": trajectory.seed,

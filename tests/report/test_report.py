@@ -26,7 +26,7 @@ from plant_parts import Spring
 from platform_ctrl.analysis.metrics import Sense
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
-from platform_ctrl.design.loop import measured
+from platform_ctrl.design.loop import Design, measured
 from platform_ctrl.job.quantities import compared, plain
 from platform_ctrl.job.reading import job_data
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
@@ -164,7 +164,7 @@ class Cells(HTMLParser):
 
 def visible_text(page: str) -> str:
     body = re.sub(r"<style.*?</style>|<pre.*?</pre>", " ", page, flags=re.DOTALL)
-    return html.unescape(re.sub(r"<[^>]*>", " ", body)).replace("\u00a0", " ")
+    return html.unescape(re.sub(r"<[^>]*>", " ", body))
 
 
 # The page
@@ -365,7 +365,9 @@ def test_captions_have_peaks_that_every_grid_misses() -> None:
     assert plants is not None
     # A narrow notch in the way of the nutation; the worst of several axes is more than that of any one.
     K = narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, 0.20796, 0.0061867]))
-    narrow = measured(outcome.spec, outcome.closed.name, "given", K.to_control(plants.angles, plants.torques), plants)
+    named = K.to_control(plants.angles, plants.torques)
+    design = Design(loop=outcome.spec.name, name=outcome.use, method="given", controller=named, plants=plants)
+    narrow = measured(outcome.spec, design)
     outcome = dataclasses.replace(outcome, designs=(narrow,))
     loop = curves.shown_loop(outcome)
     assert loop is not None

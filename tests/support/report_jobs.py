@@ -44,7 +44,7 @@ def job(**settings: Any) -> dict[str, Any]:
 
 def page_html(result: JobResult | PageContent) -> str:
     """The page of a report."""
-    return html(prepared(result))
+    return html(prepared(result)).replace("\u00a0", " ")
 
 
 def checked(data: dict[str, Any]) -> JobResult:
