@@ -128,8 +128,8 @@ def bare_system(model: LinearModel, signals: LoopSignals, currents: bool = False
     gimbals = [*signals.gimbals, *signals.passive]
     if signals.free:
         return free_system(model, gimbals, isolated=True, currents=currents)
-    field = bool(model.platform.gravity.any())
-    return linear_system(model, gimbals, field, others="held" if signals.held else "coupled", currents=currents)
+    # With the specific force, through which gravity acts on a root that turns: see `tilting`.
+    return linear_system(model, gimbals, True, others="held" if signals.held else "coupled", currents=currents)
 
 
 def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:
