@@ -111,10 +111,9 @@ class Trajectory:
     @property
     def attitude_angles(self) -> FloatArray:
         """Rotation vector of the platform against inertial axes, (N, 3), rad."""
-        toward = np.where(self.attitude[:, :1] < 0.0, -1.0, 1.0) * self.attitude
-        sine = np.linalg.norm(toward[:, 1:], axis=1, keepdims=True)
-        angle = 2.0 * np.arctan2(sine, toward[:, :1])
-        return np.asarray(toward[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0))
+        from scipy.spatial.transform import Rotation
+
+        return np.asarray(Rotation.from_quat(self.attitude, scalar_first=True).as_rotvec())
 
 
 def simulate(

@@ -16,6 +16,7 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Topology, topology
+from platform_ctrl.plant.gimbals import Body
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 from platform_ctrl.simulation.kernel import arrays
@@ -332,7 +333,7 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
     rotors = np.array(
         [[(r.axial_inertia, r.angular_momentum) for r in p.rotors] for p in platforms], dtype=np.float64
     ).reshape(N, m, 2)
-    carriers, momentum = inertias(shape, platforms), np.zeros((N, 1 + n, 3))
+    carriers, momentum = np.array([_inertias(topology(p)) for p in platforms]), np.zeros((N, 1 + n, 3))
     for k, (b, axis, control) in enumerate(zip(shape.carriers, shape.spin_axes, shape.controls, strict=True)):
         axial, L = rotors[:, k].T
         if control == "regulated":
@@ -380,45 +381,22 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
 
 
 def _pack_places(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArray) -> None:
-    frames, carriers = shape.frames, np.array(shape.carriers, dtype=np.intp)
-    for row, p in zip(rows, platforms, strict=True):
-        masses, centres, _ = zip(*p.bodies, *(rotor.body for rotor in p.rotors), strict=True)
-        bodies = np.r_[range(len(frames)), carriers]
-        np.add.at(row[:, arrays.MASS], bodies, masses)
-        first_moments = np.einsum("bij,bj->bi", frames[bodies], np.array(masses)[:, None] * np.array(centres))
-        np.add.at(row[:, arrays.FIRST_MOMENT : arrays.ARM], bodies, first_moments)
-        for k, (above, g) in enumerate(zip(1 + p.parents, p.gimbals, strict=True)):
-            row[1 + k, arrays.ARM : arrays.GEARED] = frames[above] @ g.origin
-        for one in p.motors:
-            drive = one.gear * one.rotor_inertia
-            row[1 + p.gimbal(one.gimbal), arrays.GEARED :] += drive, one.gear * drive
+    for row, tree in zip(rows, map(topology, platforms), strict=True):
+        row[:, arrays.MASS] = tree.masses
+        moments = tree.masses[:, None] * tree.centres
+        row[:, arrays.FIRST_MOMENT : arrays.ARM] = np.einsum("bij,bj->bi", shape.frames, moments)
+        row[1:, arrays.ARM : arrays.GEARED] = np.einsum("kij,kj->ki", shape.frames[1 + tree.parents], tree.joints)
+        drives = tree.gears * tree.gear_inertias
+        np.add.at(row[:, arrays.GEARED :], 1 + tree.geared, np.stack([drives, tree.gears * drives], axis=1))
 
 
-def _about_joints(p: Platform, inertias: FloatArray) -> None:
-    """Add to inertias (1 + n, 3, 3) of bodies what masses away from their joints and geared rotors have about them."""
-    for b, body in enumerate(p.bodies):
-        inertias[b] += body.inertia_about_origin - body.inertia
-    for b, rotor in zip(1 + p.carriers, p.rotors, strict=True):
-        inertias[b] += rotor.body.inertia_about_origin - rotor.body.inertia
-    for one in p.motors:
-        k = p.gimbal(one.gimbal)
-        inertias[1 + p.parents[k]] += one.rotor_inertia * np.outer(p.gimbals[k].axis, p.gimbals[k].axis)
-
-
-def inertias(shape: Skeleton, platforms: Sequence[Platform]) -> FloatArray:
-    """Return the bodies' inertias about their joints, (N, 1 + n, 3, 3), of plants of one skeleton.
-
-    Of rotors the transverse inertia, and that of the geared ones in their parents, are included.
-    """
-    N = len(platforms)
-    out = np.concatenate([inertia for p in platforms for inertia in (p.root_inertia, *(g.inertia for g in p.gimbals))])
-    out = out.astype(np.float64, copy=False).reshape(N, 1 + shape.at.n, 3, 3)
-    transverse = np.array([[r.transverse_inertia for r in p.rotors] for p in platforms]).reshape(N, -1)
-    for k, (b, axis) in enumerate(zip(shape.carriers, shape.spin_axes, strict=True)):
-        out[:, b] += transverse[:, k, None, None] * (np.eye(3) - axis[:, None] * axis)
-    if shape.at.placed:
-        for p, own in zip(platforms, out, strict=True):
-            _about_joints(p, own)
+def _inertias(tree: Topology) -> FloatArray:
+    """Return the bodies' inertias about their joints, (1 + n, 3, 3), those of geared rotors in their parents."""
+    bodies = zip(tree.masses.tolist(), tree.centres, tree.inertias, strict=True)
+    out = np.array([Body(*one).inertia_about_origin for one in bodies])
+    axes = tree.axes[tree.geared]
+    turned = tree.gear_inertias[:, None, None] * axes[:, :, None] * axes[:, None, :]
+    np.add.at(out, 1 + tree.parents[tree.geared], turned)
     return out
 
 

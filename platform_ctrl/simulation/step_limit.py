@@ -10,28 +10,20 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.kinematics import Kinematics, kinematics
+from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.matrices import body_inertias, directions, mass_matrix
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation.packing import Skeleton, inertias, skeleton
+from platform_ctrl.simulation.packing import skeleton
 
 
-def _masses(shape: Skeleton, platforms: Sequence[Platform], at: Kinematics, locked: Collection[str]) -> FloatArray:
-    """Return the mass matrices (N, 3 + n, 3 + n) of plants of one skeleton; rotors of the kinds `locked` add C."""
-    if shape.at.placed:
-        whole = []
-        for platform in platforms:
-            own = kinematics(platform, np.zeros(len(platform.gimbals)))
-            B, C = directions(own), [r.axial_inertia * (r.control in locked) for r in platform.rotors]
-            whole.append(mass_matrix(own, body_inertias(own)) + B.T @ (np.array(C)[:, None] * B))
-        return np.array(whole)
-    bodies = inertias(shape, platforms)
-    for k, (b, axis, control) in enumerate(zip(shape.carriers, shape.spin_axes, shape.controls, strict=True)):
-        if control in locked:
-            axial = np.array([p.rotors[k].axial_inertia for p in platforms])
-            bodies[:, b] += axial[:, None, None] * (axis[:, None] * axis)
-    out: FloatArray = np.einsum("bij,nbik->njk", at.jacobians, bodies @ at.jacobians)
-    return 0.5 * (out + out.transpose(0, 2, 1))
+def _masses(platforms: Sequence[Platform], locked: Collection[str]) -> FloatArray:
+    """Return the mass matrices (N, 3 + n, 3 + n) of plants at zero angles; rotors of the kinds `locked` add C."""
+    out = []
+    for platform in platforms:
+        at = kinematics(platform, np.zeros(len(platform.gimbals)))
+        B, C = directions(at), [r.axial_inertia * (r.control in locked) for r in platform.rotors]
+        out.append(mass_matrix(at, body_inertias(at)) + B.T @ (np.array(C)[:, None] * B))
+    return np.array(out)
 
 
 # The classical Runge-Kutta method is stable for decays up to 2.785 per step. At a radian per step it damps an
@@ -74,8 +66,7 @@ def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, 
     if not (shape.at.modes or jointed):
         return found
     low, names = 0 if free else 3, platforms[0].gimbal_names
-    at = kinematics(platforms[0], np.zeros(len(names)))
-    mass = _masses(shape, platforms, at, ("regulated", "servo"))[:, low:, low:]
+    mass = _masses(platforms, ("regulated", "servo"))[:, low:, low:]
     inverse = np.linalg.pinv(mass, hermitian=True)
     for k in range(shape.at.modes):
         # What gives way to a mode by its inertia makes it faster.
@@ -128,7 +119,7 @@ def _check_speed_loops(platforms: Sequence[Platform], steps: ArrayLike, free: bo
         return
     at, servos = kinematics(platforms[0], np.zeros(len(platforms[0].gimbals))), list(shape.servos)
     low = 0 if free else 3
-    A = _masses(shape, platforms, at, ("regulated",))[:, low:, low:]
+    A = _masses(platforms, ("regulated",))[:, low:, low:]
     B = directions(at)[servos, low:]
     loop = attrgetter("axial_inertia", "speed_gain", "speed_integral")
     loops = [[loop(p.rotors[k]) for k in servos] for p in platforms]
