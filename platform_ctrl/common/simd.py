@@ -21,7 +21,7 @@ from numba import types
 from numba.core import cgutils
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, models, overload, register_model
+from numba.extending import models, register_model
 
 from platform_ctrl.common.values import FloatArray
 
@@ -55,10 +55,6 @@ class _Typed(AbstractTemplate):
     """What says the type of a call; what is made for a target is asked before numba's own, of which there are many."""
 
     metadata: ClassVar[dict[str, str]] = {"target": "cpu"}
-
-
-# Said of functions below, which compiled ones alone call: a wrapper for C takes longer than what is in it.
-_INSIDE: Any = {"no_cfunc_wrapper": True}
 
 
 def memory(slots: int) -> FloatArray:
@@ -118,32 +114,26 @@ def _compare(sign: str) -> Callable[[Any, Any, Any], Any]:
     return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
 
 
-for _name, _sign in (
-    (operator.lt, "<"),
-    (operator.le, "<="),
-    (operator.gt, ">"),
-    (operator.ge, ">="),
-    (operator.eq, "=="),
-    (operator.ne, "!="),
-):
-    _binary(_name, _mask, _compare(_sign))
+_SIGNS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+for _order, _sign in _SIGNS.items():
+    _binary(getattr(operator, _order), _mask, _compare(_sign))
 
 
-def _of_vectors(name: Any, emit: Callable[..., Any], *kinds: Any) -> None:
-    """Make an operator of vectors of these kinds, which returns the same kind."""
+def _of_vectors(name: Any, result: Any, emit: Callable[..., Any], *kinds: Any) -> None:
+    """Make an operator or a function of vectors of these kinds."""
 
     @infer_global(name)
     class _Typing(_Typed):
         def generic(self, args: Any, kws: Any) -> Any:
-            return signature(kinds[0], *kinds) if tuple(args) == kinds else None
+            return signature(result, *kinds) if tuple(args) == kinds else None
 
     lower_builtin(name, *kinds)(lambda context, builder, sig, args: emit(builder, *args))
 
 
-_of_vectors(operator.neg, lambda builder, a: builder.fneg(a), _lane)
-_of_vectors(operator.and_, lambda builder, a, b: builder.and_(a, b), _mask, _mask)
-_of_vectors(operator.or_, lambda builder, a, b: builder.or_(a, b), _mask, _mask)
-_of_vectors(operator.invert, lambda builder, a: builder.not_(a), _mask)
+_of_vectors(operator.neg, _lane, lambda builder, a: builder.fneg(a), _lane)
+_of_vectors(operator.and_, _mask, lambda builder, a, b: builder.and_(a, b), _mask, _mask)
+_of_vectors(operator.or_, _mask, lambda builder, a, b: builder.or_(a, b), _mask, _mask)
+_of_vectors(operator.invert, _mask, lambda builder, a: builder.not_(a), _mask)
 
 
 @lower_cast(types.Float, _lane)
@@ -272,10 +262,14 @@ def power_of_two(k: Number) -> Number:
     return math.ldexp(1.0, int(k))
 
 
-def mantissa_and_exponent(x: Number) -> tuple[Number, Number]:
-    """Return m in [1, 2) and the whole number e with x = m 2^e, for a normal x > 0."""
-    m, e = math.frexp(x)
-    return 2.0 * m, float(e - 1)
+def mantissa(x: Number) -> Number:
+    """Return m in [1, 2) of x = m 2^e with a whole number e, for a normal x > 0."""
+    return 2.0 * math.frexp(x)[0]
+
+
+def exponent(x: Number) -> Number:
+    """Return the whole number e of x = m 2^e with m in [1, 2), for a normal x > 0."""
+    return float(math.frexp(x)[1] - 1)
 
 
 @infer_global(choose)
@@ -290,84 +284,49 @@ def _choose(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return builder.select(args[0], a, b)
 
 
-@infer_global(anywhere)
-class _Anywhere(_Typed):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(types.boolean, *args) if args[0] == _mask else None
-
-
-@lower_builtin(anywhere, _mask)
-def _anywhere(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    bits = ir.IntType(LANES)
-    return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
-
-
-_WHOLE = ir.VectorType(ir.IntType(64), LANES)
+_WHOLE, _LANES = ir.VectorType(ir.IntType(64), LANES), ir.IntType(LANES)
 
 
 def _repeated(number: int) -> Any:
     return ir.Constant(_WHOLE, [number] * LANES)
 
 
-def _function(emit: Callable[[Any, Any], Any]) -> Any:
-    """Return a compiled function of a lane that gives a lane."""
-
-    @intrinsic
-    def call(typing: Any, x: Any) -> Any:
-        return _lane(x), lambda context, builder, sig, args: emit(builder, args[0])
-
-    return call
-
-
-def _by_llvm(name: str) -> Any:
+def _by_llvm(name: str) -> Callable[[Any, Any], Any]:
     def emit(builder: Any, x: Any) -> Any:
         kind = ir.FunctionType(_VECTOR, [_VECTOR])
-        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
-        return builder.call(function, [x])
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), [x])
 
-    return _function(emit)
-
-
-@_function
-def _power_of_lane(builder: Any, k: Any) -> Any:
-    exponent = builder.add(builder.fptosi(k, _WHOLE), _repeated(1023))
-    return builder.bitcast(builder.shl(exponent, _repeated(52)), _VECTOR)
+    return emit
 
 
-@_function
-def _mantissa_of_lane(builder: Any, x: Any) -> Any:
+def _emit_power(builder: Any, k: Any) -> Any:
+    biased = builder.add(builder.fptosi(k, _WHOLE), _repeated(1023))
+    return builder.bitcast(builder.shl(biased, _repeated(52)), _VECTOR)
+
+
+def _emit_mantissa(builder: Any, x: Any) -> Any:
     bits = builder.and_(builder.bitcast(x, _WHOLE), _repeated((1 << 52) - 1))
     return builder.bitcast(builder.or_(bits, _repeated(1023 << 52)), _VECTOR)
 
 
-@_function
-def _exponent_of_lane(builder: Any, x: Any) -> Any:
+def _emit_exponent(builder: Any, x: Any) -> Any:
     bits = builder.lshr(builder.bitcast(x, _WHOLE), _repeated(52))
     return builder.sitofp(builder.sub(bits, _repeated(1023)), _VECTOR)
 
 
-_root_of_lane, _floor_of_lane = _by_llvm("sqrt"), _by_llvm("floor")
+def _emit_anywhere(builder: Any, mask: Any) -> Any:
+    return builder.icmp_unsigned("!=", builder.bitcast(mask, _LANES), ir.Constant(_LANES, 0))
 
 
-@overload(root, strict=False, jit_options=_INSIDE)
-def _root(x: Any) -> Any:
-    return (lambda x: _root_of_lane(x)) if x == _lane else root
+def _emit_choice(sign: str) -> Callable[[Any, Any, Any], Any]:
+    return lambda builder, a, b: builder.select(builder.fcmp_ordered(sign, a, b), a, b)
 
 
-@overload(whole, strict=False, jit_options=_INSIDE)
-def _whole(x: Any) -> Any:
-    return (lambda x: _floor_of_lane(x)) if x == _lane else (lambda x: float(math.floor(x)))
-
-
-@overload(power_of_two, strict=False, jit_options=_INSIDE)
-def _power_of_two(k: Any) -> Any:
-    return (lambda k: _power_of_lane(k)) if k == _lane else power_of_two
-
-
-@overload(mantissa_and_exponent, strict=False, jit_options=_INSIDE)
-def _mantissa_and_exponent(x: Any) -> Any:
-    return (lambda x: (_mantissa_of_lane(x), _exponent_of_lane(x))) if x == _lane else mantissa_and_exponent
-
-
-overload(lesser, strict=False, jit_options=_INSIDE)(lambda a, b: lesser)
-overload(greater, strict=False, jit_options=_INSIDE)(lambda a, b: greater)
+_of_vectors(root, _lane, _by_llvm("sqrt"), _lane)
+_of_vectors(whole, _lane, _by_llvm("floor"), _lane)
+_of_vectors(power_of_two, _lane, _emit_power, _lane)
+_of_vectors(mantissa, _lane, _emit_mantissa, _lane)
+_of_vectors(exponent, _lane, _emit_exponent, _lane)
+_of_vectors(anywhere, types.boolean, _emit_anywhere, _mask)
+_binary(lesser, _lane, _emit_choice("<"))
+_binary(greater, _lane, _emit_choice(">"))

@@ -30,21 +30,11 @@ def initial_spins(platform: Platform, given: ArrayLike | None, shape: tuple[int,
     return real_array("spin", given, shape)
 
 
-def spins_of(plant: Packed, states: FloatArray) -> FloatArray:
-    """Return the servo rotors' spins, (..., m), at states (..., 2 n + 7 + 2 m) whose v holds the rates."""
-    at = plant.at
-    momenta = states[..., 2 * at.n + 7 : 2 * at.n + 7 + at.servos]
-    return np.asarray(momenta / _axial_inertias(plant) - _carrier_rates(plant, states))
-
-
-def with_added_states(
-    plant: Packed, states: FloatArray, spins: FloatArray, inertias: FloatArray | None = None
-) -> FloatArray:
+def with_added_states(plant: Packed, states: FloatArray, spins: FloatArray) -> FloatArray:
     """Return `states` (N, 2 n + 7), whose v holds the rates, with the added states behind.
 
-    Servo rotors are at `spins` (N, m), modes at rest in a platform that turns, and joints slide as they turn.
-
-    `inertias` (N, m) are C of the servo rotors where the states are of different plants.
+    Servo rotors are at `spins` (N, m), of which the kernel makes their momenta, modes at rest in a platform that turns,
+    and joints slide as they turn.
     """
     at, first = plant.at, states.shape[1]
     out = np.concatenate([states, np.zeros((len(states), at.size - first))], axis=1)
@@ -58,23 +48,5 @@ def with_added_states(
         most = rows[:, arrays.COULOMB : arrays.BREAKAWAY].mean(axis=1) / np.maximum(rows[:, arrays.BRISTLE], 1e-300)
         begin = np.select([rows[:, arrays.LAW] == arrays.STICKING, rows[:, arrays.LAW] > arrays.STICKING], [1.0, most])
         out[:, at.keeps :: arrays.FRICTION] = begin * side
-    C = _axial_inertias(plant) if inertias is None else inertias
-    out[:, first : first + plant.at.servos] = C * (spins + _carrier_rates(plant, out))
+    out[:, first : first + plant.at.servos] = spins
     return out
-
-
-def _axial_inertias(plant: Packed) -> FloatArray:
-    at = plant.at
-    return plant.constants[at.servo : at.erection].reshape(-1, arrays.SERVO)[:, arrays.C]
-
-
-def _carrier_rates(plant: Packed, states: FloatArray) -> FloatArray:
-    """Rates of the servo rotors' carriers about their spin axes, (..., m)."""
-    rates = np.empty((*states.shape[:-1], plant.at.servos))
-    if rates.size:
-        from platform_ctrl.common.simd import memory
-        from platform_ctrl.simulation.kernel.advance import carrier_rates
-
-        flat = np.ascontiguousarray(states).reshape(-1, plant.at.size)
-        carrier_rates(*plant, memory(plant.at.end), flat, rates.reshape(-1, plant.at.servos))
-    return rates

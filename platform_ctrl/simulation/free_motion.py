@@ -13,7 +13,7 @@ from platform_ctrl.common.processes import processors
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation.added_states import initial_spins, servo_rotors, spins_of, with_added_states
+from platform_ctrl.simulation.added_states import initial_spins, servo_rotors, with_added_states
 from platform_ctrl.simulation.packing import pack
 from platform_ctrl.simulation.step_limit import check_steps
 
@@ -155,8 +155,7 @@ def rollout(  # noqa: PLR0913 - options by keyword
 
     with ThreadPoolExecutor(max_workers=max(len(parts), 1)) as pool:
         list(pool.map(move, parts))
-    spins_along = spins_of(plant, along)
-    ends = along[:, -1]
+    spins_along, ends = along[..., 2 * n + 7 : 2 * n + 7 + plant.at.servos], along[:, -1]
     return Rollout(
         q=ends[:, :n],
         velocity=ends[:, n : 2 * n + 3],

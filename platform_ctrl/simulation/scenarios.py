@@ -204,9 +204,7 @@ def states(scenarios: Sequence[Scenario], packed: Packed) -> FloatArray:
     if packed.at.size == states.shape[1]:
         return states
     spins = [[r.spin for r in servo_rotors(s.platform)] if s.spin is None else s.spin for s in scenarios]
-    inertias = [[r.axial_inertia for r in servo_rotors(s.platform)] for s in scenarios]
-    shape = (len(states), packed.at.servos)
-    return with_added_states(packed, states, np.array(spins).reshape(shape), np.array(inertias).reshape(shape))
+    return with_added_states(packed, states, np.array(spins).reshape(len(states), packed.at.servos))
 
 
 def rate(scenario: Scenario) -> list[float]:

@@ -7,6 +7,7 @@ import pytest
 import platform_ctrl as pc
 from one_axis import job_of, loop_of, one_axis
 from platform_ctrl import simulation
+from platform_ctrl.job.resolve import resolver
 
 KT, R, SUPPLY, GEAR, ETA = 0.05, 2.0, 12.0, -10.0, 0.8
 J, JM = 0.02, 1e-5
@@ -64,3 +65,21 @@ def test_a_torque_is_over_its_limit_where_the_supply_does_not_leave_it_at_the_ra
     assert share == pytest.approx((np.abs(command) / left).max(), rel=1e-9)
     assert share > 1.2 * np.abs(command).max() / motor.limit
     assert out.saturated[0] == np.sum(np.abs(command) >= left)
+
+
+def test_readings_that_are_turned_to_the_joints_do_not_move_the_torques_in_the_record():
+    loop = {"bandwidth_hz": 1500.0, "rate_hz": 20e3}
+    gyro = {"body": "g", "axis": [0, 0, 1], "name": "gyro"}
+    platform = pc.read_platform(plant(inductance=1e-3, current_loop=loop) | {"rate_sensor": [gyro]})
+    held = control.StateSpace([], [], [], [[-1.0]], 1e-3, inputs=["q"], outputs=["Qg"])
+    plain, resolved = (
+        simulation.simulate(
+            simulation.Scenario(platform=platform, mode="caged", duration=0.02, delay=0.0, q=[0.1], resolvers=laws),
+            [held],
+            period=1e-3,
+        )
+        for laws in ((), (resolver(platform, ["g"], ["gyro"], 5.0),))
+    )
+    assert resolved.reading.shape[1] == plain.reading.shape[1] + 1
+    np.testing.assert_array_equal(resolved.torque, plain.torque)
+    np.testing.assert_array_equal(resolved.command, plain.command)

@@ -1,4 +1,4 @@
-"""Arithmetic of the kernel: functions of its numbers, and vectors and inertias in the memory of a run.
+"""Arithmetic of the kernel: functions of its numbers.
 
 Cosine and sine, exponential, logarithm and hyperbolic tangent are correct to an ulp or two: arguments are brought to a
 small interval in steps of pi/2 or ln 2 held in two or three parts (Cody and Waite 1980); there Taylor's series in the
@@ -7,15 +7,8 @@ nested form, long enough for a double.
 
 from __future__ import annotations
 
-from platform_ctrl.common.compiling import hand_on_by_reference, inlined
-from platform_ctrl.common.simd import Number, choose, load, mantissa_and_exponent, power_of_two, store, whole
-from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arrays import At, Links
-
-Vector = tuple[Number, Number, Number]
-
-hand_on_by_reference(arrays.At, arrays.Layout, arrays.Links, arrays.PlacedLinks, arrays.Shared)
+from platform_ctrl.common.compiling import inlined
+from platform_ctrl.common.simd import Number, choose, exponent, greater, lesser, mantissa, power_of_two, whole
 
 # pi/2 and ln 2 in parts; the first ones have zeros at their ends, so that a multiple of them is exact.
 _HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
@@ -61,7 +54,7 @@ def exponential(x: Number) -> Number:
 @inlined
 def logarithm(x: Number) -> Number:
     """Return ln x of a normal x > 0."""
-    m, e = mantissa_and_exponent(x)
+    m, e = mantissa(x), exponent(x)
     high = m > _ROOT_HALF
     m, e = choose(high, 0.5 * m, m), choose(high, e + 1.0, e)
     # With t = f/(2 + f), ln(1 + f) = 2 artanh t = f - t (f - series), where f is exact.
@@ -84,97 +77,6 @@ def hyperbolic_tangent(x: Number) -> Number:
 
 
 @inlined
-def vector(mem: FloatArray, slot: int) -> Vector:
-    """Return the vector at a slot."""
-    return load(mem, slot), load(mem, slot + 1), load(mem, slot + 2)
-
-
-@inlined
-def put(mem: FloatArray, slot: int, x: Number, y: Number, z: Number) -> None:
-    """Store a vector at a slot."""
-    store(mem, slot, x)
-    store(mem, slot + 1, y)
-    store(mem, slot + 2, z)
-
-
-@inlined
-def copy(mem: FloatArray, slot: int, source: int, count: int) -> None:
-    """Store the numbers at some slots, from `source` on, at as many from `slot` on."""
-    for i in range(count):
-        store(mem, slot + i, load(mem, source + i))
-
-
-@inlined
-def add(mem: FloatArray, slot: int, number: Number) -> None:
-    """Add to the number at a slot."""
-    store(mem, slot, load(mem, slot) + number)
-
-
-@inlined
-def from_parent(links: Links, mem: FloatArray, m: int, slot: int) -> Vector:
-    """A vector of the parent, in the axes that gimbal m of the order has at q = 0."""
-    tree, turn = links.tree, links.turn
-    i, j, k = slot + tree[m, arrays.X], slot + tree[m, arrays.Y], slot + tree[m, arrays.Z]
-    x, y, z = load(mem, i), load(mem, j), load(mem, k)
-    if tree[m, arrays.SKEW] != 0:
-        return (
-            turn[m, 0, 0] * x + turn[m, 0, 1] * y + turn[m, 0, 2] * z,
-            turn[m, 1, 0] * x + turn[m, 1, 1] * y + turn[m, 1, 2] * z,
-            turn[m, 2, 0] * x + turn[m, 2, 1] * y + turn[m, 2, 2] * z,
-        )
-    return x, y, z
-
-
-@inlined
-def to_parent(
-    links: Links, mem: FloatArray, m: int, slot: int, c: Number, s: Number, x: Number, y: Number, z: Number
-) -> None:
-    """Add a vector of gimbal m of the order to one of its parent."""
-    tree, turn = links.tree, links.turn
-    x, y = c * x - s * y, s * x + c * y
-    if tree[m, arrays.SKEW] != 0:
-        for i in range(3):
-            add(mem, slot + i, turn[m, 0, i] * x + turn[m, 1, i] * y + turn[m, 2, i] * z)
-    else:
-        add(mem, slot + tree[m, arrays.X], x)
-        add(mem, slot + tree[m, arrays.Y], y)
-        add(mem, slot + tree[m, arrays.Z], z)
-
-
-@inlined
-def times(mem: FloatArray, slot: int, x: Number, y: Number, z: Number) -> Vector:
-    """The inertia at `slot` times a vector."""
-    xx, yy, zz = vector(mem, slot)
-    xy, xz, yz = vector(mem, slot + 3)
-    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
-
-
-@inlined
-def whole_inertia_to_parent(links: Links, mem: FloatArray, at: At, m: int, slot: int) -> None:
-    """Add the articulated inertia at `slot`, all six of it, to the parent's: skew axes and locked joints."""
-    tree, turn = links.tree, links.turn
-    work = slot - arrays.INERTIA
-    c, s = load(mem, work + arrays.COS), load(mem, work + arrays.SIN)
-    xx, yy, zz = vector(mem, slot)
-    xy, xz, yz = vector(mem, slot + 3)
-    a, b = c * xx - s * xy, c * xy - s * yy
-    trace = xx + yy
-    xx, xy = c * a - s * b, s * a + c * b
-    yy = trace - xx
-    xz, yz = c * xz - s * yz, s * xz + c * yz
-    up = at.work + tree[m, arrays.PARENT] * arrays.WORK + arrays.INERTIA
-    if tree[m, arrays.SKEW] != 0:
-        for i in range(3):
-            ax, ay, az = turn[m, 0, i], turn[m, 1, i], turn[m, 2, i]
-            u, v, w = xx * ax + xy * ay + xz * az, xy * ax + yy * ay + yz * az, xz * ax + yz * ay + zz * az
-            add(mem, up + i, ax * u + ay * v + az * w)
-            for j in range(i):
-                turned = turn[m, 0, j] * u + turn[m, 1, j] * v + turn[m, 2, j] * w
-                add(mem, up + 2 + i + j, turned)  # xy 3, xz 4, yz 5
-    else:
-        add(mem, up + tree[m, arrays.XX], xx)
-        add(mem, up + tree[m, arrays.YY], yy)
-        add(mem, up + tree[m, arrays.ZZ], zz)
-        add(mem, up + tree[m, arrays.XY], xy)
-        add(mem, up + tree[m, arrays.XZ], xz)
-        add(mem, up + tree[m, arrays.YZ], yz)
+def within(x: Number, limit: Number) -> Number:
+    """Return x, or where it is beyond ± a limit that limit."""
+    return lesser(greater(x, -limit), limit)

@@ -12,21 +12,10 @@ from platform_ctrl.common.values import FloatArray
 # Effects of a fault on a part. Actions on one part follow each other in this order.
 RUN_DOWN, RUN_UP, RIPPLE, TORQUER_WEAK, TORQUER_STUCK, TORQUER_DEAD = range(6)
 PICKOFF_DRIFT, PICKOFF_DROPOUT, PICKOFF_STUCK, PICKOFF_DEAD, OVERRUN, CONTACT = range(6, 12)
-# The same by the names that `platform_ctrl.job.faults.FaultKind.action` gives.
-ACTIONS = {
-    "run-down": RUN_DOWN,
-    "run-up": RUN_UP,
-    "ripple": RIPPLE,
-    "share of torque": TORQUER_WEAK,
-    "constant torque": TORQUER_STUCK,
-    "no torque": TORQUER_DEAD,
-    "drift": PICKOFF_DRIFT,
-    "lost readings": PICKOFF_DROPOUT,
-    "last reading": PICKOFF_STUCK,
-    "no reading": PICKOFF_DEAD,
-    "missed samples": OVERRUN,
-    "impulse": CONTACT,
-}
+# The same, in the same order, by the names that `platform_ctrl.job.faults.FaultKind.action` gives.
+_NAMES = """run-down, run-up, ripple, share of torque, constant torque, no torque, drift, lost readings, last reading,
+    no reading, missed samples, impulse"""
+ACTIONS = {name.strip(): action for action, name in enumerate(_NAMES.split(","))}
 
 # Columns of `Shared.sensors`, a row for each sensor: begin and end of its terms; row of its low-pass, or -1; samples
 # that it is late, and where in `Layout.late` the last ones are; samples from one reading to the next.

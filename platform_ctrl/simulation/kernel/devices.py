@@ -11,8 +11,9 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import LANES, Mask, Number, choose, greater, lesser, load, root, store, store_one
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import copy, cosine_and_sine, logarithm, put
+from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine, logarithm, within
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Shared
+from platform_ctrl.simulation.kernel.slots import add, copy, put, put_where
 
 
 @inlined
@@ -50,8 +51,8 @@ def hold_equilibrium(shared: Shared, mem: FloatArray, at: At, layout: Layout) ->
     nu = shared.targets.shape[0]
     for i in range(nu):
         slot = layout.torquer + i * arrays.TORQUER
-        wanted, limit = load(mem, slot + arrays.EQUILIBRIUM), load(mem, slot + arrays.LIMIT)
-        torque = lesser(greater(wanted, -limit), limit)
+        wanted = load(mem, slot + arrays.EQUILIBRIUM)
+        torque = within(wanted, load(mem, slot + arrays.LIMIT))
         store(mem, layout.command + i, wanted)
         store(mem, slot + arrays.SLEWED, torque)
         store(mem, slot + arrays.TORQUE, torque)
@@ -62,7 +63,7 @@ def hold_equilibrium(shared: Shared, mem: FloatArray, at: At, layout: Layout) ->
             winding = at.winding + m * arrays.WINDING
             current = torque / load(mem, winding)
             v = load(mem, winding + arrays.RESISTANCE) * current
-            put(mem, at.state + at.currents + 3 * m, current, v, v)
+            put(mem, at.state + at.currents + 3 * m, (current, v, v))
 
 
 @inlined
@@ -103,10 +104,9 @@ def new_torque(shared: Shared, mem: FloatArray, layout: Layout, segment: int, so
             else:
                 # SECOND: whether it is stuck already.
                 fresh = on & (load(mem, fault + arrays.SECOND) < 0.5)
-                stuck = choose(fresh, torque, load(mem, fault + arrays.STUCK))
-                store(mem, fault + arrays.STUCK, stuck)
-                store(mem, fault + arrays.SECOND, choose(fresh, 0.0 * t + 1.0, load(mem, fault + arrays.SECOND)))
-                level = choose(on, stuck, level)
+                put_where(mem, fault + arrays.STUCK, fresh, torque)
+                put_where(mem, fault + arrays.SECOND, fresh, 0.0 * t + 1.0)
+                level = choose(on, load(mem, fault + arrays.STUCK), level)
         sound = fixed < 0.5
         held = choose(sound, held, level)
         store(mem, slot + arrays.HELD, held)
@@ -126,10 +126,8 @@ def put_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, row: in
     for i in range(3, at.n + 3):
         store(mem, T + i, load(mem, layout.steady + i) + load(mem, pushed + i))
     for i in range(shared.targets.shape[0]):
-        target = T + shared.targets[i]
         slot = layout.torquer + i * arrays.TORQUER
-        torque = load(mem, slot + arrays.PER_COMMAND) * load(mem, slot + arrays.TORQUE)
-        store(mem, target, load(mem, target) + torque)
+        add(mem, T + shared.targets[i], load(mem, slot + arrays.PER_COMMAND) * load(mem, slot + arrays.TORQUE))
     for m in range(at.windings):
         slot = layout.torquer + (at.torquers - at.windings + m) * arrays.TORQUER
         store(mem, T + at.wanted + m, load(mem, slot + arrays.TORQUE))

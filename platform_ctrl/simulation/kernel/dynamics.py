@@ -34,21 +34,13 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Number, choose, load, root, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays, forces
-from platform_ctrl.simulation.kernel.arithmetic import (
-    Vector,
-    add,
-    copy,
-    cosine_and_sine,
-    from_parent,
-    put,
-    times,
-    to_parent,
-    vector,
-    whole_inertia_to_parent,
-)
+from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine
 from platform_ctrl.simulation.kernel.arrays import At, Links
+from platform_ctrl.simulation.kernel.axes import from_parent, to_parent, whole_inertia_to_parent
 from platform_ctrl.simulation.kernel.flexible import drive_torques, mode_derivatives
 from platform_ctrl.simulation.kernel.placed import placed_derivative, placed_momenta
+from platform_ctrl.simulation.kernel.slots import add, copy, put, times, vector
+from platform_ctrl.simulation.kernel.vectors import Vector, cross, dot, minus, plus, scaled, turned
 
 
 @inlined
@@ -61,8 +53,7 @@ def _outward(links: Links, mem: FloatArray, at: At, free: bool, bare: bool, y: i
         copy(mem, slot + arrays.INERTIA, at.body + b * arrays.BODY, 6)
     copy(mem, at.work + arrays.RATE, y + n, 3)
     if at.weight != 0:
-        f0, f1, f2 = forces.felt_by_root(mem, at, y, around)
-        put(mem, at.work + arrays.FORCE, f0, f1, f2)
+        put(mem, at.work + arrays.FORCE, forces.felt_by_root(mem, at, y, around))
     for m in range(n):
         k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
         slot = at.work + (k + 1) * arrays.WORK
@@ -70,35 +61,28 @@ def _outward(links: Links, mem: FloatArray, at: At, free: bool, bare: bool, y: i
         store(mem, slot + arrays.COS, c)
         store(mem, slot + arrays.SIN, s)
         if free:
-            x, v, z = from_parent(links, mem, m, up + arrays.RATE)
+            x, v, z = turned(c, s, from_parent(links, mem, m, up + arrays.RATE))
             rate = load(mem, y + n + 3 + k)
-            x, v, z = c * x + s * v, c * v - s * x, z + rate
-            put(mem, slot + arrays.RATE, x, v, z)
+            put(mem, slot + arrays.RATE, (x, v, z + rate))
             store(mem, slot + arrays.PRODUCT, v * rate)
             store(mem, slot + arrays.PRODUCT + 1, -x * rate)
         if at.weight != 0:
-            x, v, z = from_parent(links, mem, m, up + arrays.FORCE)
-            put(mem, slot + arrays.FORCE, c * x + s * v, c * v - s * x, z)
+            put(mem, slot + arrays.FORCE, turned(c, s, from_parent(links, mem, m, up + arrays.FORCE)))
     for b in range(n + 1):
-        slot = at.work + b * arrays.WORK
-        h0, h1, h2 = vector(mem, momenta + 3 * b)
+        h = vector(mem, momenta + 3 * b)
         if bare:
-            h0, h1, h2 = 0.0 * h0, 0.0 * h1, 0.0 * h2
-        put(mem, slot + arrays.MOMENT, h0, h1, h2)
+            h = scaled(0.0, h)
+        put(mem, at.work + b * arrays.WORK + arrays.MOMENT, h)
     if not bare:
-        forces.servo_momenta(links, mem, at, y, arrays.MOMENT)
+        forces.servo_momenta(links, mem, at, y)
     if free:
         for b in range(n + 1):
             slot = at.work + b * arrays.WORK
-            w0, w1, w2 = vector(mem, slot + arrays.RATE)
-            H0, H1, H2 = times(mem, at.body + b * arrays.BODY, w0, w1, w2)
-            h0, h1, h2 = vector(mem, slot + arrays.MOMENT)
-            H0, H1, H2 = H0 + h0, H1 + h1, H2 + h2
-            N0, N1, N2 = w1 * H2 - w2 * H1, w2 * H0 - w0 * H2, w0 * H1 - w1 * H0
+            w = vector(mem, slot + arrays.RATE)
+            N = cross(w, plus(times(mem, at.body + b * arrays.BODY, w), vector(mem, slot + arrays.MOMENT)))
             if at.course != 0 and not bare:
-                h0, h1, h2 = vector(mem, momenta + 3 * (n + 1 + b))
-                N0, N1, N2 = N0 + h0, N1 + h1, N2 + h2
-            put(mem, slot + arrays.MOMENT, N0, N1, N2)
+                N = plus(N, vector(mem, momenta + 3 * (n + 1 + b)))
+            put(mem, slot + arrays.MOMENT, N)
 
 
 @inlined
@@ -129,8 +113,8 @@ def _inward(links: Links, mem: FloatArray, at: At, moving: bool, locking: bool, 
             kept = 1.0 - D * ease  # 0, or 1 where the joint is locked
             if moving:
                 p2 = p2 + kept * (ux * cx + uy * cy)
-            put(mem, slot + arrays.INERTIA, xx, yy, kept * D)
-            put(mem, slot + arrays.INERTIA + 3, xy, kept * ux, kept * uy)
+            put(mem, slot + arrays.INERTIA, (xx, yy, kept * D))
+            put(mem, slot + arrays.INERTIA + 3, (xy, kept * ux, kept * uy))
             whole_inertia_to_parent(links, mem, at, m, slot + arrays.INERTIA)
         else:
             a, b = c * xx - s * xy, c * xy - s * yy
@@ -138,7 +122,7 @@ def _inward(links: Links, mem: FloatArray, at: At, moving: bool, locking: bool, 
             add(mem, up + arrays.INERTIA + links.tree[m, arrays.XX], turned)
             add(mem, up + arrays.INERTIA + links.tree[m, arrays.YY], xx + yy - turned)
             add(mem, up + arrays.INERTIA + links.tree[m, arrays.XY], s * a + c * b)
-        to_parent(links, mem, m, up + arrays.MOMENT, c, s, p0, p1, p2)
+        to_parent(links, mem, m, up + arrays.MOMENT, c, s, (p0, p1, p2))
 
 
 @inlined
@@ -146,9 +130,7 @@ def _root_acceleration(mem: FloatArray, at: At, around: int) -> Vector:
     """Solve the root's three equations: articulated inertia times acceleration = M − moment."""
     xx, yy, zz = vector(mem, at.work + arrays.INERTIA)
     xy, xz, yz = vector(mem, at.work + arrays.INERTIA + 3)
-    b0, b1, b2 = vector(mem, around)
-    p0, p1, p2 = vector(mem, at.work + arrays.MOMENT)
-    b0, b1, b2 = b0 - p0, b1 - p1, b2 - p2
+    b0, b1, b2 = minus(vector(mem, around), vector(mem, at.work + arrays.MOMENT))
     d0 = choose(xx > 0.0, 1.0 / xx, float("nan") * xx)
     l10, l20 = xy * d0, xz * d0
     yy = yy - l10 * xy
@@ -172,8 +154,7 @@ def _accelerate(links: Links, mem: FloatArray, at: At, moving: bool, locking: bo
         k, up = links.tree[m, arrays.GIMBAL], at.work + links.tree[m, arrays.PARENT] * arrays.WORK
         slot = at.work + (k + 1) * arrays.WORK
         c, s = load(mem, slot + arrays.COS), load(mem, slot + arrays.SIN)
-        x, y, z = from_parent(links, mem, m, up + field)
-        x, y = c * x + s * y, c * y - s * x
+        x, y, z = turned(c, s, from_parent(links, mem, m, up + field))
         if moving:
             x, y = x + load(mem, slot + arrays.PRODUCT), y + load(mem, slot + arrays.PRODUCT + 1)
         along = z
@@ -182,7 +163,7 @@ def _accelerate(links: Links, mem: FloatArray, at: At, moving: bool, locking: bo
         own = load(mem, slot + arrays.DRIVE) - load(mem, slot + arrays.GAIN_X) * x - load(mem, slot + arrays.GAIN_Y) * y
         own = own - along
         store(mem, result + k, own)
-        put(mem, slot + field, x, y, z + own)
+        put(mem, slot + field, (x, y, z + own))
 
 
 @inlined
@@ -190,10 +171,9 @@ def _sum_moments(links: Links, mem: FloatArray, at: At) -> None:
     """Sum MOMENT over the subtrees."""
     for m in range(at.n - 1, -1, -1):
         slot = at.work + (links.tree[m, arrays.GIMBAL] + 1) * arrays.WORK
-        H0, H1, H2 = vector(mem, slot + arrays.MOMENT)
         c, s = load(mem, slot + arrays.COS), load(mem, slot + arrays.SIN)
         up = at.work + links.tree[m, arrays.PARENT] * arrays.WORK + arrays.MOMENT
-        to_parent(links, mem, m, up, c, s, H0, H1, H2)
+        to_parent(links, mem, m, up, c, s, vector(mem, slot + arrays.MOMENT))
 
 
 @inlined
@@ -202,11 +182,9 @@ def _momenta(links: Links, mem: FloatArray, at: At, y: int, around: int) -> None
     n = at.n
     for b in range(n + 1):
         slot = at.work + b * arrays.WORK
-        h0, h1, h2 = vector(mem, around + n + 9 + 3 * b)
-        w0, w1, w2 = vector(mem, slot + arrays.RATE)
-        H0, H1, H2 = times(mem, at.body + b * arrays.BODY, w0, w1, w2)
-        put(mem, slot + arrays.MOMENT, H0 + h0, H1 + h1, H2 + h2)
-    forces.servo_momenta(links, mem, at, y, arrays.MOMENT)
+        H = times(mem, at.body + b * arrays.BODY, vector(mem, slot + arrays.RATE))
+        put(mem, slot + arrays.MOMENT, plus(H, vector(mem, around + n + 9 + 3 * b)))
+    forces.servo_momenta(links, mem, at, y)
     _sum_moments(links, mem, at)
 
 
@@ -215,8 +193,7 @@ def _turn(mem: FloatArray, at: At, y: int, dy: int) -> None:
     """Derivative of the attitude."""
     W0, W1, W2 = vector(mem, y + at.n)
     e, d = y + 2 * at.n + 3, dy + 2 * at.n + 3
-    e0, e1 = 0.5 * load(mem, e), 0.5 * load(mem, e + 1)
-    e2, e3 = 0.5 * load(mem, e + 2), 0.5 * load(mem, e + 3)
+    e0, (e1, e2, e3) = 0.5 * load(mem, e), scaled(0.5, vector(mem, e + 1))
     store(mem, d, -e1 * W0 - e2 * W1 - e3 * W2)
     store(mem, d + 1, e0 * W0 + e2 * W2 - e3 * W1)
     store(mem, d + 2, e0 * W1 + e3 * W0 - e1 * W2)
@@ -240,41 +217,32 @@ def derivative(
         return
     _outward(links, mem, at, free, bare, y, around)
     if free:
+        forces.free_rates(mem, at, locking, y, dy)
+    else:
+        _inward(links, mem, at, at.no, locking, y + n + 3)
+        _accelerate(links, mem, at, at.no, locking, arrays.RATE, dy)
         for k in range(n):
-            rate = load(mem, y + n + 3 + k)
-            if locking:
-                rate = rate * (1.0 - load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED))
-            store(mem, dy + k, rate)
-            Q = load(mem, around + 3 + k)
-            if at.joints != 0 and not bare:
-                Q = Q + forces.joint_torque(mem, at, y, k, rate)
-            store(mem, torque + k, Q)
-        if not bare:
-            drive_torques(links, mem, at, y, around, dy)
+            store(mem, torque + k, 0.0 * load(mem, dy + k))
+    forces.joint_torques(mem, at, bare, y, around, dy)
+    if not bare:
+        drive_torques(links, mem, at, y, around, dy)
+    if free:
         if at.weight != 0 and not bare:
             forces.unbalance_moments(mem, at)
             forces.erection_torques(links, mem, at, torque)
         if at.servos != 0 and not bare:
             forces.servo_drives(links, mem, at, at.yes, y, dy)
         _inward(links, mem, at, at.yes, locking, torque)
-        x, v, z = _root_acceleration(mem, at, around)
-        put(mem, dy + n, x, v, z)
-        put(mem, at.work + arrays.ACCELERATION, x, v, z)
+        acceleration = _root_acceleration(mem, at, around)
+        put(mem, dy + n, acceleration)
+        put(mem, at.work + arrays.ACCELERATION, acceleration)
         _accelerate(links, mem, at, at.yes, locking, arrays.ACCELERATION, torque)
     else:
-        _inward(links, mem, at, at.no, locking, y + n + 3)
-        _accelerate(links, mem, at, at.no, locking, arrays.RATE, dy)
-        for k in range(n):
-            Q = load(mem, around + 3 + k)
-            if at.joints != 0:
-                Q = Q + forces.joint_torque(mem, at, y, k, load(mem, dy + k))
-            store(mem, torque + k, Q)
-        drive_torques(links, mem, at, y, around, dy)
         if at.weight != 0:
             # Moments that act on the carriers, summed over the subtrees.
             zero = 0.0 * load(mem, y)
             for b in range(n + 1):
-                put(mem, at.work + b * arrays.WORK + arrays.MOMENT, zero, zero, zero)
+                put(mem, at.work + b * arrays.WORK + arrays.MOMENT, (zero, zero, zero))
             forces.unbalance_moments(mem, at)
             _sum_moments(links, mem, at)
             for k in range(n):
@@ -329,65 +297,67 @@ def push(mem: FloatArray, at: At, free: bool, k: int, dy: int, impulse: Number) 
     """Change the state by an impulse at joint k; with a free root `dy` holds the response to it."""
     n = at.n
     if free:
-        for i in range(n + 3):
-            v = at.state + n + i
-            store(mem, v, load(mem, v) + impulse * load(mem, dy + n + i))
+        for i in range(n, 2 * n + 3):
+            add(mem, at.state + i, impulse * load(mem, dy + i))
     else:
-        p = at.state + n + 3 + k
-        store(mem, p, load(mem, p) + impulse)
+        add(mem, at.state + n + 3 + k, impulse)
 
 
 @internal
-def joint_momenta(links: Links, mem: FloatArray, at: At, y: int, around: int, result: int) -> None:
-    """Joint momenta dT/dqdot of a state whose v holds the rates; all of it stays in the root's MOMENT."""
-    if not placed_momenta(links, mem, at, y, around):
-        _outward(links, mem, at, at.yes, at.no, y, around)
-        _momenta(links, mem, at, y, around)
+def joint_momenta(links: Links, mem: FloatArray, at: At, around: int, result: int) -> None:
+    """Joint momenta dT/dqdot of the state, whose v holds the rates; all of it stays in the root's MOMENT."""
+    if not placed_momenta(links, mem, at, at.state, around):
+        _outward(links, mem, at, at.yes, at.no, at.state, around)
+        _momenta(links, mem, at, at.state, around)
     for k in range(at.n):
         store(mem, result + k, load(mem, at.work + (k + 1) * arrays.WORK + arrays.MOMENT + 2))
 
 
 @internal
-def runge_kutta(links: Links, mem: FloatArray, at: At, free: bool, locking: bool, y: int, step: Number) -> None:
-    """One step of the classical Runge-Kutta method, in place; three blocks of surroundings hold what acts."""
-    n, size = at.n, at.size
+def start_servos(links: Links, mem: FloatArray, at: At) -> None:
+    """Put the servo rotors' momenta in the place of their spins in the state, whose v holds the rates."""
+    if at.servos == 0:
+        return
+    joint_momenta(links, mem, at, at.surroundings, at.stages)
+    for r in range(at.servos):
+        axis, rate = at.servo + r * arrays.SERVO, at.work + links.servo_carrier[r] * arrays.WORK + arrays.RATE
+        p, carried = at.state + 2 * at.n + 7 + r, dot(vector(mem, axis), vector(mem, rate))
+        store(mem, p, load(mem, axis + arrays.C) * (load(mem, p) + carried))
+
+
+@internal
+def runge_kutta(links: Links, mem: FloatArray, at: At, free: bool, locking: bool, step: Number) -> None:
+    """One step of the classical Runge-Kutta method, of the state; three blocks of surroundings hold what acts."""
+    n, size, y = at.n, at.size, at.state
     now, dy, total = at.stages, at.stages + size, at.stages + 2 * size
     block = at.block
     if not free:
         copy(mem, y + n, at.surroundings + n + 3, 3)
+    copy(mem, now, y, size)
+    for i in range(size):
+        store(mem, total + i, 0.0 * step)
     for stage in range(4):
         around = at.surroundings + (stage + 1) // 2 * block
         if at.keeps != 0:
             store(mem, at.during, 0.5 * ((stage + 1) // 2) * step)
-        source = y if stage == 0 else now
-        derivative(links, mem, at, free, locking, at.no, source, around, dy)
+        derivative(links, mem, at, free, locking, at.no, now, around, dy)
         if at.keeps != 0:
-            forces.stand_still(mem, at, source, dy)
-        ahead = step if stage == 2 else 0.5 * step
-        if stage == 0:
-            for i in range(size):
-                d = load(mem, dy + i)
-                store(mem, total + i, d)
-                store(mem, now + i, load(mem, y + i) + ahead * d)
-        elif stage < 3:
-            for i in range(size):
-                d = load(mem, dy + i)
-                store(mem, total + i, load(mem, total + i) + 2.0 * d)
-                store(mem, now + i, load(mem, y + i) + ahead * d)
-        else:
-            sixth = step / 6.0
-            for i in range(size):
-                both = load(mem, total + i) + load(mem, dy + i)
-                store(mem, y + i, load(mem, y + i) + sixth * both)
+            forces.stand_still(mem, at, now, dy)
+        ahead, weight = step if stage == 2 else 0.5 * step, 2.0 if 0 < stage < 3 else 1.0
+        for i in range(size):
+            d = load(mem, dy + i)
+            add(mem, total + i, weight * d)
+            store(mem, now + i, load(mem, y + i) + ahead * d)
         if not free and stage < 3:
             block_ahead = at.surroundings + (stage + 2) // 2 * block
             copy(mem, now + n, block_ahead + n + 3, 3)
+    sixth = step / 6.0
+    for i in range(size):
+        add(mem, y + i, sixth * load(mem, total + i))
     if not free:
         copy(mem, y + n, at.surroundings + 2 * block + n + 3, 3)
     e = y + 2 * n + 3
-    square = 0.0 * load(mem, e)
-    for i in range(4):
-        square = square + load(mem, e + i) * load(mem, e + i)
-    scale = 1.0 / root(square)
-    for i in range(4):
-        store(mem, e + i, load(mem, e + i) * scale)
+    w, v = load(mem, e), vector(mem, e + 1)
+    scale = 1.0 / root(w * w + dot(v, v))
+    store(mem, e, scale * w)
+    put(mem, e + 1, scaled(scale, v))

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from platform_ctrl.common.compiling import inlined
-from platform_ctrl.common.simd import Number, choose, greater, lesser, load, store
+from platform_ctrl.common.simd import Number, choose, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import add, cosine_and_sine, put, vector
+from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine, within
 from platform_ctrl.simulation.kernel.arrays import At, Links
 from platform_ctrl.simulation.kernel.forces import contact, felt_by_root, missing_torque
+from platform_ctrl.simulation.kernel.slots import add, put, vector
+from platform_ctrl.simulation.kernel.vectors import dot
 
 
 @inlined
 def mode_rates(mem: FloatArray, at: At, y: int, rates: int) -> None:
     """Rates of the modes of a state whose v begins with Omega, with the joints' rates: their momenta less Γ·u."""
-    W0, W1, W2 = vector(mem, y + at.n)
     for j in range(at.modes):
         own = at.mode + j * (at.shape + at.torquers) + arrays.INERTIAL
-        g0, g1, g2 = vector(mem, own)
-        rate = load(mem, y + at.swings + 2 * j + 1) - (g0 * W0 + g1 * W1 + g2 * W2)
+        rate = load(mem, y + at.swings + 2 * j + 1) - dot(vector(mem, own), vector(mem, y + at.n))
         if at.placed != 0:
             for k in range(at.n):
                 rate = rate - load(mem, own + 3 + k) * load(mem, rates + k)
@@ -39,24 +39,17 @@ def of_modes(mem: FloatArray, at: At, values: int, apart: int, i: int) -> Number
 def mode_derivatives(mem: FloatArray, at: At, y: int, around: int, dy: int) -> None:
     """Derivatives of the modes' states; the first slots of `dy` have the joints' rates."""
     mode_rates(mem, at, y, dy)
-    f0, f1, f2 = felt_by_root(mem, at, y, around)
+    f = felt_by_root(mem, at, y, around)
     for j in range(at.modes):
         row, eta = at.mode + j * (at.shape + at.torquers), at.swings + 2 * j
-        g0, g1, g2 = vector(mem, row + arrays.BASE_FORCE)
         rate = load(mem, at.swing + j)
-        force = load(mem, around + at.block - at.modes + j) - (g0 * f0 + g1 * f1 + g2 * f2)
+        force = load(mem, around + at.block - at.modes + j) - dot(vector(mem, row + arrays.BASE_FORCE), f)
         for m in range(at.windings):
             shape = load(mem, row + at.shape + at.torquers - at.windings + m)
             force = force + shape * missing_torque(mem, at, y, around, m)
         force = force - load(mem, row + arrays.SQUARE) * load(mem, y + eta)
         store(mem, dy + eta, rate)
         store(mem, dy + eta + 1, force - load(mem, row + arrays.DAMPING) * rate)
-
-
-@inlined
-def _within(mem: FloatArray, slot: int, number: Number) -> Number:
-    limit = load(mem, slot)
-    return lesser(greater(number, -limit), limit)
 
 
 @inlined
@@ -77,14 +70,14 @@ def drive_torques(links: Links, mem: FloatArray, at: At, y: int, around: int, dy
         current, integral, delayed = vector(mem, y + state)
         error = load(mem, around + at.wanted + m) / load(mem, slot) - current
         asked = load(mem, slot + arrays.LOOP_GAIN) * error + integral
-        given = _within(mem, slot + arrays.SUPPLY, asked)
-        v = _within(mem, slot + arrays.SUPPLY, 2.0 * delayed - given)
-        v = v - load(mem, slot + arrays.RESISTANCE) * current
+        supply = load(mem, slot + arrays.SUPPLY)
+        given = within(asked, supply)
+        v = within(2.0 * delayed - given, supply) - load(mem, slot + arrays.RESISTANCE) * current
         v = v - load(mem, slot + arrays.EMF) * load(mem, dy + k)
         further = (asked - given) * error > 0.0
         rise = choose(further, zero, load(mem, slot + arrays.LOOP_INTEGRAL) * error)
         pace = load(mem, slot + arrays.PACE)
-        put(mem, dy + state, v / load(mem, slot + arrays.INDUCTANCE), rise, pace * (given - delayed))
+        put(mem, dy + state, (v / load(mem, slot + arrays.INDUCTANCE), rise, pace * (given - delayed)))
     for t in range(at.teeth + at.ripples):
         row, slot = first + at.windings + t, at.winding + at.windings * arrays.WINDING + 3 * t
         k, m = links.drive[row, 0], links.drive[row, 1]

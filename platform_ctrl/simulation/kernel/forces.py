@@ -20,16 +20,10 @@ from platform_ctrl.common.simd import (
 )
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import (
-    Vector,
-    add,
-    copy,
-    cosine_and_sine,
-    exponential,
-    hyperbolic_tangent,
-    vector,
-)
+from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine, exponential, hyperbolic_tangent, within
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
+from platform_ctrl.simulation.kernel.slots import add, add_vector, copy, put, put_where, vector
+from platform_ctrl.simulation.kernel.vectors import Vector, cross, dot, minus, plus, scaled
 
 
 @inlined
@@ -125,13 +119,34 @@ def stand_still(mem: FloatArray, at: At, y: int, dy: int) -> None:
         side = load(mem, kept + arrays.SLIDING)
         law = load(mem, at.joint + k * arrays.JOINT + arrays.LAW)
         sticks = (law > 0.5) & (law < 1.5) & (side * side < 0.5)
-        store(mem, dy + k, choose(sticks, 0.0 * side, load(mem, dy + k)))
+        put_where(mem, dy + k, sticks, 0.0 * side)
         for i in range(arrays.FRICTION):
             store(mem, dy + at.keeps + k * arrays.FRICTION + i, 0.0 * side)
 
 
 @internal
-def joint_torque(mem: FloatArray, at: At, y: int, k: int, rate: Number) -> Number:
+def free_rates(mem: FloatArray, at: At, locking: bool, y: int, dy: int) -> None:
+    """Put the joints' rates of a state with a free root into `dy`, and zeros into the slots of their torques there."""
+    for k in range(at.n):
+        rate = load(mem, y + at.n + 3 + k)
+        if locking:
+            rate = rate * (1.0 - load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED))
+        store(mem, dy + k, rate)
+        store(mem, dy + at.n + 3 + k, 0.0 * rate)
+
+
+@internal
+def joint_torques(mem: FloatArray, at: At, bare: bool, y: int, around: int, dy: int) -> None:
+    """Add to the joints' torques in `dy`, behind their rates, those from outside and, if not `bare`, of bearings."""
+    for k in range(at.n):
+        Q = load(mem, around + 3 + k)
+        if at.joints != 0 and not bare:
+            Q = Q + _bearing_torque(mem, at, y, k, load(mem, dy + k))
+        add(mem, dy + at.n + 3 + k, Q)
+
+
+@internal
+def _bearing_torque(mem: FloatArray, at: At, y: int, k: int, rate: Number) -> Number:
     """Torque of springs, friction and a cage at joint k of a state."""
     joint, q = at.joint + k * arrays.JOINT, load(mem, y + k)
     Q = load(mem, joint + arrays.PRELOAD) - load(mem, joint + arrays.STIFFNESS) * q
@@ -156,23 +171,15 @@ def contact(mem: FloatArray, slot: int, out: Number, rate: Number) -> Number:
 
 
 @inlined
-def cross(a0: Number, a1: Number, a2: Number, b0: Number, b1: Number, b2: Number) -> Vector:
-    """Cross product of two vectors."""
-    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-
-
-@inlined
 def felt_by_root(mem: FloatArray, at: At, y: int, around: int) -> Vector:
     """Specific force of the root's origin: that of the surroundings, less gravity turned to root axes (Rodrigues)."""
-    f0, f1, f2 = vector(mem, around + at.n + 6)
+    f = vector(mem, around + at.n + 6)
     if at.field != 0:
-        g0, g1, g2 = vector(mem, at.gravity)
-        e = y + 2 * at.n + 3
-        w, (v0, v1, v2) = 2.0 * load(mem, e), vector(mem, e + 1)
-        t0, t1, t2 = cross(v0, v1, v2, g0, g1, g2)
-        x, y_, z = cross(v0, v1, v2, t0, t1, t2)
-        f0, f1, f2 = f0 - g0 + w * t0 - 2.0 * x, f1 - g1 + w * t1 - 2.0 * y_, f2 - g2 + w * t2 - 2.0 * z
-    return f0, f1, f2
+        g, e = vector(mem, at.gravity), y + 2 * at.n + 3
+        w, v = 2.0 * load(mem, e), vector(mem, e + 1)
+        t = cross(v, g)
+        f = minus(plus(minus(f, g), scaled(w, t)), scaled(2.0, cross(v, t)))
+    return f
 
 
 @inlined
@@ -183,13 +190,22 @@ def missing_torque(mem: FloatArray, at: At, y: int, around: int, m: int) -> Numb
 
 
 @inlined
-def servo_momenta(links: Links, mem: FloatArray, at: At, y: int, field: int) -> None:
-    """Add P s of the servo rotors to a vector of their carriers."""
+def servo_momenta(links: Links, mem: FloatArray, at: At, y: int) -> None:
+    """Add P s of the servo rotors to MOMENT of their carriers."""
     for r in range(at.servos):
-        slot = at.work + links.servo_carrier[r] * arrays.WORK + field
-        p = load(mem, y + 2 * at.n + 7 + r)
-        for i in range(3):
-            add(mem, slot + i, p * load(mem, at.servo + r * arrays.SERVO + i))
+        slot = at.work + links.servo_carrier[r] * arrays.WORK + arrays.MOMENT
+        momentum = scaled(load(mem, y + 2 * at.n + 7 + r), vector(mem, at.servo + r * arrays.SERVO))
+        add_vector(mem, slot, momentum)
+
+
+@inlined
+def servo_motor(links: Links, mem: FloatArray, at: At, y: int, r: int) -> tuple[Number, Number]:
+    """Spin of a servo rotor against its carrier, whose rate the workspace holds, and the torque that its loop wants."""
+    row, work = at.servo + r * arrays.SERVO, at.work + links.servo_carrier[r] * arrays.WORK
+    p, x = load(mem, y + 2 * at.n + 7 + r), load(mem, y + 2 * at.n + 7 + at.servos + r)
+    spin = p / load(mem, row + arrays.C) - dot(vector(mem, row), vector(mem, work + arrays.RATE))
+    wanted = -load(mem, row + arrays.GAIN) * (spin - load(mem, row + arrays.SPIN))
+    return spin, wanted - load(mem, row + arrays.INTEGRAL) * x
 
 
 @inlined
@@ -198,21 +214,14 @@ def servo_drives(links: Links, mem: FloatArray, at: At, react: bool, y: int, dy:
     p, x = 2 * at.n + 7, 2 * at.n + 7 + at.servos
     for r in range(at.servos):
         row, work = at.servo + r * arrays.SERVO, at.work + links.servo_carrier[r] * arrays.WORK
-        s0, s1, s2 = vector(mem, row)
-        w0, w1, w2 = vector(mem, work + arrays.RATE)
-        spin = load(mem, y + p + r) / load(mem, row + arrays.C) - (s0 * w0 + s1 * w1 + s2 * w2)
-        error = spin - load(mem, row + arrays.SPIN)
-        limit = load(mem, row + arrays.TORQUE_LIMIT)
-        wanted = -load(mem, row + arrays.GAIN) * error
-        wanted = wanted - load(mem, row + arrays.INTEGRAL) * load(mem, y + x + r)
-        torque = lesser(greater(wanted, -limit), limit)
+        spin, wanted = servo_motor(links, mem, at, y, r)
+        error, limit = spin - load(mem, row + arrays.SPIN), load(mem, row + arrays.TORQUE_LIMIT)
+        torque = within(wanted, limit)
         further = ((wanted >= limit) & (error < 0.0)) | ((wanted <= -limit) & (error > 0.0))
         store(mem, dy + p + r, torque)
         store(mem, dy + x + r, choose(further, 0.0 * error, error))
         if react:
-            add(mem, work + arrays.MOMENT, torque * s0)
-            add(mem, work + arrays.MOMENT + 1, torque * s1)
-            add(mem, work + arrays.MOMENT + 2, torque * s2)
+            add_vector(mem, work + arrays.MOMENT, scaled(torque, vector(mem, row)))
 
 
 @inlined
@@ -220,26 +229,20 @@ def unbalance_moments(mem: FloatArray, at: At) -> None:
     """Add the unbalances' moments on the carriers to MOMENT, with the sign of what has to be held."""
     for b in range(at.n + 1):
         slot = at.work + b * arrays.WORK
-        u0, u1, u2 = vector(mem, at.body + b * arrays.BODY + arrays.UNBALANCE)
-        f0, f1, f2 = vector(mem, slot + arrays.FORCE)
-        add(mem, slot + arrays.MOMENT, u1 * f2 - u2 * f1)
-        add(mem, slot + arrays.MOMENT + 1, u2 * f0 - u0 * f2)
-        add(mem, slot + arrays.MOMENT + 2, u0 * f1 - u1 * f0)
+        unbalance = vector(mem, at.body + b * arrays.BODY + arrays.UNBALANCE)
+        add_vector(mem, slot + arrays.MOMENT, cross(unbalance, vector(mem, slot + arrays.FORCE)))
 
 
 @inlined
 def erection_torques(links: Links, mem: FloatArray, at: At, dy: int) -> None:
     """Add the erecting devices' torques to the joints' in `dy`."""
-    f0, f1, f2 = vector(mem, at.work + arrays.FORCE)
-    size = root(f0 * f0 + f1 * f1 + f2 * f2)
+    f = vector(mem, at.work + arrays.FORCE)
+    size = root(dot(f, f))
     scale = choose(size > 0.0, 1.0 / size, 0.0 * size)
     for e in range(links.erection.shape[0]):
         row, slot = at.erection + e * arrays.ERECTION, at.work + links.erection[e, 1] * arrays.WORK + arrays.FORCE
-        s0, s1, s2 = vector(mem, row)
-        f0, f1, f2 = vector(mem, slot)
-        Q = load(mem, row + arrays.ERECTION_GAIN) * (s0 * f0 + s1 * f1 + s2 * f2) * scale
-        limit = load(mem, row + arrays.ERECTION_LIMIT)
-        add(mem, dy + links.erection[e, 0], lesser(greater(Q, -limit), limit))
+        Q = load(mem, row + arrays.ERECTION_GAIN) * dot(vector(mem, row), vector(mem, slot)) * scale
+        add(mem, dy + links.erection[e, 0], within(Q, load(mem, row + arrays.ERECTION_LIMIT)))
 
 
 @inlined
@@ -263,24 +266,12 @@ def _look_up(shared: Shared, mem: FloatArray, t: int, scale: int, result: int) -
 
 
 @inlined
-def _half_cosine(mem: FloatArray, layout: Layout, t: Number) -> Number:
-    """How much of the half-cosine's rate is there."""
-    rise, hold = load(mem, layout.rate + arrays.RISE), load(mem, layout.rate + arrays.HOLD)
-    zero = 0.0 * t
-    inside = lesser(t, 2.0 * rise + hold - t)
-    slow = rise > 0.0
-    part = lesser(greater(inside / choose(slow, rise, zero + 1.0), zero), zero + 1.0)
-    part = choose(slow, part, choose(inside >= 0.0, zero + 1.0, zero))
+def _risen(t: Number, rise: Number) -> Number:
+    """How much is there at t of what rises as a half-cosine from t = 0 on, at once where `rise` is 0."""
+    slow, zero = rise > 0.0, 0.0 * t
+    part = lesser(greater(t / choose(slow, rise, zero + 1.0), zero), zero + 1.0)
+    part = choose(slow, part, choose(t >= 0.0, zero + 1.0, zero))
     c, _ = cosine_and_sine(math.pi * part)
-    return 0.5 - 0.5 * c
-
-
-@inlined
-def _faded(mem: FloatArray, layout: Layout, t: Number) -> Number:
-    """How much of the vibrations and sines is there."""
-    fade, zero = load(mem, layout.rate + arrays.FADE), 0.0 * t
-    slow = fade > 0.0
-    c, _ = cosine_and_sine(math.pi * choose(slow, lesser(t / choose(slow, fade, zero + 1.0), zero + 1.0), zero + 1.0))
     return 0.5 - 0.5 * c
 
 
@@ -328,9 +319,7 @@ def follow_rotors(shared: Shared, mem: FloatArray, at: At, layout: Layout, t: Nu
             mean = 0.5 * (load(mem, rotor + arrays.LAST_SHARE) + share)
             store(mem, at.servo + servo * arrays.SERVO + arrays.SPIN, mean * load(mem, rotor))
             continue
-        for i in range(3):
-            h = first + 2 * block + 3 * body + i
-            store(mem, h, load(mem, h) + (share - 1.0) * load(mem, rotor + i))
+        add_vector(mem, first + 2 * block + 3 * body, scaled(share - 1.0, vector(mem, rotor)))
     for i in range(3 * (n + 1)):
         before, after = load(mem, first + i), load(mem, first + 2 * block + i)
         store(mem, first + block + i, 0.5 * (before + after))
@@ -379,13 +368,11 @@ def surround(
     zero = 0.0 * t
     Omega, force = block + n + 3, block + n + 6
     if not free:
+        share = zero
         if layout.profile != 0:
-            share = _half_cosine(mem, layout, t)
-            for i in range(3):
-                store(mem, Omega + i, share * load(mem, layout.rate + i))
-        else:
-            for i in range(3):
-                store(mem, Omega + i, zero)
+            rise, hold = load(mem, layout.rate + arrays.RISE), load(mem, layout.rate + arrays.HOLD)
+            share = _risen(lesser(t, 2.0 * rise + hold - t), rise)
+        put(mem, Omega, scaled(share, vector(mem, layout.rate)))
     for i in range(n):
         store(mem, layout.pushed + row * n + i, zero)
     if shared.pieces.shape[0] > 0:
@@ -396,14 +383,14 @@ def surround(
             if free:
                 store(mem, layout.table + 3 * row + i, load(mem, layout.steady + i) + value)
             else:
-                store(mem, Omega + i, load(mem, Omega + i) + value)
+                add(mem, Omega + i, value)
         for i in range(3, shared.pieces.shape[1]):
             store(mem, layout.pushed + row * n + i - 3, load(mem, layout.random + 1 + i))
     if shared.lines.shape[0] > 0:
         copy(mem, force, layout.steady + n + 6, 3)
         there = zero + 1.0
         if layout.fade != 0:
-            there = _faded(mem, layout, t)
+            there = _risen(t, load(mem, layout.rate + arrays.FADE))
         for j in range(shared.lines.shape[0]):
             slot = layout.line + j * arrays.LINE
             c, s = load(mem, slot + arrays.PHASE), load(mem, slot + arrays.PHASE + 1)
@@ -418,4 +405,4 @@ def surround(
                 target = Omega + component  # the slots of the specific force follow those of Omega
                 if component >= 6:
                     target = layout.pushed + row * n + component - 6
-                store(mem, target, load(mem, target) + there * load(mem, slot + arrays.AMPLITUDE) * c)
+                add(mem, target, there * load(mem, slot + arrays.AMPLITUDE) * c)

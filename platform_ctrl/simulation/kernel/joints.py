@@ -6,17 +6,18 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, lesser, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import copy
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.dynamics import at_rest, derivative, joint_momenta, push, response, runge_kutta
 from platform_ctrl.simulation.kernel.forces import deflection, dry_torque
+from platform_ctrl.simulation.kernel.slots import add, copy, put_where
 
 # A run of fewer steps than these from a stop back to it ends at most as fast as it began.
 _SHORT = 20.0
 
 
 @inlined
-def _past(mem: FloatArray, at: At, layout: Layout, k: int) -> Mask:
+def past_stop(mem: FloatArray, at: At, layout: Layout, k: int) -> Mask:
+    """Whether gimbal k is beyond a stop."""
     q, stop = load(mem, at.state + k), layout.stop + k * arrays.STOP
     return (q < load(mem, stop + arrays.LOW)) | (q > load(mem, stop + arrays.HIGH))
 
@@ -30,8 +31,7 @@ def _come_anew(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool
         stop, rate = layout.stop + k * arrays.STOP, load(mem, dy + k)
         above = load(mem, at.state + k) >= load(mem, stop + arrays.HIGH)
         outward = blown & (choose(above, rate, -rate) > 1e-12)
-        touching = load(mem, stop + arrays.TOUCHING)
-        store(mem, stop + arrays.TOUCHING, choose(outward, 0.0 * rate, touching))
+        put_where(mem, stop + arrays.TOUCHING, outward, 0.0 * rate)
 
 
 @internal
@@ -84,7 +84,7 @@ def hold(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool, begi
     pressed = zero
     for k in range(n):
         touching = load(mem, layout.stop + k * arrays.STOP + arrays.TOUCHING) > 0.5
-        locked = choose(_past(mem, at, layout, k) & touching, zero + 1.0, zero)
+        locked = choose(past_stop(mem, at, layout, k) & touching, zero + 1.0, zero)
         store(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED, locked)
         pressed = greater(pressed, locked)
     if not anywhere(pressed > 0.5):
@@ -95,17 +95,16 @@ def hold(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool, begi
         store(mem, begin + i, free_step)
     if free:  # else the momenta of locked joints mean nothing
         _brake(links, mem, at, layout, free)
-    runge_kutta(links, mem, at, free, at.yes, at.state, step)
+    runge_kutta(links, mem, at, free, at.yes, step)
     if not free:
         end = at.surroundings + 2 * at.block
         derivative(links, mem, at, free, at.yes, at.no, at.state, end, at.stages)
         for k in range(n):
-            body, p = at.work + (k + 1) * arrays.WORK, at.state + n + 3 + k
+            body = at.work + (k + 1) * arrays.WORK
             locked = load(mem, body + arrays.LOCKED) > 0.5
-            store(mem, p, choose(locked, load(mem, body + arrays.MOMENT + 2), load(mem, p)))
+            put_where(mem, at.state + n + 3 + k, locked, load(mem, body + arrays.MOMENT + 2))
     for i in range(at.size):
-        here = at.state + i
-        store(mem, here, choose(pressed > 0.5, load(mem, here), load(mem, begin + i)))
+        put_where(mem, at.state + i, pressed < 0.5, load(mem, begin + i))
     return at.yes
 
 
@@ -115,24 +114,22 @@ def _put_back(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool,
     n, end = at.n, at.surroundings + 2 * at.block
     before, after, root = layout.velocity + n, at.stages, at.work + arrays.MOMENT
     if free:
-        joint_momenta(links, mem, at, at.state, end, before + 3)
+        joint_momenta(links, mem, at, end, before + 3)
         copy(mem, before, root, 3)
     for k in range(n):
         stop, q = layout.stop + k * arrays.STOP, load(mem, at.state + k)
         inside = lesser(greater(q, load(mem, stop + arrays.LOW)), load(mem, stop + arrays.HIGH))
-        store(mem, at.state + k, choose(hit, inside, q))
+        put_where(mem, at.state + k, hit, inside)
     if not free:  # the momenta are the state
         return
-    joint_momenta(links, mem, at, at.state, end, after + 3)
+    joint_momenta(links, mem, at, end, after + 3)
     copy(mem, after, root, 3)
     at_rest(mem, at)
     for i in range(n + 3):
-        missing = load(mem, before + i) - load(mem, after + i)
-        store(mem, at.spare_block + i, missing)
+        store(mem, at.spare_block + i, load(mem, before + i) - load(mem, after + i))
     derivative(links, mem, at, free, at.no, at.yes, at.spare_state, at.spare_block, at.stages)
     for i in range(n, 2 * n + 3):
-        v = load(mem, at.state + i)
-        store(mem, at.state + i, choose(hit, v + load(mem, at.stages + i), v))
+        put_where(mem, at.state + i, hit, load(mem, at.state + i) + load(mem, at.stages + i))
 
 
 @internal
@@ -159,11 +156,10 @@ def meet_stops(
     hit, lying = zero, zero
     for k in range(n):
         stop = layout.stop + k * arrays.STOP
-        past = _past(mem, at, layout, k)
+        past = past_stop(mem, at, layout, k)
         touched = load(mem, stop + arrays.TOUCHING) > 0.5
         fresh = choose(past, choose(touched, zero, zero + 1.0), zero)
-        counted = fresh * load(mem, layout.alive)
-        store(mem, contacts + k, load(mem, contacts + k) + counted)
+        add(mem, contacts + k, fresh * load(mem, layout.alive))
         touching = choose(past, zero + 1.0, zero)
         if held:
             touching = greater(touching, load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED))
@@ -195,8 +191,7 @@ def meet_stops(
                 change = choose(above, -outward - back, outward + back)
                 impulse = choose(struck, change / load(mem, dy + k), zero)
                 for j in range(n):
-                    slot = layout.velocity + j
-                    store(mem, slot, load(mem, slot) + impulse * load(mem, dy + j))
+                    add(mem, layout.velocity + j, impulse * load(mem, dy + j))
                 push(mem, at, free, k, dy, impulse)
             if settled:
                 break
@@ -204,8 +199,8 @@ def meet_stops(
         stop = layout.stop + k * arrays.STOP
         rate = load(mem, layout.velocity + k)
         bounced = load(mem, stop + arrays.TOUCHING) > 1.5
-        store(mem, stop + arrays.WHEN, choose(bounced, t, load(mem, stop + arrays.WHEN)))
-        store(mem, stop + arrays.AWAY, choose(bounced, choose(rate < 0.0, -rate, rate), load(mem, stop + arrays.AWAY)))
+        put_where(mem, stop + arrays.WHEN, bounced, t)
+        put_where(mem, stop + arrays.AWAY, bounced, choose(rate < 0.0, -rate, rate))
         store(mem, stop + arrays.TOUCHING, lesser(load(mem, stop + arrays.TOUCHING), zero + 1.0))
     return anywhere(lying > 0.5)
 
@@ -245,8 +240,7 @@ def settle_friction(links: Links, mem: FloatArray, at: At, free: bool, step: Num
         if at.dry >= 1 << arrays.BRISTLES:
             z = at.state + at.keeps + k * arrays.FRICTION + arrays.DEFLECTION
             bristles = load(mem, at.joint + k * arrays.JOINT + arrays.LAW) > 1.5
-            new = deflection(mem, at, at.state, k, zero)
-            store(mem, z, choose(bristles, new, load(mem, z)))
+            put_where(mem, z, bristles, deflection(mem, at, at.state, k, zero))
     store(mem, at.during, zero)
     if at.dry & 1 << arrays.STICKING == 0:
         return
@@ -271,11 +265,9 @@ def settle_friction(links: Links, mem: FloatArray, at: At, free: bool, step: Num
             impulse = choose(turning, (had - given) * step, zero)
             push(mem, at, free, k, dy, impulse)
             for i in range(n):
-                turns = at.during + 1 + i * arrays.DURING + arrays.TURNS
-                store(mem, turns, load(mem, turns) + impulse * load(mem, dy + i))
-            store(mem, during + arrays.HAD, choose(turning, given, had))
-            store(mem, kept + arrays.SLIDING, choose(turning, direction, side))
-            held = load(mem, kept + arrays.HELD_BY)
-            store(mem, kept + arrays.HELD_BY, choose(turning, -given, held))
+                add(mem, at.during + 1 + i * arrays.DURING + arrays.TURNS, impulse * load(mem, dy + i))
+            put_where(mem, during + arrays.HAD, turning, given)
+            put_where(mem, kept + arrays.SLIDING, turning, direction)
+            put_where(mem, kept + arrays.HELD_BY, turning, -given)
         if settled:
             return

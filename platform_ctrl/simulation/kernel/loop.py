@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from platform_ctrl.common.compiling import compiled, inlined, internal
-from platform_ctrl.common.simd import Number, anywhere, choose, greater, lesser, load, load_one, slots, store
+from platform_ctrl.common.simd import Number, anywhere, choose, load, load_one, slots, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import copy, cosine_and_sine
+from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine, within
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.devices import (
     LOSS,
@@ -24,46 +24,44 @@ from platform_ctrl.simulation.kernel.devices import (
     within_reach,
     work_on,
 )
-from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
+from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta, start_servos
 from platform_ctrl.simulation.kernel.flexible import mode_rates
-from platform_ctrl.simulation.kernel.forces import begin_surroundings, follow_rotors, hand_on, surround
-from platform_ctrl.simulation.kernel.joints import hold, meet_stops, settle_friction, strike
+from platform_ctrl.simulation.kernel.forces import begin_surroundings, follow_rotors, hand_on, servo_motor, surround
+from platform_ctrl.simulation.kernel.joints import hold, meet_stops, past_stop, settle_friction, strike
 from platform_ctrl.simulation.kernel.samples import judge, look, read, resolve, turn_bodies, update_metrics
+from platform_ctrl.simulation.kernel.slots import copy, put_where
+
+
+@inlined
+def _note(record: FloatArray, column: int, mem: FloatArray, slot: int, count: int, apart: int) -> None:
+    """Write numbers of the first scenario, `apart` slots from one another, into a row from a column on."""
+    for i in range(count):
+        record[column + i] = load_one(mem, slot + i * apart, 0)
 
 
 @inlined
 def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, layout: Layout, record: FloatArray) -> None:
     """A row for the first column: see `batch.recorded`."""
-    n, nu, column = at.n, shared.targets.shape[0], 0
-    for i in range(n):
-        record[i] = load_one(mem, at.state + i, 0)
-        record[n + i] = load_one(mem, layout.velocity + 3 + i, 0)
-        record[2 * n + 3 + i] = load_one(mem, layout.velocity + n + 3 + i, 0)
-    for i in range(3):
-        record[2 * n + i] = load_one(mem, layout.velocity + i, 0)
-    for i in range(4):
-        record[3 * n + 3 + i] = load_one(mem, at.state + 2 * n + 3 + i, 0)
-    column = 3 * n + 7
-    for i in range(layout.readings):
-        record[column + i] = load_one(mem, layout.sensor + i * arrays.SENSOR + arrays.LAST, 0)
+    n, nu, column = at.n, shared.targets.shape[0], 3 * at.n + 7
+    _note(record, 0, mem, at.state, n, 1)
+    _note(record, n, mem, layout.velocity + 3, n, 1)
+    _note(record, 2 * n, mem, layout.velocity, 3, 1)
+    _note(record, 2 * n + 3, mem, layout.velocity + n + 3, n, 1)
+    _note(record, 3 * n + 3, mem, at.state + 2 * n + 3, 4, 1)
+    _note(record, column, mem, layout.sensor + arrays.LAST, layout.readings, arrays.SENSOR)
     column += layout.readings
-    for i in range(nu):
-        record[column + i] = load_one(mem, layout.command + i, 0)
+    _note(record, column, mem, layout.command, nu, 1)
     column += 2 * nu
     # The workspace holds the carriers' rates at this sample.
     for r in range(at.servos):
-        row, work = at.servo + r * arrays.SERVO, at.work + links.servo_carrier[r] * arrays.WORK + arrays.RATE
-        spin = load_one(mem, at.state + 2 * n + 7 + r, 0) / load_one(mem, row + arrays.C, 0)
-        for i in range(3):
-            spin -= load_one(mem, row + i, 0) * load_one(mem, work + i, 0)
-        wanted = -load_one(mem, row + arrays.GAIN, 0) * (spin - load_one(mem, row + arrays.SPIN, 0))
-        wanted -= load_one(mem, row + arrays.INTEGRAL, 0) * load_one(mem, at.state + 2 * n + 7 + at.servos + r, 0)
-        record[column + r] = spin
-        limit = load_one(mem, row + arrays.TORQUE_LIMIT, 0)
-        record[column + at.servos + r] = min(max(wanted, -limit), limit)
+        spin, wanted = servo_motor(links, mem, at, at.state, r)
+        limit = load(mem, at.servo + r * arrays.SERVO + arrays.TORQUE_LIMIT)
+        store(mem, layout.random, spin)
+        store(mem, layout.random + 1, within(wanted, limit))
+        record[column + r] = load_one(mem, layout.random, 0)
+        record[column + at.servos + r] = load_one(mem, layout.random + 1, 0)
     column += 2 * at.servos
-    for i in range(shared.sensors.shape[0] - layout.sensors):
-        record[column + i] = load_one(mem, layout.sight + i, 0)
+    _note(record, column, mem, layout.sight, shared.sensors.shape[0] - layout.sensors, 1)
 
 
 @inlined
@@ -71,13 +69,11 @@ def note_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, record
     """Record the torques that act just after a sample."""
     if record.shape[0] > 0:
         nu = shared.targets.shape[0]
-        for i in range(nu):
-            column = 3 * at.n + 7 + layout.readings + nu + i
-            record[k, column] = load_one(mem, layout.torquer + i * arrays.TORQUER + arrays.TORQUE, 0)
+        column = 3 * at.n + 7 + layout.readings + nu
+        _note(record[k], column, mem, layout.torquer + arrays.TORQUE, nu, arrays.TORQUER)
         for m in range(at.windings):
-            column = 3 * at.n + 7 + layout.sensors + 2 * nu - at.windings + m
             current = load_one(mem, at.state + at.currents + 3 * m, 0)
-            record[k, column] = load_one(mem, at.winding + m * arrays.WINDING, 0) * current
+            record[k, column + nu - at.windings + m] = load_one(mem, at.winding + m * arrays.WINDING, 0) * current
 
 
 @inlined
@@ -100,12 +96,11 @@ def _driven(shared: Shared, mem: FloatArray, layout: Layout, torquer: int, total
     for d in range(layout.drives):
         if shared.first[parts + d] != torquer:
             continue
-        slot, one = layout.drive + d * arrays.DRIVEN, 0.0 * total + 1.0
-        rate = 0.0 * total
+        slot, rate = layout.drive + d * arrays.DRIVEN, 0.0 * total
         for j in range(shared.first[row + d], shared.first[row + d + 1]):
             reading = layout.sensor + (shared.column[j] - layout.states) * arrays.SENSOR + arrays.LAST
             rate = rate + shared.number[j] * load(mem, reading)
-        share = lesser(greater(rate * load(mem, slot + arrays.PER_DRIVE_RATE), -one), one)
+        share = within(rate * load(mem, slot + arrays.PER_DRIVE_RATE), 0.0 * total + 1.0)
         total = total + load(mem, slot + arrays.DRIVE_FRICTION) * share
     return total
 
@@ -141,13 +136,12 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, at: At, layout: Layout
         if row < nx:
             store(mem, layout.controller + nx + row, choose(lost, load(mem, layout.controller + row), total))
         else:
-            command = layout.command + row - nx
             excess = layout.sensor + (layout.readings + layout.commands + row - nx) * arrays.SENSOR + arrays.LAST
             store(mem, excess, within_reach(shared, mem, layout, row - nx, total) - total)
             if layout.drives > 0:
                 total = _driven(shared, mem, layout, row - nx, total)
             total = total + load(mem, layout.torquer + (row - nx) * arrays.TORQUER + arrays.EQUILIBRIUM)
-            store(mem, command, choose(lost, load(mem, command), total))
+            put_where(mem, layout.command + row - nx, ~lost, total)
     copy(mem, layout.controller, layout.controller + nx, nx)
 
 
@@ -157,7 +151,7 @@ def _survey(links: Links, mem: FloatArray, at: At, layout: Layout, free: bool) -
     n = at.n
     v = layout.velocity
     if free:
-        joint_momenta(links, mem, at, at.state, at.surroundings + 2 * at.block, v + n + 3)
+        joint_momenta(links, mem, at, at.surroundings + 2 * at.block, v + n + 3)
         copy(mem, v, at.state + n, n + 3)
     else:
         for i in range(3):
@@ -204,7 +198,7 @@ def _segment(
             put_torques(shared, mem, at, layout, row)
         if contact:
             copy(mem, layout.begun, at.state, at.size)
-        runge_kutta(links, mem, at, free, at.no, at.state, step)
+        runge_kutta(links, mem, at, free, at.no, step)
         if layout.stops != 0:
             held = at.no
             if contact:
@@ -212,8 +206,7 @@ def _segment(
             past = contact
             if not past:
                 for k in range(at.n):
-                    q, stop = load(mem, at.state + k), layout.stop + k * arrays.STOP
-                    past = past or anywhere((q < load(mem, stop)) | (q > load(mem, stop + 1)))
+                    past = past or anywhere(past_stop(mem, at, layout, k))
             if past:
                 end = start + (m + 1.0) * step
                 contact = meet_stops(links, mem, at, layout, free, held, contacts, end, step)
@@ -229,6 +222,8 @@ def _begin(links: Links, shared: Shared, keys: Keys, mem: FloatArray, at: At, la
     for i in range(layout.given, layout.end):
         store(mem, i, zero)
     copy(mem, at.state, layout.start, at.size)
+    start_servos(links, mem, at)
+    copy(mem, layout.start, at.state, at.size)
     store(mem, layout.alive, zero + 1.0)
     ready_torquers(shared, mem, layout)
     hold_equilibrium(shared, mem, at, layout)
@@ -250,7 +245,7 @@ def _begin(links: Links, shared: Shared, keys: Keys, mem: FloatArray, at: At, la
     if not free:
         end = at.surroundings + 2 * at.block
         copy(mem, at.state + n, end + n + 3, 3)
-        joint_momenta(links, mem, at, at.state, end, layout.velocity)
+        joint_momenta(links, mem, at, end, layout.velocity)
         copy(mem, at.state + n + 3, layout.velocity, n)
         copy(mem, layout.start, at.state, at.size)
 
@@ -282,9 +277,8 @@ def _sample(
     going = judge(mem, at, layout, shared)
     update_metrics(shared, mem, at, layout, k)
     for i in range(nu):
-        command = within_reach(shared, mem, layout, i, load(mem, layout.command + i))
         ring = layout.ring + k % (layout.whole + 2) * nu + i
-        store(mem, ring, command)
+        store(mem, ring, within_reach(shared, mem, layout, i, load(mem, layout.command + i)))
     if record.shape[0] > 0:
         note_sample(links, shared, mem, at, layout, record[k])
     if going:

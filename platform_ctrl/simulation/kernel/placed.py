@@ -20,36 +20,38 @@ from platform_ctrl.common.compiling import internal, overloading
 from platform_ctrl.common.simd import Number, load, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import Vector, add, copy, put, times, vector
 from platform_ctrl.simulation.kernel.arrays import At, Links, PlacedLinks
-from platform_ctrl.simulation.kernel.composites import add_vector, gather, in_gimbal, in_parent, mass_matrix, solve
+from platform_ctrl.simulation.kernel.composites import gather, in_gimbal, in_parent, mass_matrix, solve
 from platform_ctrl.simulation.kernel.flexible import drive_torques, mode_derivatives, mode_rates, of_modes
-from platform_ctrl.simulation.kernel.forces import cross, erection_torques, joint_torque, servo_drives, servo_momenta
+from platform_ctrl.simulation.kernel.forces import (
+    erection_torques,
+    free_rates,
+    joint_torques,
+    servo_drives,
+    servo_momenta,
+)
+from platform_ctrl.simulation.kernel.slots import add, add_vector, copy, put, times, vector
+from platform_ctrl.simulation.kernel.vectors import Vector, cross, dot, plus, scaled
 
 
 @internal
 def _move(links: Links, mem: FloatArray, at: At, Omega: int, rates: int) -> None:
     """Bodies' rates, and their joints' velocities, against the root's origin or a floating plant's mass centre."""
-    w0, w1, w2 = vector(mem, Omega)
-    put(mem, at.work + arrays.RATE, w0, w1, w2)
-    for i in range(3):
-        speed = 0.0 * w0
-        if at.floating != 0:
-            for j in range(3 + at.n):
-                u = load(mem, Omega + j if j < 3 else rates + j - 3)
-                speed = speed - load(mem, at.push + 3 * j + i) * u
-            speed = speed / load(mem, at.moving + arrays.WHOLE)
-        store(mem, at.moving + arrays.SPEED + i, speed)
+    copy(mem, at.work + arrays.RATE, Omega, 3)
+    speed = scaled(0.0, vector(mem, Omega))
+    if at.floating != 0:
+        for j in range(3 + at.n):
+            u = load(mem, Omega + j if j < 3 else rates + j - 3)
+            speed = plus(speed, scaled(-u, vector(mem, at.push + 3 * j)))
+        speed = scaled(1.0 / load(mem, at.moving + arrays.WHOLE), speed)
+    put(mem, at.moving + arrays.SPEED, speed)
     for m in range(at.n):
         b, parent = links.tree[m, arrays.GIMBAL] + 1, links.tree[m, arrays.PARENT]
-        w0, w1, w2 = vector(mem, at.work + parent * arrays.WORK + arrays.RATE)
-        d0, d1, d2 = vector(mem, at.place + b * arrays.PLACE + arrays.ARM)
-        x, y, z = cross(w0, w1, w2, d0, d1, d2)
-        v0, v1, v2 = vector(mem, at.moving + parent * arrays.MOVING + arrays.SPEED)
-        v0, v1, v2 = in_gimbal(links, mem, at, m, v0 + x, v1 + y, v2 + z)
-        put(mem, at.moving + b * arrays.MOVING + arrays.SPEED, v0, v1, v2)
-        w0, w1, w2 = in_gimbal(links, mem, at, m, w0, w1, w2)
-        put(mem, at.work + b * arrays.WORK + arrays.RATE, w0, w1, w2 + load(mem, rates + b - 1))
+        w, arm = vector(mem, at.work + parent * arrays.WORK + arrays.RATE), at.place + b * arrays.PLACE + arrays.ARM
+        v = plus(vector(mem, at.moving + parent * arrays.MOVING + arrays.SPEED), cross(w, vector(mem, arm)))
+        put(mem, at.moving + b * arrays.MOVING + arrays.SPEED, in_gimbal(links, mem, at, m, v))
+        put(mem, at.work + b * arrays.WORK + arrays.RATE, in_gimbal(links, mem, at, m, w))
+        add(mem, at.work + b * arrays.WORK + arrays.RATE + 2, load(mem, rates + b - 1))
 
 
 @internal
@@ -57,12 +59,12 @@ def _rotors(links: Links, mem: FloatArray, at: At, y: int, around: int, rates: i
     """Momenta of the rotors against their carriers into MOMENT, of geared ones too."""
     for b in range(at.n + 1):
         copy(mem, at.work + b * arrays.WORK + arrays.MOMENT, around + at.n + 9 + 3 * b, 3)
-    servo_momenta(links, mem, at, y, arrays.MOMENT)
+    servo_momenta(links, mem, at, y)
     for m in range(at.n):
         k, parent = links.tree[m, arrays.GIMBAL], links.tree[m, arrays.PARENT]
         h2 = load(mem, at.place + (k + 1) * arrays.PLACE + arrays.GEARED) * load(mem, rates + k)
-        h0, h1, h2 = in_parent(links, mem, at, m, 0.0 * h2, 0.0 * h2, h2)
-        add_vector(mem, at.work + parent * arrays.WORK + arrays.MOMENT, h0, h1, h2)
+        h = in_parent(links, mem, at, m, (0.0 * h2, 0.0 * h2, h2))
+        add_vector(mem, at.work + parent * arrays.WORK + arrays.MOMENT, h)
 
 
 @internal
@@ -70,14 +72,11 @@ def _inward(links: Links, mem: FloatArray, at: At) -> None:
     """Sums over the subtrees: MOMENT about the joints, and LINEAR."""
     for m in range(at.n - 1, -1, -1):
         b, parent = links.tree[m, arrays.GIMBAL] + 1, links.tree[m, arrays.PARENT]
-        N0, N1, N2 = vector(mem, at.work + b * arrays.WORK + arrays.MOMENT)
-        F0, F1, F2 = vector(mem, at.moving + b * arrays.MOVING + arrays.LINEAR)
-        N0, N1, N2 = in_parent(links, mem, at, m, N0, N1, N2)
-        F0, F1, F2 = in_parent(links, mem, at, m, F0, F1, F2)
-        d0, d1, d2 = vector(mem, at.place + b * arrays.PLACE + arrays.ARM)
-        x, y, z = cross(d0, d1, d2, F0, F1, F2)
-        add_vector(mem, at.work + parent * arrays.WORK + arrays.MOMENT, N0 + x, N1 + y, N2 + z)
-        add_vector(mem, at.moving + parent * arrays.MOVING + arrays.LINEAR, F0, F1, F2)
+        N = in_parent(links, mem, at, m, vector(mem, at.work + b * arrays.WORK + arrays.MOMENT))
+        F = in_parent(links, mem, at, m, vector(mem, at.moving + b * arrays.MOVING + arrays.LINEAR))
+        N = plus(N, cross(vector(mem, at.place + b * arrays.PLACE + arrays.ARM), F))
+        add_vector(mem, at.work + parent * arrays.WORK + arrays.MOMENT, N)
+        add_vector(mem, at.moving + parent * arrays.MOVING + arrays.LINEAR, F)
 
 
 @internal
@@ -86,15 +85,10 @@ def _momenta(links: Links, mem: FloatArray, at: At, y: int, around: int, rates: 
     _rotors(links, mem, at, y, around, rates)
     for b in range(at.n + 1):
         work, own, place = at.work + b * arrays.WORK, at.moving + b * arrays.MOVING, at.place + b * arrays.PLACE
-        w0, w1, w2 = vector(mem, work + arrays.RATE)
-        v0, v1, v2 = vector(mem, own + arrays.SPEED)
-        S0, S1, S2 = vector(mem, place + arrays.FIRST_MOMENT)
-        mass = load(mem, place + arrays.MASS)
-        H0, H1, H2 = times(mem, at.body + b * arrays.BODY, w0, w1, w2)
-        x, z, s = cross(S0, S1, S2, v0, v1, v2)
-        add_vector(mem, work + arrays.MOMENT, H0 + x, H1 + z, H2 + s)
-        x, z, s = cross(w0, w1, w2, S0, S1, S2)
-        put(mem, own + arrays.LINEAR, mass * v0 + x, mass * v1 + z, mass * v2 + s)
+        w, v = vector(mem, work + arrays.RATE), vector(mem, own + arrays.SPEED)
+        mass, S = load(mem, place + arrays.MASS), vector(mem, place + arrays.FIRST_MOMENT)
+        add_vector(mem, work + arrays.MOMENT, plus(times(mem, at.body + b * arrays.BODY, w), cross(S, v)))
+        put(mem, own + arrays.LINEAR, plus(scaled(mass, v), cross(w, S)))
     _inward(links, mem, at)
     for k in range(at.n):
         work, place = at.work + (k + 1) * arrays.WORK, at.place + (k + 1) * arrays.PLACE + arrays.GEARED
@@ -150,53 +144,37 @@ def _rates(links: Links, mem: FloatArray, at: At, locking: bool, y: int, around:
 @internal
 def _at_arm(mem: FloatArray, work: int, arm: int) -> Vector:
     """Acceleration wdot x r + w x (w x r) of a point of a body, r away from its joint."""
-    w0, w1, w2 = vector(mem, work + arrays.RATE)
-    e0, e1, e2 = vector(mem, work + arrays.ACCELERATION)
-    r0, r1, r2 = vector(mem, arm)
-    x, y, z = cross(w0, w1, w2, r0, r1, r2)
-    x, y, z = cross(w0, w1, w2, x, y, z)
-    r0, r1, r2 = cross(e0, e1, e2, r0, r1, r2)
-    return x + r0, y + r1, z + r2
+    w, r = vector(mem, work + arrays.RATE), vector(mem, arm)
+    return plus(cross(w, cross(w, r)), cross(vector(mem, work + arrays.ACCELERATION), r))
 
 
 @internal
 def _hold(links: Links, mem: FloatArray, at: At, bare: bool, around: int, rates: int) -> None:
     """Forces and moments of the subtrees, into LINEAR and MOMENT, that the present rates need without accelerations."""
     n = at.n
-    zero = 0.0 * load(mem, at.work + arrays.RATE)
-    put(mem, at.work + arrays.ACCELERATION, zero, zero, zero)
-    put(mem, at.moving + arrays.FELT, zero, zero, zero)
+    zero = scaled(0.0, vector(mem, at.work + arrays.RATE))
+    put(mem, at.work + arrays.ACCELERATION, zero)
+    put(mem, at.moving + arrays.FELT, zero)
     for m in range(n):
         b, parent = links.tree[m, arrays.GIMBAL] + 1, links.tree[m, arrays.PARENT]
         work, up = at.work + b * arrays.WORK, at.work + parent * arrays.WORK
-        x, y, z = _at_arm(mem, up, at.place + b * arrays.PLACE + arrays.ARM)
-        a0, a1, a2 = vector(mem, at.moving + parent * arrays.MOVING + arrays.FELT)
-        a0, a1, a2 = in_gimbal(links, mem, at, m, a0 + x, a1 + y, a2 + z)
-        put(mem, at.moving + b * arrays.MOVING + arrays.FELT, a0, a1, a2)
-        e0, e1, e2 = vector(mem, up + arrays.ACCELERATION)
-        e0, e1, e2 = in_gimbal(links, mem, at, m, e0, e1, e2)
+        a = _at_arm(mem, up, at.place + b * arrays.PLACE + arrays.ARM)
+        a = plus(vector(mem, at.moving + parent * arrays.MOVING + arrays.FELT), a)
+        put(mem, at.moving + b * arrays.MOVING + arrays.FELT, in_gimbal(links, mem, at, m, a))
+        e0, e1, e2 = in_gimbal(links, mem, at, m, vector(mem, up + arrays.ACCELERATION))
         w0, w1, _ = vector(mem, work + arrays.RATE)
         rate = load(mem, rates + b - 1)
-        put(mem, work + arrays.ACCELERATION, e0 + w1 * rate, e1 - w0 * rate, e2)
+        put(mem, work + arrays.ACCELERATION, (e0 + w1 * rate, e1 - w0 * rate, e2))
     for b in range(n + 1):
         work, own, place = at.work + b * arrays.WORK, at.moving + b * arrays.MOVING, at.place + b * arrays.PLACE
-        w0, w1, w2 = vector(mem, work + arrays.RATE)
-        H0, H1, H2 = times(mem, at.body + b * arrays.BODY, w0, w1, w2)
-        h0, h1, h2 = vector(mem, work + arrays.MOMENT)
-        x, y, z = cross(w0, w1, w2, H0 + h0, H1 + h1, H2 + h2)
+        inertia, w = at.body + b * arrays.BODY, vector(mem, work + arrays.RATE)
+        N = cross(w, plus(times(mem, inertia, w), vector(mem, work + arrays.MOMENT)))
         if at.course != 0 and not bare:
-            h0, h1, h2 = vector(mem, around + n + 9 + 3 * (n + 1 + b))
-            x, y, z = x + h0, y + h1, z + h2
-        e0, e1, e2 = vector(mem, work + arrays.ACCELERATION)
-        e0, e1, e2 = times(mem, at.body + b * arrays.BODY, e0, e1, e2)
-        x, y, z = x + e0, y + e1, z + e2
-        S0, S1, S2 = vector(mem, place + arrays.FIRST_MOMENT)
-        a0, a1, a2 = vector(mem, own + arrays.FELT)
-        h0, h1, h2 = cross(S0, S1, S2, a0, a1, a2)
-        put(mem, work + arrays.MOMENT, x + h0, y + h1, z + h2)
-        mass = load(mem, place + arrays.MASS)
-        x, y, z = _at_arm(mem, work, place + arrays.FIRST_MOMENT)
-        put(mem, own + arrays.LINEAR, mass * a0 + x, mass * a1 + y, mass * a2 + z)
+            N = plus(N, vector(mem, around + n + 9 + 3 * (n + 1 + b)))
+        N = plus(N, times(mem, inertia, vector(mem, work + arrays.ACCELERATION)))
+        a, mass = vector(mem, own + arrays.FELT), load(mem, place + arrays.MASS)
+        put(mem, work + arrays.MOMENT, plus(N, cross(vector(mem, place + arrays.FIRST_MOMENT), a)))
+        put(mem, own + arrays.LINEAR, plus(scaled(mass, a), _at_arm(mem, work, place + arrays.FIRST_MOMENT)))
 
 
 @internal
@@ -211,20 +189,19 @@ def _accelerations(
         erection_torques(links, mem, at, u + 3)
     _move(links, mem, at, y + n, dy)
     _rotors(links, mem, at, y, around, dy)
-    zero = 0.0 * load(mem, y)
     if bare:
+        zero = 0.0 * load(mem, y)
         for b in range(n + 1):
-            put(mem, at.work + b * arrays.WORK + arrays.MOMENT, zero, zero, zero)
+            put(mem, at.work + b * arrays.WORK + arrays.MOMENT, (zero, zero, zero))
     _hold(links, mem, at, bare, around, dy)
     if at.servos != 0 and not bare:
         servo_drives(links, mem, at, at.yes, y, dy)
     _inward(links, mem, at)
     if at.floating != 0:
         ease = 1.0 / load(mem, at.moving + arrays.WHOLE)
-        F0, F1, F2 = vector(mem, at.moving + arrays.LINEAR)
+        F = vector(mem, at.moving + arrays.LINEAR)
         for i in range(n + 3):
-            p0, p1, p2 = vector(mem, at.push + 3 * i)
-            add(mem, u + i, ease * (p0 * F0 + p1 * F1 + p2 * F2))
+            add(mem, u + i, ease * dot(vector(mem, at.push + 3 * i), F))
     for i in range(3):
         add(mem, u + i, -load(mem, at.work + arrays.MOMENT + i))
         if not bare:
@@ -242,10 +219,8 @@ def _accelerations(
     if at.modes != 0 and not bare:
         # A* u' = Q - Γ η'' with η'' = f - Γ'u': A* - ΓΓ' has taken the place of A*.
         mode_derivatives(mem, at, y, around, dy)
-        h0, h1 = of_modes(mem, at, at.swing, 1, 0), of_modes(mem, at, at.swing, 1, 1)
-        w0, w1, w2 = vector(mem, y + n)
-        h0, h1, h2 = cross(w0, w1, w2, h0, h1, of_modes(mem, at, at.swing, 1, 2))
-        add_vector(mem, u, -h0, -h1, -h2)
+        h = of_modes(mem, at, at.swing, 1, 0), of_modes(mem, at, at.swing, 1, 1), of_modes(mem, at, at.swing, 1, 2)
+        add_vector(mem, u, cross(h, vector(mem, y + n)))
         for i in range(n + 3):
             pushed = of_modes(mem, at, dy + at.swings + 1, 2, i)
             if locking and i >= 3:
@@ -260,20 +235,11 @@ def _derivative(
 ) -> None:
     """Derivative of a state without its attitude: see `dynamics.derivative`."""
     n = at.n
-    torque = dy + n + 3
-    if not free:
+    if free:
+        free_rates(mem, at, locking, y, dy)
+    else:
         _rates(links, mem, at, locking, y, around, dy)
-    for k in range(n):
-        if free:
-            rate = load(mem, y + n + 3 + k)
-            if locking:
-                rate = rate * (1.0 - load(mem, at.work + (k + 1) * arrays.WORK + arrays.LOCKED))
-            store(mem, dy + k, rate)
-            store(mem, torque + k, 0.0 * rate)
-        Q = load(mem, around + 3 + k)
-        if at.joints != 0 and not bare:
-            Q = Q + joint_torque(mem, at, y, k, load(mem, dy + k))
-        add(mem, torque + k, Q)
+    joint_torques(mem, at, bare, y, around, dy)
     if not bare:
         drive_torques(links, mem, at, y, around, dy)
     if free:
@@ -284,7 +250,7 @@ def _derivative(
             store(mem, dy + n + i, 0.0 * load(mem, y + n + i))
         if at.servos != 0:
             servo_drives(links, mem, at, at.no, y, dy)
-        erection_torques(links, mem, at, torque)
+        erection_torques(links, mem, at, dy + n + 3)
         mode_derivatives(mem, at, y, around, dy)
 
 

@@ -9,9 +9,12 @@ from platform_ctrl.common.compiling import inlined, internal
 from platform_ctrl.common.simd import Mask, Number, anywhere, choose, greater, lesser, load, root, store, whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arithmetic import copy, cosine_and_sine, from_parent, put, vector
+from platform_ctrl.simulation.kernel.arithmetic import cosine_and_sine
 from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
+from platform_ctrl.simulation.kernel.axes import from_parent
 from platform_ctrl.simulation.kernel.devices import LOSS, PICKOFF, Keys, acts, normals, uniforms
+from platform_ctrl.simulation.kernel.slots import add, copy, put, put_where, vector
+from platform_ctrl.simulation.kernel.vectors import Vector, cross, dot, plus, scaled, turned
 
 
 @internal
@@ -24,29 +27,24 @@ def turn_bodies(links: Links, mem: FloatArray, at: At, layout: Layout, k: int) -
     e, bodies = at.state + 2 * at.n + 3, at.n + 1
     axes = layout.turns + 3 * bodies
     w, (x, y, z) = load(mem, e), vector(mem, e + 1)
-    put(mem, axes, 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y))
-    put(mem, axes + 3, 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x))
-    put(mem, axes + 6, 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+    put(mem, axes, (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)))
+    put(mem, axes + 3, (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)))
+    put(mem, axes + 6, (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
     for m in range(at.n):
         body, up = links.tree[m, arrays.GIMBAL] + 1, axes + 9 * links.tree[m, arrays.PARENT]
-        c, s = (
-            load(mem, at.work + body * arrays.WORK + arrays.COS),
-            load(mem, at.work + body * arrays.WORK + arrays.SIN),
-        )
+        work = at.work + body * arrays.WORK
+        c, s = load(mem, work + arrays.COS), load(mem, work + arrays.SIN)
         for j in range(3):
-            x, y, z = from_parent(links, mem, m, up + 3 * j)
-            put(mem, axes + 9 * body + 3 * j, c * x + s * y, c * y - s * x, z)
+            put(mem, axes + 9 * body + 3 * j, turned(c, s, from_parent(links, mem, m, up + 3 * j)))
     start = axes + 9 * bodies
     if k == 0:
         copy(mem, start, axes, 9 * bodies)
     for body in range(bodies):
-        r0 = 0.0 * w
-        r1, r2 = r0, r0
+        r = 0.0 * w, 0.0 * w, 0.0 * w
         for j in range(3):
-            x, y, z = vector(mem, axes + 9 * body + 3 * j)
-            x0, y0, z0 = vector(mem, start + 9 * body + 3 * j)
-            r0, r1, r2 = r0 + (z0 * y - y0 * z), r1 + (x0 * z - z0 * x), r2 + (y0 * x - x0 * y)
-        put(mem, layout.turns + 3 * body, 0.5 * r0, 0.5 * r1, 0.5 * r2)
+            row = 9 * body + 3 * j
+            r = plus(r, cross(vector(mem, axes + row), vector(mem, start + row)))
+        put(mem, layout.turns + 3 * body, scaled(0.5, r))
 
 
 @inlined
@@ -183,8 +181,7 @@ def _half_turn(sine: Number, cosine: Number) -> tuple[Number, Number]:
 @inlined
 def _keep_largest(mem: FloatArray, slot: int, counts: Mask, value: Number) -> None:
     """Keep the largest magnitude of a value, of the scenarios that count."""
-    size, old = choose(value < 0.0, -value, value), load(mem, slot)
-    store(mem, slot, choose(counts, greater(old, size), old))
+    put_where(mem, slot, counts, greater(load(mem, slot), choose(value < 0.0, -value, value)))
 
 
 @internal
@@ -196,9 +193,8 @@ def update_metrics(shared: Shared, mem: FloatArray, at: At, layout: Layout, k: i
     for i in range(n):
         _keep_largest(mem, layout.metrics + i, going, load(mem, at.state + i))
     e = at.state + 2 * n + 3
-    e0, e1 = load(mem, e), load(mem, e + 1)
-    e2, e3 = load(mem, e + 2), load(mem, e + 3)
-    _, per_sine = _half_turn(root(e1 * e1 + e2 * e2 + e3 * e3), choose(e0 < 0.0, -e0, e0))
+    w, v = load(mem, e), vector(mem, e + 1)
+    _, per_sine = _half_turn(root(dot(v, v)), choose(w < 0.0, -w, w))
     for i in range(3):
         _keep_largest(mem, layout.metrics + n + i, going, 2.0 * per_sine * load(mem, e + 1 + i))
     for i in range(nu):
@@ -211,7 +207,7 @@ def update_metrics(shared: Shared, mem: FloatArray, at: At, layout: Layout, k: i
         command = choose(command < 0.0, -command, command)
         _keep_largest(mem, slot, going, command / limit)
         slot += nu
-        store(mem, slot, load(mem, slot) + choose(command >= limit, alive, 0.0 * alive))
+        add(mem, slot, choose(command >= limit, alive, 0.0 * alive))
     rates = layout.metrics + 2 * n + 4 + 2 * nu
     for i in range(n):
         _keep_largest(mem, rates + i, going, load(mem, layout.velocity + 3 + i))
@@ -241,17 +237,15 @@ def _spread(mem: FloatArray, counts: Mask, share: Number, source: int, size: int
         value, slot = load(mem, source + i), mean + i
         old = load(mem, slot)
         new = old + share * (value - old)
-        square = load(mem, slot + behind)
-        store(mem, slot, choose(counts, new, old))
-        store(mem, slot + behind, choose(counts, square + (value - old) * (value - new), square))
+        put_where(mem, slot, counts, new)
+        put_where(mem, slot + behind, counts, load(mem, slot + behind) + (value - old) * (value - new))
 
 
 @inlined
 def _clear(mem: FloatArray, sound: Mask, zero: Number, first: int, count: int, apart: int) -> None:
     """Put zeros into slots of the scenarios that are not sound."""
     for i in range(count):
-        slot = first + i * apart
-        store(mem, slot, choose(sound, load(mem, slot), zero))
+        put_where(mem, first + i * apart, ~sound, zero)
 
 
 @internal
@@ -275,16 +269,14 @@ def judge(mem: FloatArray, at: At, layout: Layout, shared: Shared) -> bool:
     alive = load(mem, layout.alive)
     if anywhere(~sound):
         for i in range(at.size):
-            y = at.state + i
-            store(mem, y, choose(sound, load(mem, y), load(mem, layout.start + i)))
+            put_where(mem, at.state + i, ~sound, load(mem, layout.start + i))
         _clear(mem, sound, 0.0 * step, layout.velocity, n + 3, 1)
         _clear(mem, sound, 0.0 * step, layout.controller, layout.states, 1)
         _clear(mem, sound, 0.0 * step, layout.command, shared.targets.shape[0], 1)
         _clear(mem, sound, 0.0 * step, layout.torquer + arrays.TORQUE, shared.targets.shape[0], arrays.TORQUER)
     alive = choose(sound, alive, 0.0 * alive)
     store(mem, layout.alive, alive)
-    done = layout.metrics + 2 * n + 3 + 2 * shared.targets.shape[0]
-    store(mem, done, load(mem, done) + alive)
+    add(mem, layout.metrics + 2 * n + 3 + 2 * shared.targets.shape[0], alive)
     return bool(anywhere(alive > 0.5))
 
 
@@ -301,7 +293,7 @@ def resolve(shared: Shared, mem: FloatArray, layout: Layout) -> None:
         for i in range(3):
             # Rows and columns that are not there are those of the unit matrix.
             row = layout.turned + arrays.JACOBIAN + 3 * i
-            put(mem, row, zero, zero, zero)
+            put(mem, row, (zero, zero, zero))
             store(mem, row + i, zero + (1.0 if i >= size else 0.0))
             store(mem, layout.turned + arrays.TO_TURN + i, zero)
             store(mem, layout.turned + arrays.ERRORS + i, zero)
@@ -309,31 +301,24 @@ def resolve(shared: Shared, mem: FloatArray, layout: Layout) -> None:
             slot, steps = layout.sensor + shared.first[part] * arrays.SENSOR, shared.first[part + 1]
             part += 2
             reading, error = _reading_and_error(mem, slot)
-            a, b, c = shared.weights[number], shared.weights[number + 1], shared.weights[number + 2]
-            x, y, z = zero + a, zero + b, zero + c
+            axis = plus((zero, zero, zero), _weights(shared, number))
             number += 3
             for _ in range(steps):
-                a, b, c = shared.weights[number], shared.weights[number + 1], shared.weights[number + 2]
-                along, column, encoder = a * x + b * y + c * z, shared.first[part], shared.first[part + 1]
+                own, column, encoder = _weights(shared, number), shared.first[part], shared.first[part + 1]
+                along = dot(own, axis)
                 part, number = part + 2, number + 3
                 if column >= 0:
                     store(mem, layout.turned + arrays.JACOBIAN + 3 * i + column, along)
                 if encoder >= 0:
                     angle = load(mem, layout.sensor + encoder * arrays.SENSOR + arrays.LAST)
                     cosine, sine = cosine_and_sine(angle)
-                    rest = (1.0 - cosine) * along
-                    u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
-                    x, y = cosine * x + sine * u + rest * a, cosine * y + sine * v + rest * b
-                    z = cosine * z + sine * w + rest * c
+                    turning = plus(scaled(cosine, axis), scaled(sine, cross(own, axis)))
+                    axis = plus(turning, scaled((1.0 - cosine) * along, own))
             for k in range(base):
-                a, b, c = (
-                    shared.weights[shown + 3 * k],
-                    shared.weights[shown + 3 * k + 1],
-                    shared.weights[shown + 3 * k + 2],
-                )
+                share = dot(_weights(shared, shown + 3 * k), axis)
                 of_root, off = _reading_and_error(mem, layout.sensor + shared.first[of_base + k] * arrays.SENSOR)
-                reading = reading - (a * x + b * y + c * z) * of_root
-                error = error - (a * x + b * y + c * z) * off
+                reading = reading - share * of_root
+                error = error - share * off
             store(mem, layout.turned + arrays.TO_TURN + i, reading)
             store(mem, layout.turned + arrays.ERRORS + i, error)
         _solve(mem, layout.turned, least, layout.turned + arrays.TO_TURN)
@@ -342,6 +327,12 @@ def resolve(shared: Shared, mem: FloatArray, layout: Layout) -> None:
             store(mem, out + arrays.LAST, load(mem, layout.turned + arrays.TO_TURN + i))
             store(mem, out + arrays.BIAS, load(mem, layout.turned + arrays.ERRORS + i))
             out += arrays.SENSOR
+
+
+@inlined
+def _weights(shared: Shared, k: int) -> Vector:
+    """Return three of the weights."""
+    return shared.weights[k], shared.weights[k + 1], shared.weights[k + 2]
 
 
 @internal
@@ -355,18 +346,20 @@ def _reading_and_error(mem: FloatArray, slot: int) -> tuple[Number, Number]:
 @internal
 def _solve(mem: FloatArray, turned: int, least: Number, at: int) -> None:
     """Put (JᵀJ + damping 1)⁻¹ Jᵀ y in the place of y, the damping such that gains stay within the limit."""
-    a0, a1, a2 = vector(mem, turned + arrays.JACOBIAN)
-    b0, b1, b2 = vector(mem, turned + arrays.JACOBIAN + 3)
-    c0, c1, c2 = vector(mem, turned + arrays.JACOBIAN + 6)
-    det = a0 * (b1 * c2 - b2 * c1) + a1 * (b2 * c0 - b0 * c2) + a2 * (b0 * c1 - b1 * c0)
+    J, y = turned + arrays.JACOBIAN, vector(mem, at)
+    det = dot(vector(mem, J), cross(vector(mem, J + 3), vector(mem, J + 6)))
     damping = greater(least * least - det * det, 0.0 * det)
-    u, v, w = vector(mem, at)
-    x, y, z = a0 * u + b0 * v + c0 * w, a1 * u + b1 * v + c1 * w, a2 * u + b2 * v + c2 * w
-    g00, g11 = a0 * a0 + b0 * b0 + c0 * c0 + damping, a1 * a1 + b1 * b1 + c1 * c1 + damping
-    g22 = a2 * a2 + b2 * b2 + c2 * c2 + damping
-    g01, g02, g12 = a0 * a1 + b0 * b1 + c0 * c1, a0 * a2 + b0 * b2 + c0 * c2, a1 * a2 + b1 * b2 + c1 * c2
-    m00, m11, m22 = g11 * g22 - g12 * g12, g00 * g22 - g02 * g02, g00 * g11 - g01 * g01
-    m01, m02, m12 = g02 * g12 - g01 * g22, g01 * g12 - g02 * g11, g01 * g02 - g00 * g12
-    per: Number = 1.0 / (g00 * m00 + g01 * m01 + g02 * m02)
-    x, y, z = m00 * x + m01 * y + m02 * z, m01 * x + m11 * y + m12 * z, m02 * x + m12 * y + m22 * z
-    put(mem, at, per * x, per * y, per * z)
+    u, v, w = _column(mem, J), _column(mem, J + 1), _column(mem, J + 2)
+    # Rows of JᵀJ + damping 1, which is symmetric, and of its inverse times its determinant.
+    a = dot(u, u) + damping, dot(u, v), dot(u, w)
+    b = a[1], dot(v, v) + damping, dot(v, w)
+    c = a[2], b[2], dot(w, w) + damping
+    right, first = (dot(u, y), dot(v, y), dot(w, y)), cross(b, c)
+    solved = dot(first, right), dot(cross(c, a), right), dot(cross(a, b), right)
+    put(mem, at, scaled(1.0 / dot(a, first), solved))
+
+
+@inlined
+def _column(mem: FloatArray, slot: int) -> Vector:
+    """Return the column of a matrix (3, 3) that begins at a slot."""
+    return load(mem, slot), load(mem, slot + 3), load(mem, slot + 6)
