@@ -17,8 +17,9 @@ from platform_ctrl.app.settings import Settings, stated_limits
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.loop import Design
 from platform_ctrl.design.loop_signals import Channels, loop_signals
-from platform_ctrl.design.method import LoopProblem, SectionedMethod, designed
+from platform_ctrl.design.method import SectionedMethod
 from platform_ctrl.design.methods import METHODS
+from platform_ctrl.design.methods.platform_servo import PlatformServo
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.methods import DesignSpec
@@ -146,12 +147,10 @@ class DesignOptions:
 
     def _options(self, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
         """Return all options of a design, complete."""
-        period = self.read.period_of(spec)
-        if not spec.has_plants:
-            problem = LoopProblem(job=self.read, spec=spec, design=design, model=self._plants.model)
-            return dict(designed(problem).options)
+        method, period = METHODS[design.method], self.read.period_of(spec)
+        if isinstance(method, PlatformServo):
+            return method.all_options(design, period)
         channel, nutation = self._plants.gyros(spec, design), self._plants.nutation(spec, design)
-        method = METHODS[design.method]
         if method.instant and method.parts:
             return full_options(design, design.options, channel, nutation, period)
         try:

@@ -16,7 +16,6 @@ from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from platform_ctrl.analysis.metrics import RUN_METRICS, run_metrics
 from platform_ctrl.analysis.system import StateSpace
@@ -177,6 +176,8 @@ def _heat(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> Iterator[Ch
 
     A run from equilibrium begins as warm as the current that holds it makes the motor.
     """
+    from scipy.signal import lfilter
+
     for motor in job.platform.motors:
         if motor.continuous_current is not None:
             place, over = trajectory.torquer_names.index(motor.name), "over the run"

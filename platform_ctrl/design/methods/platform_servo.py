@@ -17,6 +17,7 @@ from platform_ctrl.design.loop_signals import parallel
 from platform_ctrl.design.method import LoopProblem, Method, Option, hertz, number
 from platform_ctrl.design.sections import Section, first_order, flattened, gain, low_pass
 from platform_ctrl.errors import DesignError
+from platform_ctrl.job.methods import DesignSpec
 from platform_ctrl.mechanics.linearisation import LinearModel
 
 # A gyro torque whose share in a rate is smaller than this (relative to the largest) is not measured for it.
@@ -50,14 +51,17 @@ class PlatformServo(Method):
 
         ``crossover_hz`` ωc of the rate loop, ``position_hz`` ωp, ``filter_hz`` and ``filter_damping`` of the low-pass.
         """
-        design, period = problem.design, problem.job.sampling.period
-        crossover = design.options.get("crossover_hz", 5.0)
-        defaults = {"crossover_hz": crossover, "position_hz": 0.3 * crossover}
-        defaults |= {"filter_hz": 10.0 * crossover, "filter_damping": 0.7}
-        options = self.completed(design.options, defaults, period)
+        options = self.all_options(problem.design, problem.job.sampling.period)
         sections = self.sections(problem, options)
         inputs, outputs = sections[0].inputs, sections[-1].outputs
         return problem.made(flattened(sections, inputs, outputs), options, inputs=inputs, outputs=outputs)
+
+    def all_options(self, design: DesignSpec, period: float) -> dict[str, float]:
+        """Return all options of a design, those that are not given as shares of the crossover."""
+        crossover = design.options.get("crossover_hz", 5.0)
+        defaults = {"crossover_hz": crossover, "position_hz": 0.3 * crossover}
+        defaults |= {"filter_hz": 10.0 * crossover, "filter_damping": 0.7}
+        return self.completed(design.options, defaults, period)
 
     def sections(self, problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
         """Return the servo section by section, from the gyros' torques to those on the root."""
