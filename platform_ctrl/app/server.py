@@ -244,7 +244,7 @@ class PageApplication(BokehTornado):
         return Resources(
             mode="server",
             root_url="/",
-            components=["bokeh", "bokeh-widgets"],
+            components=["bokeh"],
             path_versioner=StaticHandler.append_version,
             log_level="warn",
         )

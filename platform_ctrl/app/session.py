@@ -133,7 +133,7 @@ class Session:
         except Exception as error:
             # The sliders show their values again, not what was typed.
             html = {} if self.picture is None else self._chosen(self.picture.settings)
-            self.connection.answer(count, line={"text": work.error_text(error), "kind": "error"}, html=html)
+            self.connection.answer(count, line=[work.error_text(error), "error"], html=html)
 
     def _ready(self, count: int) -> None:
         self.change("ready", lambda settings: settings, count=count, gesture="ready")
@@ -254,20 +254,20 @@ class Session:
         line, self._line = self._line or line, None
         notes = () if picture is None else picture.measured.notes
         kind = "error" if line and not awaits else "quiet"
-        data: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
+        html: dict[str, str] = {}
         if picture is not None:
             if gesture not in ("ready", "history"):
                 self.history.put(settings, gesture)
             self.picture = picture
-            data["html"] = self._shown(picture)
+            html = self._shown(picture)
         elif self.picture is not None and awaits:
-            data["html"] = self._chosen(settings)
+            html = self._chosen(settings)
         elif self.picture is not None:
             # Everything returns to the last picture; the curves may be drawn already.
-            data["html"] = self._shown(self.picture)
+            html = self._shown(self.picture)
             if self._view == "loop":
                 self.plots.show(self.picture)
-        self.connection.answer(count, **data)
+        self.connection.answer(count, html, line=[line or ". ".join(notes), kind])
         self.rest()
 
     def _chosen(self, settings: Settings) -> dict[str, str]:

@@ -19,13 +19,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bokeh.core.properties import Any as AnyProperty
-from bokeh.core.properties import String
+from bokeh.core.properties import Instance, Int, List, Nullable, String
 from bokeh.model import DataModel
+from bokeh.models import ColumnDataSource
 
 from platform_ctrl.app.background import Requests, TaskCancelled
 from platform_ctrl.app.fragments import fragment
 from platform_ctrl.app.loops import LATER
 from platform_ctrl.app.pictures import run_data
+from platform_ctrl.app.plots.views import put
 from platform_ctrl.app.saving import controllers_beside, difference, merged
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.arguments import known_name, known_names, short
@@ -45,22 +47,32 @@ def parse_request(message: Any, acts: Mapping[str, Callable[..., Any]]) -> tuple
     The content fits what is done at a message of this kind, behind a first argument; its values are checked there.
     """
     try:
-        more = dict(json.loads(message))
+        more = dict(message)
         count, what = int(more.pop("n")), more.pop("what")
         signature(acts[what]).bind(None, **more)
         return count, what, more
-    except (TypeError, ValueError, KeyError, RecursionError):
+    except (TypeError, ValueError, KeyError):
         raise InputError(
-            f"a message must be one of the requests {', '.join(acts)} as JSON, the page sent {short(message)}"
+            f"a message must be one of the requests {', '.join(acts)}, the page sent {short(message)}"
         ) from None
 
 
-class MessageModel(DataModel):
-    """The last request of the page, and the last response to it."""
+class PageState(DataModel):
+    """What a page shows besides its plots, and its last request: properties that Bokeh keeps equal at both ends."""
 
     # Of any type: `parse_request` refuses what is not a request.
-    request = AnyProperty(default="")
-    response = String(default="")
+    request = AnyProperty()
+    # HTML of elements by their ids, columns of one row: Bokeh sends those that have changed.
+    parts = Instance(ColumnDataSource)
+    # The last line and its kind; what is going on, or an empty text; the rest as their requests name it.
+    line = List(String, default=["", "quiet"])
+    busy = String()
+    view = String()
+    spoken = String()
+    link = Nullable(String)
+    run = AnyProperty()
+    # Number of the last request that is done, and how often the state has changed: set behind all else.
+    answered = List(Int, default=[0, 0])
 
 
 class Connection:
@@ -68,8 +80,7 @@ class Connection:
 
     def __init__(self, document: Document) -> None:
         self.document: Document | None = document
-        self.model = MessageModel(name="messages")
-        self._answered = 0
+        self.model = PageState(name="state", parts=ColumnDataSource())
 
     def later(self, act: Callable[[], None]) -> None:
         """Call `act` on the server's loop; from any thread."""
@@ -81,15 +92,14 @@ class Connection:
 
     def say(self, text: str, kind: str = "quiet", count: int | None = None) -> None:
         """Write the page's line: ``"quiet"``, ``"good"`` or ``"error"``."""
-        self.answer(count, line={"text": text, "kind": kind})
+        self.answer(count, line=[text, kind])
 
-    def answer(self, count: int | None = None, **parts: Any) -> None:
-        """Send parts of what the page shows; all its messages up to `count` are done.
-
-        ``html`` has the content of elements by their ids.
-        """
-        self._answered = max(self._answered, count or 0)
-        self.model.update(response=json.dumps({"n": self._answered, **parts}, allow_nan=False))
+    def answer(self, count: int | None = None, html: Mapping[str, str] | None = None, **changes: Any) -> None:
+        """Change what the page shows, `html` by the ids of elements; all its requests up to `count` are done."""
+        model: Any = self.model
+        put(model.parts, {key: [text] for key, text in (html or {}).items()})
+        done, times = model.answered
+        model.update(**changes, answered=[max(done, count or 0), times + 1])
 
 
 # A plain file name.
@@ -208,7 +218,7 @@ class LongTasks:
         if existing and not overwrite:
             self._saved(f"{existing[0]} exists already: overwrite it?", count, exists=True)
             return
-        self.connection.answer(count)
+        self.connection.say("", count=count)
 
         def saving(over: threading.Event) -> None:
             try:
@@ -269,18 +279,17 @@ class LongTasks:
 
         over = self.backend.requests.add(id(self), done, urgent=True)
         self._running = name, over
-        self.connection.answer(count)
-        self._show_busy(over, words)
+        self.connection.answer(count, line=["", "quiet"], busy=words)
         return over
 
     def _show_busy(self, over: threading.Event, words: str) -> None:
         if self._running is not None and self._running[1] is over:
-            self.connection.answer(busy={"text": words})
+            self.connection.answer(busy=words)
 
     def _ended(self, over: threading.Event, show: Callable[[], None]) -> None:
         if self._running is not None and self._running[1] is over:
             self._running = None
-            self.connection.answer(busy=None)
+            self.connection.answer(busy="")
             show()
 
     def cancel(self, count: int | None = None, *, name: str = "") -> None:

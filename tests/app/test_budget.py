@@ -145,25 +145,20 @@ def test_a_page_shows_the_budget_once_it_is_wanted(backend: Backend, monkeypatch
     waiting: list[Any] = []
     monkeypatch.setattr(Connection, "later", lambda connection, act: waiting.append(act))
     session = Session(backend, Document(), "")
-    said: list[dict[str, Any]] = []
-    session.connection.model.on_change("response", lambda name, old, new: said.append(json.loads(new)))
+    state = session.connection.model
 
-    def request(count: int, what: str, **more: Any) -> list[dict[str, Any]]:
-        said.clear()
-        session.connection.model.request = json.dumps({"n": count, "what": what, **more})
+    def table(count: int, what: str, **more: Any) -> str:
+        """Return the table of the budget after a request, empty where there is none."""
+        state.request = {"n": count, "what": what, **more}
         end = time.monotonic() + 60.0
-        while not any(one["n"] == count for one in said) or any(t.name == "page" for t in threading.enumerate()):
+        while state.answered[0] != count or any(t.name == "page" for t in threading.enumerate()):
             assert time.monotonic() < end, "it did not come"
             while waiting:
                 waiting.pop(0)()
             time.sleep(0.002)
-        return said
+        return str(*state.parts.data.get("budget", ()))
 
-    def table(*given: Any, **more: Any) -> str:
-        (shown,) = [one["html"]["budget"] for one in request(*given, **more) if "budget" in one.get("html", {})]
-        return str(shown)
-
-    assert not any("budget" in one.get("html", {}) for one in request(1, "ready"))
+    assert table(1, "ready") == ""
     shown = table(2, "view", view="budget")
     first = found(backend, backend.start())
     assert re.findall('scope="row">([^<]*)<', shown)[: len(first.names)] == list(first.names)
@@ -186,10 +181,10 @@ def test_a_page_shows_the_budget_once_it_is_wanted(backend: Backend, monkeypatch
     assert "not exact while sliders move" in moved
     # The plots of the loop follow when they are shown again.
     assert drawn("bode", "lines")["ys"][-1].tolist() == loop
-    assert not any("budget" in one.get("html", {}) for one in request(4, "view", view="loop"))
+    assert table(4, "view", view="loop") == moved
     assert drawn("bode", "lines")["ys"][-1].tolist() != loop
-    (line,) = [one["line"] for one in request(5, "view", view="somewhere")]
-    assert "view must be one of" in line["text"]
+    table(5, "view", view="somewhere")
+    assert "view must be one of" in state.line[0]
     session.close(None)
 
 

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import gc
-import json
+import math
 import time
 import weakref
 from collections.abc import Iterator
@@ -463,13 +463,13 @@ def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> Non
 
 
 def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> None:
-    send = "message => { Bokeh.documents[0].get_model_by_name('messages').request = message; }"
+    send = "message => { Bokeh.documents[0].get_model_by_name('state').request = message; }"
     for nonsense in (
-        "no JSON",
+        "no request",
         5,
-        '{"n": 0, "what": "move", "moves": [{"slider": "crossover_hz", "value": NaN}], "gesture": 1}',
-        json.dumps({"n": 0, "what": "move", "moves": [{"slider": "no such", "value": 1}], "gesture": 1}),
-        json.dumps({"n": 0, "what": "set", "name": "plant", "value": ["x"]}),
+        {"n": 0, "what": "move", "moves": [{"slider": "crossover_hz", "value": math.nan}], "gesture": 1},
+        {"n": 0, "what": "move", "moves": [{"slider": "no such", "value": 1}], "gesture": 1},
+        {"n": 0, "what": "set", "name": "plant", "value": ["x"]},
     ):
         page.evaluate("() => { document.querySelector('#line').textContent = ''; }")
         page.evaluate(send, nonsense)
@@ -526,11 +526,11 @@ def test_a_link_opens_the_same_state_and_a_page_that_is_closed_leaves_nothing_be
 
 def test_messages_are_checked() -> None:
     acts = {"move": lambda count, moves, gesture: None, "fix": lambda settings, slider, fixed: None}
-    text = '{"n": 3, "what": "move", "moves": [{"slider": "a", "value": 2}], "gesture": 0}'
-    assert parse_request(text, acts) == (3, "move", {"moves": [{"slider": "a", "value": 2}], "gesture": 0})
-    for text in ("[" * 9000, '{"what": []}', "x" * 30_000, '{"n": 1, "what": "fix"}', 5):
+    given = {"moves": [{"slider": "a", "value": 2}], "gesture": 0}
+    assert parse_request({"n": 3, "what": "move", **given}, acts) == (3, "move", given)
+    for message in ("[" * 9000, {"what": []}, {"n": 1, "what": []}, "x" * 30_000, {"n": 1, "what": "fix"}, 5, None):
         with pytest.raises(InputError):
-            parse_request(text, acts)
+            parse_request(message, acts)
 
 
 def test_choices_are_checked(backend: Backend) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import threading
 import time
@@ -51,7 +50,7 @@ class Driven:
         )
         self.session = Session(backend, Document(), "")
         self.answered = 0
-        self.session.connection.model.on_change("response", self._responded)
+        self.session.connection.model.on_change("answered", self._answered)
         self.request("ready")
         self.settle()
 
@@ -69,11 +68,10 @@ class Driven:
 
     def request(self, what: str, **more: Any) -> None:
         self.count += 1
-        self.session.connection.model.request = json.dumps({"n": self.count, "what": what, **more})
+        self.session.connection.model.request = {"n": self.count, "what": what, **more}
 
-    def _responded(self, name: str, old: object, new: str) -> None:
-        response = json.loads(new)
-        self.answered = response["n"]
+    def _answered(self, name: str, old: object, new: list[int]) -> None:
+        self.answered = new[0]
 
     @property
     def state(self) -> dict[str, Any]:

@@ -32,7 +32,7 @@ def assign(model: Any, **values: Any) -> None:
 
 def put(source: Any, columns: Mapping[str, Any]) -> None:
     """Set the columns of a source that have changed: each array that is sent costs two messages."""
-    changed = {key: one for key, one in columns.items() if not _equal(source.data[key], one)}
+    changed = {key: one for key, one in columns.items() if not _equal(source.data.get(key), one)}
     if changed:
         source.data.update(changed)
 

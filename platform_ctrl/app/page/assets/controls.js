@@ -1,10 +1,10 @@
 // The page's own part: sliders while they are dragged, keys, dialogs, the large plot; its start, and its return after a lost connection.
-import { byId, choose, connect, held, move, newGesture, on, receive, request } from "./messages.js";
+import { byId, choose, connect, held, move, newGesture, on, request } from "./messages.js";
 
 const STEPS = 4000, COARSE = 80, AGAIN = 1500, LOOK = 20;
 // Milliseconds without a move after which the next move by keys is a gesture of its own.
 const SERIES = 1500;
-const say = (text, kind = "quiet") => receive({ line: { text, kind } });
+const say = (text, kind = "quiet") => Object.assign(byId("line"), { textContent: text, title: text, className: kind });
 
 // A click or a choice sends the request in the element's attributes.
 const ask = (element, value) => {
@@ -178,10 +178,10 @@ document.addEventListener("keydown", (event) => {
 });
 
 // Answers.
-on("line", ({ text, kind }) => Object.assign(byId("line"), { textContent: text, title: text, className: kind }));
-on("busy", (given) => {
-  byId("busy").hidden = given === null;
-  byId("busy").querySelector(".words").textContent = given?.text ?? "";
+on("line", (line) => say(...line));
+on("busy", (words) => {
+  byId("busy").hidden = words === "";
+  byId("busy").querySelector(".words").textContent = words;
 });
 on("view", (view) => document.body.classList.toggle("budget", view === "budget"));
 on("spoken", (words) => { byId("spoken").textContent = words; });
@@ -191,9 +191,9 @@ on("link", (link) => {
   else address.searchParams.delete("state");
   if (address.href !== location.href) history.replaceState(null, "", address);
 });
-on("html", (parts) => {
+on("answered", () => {
   byId("compared").hidden = byId("overlays").childElementCount === 0;
-  if (parts.figures) document.body.classList.remove("starting");
+  if (byId("numbers")) document.body.classList.remove("starting");
 });
 byId("save-dialog").querySelector("form").addEventListener("submit", (event) => {
   event.preventDefault();

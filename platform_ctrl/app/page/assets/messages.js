@@ -1,17 +1,16 @@
-// Requests of the page to the server, and its answers: HTML that replaces the content of elements.
+// Requests of the page to the server, and what it shows of the state that Bokeh keeps equal at both ends.
 // Moves of sliders are never queued: while one is being computed, only the newest of each slider waits.
 export const byId = (id) => document.getElementById(id);
 const moves = new Map(), later = [], listeners = {};
 // Requests that refer to the final positions of the sliders: they wait until all moves are done.
 const AFTER_MOVES = new Set(["undo", "redo", "tune", "save", "simulate"]);
-// Tasks whose end the last line tells: what it said before is over. Answers to changes always have a line.
-const TASKS = new Set(["tune", "save", "simulate"]);
-let messages = null, sent = 0, answered = 0, gesture = 0;
+// What is shown of the state's parts.
+const texts = {};
+let state = null, sent = 0, answered = 0, gesture = 0;
 // Sliders that are being dragged: their newest moves are not answered yet.
 export const held = new Set();
 // Number of the request of each choice: an answer to an earlier request does not take the choice back.
 const chosen = new WeakMap();
-let answering = 0;
 export const choose = (element, what, more) => {
   request(what, more);
   chosen.set(element.closest("select, fieldset") ?? element, sent);
@@ -21,16 +20,15 @@ export const choose = (element, what, more) => {
 window.page = { settled: () => sent > 0 && sent === answered && moves.size + later.length === 0 };
 
 export const request = (what, more = {}) => {
-  if (messages === null) return;
+  if (state === null) return;
   if (AFTER_MOVES.has(what) && !window.page.settled()) {
     later.push([what, more]);
     return;
   }
   // Another request for a slider replaces a waiting move.
   for (const { slider } of more.moves ?? [more]) moves.delete(slider);
-  if (TASKS.has(what)) listeners.line?.({ text: "", kind: "quiet" });
   sent += 1;
-  messages.request = JSON.stringify({ n: sent, what, ...more });
+  state.request = { n: sent, what, ...more };
 };
 
 // A gesture is a step of undo: a drag, a series of arrow keys, a typed number.
@@ -47,29 +45,33 @@ const sendMoves = () => {
   request("move", { moves: together.map(({ slider, value }) => ({ slider, value })), gesture: oldest.gesture });
 };
 
-// Actions on parts of an answer besides its HTML.
-export const on = (part, act) => { listeners[part] = act; };
-export const receive = (message) => {
-  if (message.n >= sent) for (const name of held) if (!moves.has(name)) held.delete(name);
-  answering = message.n;
-  for (const [id, text] of Object.entries(message.html ?? {})) show(byId(id), text);
-  for (const [part, content] of Object.entries(message)) listeners[part]?.(content);
-  if (!(message.n >= answered)) return;
-  answered = message.n;
+// What to do when a property of the state changes.
+export const on = (name, act) => { listeners[name] = act; };
+const follow = () => {
+  const [count] = state.answered, isNew = count > answered, isLast = count >= sent;
+  if (isLast) for (const name of held) if (!moves.has(name)) held.delete(name);
+  answered = count;
+  for (const [id, [text]] of Object.entries(state.parts.data)) {
+    // Beside a line about a request all is shown again: what was refused is taken back.
+    if (text !== texts[id] || (isNew && state.line[0])) show(byId(id), text);
+    // Until the last request is done the user's own choices stay.
+    if (isLast) texts[id] = text;
+  }
   sendMoves();
   if (answered >= sent && later.length > 0) request(...later.shift());
+  window.dispatchEvent(new CustomEvent("response"));
 };
 
 const show = (element, text) => {
   const template = document.createElement("template"), focused = document.activeElement?.id;
   template.innerHTML = text;
-  follow(element, template.content);
+  become(element, template.content);
   // Where a row was inserted before it, the element that had the focus is a new one.
   if (focused && document.activeElement === document.body) byId(focused)?.focus();
 };
 
 // The children of `there` become those of `given`; equal ones stay, with focus and pointer.
-const follow = (there, given) => {
+const become = (there, given) => {
   const old = [...there.childNodes], now = [...given.childNodes];
   for (const [k, one] of now.entries()) {
     const kept = old[k];
@@ -78,7 +80,7 @@ const follow = (there, given) => {
     else if (kept.nodeType !== Node.ELEMENT_NODE) { if (kept.data !== one.data) kept.data = one.data; }
     else if (!held.has(kept.dataset.slider)) {
       dress(kept, one);
-      follow(kept, one);
+      become(kept, one);
     }
   }
   for (const one of old.slice(now.length)) one.remove();
@@ -88,7 +90,7 @@ const dress = (there, given) => {
   for (const { name, value } of given.attributes) if (there.getAttribute(name) !== value) there.setAttribute(name, value);
   // Open details and text that is being typed are the user's.
   for (const { name } of [...there.attributes]) if (!given.hasAttribute(name) && name !== "open" && name !== "data-typing") there.removeAttribute(name);
-  if (chosen.get(there.closest("select, fieldset") ?? there) > answering) return;
+  if (chosen.get(there.closest("select, fieldset") ?? there) > answered) return;
   if (there instanceof HTMLOptionElement) there.selected = given.selected;
   else if (there instanceof HTMLInputElement && !(there.type === "text" && there === document.activeElement)) {
     there.checked = given.checked;
@@ -96,11 +98,9 @@ const dress = (there, given) => {
   }
 };
 
-// The model that carries the messages, once BokehJS has it.
+// The state, once BokehJS has it.
 export const connect = (bokeh) => {
-  messages = bokeh.get_model_by_name("messages");
-  messages.properties.response.change.connect(() => {
-    receive(JSON.parse(messages.response));
-    window.dispatchEvent(new CustomEvent("response"));
-  });
+  state = bokeh.get_model_by_name("state");
+  state.properties.answered.change.connect(follow);
+  for (const [name, act] of Object.entries(listeners)) state.properties[name].change.connect(() => act(state[name]));
 };
