@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from PIL import Image
 
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.session import Pages
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
@@ -74,7 +75,7 @@ def write(shot: bytes, name: str) -> None:
 
 def draw_app(browser: Browser, backend: Backend) -> None:
     """Write designer-light.png and designer-dark.png."""
-    with served(backend) as server:
+    with served(Pages(backend).fill) as server:
         for name in ("light", "dark"):
             with screen(browser, server.address, dark=name == "dark") as seen:
                 page = seen.page

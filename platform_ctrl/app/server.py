@@ -34,7 +34,6 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.web import StaticFileHandler
 
-from platform_ctrl.app.session import page
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 
@@ -65,22 +64,18 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 
-Make = Callable[[Any, Document], None]
-
 
 class PageServer:
     """A server that is bound to its port; it responds once it runs.
 
     Parameters
     ----------
-    backend
-        `Backend` that all pages share; passed to `make`.
+    fill
+        Fills a new document with a page.
     host, port
         Address to listen on; port None: the first free one from `PORT` on; 0: any.
     allow
         Names under which browsers may reach it, besides this machine's own ones if it listens to itself alone.
-    make
-        Fills a new document, called with the backend and the document.
 
     Attributes
     ----------
@@ -90,19 +85,18 @@ class PageServer:
 
     def __init__(
         self,
-        backend: Any,
+        fill: Callable[[Document], None],
         *,
         host: str = "127.0.0.1",
         port: int | None = None,
         allow: Sequence[str] = (),
-        make: Make = page,
     ) -> None:
         self.hosts = AllowedHosts.of(host, allow)
         self.token = secrets.token_urlsafe(24)
         self._socket = _bound(host, port)
         self.port: int = self._socket.getsockname()[1]
         self.application: PageApplication | None = None
-        self._backend, self._make = backend, make
+        self._fill = fill
         self._ended = threading.Event()
 
     @property
@@ -159,7 +153,7 @@ class PageServer:
     def _filled(self, document: Document) -> None:
         """Fill a new document; an error is shown on the page and in the terminal."""
         try:
-            self._make(self._backend, document)
+            self._fill(document)
         except Exception as error:
             words = str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
             line = " ".join(words.split())[:400]
@@ -238,6 +232,7 @@ class PageApplication(BokehTornado):
         )
         # Columns go to a browser on this machine, as a rule: packing them takes longer than sending them.
         settings.compression_level = 0
+        settings.perform_document_validation = False
 
     def resources(self, absolute_url: str | bool | None = None) -> Resources:
         """Return the components of BokehJS that the page uses."""

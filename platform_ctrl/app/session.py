@@ -56,8 +56,9 @@ class Task:
 class Session:
     """One page. Its methods run on the server's loop while the document is locked; `_work` runs in a thread."""
 
-    def __init__(self, backend: Backend, document: Document, state: str) -> None:
-        self.backend, self.connection = backend, work.Connection(document)
+    def __init__(self, pages: Pages, document: Document, state: str) -> None:
+        self.pages, self.backend, self.connection = pages, pages.backend, work.Connection(document)
+        backend = self.backend
         self._tasks = tasks = work.LongTasks(self, backend, self.connection)
         self.settings = backend.start()
         self._line: str | None = None
@@ -67,7 +68,8 @@ class Session:
             except PlatformCtrlError as error:
                 self._line = f"The state in the link was not used: {error}"
         self.history = History(self.settings)
-        self.picture: Picture | None = None
+        self.plots, drawn = pages.take()
+        self.picture = drawn if drawn is not None and drawn.settings.data() == self.settings.data() else None
         # What is done at each request of the page.
         self._acts: dict[str, Callable[..., Any]] = {what: getattr(backend, name) for what, name in CHANGES.items()} | {
             "ready": self._ready, "dark": self._dark, "move": self._move, "view": self._choose_view, "turn": self._turn,
@@ -75,7 +77,6 @@ class Session:
             "cancel": tasks.cancel, "save": tasks.save, "simulate": tasks.simulate,
         }  # fmt: skip
         self.connection.model.on_change("request", self._requested)
-        self.plots = Plots(dark=False, budget=backend.read.budget)
         self._view = VIEWS[0]
         # What a picture is computed for next.
         self.requests, self._lock = Requests("page"), threading.Lock()
@@ -136,7 +137,10 @@ class Session:
             self.connection.answer(count, line=[work.error_text(error), "error"], html=html)
 
     def _ready(self, count: int) -> None:
-        self.change("ready", lambda settings: settings, count=count, gesture="ready")
+        if self.picture is None:
+            self.change("ready", lambda settings: settings, count=count, gesture="ready")
+        else:
+            self._show(self.settings, "ready", self.picture, None, False, count)
 
     def _dark(self, count: int, dark: bool) -> None:
         self.plots.dark(dark)
@@ -349,26 +353,59 @@ class Session:
         self._idle = None
 
 
-def page(backend: Backend, document: Document) -> None:
-    """Fill a new document with a page, which ends with the document's session."""
-    context: Any = document.session_context
-    request = None if context is None else context.request
-    given: Any = {} if request is None else request.arguments
-    texts = given.get("state") or [b""]
-    session = Session(backend, document, bytes(texts[0]).decode("utf-8", "replace"))
-    with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
-        for root in (*session.plots.layout.values(), session.connection.model):
-            document.add_root(root)
-    document.on_session_destroyed(session.close)
-    document.title = backend.read.name
-    # A lost page says so itself, and is loaded again with its state: what the server knew of it may be gone.
-    document.config.update(reconnect_session=False, notify_connection_status=False)
-    document.template = fragments.templates().get_template("page.html")
-    document.template_variables.update(
-        has_budget=backend.read.budget is not None,
-        palette=":root{{{}}}\n:root[data-theme=dark]{{{}}}".format(*map(declarations, PALETTE.values())),
-        manoeuvres=[one.name for one in backend.read.manoeuvres],
-        folder=str(backend.folder.resolve()),
-        stem="job" if backend.path is None else backend.path.stem,
-        tree=json.dumps(tree_data(backend.read.platform), separators=(",", ":")),
-    )
+class Pages:
+    """The pages of a server.
+
+    The plots of the next page, with the curves of the job, are made before it is opened: that takes a third of a second
+    in which no other page could move a slider.
+    """
+
+    def __init__(self, backend: Backend) -> None:
+        self.backend = backend
+        self._lock = threading.Lock()
+        self._next: tuple[Plots, Picture | None] | None = None
+
+    def prepare(self) -> None:
+        """Make the plots of the next page, unless they are there; in a thread."""
+        with self._lock:
+            self._next = self._next or self._made()
+
+    def take(self) -> tuple[Plots, Picture | None]:
+        """Return plots, and the picture of the job that they show."""
+        with self._lock:
+            out, self._next = self._next or self._made(), None
+        return out
+
+    def _made(self) -> tuple[Plots, Picture | None]:
+        plots = Plots(budget=self.backend.read.budget)
+        try:
+            picture = self.backend.picture(self.backend.start())
+        except Exception:  # the page asks for it again, and says so
+            return plots, None
+        plots.show(picture)
+        return plots, picture
+
+    def fill(self, document: Document) -> None:
+        """Fill a new document with a page, which ends with the document's session."""
+        backend = self.backend
+        context: Any = document.session_context
+        request = None if context is None else context.request
+        given: Any = {} if request is None else request.arguments
+        texts = given.get("state") or [b""]
+        session = Session(self, document, bytes(texts[0]).decode("utf-8", "replace"))
+        with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
+            for root in (*session.plots.layout.values(), session.connection.model):
+                document.add_root(root)
+        document.on_session_destroyed(session.close)
+        document.title = backend.read.name
+        # A lost page says so itself, and is loaded again with its state: what the server knew of it may be gone.
+        document.config.update(reconnect_session=False, notify_connection_status=False)
+        document.template = fragments.templates().get_template("page.html")
+        document.template_variables.update(
+            has_budget=backend.read.budget is not None,
+            palette=":root{{{}}}\n:root[data-theme=dark]{{{}}}".format(*map(declarations, PALETTE.values())),
+            manoeuvres=[one.name for one in backend.read.manoeuvres],
+            folder=str(backend.folder.resolve()),
+            stem="job" if backend.path is None else backend.path.stem,
+            tree=json.dumps(tree_data(backend.read.platform), separators=(",", ":")),
+        )

@@ -184,6 +184,7 @@ class LongTasks:
             shown = self.page.picture
             if shown is not None and LATER in [one.reason for one in shown.requirements]:
                 self.page.again()
+            self.page.pages.prepare()
         except Exception as error:
             error_text(error)
 

@@ -88,15 +88,19 @@ def serve(
 
             from platform_ctrl.app.backend import Backend
             from platform_ctrl.app.server import AllowedHosts, PageServer
+            from platform_ctrl.app.session import Pages
         except ModuleNotFoundError as error:
             raise InputError(
                 f"the page needs {error.name}, which is not installed: pip install 'platform_ctrl[designer]'"
             ) from None
         AllowedHosts.of(host, allow or ())  # no work for what would be refused
         backend = Backend(job, controllers)
-        server = PageServer(backend, host=host, allow=allow or (), port=port)
+        pages = Pages(backend)
+        server = PageServer(pages.fill, host=host, allow=allow or (), port=port)
 
     def ready() -> None:
+        # While the browser starts.
+        threading.Thread(target=pages.prepare, daemon=True).start()
         shown = _opens_browser(browser, as_json)
         _announce(server, name, as_json, port)
         if shown:

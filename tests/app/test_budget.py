@@ -26,7 +26,7 @@ from platform_ctrl.app import fragments
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.fragments import next_step
 from platform_ctrl.app.job_parts import BUDGET, ChipState
-from platform_ctrl.app.session import Session
+from platform_ctrl.app.session import Pages, Session
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.tasks import Connection
 from platform_ctrl.cli import main
@@ -144,7 +144,7 @@ def test_a_limit_of_the_budget_is_edited_judged_and_saved(backend: Backend, tmp_
 def test_a_page_shows_the_budget_once_it_is_wanted(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
     waiting: list[Any] = []
     monkeypatch.setattr(Connection, "later", lambda connection, act: waiting.append(act))
-    session = Session(backend, Document(), "")
+    session = Session(Pages(backend), Document(), "")
     state = session.connection.model
 
     def table(count: int, what: str, **more: Any) -> str:
@@ -189,7 +189,7 @@ def test_a_page_shows_the_budget_once_it_is_wanted(backend: Backend, monkeypatch
 
 
 def test_the_table_in_a_browser_shows_the_numbers_and_the_limits(backend: Backend, browser: Browser) -> None:
-    with served(backend) as server, screen(browser, server.address) as seen:
+    with served(Pages(backend).fill) as server, screen(browser, server.address) as seen:
         page = seen.page
         page.wait_for_selector("body:not(.starting)", state="attached")
         # There is no servo: nothing to choose between caged and stabilised.

@@ -19,6 +19,7 @@ pytest.importorskip("tomlkit")
 
 
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.session import Pages
 from platform_ctrl.app.tasks import parse_request, target
 from platform_ctrl.design.methods import read_job
 from platform_ctrl.errors import InputError, PlatformCtrlError
@@ -137,7 +138,7 @@ def backend(job: Path) -> Iterator[Backend]:
 def server(backend: Backend) -> Iterator[PageServer]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("platform_ctrl.app.server.LINGER", 2_000)
-        with served(backend) as running:
+        with served(Pages(backend).fill) as running:
             yield running
 
 
@@ -560,7 +561,7 @@ def test_a_page_whose_server_ends_says_so_and_returns_with_its_state(
     browser: Browser, backend: Backend, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with ExitStack() as stack:
-        with served(backend) as server:
+        with served(Pages(backend).fill) as server:
             port = server.port
             page = stack.enter_context(screen(browser, server.address)).page
             page.wait_for_selector("body:not(.starting)", state="attached")
@@ -573,11 +574,11 @@ def test_a_page_whose_server_ends_says_so_and_returns_with_its_state(
         assert "Not saved" in (page.locator("#save-line").text_content() or "")
         page.keyboard.press("Escape")
         # Another server has another link.
-        with served(backend, port=port):
+        with served(Pages(backend).fill, port=port):
             assert "open that one" in line(page, "has another link")
         monkeypatch.setattr("secrets.token_urlsafe", lambda size: server.token)
         with page.expect_event("load"):
-            stack.enter_context(served(backend, port=port))
+            stack.enter_context(served(Pages(backend).fill, port=port))
         until(page, lambda: page.evaluate("!document.body.matches('.starting, .lost') && window.page.settled()"))
         assert number(page, "crossover_hz").input_value() == other
         page.close()

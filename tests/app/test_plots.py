@@ -42,12 +42,12 @@ def document(plots: Plots) -> Iterator[Document]:
 @pytest.fixture(scope="module")
 def plots() -> Plots:
     """The plots of one page, with everything that the tests before have done to it."""
-    return Plots(dark=False)
+    return Plots()
 
 
 @pytest.fixture
 def fresh() -> Plots:
-    return Plots(dark=False)
+    return Plots()
 
 
 def named(plots: Plots, kind: type[Model]) -> list[Any]:

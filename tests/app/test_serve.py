@@ -26,7 +26,7 @@ from platform_ctrl.app import server as served_by
 from platform_ctrl.app.server import PageServer
 
 
-def a_slider(backend: object, document: Any) -> None:
+def a_slider(document: Any) -> None:
     from bokeh.models.widgets import Slider
 
     document.add_root(Slider(start=0.0, end=1.0, value=0.5, step=0.1))
@@ -36,7 +36,7 @@ def a_slider(backend: object, document: Any) -> None:
 @pytest.fixture(scope="module")
 def server() -> Iterator[PageServer]:
     gc.freeze()  # as the command does it: a page that ends is looked for among what came since
-    with served(make=a_slider) as running:
+    with served(a_slider) as running:
         yield running
     gc.unfreeze()
 
@@ -147,7 +147,7 @@ def test_too_many_pages_are_refused_until_there_is_room(monkeypatch: pytest.Monk
     monkeypatch.setattr(served_by, "PAGES", 3)
     monkeypatch.setattr(served_by, "LINGER", 500)
     monkeypatch.setattr(served_by, "LOOK", 100)
-    with served(make=a_slider) as server:
+    with served(a_slider) as server:
         with ExitStack() as stack:
             for _ in range(3):
                 stack.enter_context(OpenPage(server)).part()
@@ -162,11 +162,11 @@ def test_too_many_pages_are_refused_until_there_is_room(monkeypatch: pytest.Monk
 
 
 def test_a_page_that_cannot_be_made_says_so_in_a_plain_line(capfd: pytest.CaptureFixture[str]) -> None:
-    def failing(backend: object, document: Any) -> None:
+    def failing(document: Any) -> None:
         document.add_root(Div(text="half"))
         raise InputError("job.toml: is no job\nany more, <b>")
 
-    with served(make=failing) as server:
+    with served(failing) as server:
         assert asked(server)[2] == "This page could not be made: job.toml: is no job any more, &lt;b&gt;"
     assert capfd.readouterr().err == "platform-ctrl: a page could not be made: job.toml: is no job any more, <b>\n"
 
@@ -185,8 +185,8 @@ def test_other_machines_are_accepted_only_by_name(host: str) -> None:
 
 def test_a_port_in_use_and_an_invalid_host_are_errors_of_one_line(server: PageServer) -> None:
     with pytest.raises(InputError, match=f"--port {server.port}: is used by another program; give a free port"):
-        PageServer(None, port=server.port, make=a_slider)
+        PageServer(a_slider, port=server.port)
     with pytest.raises(InputError, match=r"--host 192\.0\.2\.7: cannot be listened on"):
-        PageServer(None, host="192.0.2.7", port=0, allow=["x"], make=a_slider)
+        PageServer(a_slider, host="192.0.2.7", port=0, allow=["x"])
     with pytest.raises(InputError, match="--host no such host: cannot be listened on"):
-        PageServer(None, host="no such host", port=0, allow=["x"], make=a_slider)
+        PageServer(a_slider, host="no such host", port=0, allow=["x"])

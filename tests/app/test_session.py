@@ -19,7 +19,7 @@ from platform_ctrl.app import closed_loops
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import Background, DesignPending, Requests, TaskCancelled
 from platform_ctrl.app.pictures import Picture
-from platform_ctrl.app.session import Session
+from platform_ctrl.app.session import Pages, Session
 from platform_ctrl.app.tasks import Connection
 from platform_ctrl.errors import ArgumentError, DesignError
 from questions import dying, refusing, sleeping, who
@@ -48,7 +48,7 @@ class Driven:
         monkeypatch.setattr(
             backend.loops, "listen", lambda listener: self._listeners.append(listener) or (lambda: None)
         )
-        self.session = Session(backend, Document(), "")
+        self.session = Session(Pages(backend), Document(), "")
         self.answered = 0
         self.session.connection.model.on_change("answered", self._answered)
         self.request("ready")

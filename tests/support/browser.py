@@ -17,7 +17,7 @@ import pytest
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
 
-    from platform_ctrl.app.server import Make, PageServer
+    from platform_ctrl.app.server import PageServer
 
 VARIABLE = "PLATFORM_CTRL_CHROMIUM"
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -106,24 +106,25 @@ def served_job(job: Path, made: Callable[[Any], None]) -> Iterator[PageServer]:
     """Yield a server of the designer's page for a job; `made` gets every document that becomes one."""
     pytest.importorskip("bokeh", reason="Bokeh is not installed")
     from platform_ctrl.app.backend import Backend
-    from platform_ctrl.app.session import page
+    from platform_ctrl.app.session import Pages
 
-    def make(backend: Any, document: Any) -> None:
-        page(backend, document)
+    pages = Pages(Backend(job))
+
+    def fill(document: Any) -> None:
+        pages.fill(document)
         made(document)
 
-    with served(Backend(job), make=make) as server:
+    with served(fill) as server:
         yield server
 
 
 @contextmanager
-def served(backend: object = None, make: Make | None = None, **more: object) -> Iterator[PageServer]:
-    """Yield a server that answers, at a free port: of the designer's page, or of what `make` puts into documents."""
+def served(fill: Callable[[Any], None], port: int = 0) -> Iterator[PageServer]:
+    """Yield a server that answers, by default at a free port, of what `fill` puts into documents."""
     pytest.importorskip("bokeh", reason="Bokeh is not installed")
     from platform_ctrl.app.server import PageServer
 
-    given = {"port": 0} | ({} if make is None else {"make": make}) | more
-    server = PageServer(backend, **given)  # type: ignore[arg-type]
+    server = PageServer(fill, port=port)
     ready = threading.Event()
     running = threading.Thread(target=server.run, args=(ready.set,))
     running.start()

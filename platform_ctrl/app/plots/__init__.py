@@ -147,8 +147,8 @@ class Plots:
         What is drawn there, and what is written above it.
     """
 
-    def __init__(self, dark: bool = False, budget: BudgetSpec | None = None) -> None:
-        self._theme = Theme(dark)
+    def __init__(self, budget: BudgetSpec | None = None) -> None:
+        self._theme = Theme()
         self._subject: tuple[object, ...] = ()
         # One view for all that is over frequency: zooming one zooms all.
         view = View(0.1, 1000.0, _frequencies, logarithmic=True)
@@ -190,9 +190,9 @@ class Plots:
 
     def dark(self, dark: bool) -> None:
         """Switch the theme in place."""
-        self._theme.change(dark)
-        for figure in (figure for one in self.panels for figure in one.figures):
-            figure.again()
+        if self._theme.change(dark):
+            for figure in (figure for one in self.panels for figure in one.figures):
+                figure.again()
 
     def show_budget(self, found: LineOfSightBudget) -> None:
         """Follow the budget of the line of sight, of a job that has one."""

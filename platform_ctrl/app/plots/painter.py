@@ -75,22 +75,23 @@ _TIP = f"""<style>
 class Theme:
     """The colours of a page by role, the models that keep theirs whatever is shown, and what all sources share."""
 
-    def __init__(self, dark: bool) -> None:
+    def __init__(self) -> None:
+        self.colours = PALETTE["light"]
         self._models: list[tuple[Any, dict[str, str]]] = []
         # All sources have the same: Bokeh goes through all models for each that changes.
         self.policy, self.every = models.UnionRenderers(), models.AllIndices()
-        self.change(dark)
 
     def paint(self, model: Any, **roles: str) -> None:
         """Give properties of a model the colours of their roles, now and after every change of the theme."""
         self._models.append((model, roles))
         model.update(**{name: self.colours[role] for name, role in roles.items()})
 
-    def change(self, dark: bool) -> None:
-        """Switch everything that was painted."""
-        self.colours = PALETTE["dark" if dark else "light"]
+    def change(self, dark: bool) -> bool:
+        """Switch everything that was painted, and return whether that is a change."""
+        before, self.colours = self.colours, PALETTE["dark" if dark else "light"]
         for model, roles in self._models:
             model.update(**{name: self.colours[role] for name, role in roles.items()})
+        return self.colours is not before
 
 
 @dataclasses.dataclass(frozen=True)
