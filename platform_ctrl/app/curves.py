@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -203,7 +203,7 @@ class LoopCurves(ABC):
             other_poles=others[np.abs(others) < 4.0 * locus.view.reach],
             step=self.step(),
             Omega_time=self.disturbance(),
-            Omega_frequency=self.disturbance_gain(),
+            Omega_gain=cache(self.disturbance_gain),
             limits=self.limits,
             stable=self.stable,
             all_stable=self.all_stable,

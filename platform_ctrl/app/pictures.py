@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -143,9 +143,9 @@ class Drawing:
 
     `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
     `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
-    the platform; `Omega_frequency` the same over frequency. `poles` (n,) are those of the closed loop in s, rad/s,
-    `other_poles` those of the other plants of the band that the locus may show. `limits` are the job's, by the metrics
-    that curves are drawn with, or None.
+    the platform; `Omega_gain` computes the same over frequency, which most pages never show. `poles` (n,) are those of
+    the closed loop in s, rad/s, `other_poles` those of the other plants of the band that the locus may show. `limits`
+    are the job's, by the metrics that curves are drawn with, or None.
     """
 
     settings: Settings
@@ -157,12 +157,18 @@ class Drawing:
     other_poles: ComplexArray
     step: TimeResponse
     Omega_time: TimeResponse
-    Omega_frequency: FrequencyGain
+    Omega_gain: Callable[[], FrequencyGain]
     limits: Mapping[str, float | None]
     stable: bool
     all_stable: bool
     # Other designs of the loop, without bands.
     overlays: tuple[Drawing, ...] = ()
+
+    @property
+    def Omega_frequency(self) -> FrequencyGain:
+        """The gain from what disturbs the loop."""
+        with np.errstate(all="ignore"):
+            return self.Omega_gain()
 
     @property
     def crossover(self) -> float | None:

@@ -237,6 +237,9 @@ class Session:
 
     def _drawn(self, drawing: Drawing) -> None:
         """Show the curves before they are measured; called in a thread."""
+        if self.plots.over_frequency:
+            for one in (drawing, *drawing.overlays):
+                one.Omega_gain()
         if self._view != "loop":
             return
         self._sent.clear()

@@ -114,7 +114,7 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
         other_poles=np.concatenate([poles(k * gain) for k in spread[1:]]) if plants else np.zeros(0, np.complex128),
         step=time("1 mN m step at Q4", None),
         Omega_time=time("1 rad/s about axis 1", 1e-6),
-        Omega_frequency=FrequencyGain(
+        Omega_gain=lambda: FrequencyGain(
             title="rate Omega1 → angles",
             unit="rad/(rad/s)",
             frequency=f,
@@ -157,7 +157,7 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             poles=poles(1.5 * gain),
             step=nothing,
             Omega_time=nothing,
-            Omega_frequency=dataclasses.replace(made.Omega_frequency, gain=0.7 * from_rate),
+            Omega_gain=lambda: dataclasses.replace(made.Omega_frequency, gain=0.7 * from_rate),
         )
         for name in overlays
     )
@@ -176,10 +176,11 @@ def broken(number: float) -> Picture:
                 changes[one.name] = np.full(item.shape, number, item.dtype)
         return dataclasses.replace(part, **changes)
 
-    names = ("bode", "locus", "step", "Omega_time", "Omega_frequency")
+    names = ("bode", "locus", "step", "Omega_time")
     return dataclasses.replace(
         made,
         **{name: spoilt(getattr(made, name)) for name in names},
+        Omega_gain=lambda: spoilt(made.Omega_frequency),
         poles=np.full(made.poles.shape, number, np.complex128),
         stable=False,
         all_stable=False,

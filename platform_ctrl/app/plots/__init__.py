@@ -188,6 +188,11 @@ class Plots:
         for one in self._loop:
             one.show(picture)
 
+    @property
+    def over_frequency(self) -> bool:
+        """Whether the disturbance is shown over frequency."""
+        return self._loop[-1].turned
+
     def dark(self, dark: bool) -> None:
         """Switch the theme in place."""
         if self._theme.change(dark):

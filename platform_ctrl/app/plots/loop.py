@@ -48,7 +48,7 @@ class BodePanel(Panel):
             (View(-360.0, 0.0, stepped(90.0, -720.0, 360.0)), "{0}°", "°", True),
         ):
             one = self.add(frequency, view, number, "bands levels verticals lines points words", last=last)
-            one.rounded(one.plot.yaxis[0], unit)
+            one.rounded(unit)
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
@@ -63,7 +63,7 @@ class BodePanel(Panel):
             # Most pages never show them.
             level = View(-40.0, 20.0, stepped(10.0, -40.0, 30.0))
             one = self.add(self._frequency, level, "{0.0} dB", "strips bands levels lines", last=False)
-            one.rounded(one.plot.yaxis[0], "dB")
+            one.rounded("dB")
             for last in (False, True):
                 view = View(1e-3, 1.0, decades, logarithmic=True)
                 self.add(self._frequency, view, "{0.[0000]}", "lines", last=last)
@@ -199,8 +199,8 @@ class NicholsPanel(Panel):
         parts = "bands ground levels lines traced points words"
         across = Axis(phase, "phase, °", "phase, °", "{0.0}", "mouse", False)
         one = self.add(across, gain, "{0.0}", parts, trace=Trace("frequency", "{0.[000]} Hz", "series-1", 2.2))
-        one.rounded(one.plot.xaxis[0], "°")
-        one.rounded(one.plot.yaxis[0], "dB")
+        one.rounded("°", "x")
+        one.rounded("dB")
         self._contours = gain_contours()
 
     def show(self, picture: Drawing) -> None:

@@ -78,8 +78,13 @@ class Theme:
     def __init__(self) -> None:
         self.colours = PALETTE["light"]
         self._models: list[tuple[Any, dict[str, str]]] = []
-        # All sources have the same: Bokeh goes through all models for each that changes.
-        self.policy, self.every = models.UnionRenderers(), models.AllIndices()
+        # All sources and axes have the same: a page takes longer to open the more models it has.
+        self.policy, self.every, self.no_ticks = models.UnionRenderers(), models.AllIndices(), models.FixedTicker()
+        # Within a decade numbers come closer and closer together; a low figure has more ticks than numbers.
+        self.apart: dict[Any, Any] = {
+            models.LogAxis: models.NoOverlap(min_distance=2),
+            models.LinearAxis: models.NoOverlap(min_distance=1),
+        }
 
     def paint(self, model: Any, **roles: str) -> None:
         """Give properties of a model the colours of their roles, now and after every change of the theme."""
@@ -145,13 +150,14 @@ class Figure:
         self.x, self.y, self._theme, self._unit, self._trace = x, y, panel.theme, views.Unit(), trace
         self.keys: list[Key] = []
         self.message: Any = None
-        self._labelled: bool | None = None
         self._shown: Curves | None = None
         # What was drawn of each of the curves: several stay the same from one picture to the next.
         self._drawn: dict[Curve, tuple[str, list[Row]]] = {}
         self._number = number
         self.plot: Any = views.empty_figure(f"{panel.name}-figure-{len(panel.figures)}", x.view, y, last)
         self.xaxis, self.yaxis = self.plot.xaxis[0], self.plot.yaxis[0]
+        for axis, grid in ((self.xaxis, self.plot.xgrid[0]), (self.yaxis, self.plot.ygrid[0])):
+            axis.major_label_policy, grid.ticker = self._theme.apart[type(axis)], axis.ticker
         self.sources: dict[str, models.ColumnDataSource] = {}
         for name in ("inner_width", "inner_height"):
             self.plot.on_change(name, lambda attr, old, new: self._resized())
@@ -299,30 +305,27 @@ class Figure:
         # The unit of a low figure is longer than its axis.
         low = _LOW if len(self.yaxis.axis_label or "") <= _SHORT else _LOW_OF_LONG
         views.assign(self.yaxis, axis_label_text_font_size=views.SMALL if height >= low else "9px")
-        for axis, pixels, each in ((self.xaxis, width, 58.0), (self.yaxis, height, 24.0)):
-            if isinstance(axis, models.LinearAxis) and hasattr(axis.ticker, "desired_num_ticks"):
+        for axis, grid, pixels, each in (
+            (self.xaxis, self.plot.xgrid[0], width, 58.0),
+            (self.yaxis, self.plot.ygrid[0], height, 24.0),
+        ):
+            if isinstance(axis, models.LinearAxis) and hasattr(grid.ticker, "desired_num_ticks"):
                 # A single tick label gives no scale.
-                views.assign(axis.ticker, desired_num_ticks=max(3, min(9, round(pixels / each))))
+                views.assign(grid.ticker, desired_num_ticks=max(3, min(9, round(pixels / each))))
 
     def label_ticks(self, shown: bool) -> None:
         """Write numbers and a label below the figure, or leave them to the figure under it."""
-        if self._labelled == shown:
-            return
-        self._labelled = shown
-        # The exponents of powers of ten need a size above 0.
-        size, alpha, major, minor = (views.SMALL, 1.0, 4, 2) if shown else ("1px", 0.0, 0, 0)
-        ticks: Row = {"major_tick_out": major, "minor_tick_out": minor}
-        numbers: Row = {"major_label_text_font_size": size, "major_label_text_alpha": alpha}
-        views.assign(self.xaxis, **ticks, **numbers, axis_label=self.x.label if shown else "")
+        ticker = self.plot.xgrid[0].ticker if shown else self._theme.no_ticks
+        views.assign(self.xaxis, ticker=ticker, axis_label=self.x.label if shown else "")
         # Room for half a number of the vertical axis.
         views.assign(self.plot, min_border_bottom=0 if shown else 8)
 
-    def rounded(self, axis: Any, unit: str) -> None:
+    def rounded(self, unit: str, axis: str = "y") -> None:
         """Put the ticks of an axis at parts of a turn, or at round decibels."""
         base, mantissas = _STEPS[unit]
-        axis.ticker = models.AdaptiveTicker(
-            base=base, mantissas=list(mantissas), desired_num_ticks=5, num_minor_ticks=0
-        )
+        ticker = models.AdaptiveTicker(base=base, mantissas=list(mantissas), desired_num_ticks=5, num_minor_ticks=0)
+        for part in ("axis", "grid"):
+            getattr(self.plot, f"{axis}{part}").ticker = ticker
 
 
 def _columns(name: str) -> tuple[str, ...]:

@@ -16,8 +16,6 @@ from platform_ctrl.common.values import FloatArray
 
 FONT = 'system-ui, -apple-system, "Segoe UI", "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif'
 SMALL, NORMAL = "11px", "12px"
-# Least distance of the numbers at an axis, pixels.
-_APART = 2
 # Height of the numbers and the label below a figure, pixels.
 _BELOW = 28
 _LEFT, _RIGHT, _TOP = 54, 12, 7
@@ -170,7 +168,7 @@ class View:
     def __init__(
         self, low: float, high: float, bounds: Bounds = round_bounds, *, logarithmic: bool = False, name: str = ""
     ) -> None:
-        self.range = models.Range1d(start=low, end=high, reset_start=low, reset_end=high)
+        self.range = models.Range1d(start=low, end=high)
         self.rest = (low, high)
         self._bounds, self.logarithmic, self.name = bounds, logarithmic, name
         self.zoomed = self._fitted = False
@@ -207,7 +205,8 @@ class View:
         """Set the bounds without zoom; a zoomed view changes only when it is reset."""
         if (low, high) != self.rest:
             self.rest = (low, high)
-            self.range.update(reset_start=low, reset_end=high, **({} if self.zoomed else {"start": low, "end": high}))
+            if not self.zoomed:
+                self.reset()
 
     def reset(self) -> None:
         """Undo the user's zoom."""
@@ -218,7 +217,7 @@ class View:
 
 
 def empty_figure(name: str, x: View, y: View, last: bool) -> Any:
-    """Return an empty figure with zoom, pan and reset but without a tool bar."""
+    """Return an empty figure with zoom and pan but without a tool bar."""
     out = figure(
         name=name,
         x_range=x.range,
@@ -242,7 +241,7 @@ def empty_figure(name: str, x: View, y: View, last: bool) -> Any:
         styles={"flex-grow": "1", "flex-basis": f"{_BELOW}px" if last else "0"},
     )
     pan, wheel = models.PanTool(), models.WheelZoomTool(zoom_on_axis=True)
-    out.add_tools(pan, wheel, models.ResetTool())
+    out.add_tools(pan, wheel)
     out.toolbar.active_drag, out.toolbar.active_scroll = pan, wheel
     # The page shows through: half of the outermost pixels would keep the colour of the theme before.
     out.background_fill_color = out.border_fill_color = out.outline_line_color = None
@@ -262,11 +261,7 @@ def _style(axis: Any) -> None:
         axis.ticker = models.LogTicker(desired_num_ticks=8, num_minor_ticks=9)
         axis.minor_tick_in, axis.minor_tick_out = 0, 2
         axis.formatter = models.LogTickFormatter(ticker=axis.ticker, min_exponent=4)
-        # Within a decade the numbers come closer and closer together.
-        axis.major_label_policy = models.NoOverlap(min_distance=_APART)
     else:
         axis.ticker.desired_num_ticks = 5
         axis.minor_tick_in = axis.minor_tick_out = 0
         axis.formatter = models.BasicTickFormatter(use_scientific=False)
-        # A low figure has more ticks than numbers.
-        axis.major_label_policy = models.NoOverlap(min_distance=1)
