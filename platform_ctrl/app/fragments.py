@@ -1,4 +1,11 @@
-"""The parts of the page that follow its settings, as HTML: strip, selectors, margins, sliders, table, budget."""
+"""The parts of the page that follow its settings, as HTML: strip, selectors, margins, sliders, table, budget.
+
+Each part is a column of a Bokeh source (`tasks.PageState`), of which those that have changed are sent; in the browser
+elements that are equal stay. Bokeh's own elements were measured instead. A `Div` replaces its content as a whole, and
+with it the focus, the slider that is being dragged and what was scrolled; it stands in a shadow root, which labels and
+descriptions elsewhere on the page do not reach. `bokeh.models.dom` needs a model for each of 620 elements: a page
+takes .4 s longer to make, and a move of a slider sends 46 messages in place of one.
+"""
 
 from __future__ import annotations
 
