@@ -15,7 +15,7 @@ from platform_ctrl.analysis.metrics import RUN_METRICS, over_limit, run_metrics
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.campaign import store
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.mistakes import one_line
 from platform_ctrl.simulation.batch import BatchResult, run_values, simulate_batch
@@ -163,11 +163,7 @@ def recorded_row(folder: Path, number: int) -> Row | None:
     path = folder / store.TABLE
     if not path.exists():
         return None
-    pa = store.arrow()
-    try:
-        rows = pa.parquet.read_table(path, filters=[(store.RUN, "==", number)]).to_pylist()
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(f"{path}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+    rows: list[Row] = store.read_rows(path, number).to_pylist()
     return rows[0] if rows else None
 
 

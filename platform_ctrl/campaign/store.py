@@ -52,16 +52,22 @@ def arrow() -> Any:
     return pyarrow
 
 
-def read_columns(table: str | os.PathLike[str]) -> Columns:
-    """Return the columns (N,) of a campaign's table, Parquet, by their names, as of `typed`."""
+def read_rows(table: str | os.PathLike[str], run: int | None = None) -> Any:
+    """Return a campaign's table, Parquet, or what it has of one run, as a table of pyarrow."""
     pa = arrow()
     from pyarrow import dataset
 
-    where = short(os.fspath(table))
     try:
-        found = dataset.dataset(os.fspath(table), format="parquet").to_table()
+        rows = dataset.dataset(os.fspath(table), format="parquet")
+        return rows.to_table(filter=None if run is None else dataset.field(RUN) == run)
     except (pa.ArrowException, OSError, ValueError) as error:
+        where = short(os.fspath(table))
         raise InputError(f"{where}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+
+
+def read_columns(table: str | os.PathLike[str]) -> Columns:
+    """Return the columns (N,) of a campaign's table by their names, as of `typed`."""
+    found, where = read_rows(table), short(os.fspath(table))
     for name in {RUN, MANOEUVRE, PASSED, ENDED}.difference(found.column_names):
         raise InputError(f"{where}: has no column {name!r}; give the table that a campaign has written")
     return typed({name: found.column(name).to_numpy() for name in found.column_names})

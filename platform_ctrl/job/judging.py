@@ -39,6 +39,8 @@ class CheckResult:
         Stage of the check at which it was measured.
     evidence
         How the value can be recomputed.
+    where
+        Plant, torquer or controller of which the value is, as the evidence says it; empty where that names none.
     hard
         Whether the verdict rests on it; a goal that is missed is no failure.
     method
@@ -64,6 +66,7 @@ class CheckResult:
     method: Method = "sampled"
     reason: str = ""
     valid: bool = True
+    where: str = ""
 
     @property
     def title(self) -> str:
@@ -125,6 +128,7 @@ class Requirement:
         evidence: str,
         design: str = "",
         method: Method | None = None,
+        where: str = "",
     ) -> CheckResult:
         """Compare a measured value with the bound: met where the ratio is at most 1."""
         ratio, method = self.ratio(measured), method or ("simulated" if stage == "simulated" else "sampled")
@@ -142,6 +146,7 @@ class Requirement:
             evidence=evidence,
             hard=self.hard,
             method=method,
+            where=where,
         )
 
 

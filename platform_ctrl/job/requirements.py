@@ -146,6 +146,7 @@ class LoopRequirement(Requirement):
         # Of the nominal plant and of the controller there is one.
         number, found = len(values) if self.beyond_nominal else 1, float(values[worst])
         if self.metric.of_sight:
+            where = ""
             evidence = (
                 "linear budget of all loops closed, at the worst gimbal angles, with dry friction where there is some"
             ) + ("; sines count as Gaussian" if self.metric.key == "contrast" else "")
@@ -155,7 +156,7 @@ class LoopRequirement(Requirement):
             evidence += self._conditions(plants, metrics.free_angles, found)
         method: Method = "refined" if self._between_samples else "exact"
         method = method if metrics.exact or not (self._between_samples or self.metric.searched) else "sampled"
-        about = {"subject": subject, "design": design, "evidence": evidence}
+        about = {"subject": subject, "design": design, "evidence": evidence, "where": where}
         judged = self.judge(found, stage="decoupled", method=method, **about)
         if not self.metric.of_sight or 0.0 < found < np.inf:
             return judged

@@ -179,7 +179,7 @@ def group_table(design: Design) -> Table | None:
         margin, where = float(measures.disk_margin[0]), ""
         if group != "nominal":
             worst = requirement("disk margin", 1.0, over=(group,)).result(plants, measures)
-            margin, where = worst.value, worst.evidence.rpartition(";")[0]
+            margin, where = worst.value, worst.where
         rows.append(
             (
                 name,

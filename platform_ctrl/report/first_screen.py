@@ -60,10 +60,10 @@ def chain_table(result: JobResult) -> page.Table | None:
         if nearest is None:
             continue
         number, limit = compared(nearest)
-        where, tone = nearest.evidence.rpartition(";")[0], "" if nearest.passed else "bad"
+        tone = "" if nearest.passed else "bad"
         shown = (
             page.Cell(text=outcome.spec.name, note=outcome.use),
-            page.Cell(text=nearest.name, note=f"with {where}" if where else ""),
+            page.Cell(text=nearest.name, note=f"with {nearest.where}" if nearest.where else ""),
             page.Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=tone),
         )
         rows.append(page.Row(cells=shown, missed=not nearest.passed))
