@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import typer
 
+from campaign_runs import processes_here
 from platform_ctrl import read_job, read_platform, shipped_models
 from platform_ctrl.cli import main
 from platform_ctrl.cli.commands import app
@@ -78,6 +79,8 @@ def test_code_on_a_page_runs_and_prints_what_the_page_says(
     if page.parent.name == "how-to" and page.name in NEEDS:
         pytest.importorskip(NEEDS[page.name], reason="campaigns keep their runs as Parquet, Dask hands them out")
     monkeypatch.chdir(tmp_path)
+    # Workers are tested with the engine; here each of them would load everything again.
+    monkeypatch.setattr("platform_ctrl.campaign.engine.processes_here", processes_here)
     monkeypatch.setattr(sys, "argv", ["page"])
     # A module as of a script: annotations of classes on the page are found in it.
     module = types.ModuleType("__page__")

@@ -96,8 +96,8 @@ hold = 0.02
 duration = 0.05
 limits = { angle = 0.1 }
 """
-# How often what has to come is looked for, at least 15 ms apart: not a time, which would be short on a busy machine.
-LOOKS = 6000
+# How often what has to come is looked for, at least 40 ms apart: not a time, which would be short on a busy machine.
+LOOKS = 3000
 CROSSOVER = '#sliders [data-slider="crossover_hz"]'
 LOOP = """() => {
   for (const model of Bokeh.documents[0]._all_models.values()) {
@@ -178,7 +178,7 @@ def until(page: Page, what: Any) -> Any:
     for _ in range(LOOKS):
         if found := what():
             return found
-        page.wait_for_timeout(15)
+        page.wait_for_timeout(40)
     raise AssertionError("it did not come")
 
 
