@@ -295,11 +295,10 @@ def test_the_camera_that_bends_is_the_shipped_camera_with_modes():
 
 
 def test_the_loop_of_the_camera_that_bends_is_half_again_as_fast_as_a_pid_with_a_notch():
-    """The controllers that the job led to; that of sections is measured again, the slow test measures both."""
-    job, accepted = (
-        read_job(BENDING),
-        json.loads((Path(__file__).parent / "data/camera_gimbal_modes.json").read_bytes()),
-    )
+    """The controllers that the job led to, at one elevation; the slow test measures both at all."""
+    accepted = json.loads((Path(__file__).parent / "data/camera_gimbal_modes.json").read_bytes())
+    job = read_job(BENDING)
+    job = dataclasses.replace(job, angles={name: at[-1:] for name, at in job.angles.items()})
     [other] = accepted.pop("alternatives")
     [outcome] = outcomes(job, accepted)
     assert outcome.spec.limits["disk_margin_worst_case"] == 0.4

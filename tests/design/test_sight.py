@@ -83,6 +83,7 @@ def test_a_structured_design_makes_jitter_small_within_its_limits():
     assert found.goals[0].value == pytest.approx(reached, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_structured_design_leaves_the_contrast_that_is_asked():
     reached = given_values()["contrast of the image"]
     structured = {"name": "pi", "method": "structured", "structure": "pid", "evaluations": 20}

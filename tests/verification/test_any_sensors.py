@@ -174,7 +174,13 @@ def test_methods_that_work_axis_by_axis_refuse_angles_beside_rates(method):
 
 
 @pytest.mark.parametrize(
-    "method", [{"method": "hinf"}, {"method": "lmi", "backoff": 0.07}, {"method": "structured"}, STATE_SPACE]
+    "method",
+    [
+        {"method": "hinf"},
+        {"method": "lmi", "backoff": 0.07},
+        {"method": "structured"},
+        pytest.param(STATE_SPACE, marks=pytest.mark.slow),
+    ],
 )
 def test_other_designs_have_the_rate_beside_the_angle_too(method):
     limits = {"disk_margin": 0.62, "damping": 0.4}
