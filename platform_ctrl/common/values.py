@@ -8,7 +8,7 @@ import functools
 import math
 import reprlib
 import types
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -43,16 +43,13 @@ def _freeze_arrays(self: Any) -> None:
             object.__setattr__(self, name, frozen)
 
 
-def _freeze_within(item: Any) -> None:
-    """Make arrays read-only that a copied value holds in tuples, lists and dictionaries: no other value has them."""
-    if isinstance(item, np.ndarray):
-        item.flags.writeable = False
-    elif isinstance(item, tuple | list):
-        for one in item:
-            _freeze_within(one)
-    elif isinstance(item, dict):
-        for one in item.values():
-            _freeze_within(one)
+def _within(item: Any) -> Iterator[Any]:
+    """Go through what is in tuples, lists and dictionaries, or through the item alone."""
+    if not isinstance(item, tuple | list | dict):
+        yield item
+        return
+    for one in item.values() if isinstance(item, dict) else item:
+        yield from _within(one)
 
 
 def _set_state(self: Any, state: list[Any]) -> None:
@@ -60,14 +57,13 @@ def _set_state(self: Any, state: list[Any]) -> None:
         object.__setattr__(self, name, item)
     # Unpickled arrays come back writeable: freeze them again.
     _freeze_arrays(self)
-    _freeze_within(state)
+    for item in _within(state):
+        if isinstance(item, np.ndarray):
+            item.flags.writeable = False
 
 
 def _get_state(self: Any) -> list[Any]:
-    state = [getattr(self, name) for name in self._fields]
-    for item in state:
-        portable(item)
-    return state
+    return portable([getattr(self, name) for name in self._fields])
 
 
 def portable(item: T) -> T:
@@ -76,14 +72,9 @@ def portable(item: T) -> T:
     python-control 0.10 gives each system functions of its own matrices: `pickle` refuses them, and a deep copy goes on
     computing with the matrices of the original. Systems within tuples, lists and dictionaries count as well.
     """
-    if isinstance(item, tuple | list):
-        for one in item:
-            portable(one)
-    elif isinstance(item, dict):
-        for one in item.values():
-            portable(one)
-    elif type(item).__name__ == "StateSpace" and type(item).__module__ == "control.statesp":
-        copyreg.dispatch_table.setdefault(type(item), _reduced)
+    for one in _within(item):
+        if type(one).__name__ == "StateSpace" and type(one).__module__ == "control.statesp":
+            copyreg.dispatch_table.setdefault(type(one), _reduced)
     return item
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import instance, real_array, unit_quaternions
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.kinematics import Kinematics, cross_matrix, kinematics
-from platform_ctrl.plant.force_elements import Friction
+from platform_ctrl.plant.force_elements import Erection, Friction
 from platform_ctrl.plant.platform import Platform
 
 
@@ -120,22 +119,6 @@ def twisted(platform: Platform, q: FloatArray, f: FloatArray) -> FloatArray:
     return out
 
 
-class _Erecting(NamedTuple):
-    """An erection: gimbal, body and axis (root axes) of its sensor, sine of the tilt, gain and limit."""
-
-    gimbal: int
-    body: int
-    axis: FloatArray
-    tilt: float
-    gain: float
-    limit: float
-
-    @property
-    def torque(self) -> float:
-        """Torque on the gimbal, N m."""
-        return min(max(self.gain * self.tilt, -self.limit), self.limit)
-
-
 class ForceElements:
     """The force elements of a platform with their places, at one configuration under the specific force f (3,)."""
 
@@ -153,15 +136,13 @@ class ForceElements:
             self._moments[k] += at.rotations[k] @ unbalance.moment
         # ∂[M, Q]/∂f, (3 + n, 3), of the moments −(m r) × f.
         self._unbalance = -np.einsum("bji,bjk->ik", at.jacobians, cross_matrix(self._moments))
-        self._erections: list[_Erecting] = []
+        # Row, sensing body and axis of each, and its torque without a limit: none where there is nothing to erect to.
+        self._erections: list[tuple[int, int, FloatArray, float, Erection]] = []
         size = float(np.linalg.norm(f))
-        # Without specific force there is nothing to erect to.
         for device in platform.erections if size > 0.0 else ():
-            senses = body(device.senses)
-            axis = at.rotations[senses] @ device.axis
-            limit = math.inf if device.limit is None else device.limit
-            tilt = float(axis @ f) / size
-            self._erections.append(_Erecting(gimbal(device.gimbal), senses, axis, tilt, device.gain, limit))
+            axis = at.rotations[senses := body(device.senses)] @ device.axis
+            wanted = device.gain * float(axis @ f) / size
+            self._erections.append((3 + gimbal(device.gimbal), senses, axis, wanted, device))
 
     def forces(self, angles: FloatArray, rates: FloatArray) -> FloatArray:
         """Return [M, Q] of all elements at the gimbals' angles and rates, (3 + n,)."""
@@ -178,8 +159,8 @@ class ForceElements:
         for k, cage in self._cages:
             deflection = float(angles[k]) - cage.angle
             out[3 + k] += _contact(cage.stiffness, cage.damping, cage.clearance, deflection, float(rates[k]))
-        for erecting in self._erections:
-            out[3 + erecting.gimbal] += erecting.torque
+        for row, _, _, wanted, device in self._erections:
+            out[row] += min(max(wanted, -device.most), device.most)
         return out
 
     def slopes(self, q: FloatArray, rate_amplitude: FloatArray | None = None) -> ForceSlopes:
@@ -209,12 +190,11 @@ class ForceElements:
                 angle[3 + k, k] -= cage.stiffness
                 rate[k, k] -= cage.damping
         size = float(np.linalg.norm(f))
-        for erecting in self._erections:
-            if abs(erecting.gain * erecting.tilt) < erecting.limit:
-                turning = np.cross(at.axes, erecting.axis) * at.tree.on_path[erecting.body][:, None]
-                row = 3 + erecting.gimbal
-                angle[row] += erecting.gain * (turning @ f) / size
-                force[row] += erecting.gain * (erecting.axis - f / size * erecting.tilt) / size
+        for row, senses, axis, wanted, device in self._erections:
+            if abs(wanted) < device.most:
+                turning = np.cross(at.axes, axis) * at.tree.on_path[senses][:, None]
+                angle[row] += device.gain * (turning @ f) / size
+                force[row] += (device.gain * axis - f / size * wanted) / size
         return ForceSlopes(angle=angle, rate=rate, force=force)
 
     def _unbalance_slope(self) -> FloatArray:

@@ -60,7 +60,7 @@ def topology(platform: Platform) -> Topology:
 @lru_cache(maxsize=8)  # a linearisation needs that of its platform ten times
 def _topology(platform: Platform) -> Topology:
     parents, carriers = platform.parents, 1 + platform.carriers
-    order = _parents_first(platform.name, parents.tolist())
+    order = _parents_first(platform.name, parents)
     n, rotors = len(parents), platform.rotors
     on_path = np.zeros((1 + n, n), dtype=bool)
     for k in order:
@@ -94,16 +94,13 @@ def _topology(platform: Platform) -> Topology:
     )
 
 
-def _parents_first(name: str, parents: list[int]) -> tuple[int, ...]:
-    order: list[int] = []
-    left = list(range(len(parents)))
-    while left:
-        ready = [k for k in left if parents[k] < 0 or parents[k] in order]
-        if not ready:
-            raise ArgumentError(f"platform {name!r}: the gimbals' parents must form a tree, they form a ring")
-        order += ready
-        left = [k for k in left if k not in ready]
-    return tuple(order)
+def _parents_first(name: str, parents: NDArray[np.intp]) -> tuple[int, ...]:
+    depths = np.zeros(len(parents), dtype=int)
+    for _ in parents:
+        depths = np.where(parents < 0, 0, 1 + depths[parents])
+    if np.any(depths >= len(parents)):
+        raise ArgumentError(f"platform {name!r}: the gimbals' parents must form a tree, they form a ring")
+    return tuple(np.argsort(depths, kind="stable").tolist())
 
 
 @value
@@ -158,18 +155,17 @@ def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
     own = np.eye(3) + sine * turned + (1.0 - cosine) * (turned @ turned)
     rotations = np.empty((1 + n, 3, 3))
     rotations[0] = np.eye(3)
+    origins = np.zeros((1 + n, 3))
     for k in tree.order:
-        rotations[1 + k] = rotations[1 + tree.parents[k]] @ own[k]
+        above = 1 + tree.parents[k]
+        rotations[1 + k] = rotations[above] @ own[k]
+        origins[1 + k] = origins[above] + rotations[above] @ tree.joints[k]
     # An axis is fixed in the gimbal as well as in its parent.
     axes = np.einsum("kij,kj->ki", rotations[1:], tree.axes)
     jacobians = np.zeros((1 + n, 3, 3 + n))
     jacobians[:, :, :3] = np.eye(3)
     jacobians[:, :, 3:] = tree.on_path[:, None, :] * axes.T
     spin_axes = np.einsum("rij,rj->ri", rotations[tree.carriers], tree.spin_axes)
-    origins = np.zeros((1 + n, 3))
-    for k in tree.order:
-        above = 1 + tree.parents[k]
-        origins[1 + k] = origins[above] + rotations[above] @ tree.joints[k]
     centres = origins + np.einsum("bij,bj->bi", rotations, tree.centres)
     velocities = np.zeros((1 + n, 3, 3 + n))
     velocities[:, :, :3] = -cross_matrix(centres)

@@ -106,7 +106,7 @@ def directions(at: Kinematics) -> FloatArray:
 def derivatives(at: Kinematics) -> Derivatives:
     """Return ∂A*/∂q, ∂B/∂q and ∂P/∂q, exact: each axis and each arm turns with the gimbals above it."""
     tree, inertias = at.tree, world_inertias(at)
-    n, m = len(tree.parents), len(tree.carriers)
+    n = len(tree.parents)
     cross = cross_matrix(at.axes)
     # Column i of every Jacobian turns with gimbal j if j carries gimbal i.
     turned_axes = np.einsum("jab,ib->jai", cross, at.axes) * tree.above[:, None, :]
@@ -128,11 +128,8 @@ def derivatives(at: Kinematics) -> Derivatives:
     if tree.floating:
         half -= np.einsum("jax,ay->jxy", d_P, at.momentum) / tree.mass
     d_spin = np.einsum("jab,rb->jra", cross, at.spin_axes) * tree.on_path[tree.carriers].T[:, :, None]
-    if m:
-        d_B = np.einsum("jra,rax->jrx", d_spin, at.jacobians[tree.carriers])
-        d_B += np.einsum("ra,jrax->jrx", at.spin_axes, d_jacobians[:, tree.carriers])
-    else:
-        d_B = np.zeros((n, 0, 3 + n))
+    d_B = np.einsum("jra,rax->jrx", d_spin, at.jacobians[tree.carriers])
+    d_B += np.einsum("ra,jrax->jrx", at.spin_axes, d_jacobians[:, tree.carriers])
     return Derivatives(A_star=half + half.transpose(0, 2, 1) + whole, B=d_B, P=d_P)
 
 

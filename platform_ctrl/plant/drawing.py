@@ -309,12 +309,9 @@ def signal_series(platform: Platform) -> Mapping[str, int]:
 
 def _turned_by(platform: Platform, k: int, component: int) -> int:
     """Return the series of the gimbal that turns the body of gimbal `k` most about one of its axes, at zero angles."""
-    names = list(platform.gimbal_names)
     best, most = root_series(component + 1), 0.5
-    at: int | None = k
-    while at is not None:
-        gimbal = platform.gimbals[at]
-        if abs(gimbal.axis[component]) > most:
-            best, most = at, float(abs(gimbal.axis[component]))
-        at = names.index(gimbal.parent) if gimbal.parent in names else None
+    while k >= 0:
+        if (share := abs(float(platform.gimbals[k].axis[component]))) > most:
+            best, most = k, share
+        k = int(platform.parents[k])
     return best

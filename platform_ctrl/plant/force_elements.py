@@ -229,3 +229,8 @@ class Erection:
     axis: fields.Axis
     gain: fields.NotZero
     limit: fields.Positive | None = None
+
+    @property
+    def most(self) -> float:
+        """The largest torque, N m; infinite for any."""
+        return math.inf if self.limit is None else self.limit

@@ -196,6 +196,11 @@ class Rotor:
         return self.angular_momentum / self.axial_inertia
 
     @property
+    def most(self) -> float:
+        """The largest torque of its motor, N m; infinite for any."""
+        return math.inf if self.torque_limit is None else self.torque_limit
+
+    @property
     def body(self) -> Body:
         """The rotor without its axial inertia, in the carrier's axes, from the carrier's origin."""
         across = np.eye(3) - np.outer(self.axis, self.axis)
@@ -249,8 +254,7 @@ class GimbalTree:
         return self._indices([g.parent for g in self.gimbals])
 
     def _indices(self, bodies: list[str]) -> NDArray[np.intp]:
-        number = {name: k for k, name in enumerate((self.root_name, *self.gimbal_names))}
-        return np.array([number[name] if name in number else self.body(name) for name in bodies], dtype=np.intp) - 1
+        return np.array([self.body(name) for name in bodies], dtype=np.intp) - 1
 
     def body(self, name: str) -> int:
         """Return the number of a body: 0 the root, 1 + k that of gimbal k.

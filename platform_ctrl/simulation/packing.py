@@ -352,8 +352,7 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
     for j, k in enumerate(shape.servos):
         servos[:, j, :3] = frames[shape.carriers[k]] @ shape.spin_axes[k]
         servos[:, j, 3:] = [
-            (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, _or_infinite(r.torque_limit))
-            for r in (p.rotors[k] for p in platforms)
+            (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, r.most) for r in (p.rotors[k] for p in platforms)
         ]
     modes = constants[:, at.mode : at.gravity].reshape(N, at.modes, at.shape + at.torquers)
     torquers, names = [torquer.name for torquer in platforms[0].torquers], platforms[0].gimbal_names
@@ -373,7 +372,7 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
     erections = constants[:, at.erection : at.drive].reshape(N, len(platforms[0].erections), arrays.ERECTION)
     for j, device in enumerate(platforms[0].erections):
         erections[:, j, :3] = frames[shape.links.erection[j, 1]] @ device.axis
-        erections[:, j, 3:] = [(one.gain, _or_infinite(one.limit)) for one in (p.erections[j] for p in platforms)]
+        erections[:, j, 3:] = [(one.gain, one.most) for one in (p.erections[j] for p in platforms)]
     constants[:, at.gravity : at.gravity + 3] = [p.gravity for p in platforms]
     if at.placed:
         _pack_places(shape, platforms, constants[:, at.place : at.work].reshape(N, 1 + n, arrays.PLACE))
@@ -419,7 +418,3 @@ def _pack_joints(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArra
         rows[:, k, arrays.CAGE : arrays.LAW] = [
             (cage.stiffness, cage.damping, cage.clearance, cage.angle) for cage in cages
         ]
-
-
-def _or_infinite(limit: float | None) -> float:
-    return math.inf if limit is None else limit

@@ -201,8 +201,6 @@ def states(scenarios: Sequence[Scenario], packed: Packed) -> FloatArray:
     attitudes = unit_quaternions([s.attitude for s in scenarios], (len(scenarios), 4))
     rows = [np.array([getattr(s, name) for s in scenarios]) for name in ("q", "Omega", "rate")]
     states = np.concatenate([*rows, attitudes], axis=1)
-    if packed.at.size == states.shape[1]:
-        return states
     spins = [[r.spin for r in servo_rotors(s.platform)] if s.spin is None else s.spin for s in scenarios]
     return with_added_states(packed, states, np.array(spins).reshape(len(states), packed.at.servos))
 
@@ -366,30 +364,24 @@ def put_rotors(shape: Skeleton, plants: Plants, rotors: Sequence[int], rows: Flo
 
 def put_lines(scenarios: Sequence[Scenario], rows: FloatArray, half: FloatArray) -> None:
     """Amplitudes of the vibrations' lines, and how far they turn in half a substep of each segment."""
-    place = 0
+    place, omega = 0, np.zeros(rows.shape[:2])
     for k, vibration in enumerate(scenarios[0].vibrations):
-        known: dict[int, FloatArray] = {}
-        for scenario in scenarios:
-            one = scenario.vibrations[k]
-            if id(one) not in known:
-                omega, known[id(one)] = one.amplitudes
-        own = rows[:, place : place + vibration.lines]
-        own[:, :, arrays.AMPLITUDE] = [known[id(scenario.vibrations[k])] for scenario in scenarios]
-        for segment in range(2):
-            turn = omega * half[:, segment, None]
-            own[:, :, arrays.TURN + 2 * segment] = np.cos(turn)
-            own[:, :, arrays.TURN + 2 * segment + 1] = np.sin(turn)
+        own = [scenario.vibrations[k] for scenario in scenarios]
+        found = {key: one.amplitudes for key, one in {id(one): one for one in own}.items()}
+        lines = slice(place, place + vibration.lines)
+        omega[:, lines] = found[id(vibration)][0]
+        rows[:, lines, arrays.AMPLITUDE] = [found[id(one)][1] for one in own]
         place += vibration.lines
-    for j in range(len(scenarios[0].sines)):
-        sines = [scenario.sines[j] for scenario in scenarios]
-        own = rows[:, place + j]
-        own[:, arrays.AMPLITUDE] = [sine.amplitude for sine in sines]
+    for j in range(place, rows.shape[1]):
+        sines = [scenario.sines[j - place] for scenario in scenarios]
+        rows[:, j, arrays.AMPLITUDE] = [sine.amplitude for sine in sines]
         # a sin x = a cos(x - pi/2)
         phase = np.array([sine.phase for sine in sines])
-        own[:, arrays.PHASE], own[:, arrays.PHASE + 1] = np.sin(phase), -np.cos(phase)
-        for segment in range(2):
-            turn = 2.0 * math.pi * np.array([sine.frequency_hz for sine in sines]) * half[:, segment]
-            own[:, arrays.TURN + 2 * segment], own[:, arrays.TURN + 2 * segment + 1] = np.cos(turn), np.sin(turn)
+        rows[:, j, arrays.PHASE], rows[:, j, arrays.PHASE + 1] = np.sin(phase), -np.cos(phase)
+        omega[:, j] = [2.0 * math.pi * sine.frequency_hz for sine in sines]
+    for segment in range(2):
+        turn, first = omega * half[:, segment, None], arrays.TURN + 2 * segment
+        rows[:, :, first], rows[:, :, first + 1] = np.cos(turn), np.sin(turn)
 
 
 def component(platform: Platform, vibration: Vibration | Sine) -> int:

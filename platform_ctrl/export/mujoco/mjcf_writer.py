@@ -78,6 +78,8 @@ def write_mjcf(platform: Platform, path: str | os.PathLike[str], *, root: Root =
     _add_drives(top, platform)
     controls = _add_actuators(top, platform, root)
     _add_sensors(top, platform, root)
+    for group in [one for one in top[-3:] if not len(one)]:
+        top.remove(group)
     place = [0.0, 0.0, 0.0] if floating else []
     turned, turning = ([], []) if root == "fixed" else ([*place, 1.0, 0.0, 0.0, 0.0], [*place, 0.0, 0.0, 0.0])
     qpos, qvel = [*turned, *(0.0 for _ in hinges)], [*turning, *hinges]
@@ -136,23 +138,17 @@ def _add_carried(element: Element, platform: Platform, bodies: list[Placed], bod
 def _joint(platform: Platform, k: int) -> dict[str, str]:
     """Return the forces in a gimbal's bearing as attributes of its joint."""
     gimbal = platform.gimbals[k]
-    out: dict[str, str] = {}
     stiffness, torque, damping = _spring(platform, gimbal.name)
-    dry = 0.0
-    for friction in platform.frictions:
-        if friction.gimbal == gimbal.name:
-            damping += friction.viscous
-            dry = float(np.mean(friction.coulomb))
-    if stiffness > 0.0:
-        out |= {"stiffness": repr(stiffness), "springref": repr(torque / stiffness)}
-    if damping:
-        out["damping"] = repr(damping)
-    if dry:
-        out["frictionloss"] = repr(dry)
+    out = {"stiffness": repr(stiffness), "springref": repr(torque / stiffness)} if stiffness > 0.0 else {}
+    frictions = [one for one in platform.frictions if one.gimbal == gimbal.name]
     armature = sum(one.gear**2 * one.rotor_inertia for one in platform.motors if one.gimbal == gimbal.name)
     armature += sum(one.inertia for one in platform.compliances if one.motor_side == gimbal.name)
-    if armature:
-        out["armature"] = repr(armature)
+    numbers = {
+        "damping": damping + sum(one.viscous for one in frictions),
+        "frictionloss": sum(0.5 * sum(one.coulomb) for one in frictions),
+        "armature": armature,
+    }
+    out |= {key: repr(number) for key, number in numbers.items() if number}
     if gimbal.stops is not None:
         # A stop is a contact that gives a little: four steps to settle, the rate given back by its damping.
         away = np.log(max(gimbal.restitution, 1e-3))
@@ -163,15 +159,13 @@ def _joint(platform: Platform, k: int) -> dict[str, str]:
 
 def _add_drives(top: Element, platform: Platform) -> None:
     """Add a tendon for each drive that gives way: its length is the load's angle less that of the motor side."""
-    group, angles = Element("tendon"), dict(zip(platform.gimbal_names, platform.angle_names, strict=True))
+    group, angles = SubElement(top, "tendon"), dict(zip(platform.gimbal_names, platform.angle_names, strict=True))
     for one in platform.compliances:
         slack = f"{-0.5 * one.play!r} {0.5 * one.play!r}" if one.play else "0"
         numbers = {"stiffness": repr(one.strength), "damping": repr(one.damping), "springlength": slack}
         tendon = SubElement(group, "fixed", {"name": _line(f"drive {one.gimbal}")} | numbers)
         for side, share in ((one.gimbal, "1"), (one.motor_side, "-1")):
             SubElement(tendon, "joint", joint=_line(angles[side]), coef=share)
-    if platform.compliances:
-        top.append(group)
 
 
 def _spring(platform: Platform, gimbal: str) -> tuple[float, float, float]:
@@ -193,9 +187,7 @@ def _add_rotor(element: Element, rotor: Rotor, carrier: Placed) -> float:
     share = carrier.rotor_mass or _LIGHT * 2.0 * C / ROTOR_RADIUS**2
     if rotor.mass or carrier.rotor_mass:
         body.set("pos", text(rotor.origin if rotor.mass else carrier.centre))
-    # What turns the third axis to the rotor's: w, x, y, z.
-    half = np.array([1.0 + rotor.axis[2], -rotor.axis[1], rotor.axis[0], 0.0])
-    turn = half / np.linalg.norm(half) if half[0] >= 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])
+    turn = Rotation.align_vectors(rotor.axis, [0.0, 0.0, 1.0])[0].as_quat(scalar_first=True)
     numbers = {"mass": repr(rotor.mass or share), "diaginertia": text([A, A, C]), "quat": text(turn)}
     SubElement(body, "inertial", numbers, pos="0 0 0")
     half, size = 0.2 * ROTOR_RADIUS * rotor.axis, repr(0.82 * ROTOR_RADIUS)
@@ -226,35 +218,29 @@ def _whole(platform: Platform) -> float:
 
 def _add_actuators(top: Element, platform: Platform, root: Root) -> list[float]:
     """Add torquers, then what turns a prescribed root, then speed loops; return the controls that a run begins with."""
-    group, controls = Element("actuator"), []
+    group = SubElement(top, "actuator")
     for torquer in platform.torquers:
         if torquer.root_axis is None or root == "free":
             _add_torquer(group, platform, torquer)
-            controls.append(0.0)
     if root == "prescribed":
         for name, gear in zip(OMEGA_NAMES, np.eye(3), strict=True):
             turning = text(PRESCRIBED * _whole(platform) * gear)
             SubElement(group, "motor", name=f"{name}_dot", joint="root", gear=turning)
-            controls.append(0.0)
     for gimbal in platform.gimbals:
         stiffness, torque, _ = _spring(platform, gimbal.name)
         if stiffness < 0.0:  # joints have none that drive away
             names = {"name": _line(f"spring {gimbal.name}"), "joint": _line(gimbal.angle)}
             bias = text([torque, -stiffness, 0.0])
             SubElement(group, "general", names, gainprm="0", biastype="affine", biasprm=bias)
-            controls.append(0.0)
+    spins = {_line(f"spin {rotor.name}"): rotor.spin for rotor in platform.rotors if rotor.control == "servo"}
     for rotor in platform.rotors:
         if rotor.control == "servo":
             joint = {"joint": _line(f"spin {rotor.name}")}
             SubElement(group, "velocity", joint, name=_line(f"speed {rotor.name}"), kv=repr(rotor.speed_gain))
-            controls.append(rotor.spin)
             if rotor.speed_integral:
                 gain, rng = repr(rotor.speed_integral), {"actrange": "-1e12 1e12"}
                 SubElement(group, "intvelocity", joint | rng, name=_line(f"speed integral {rotor.name}"), kp=gain)
-                controls.append(rotor.spin)
-    if controls:
-        top.append(group)
-    return controls
+    return [spins.get(one.get("joint", ""), 0.0) for one in group]
 
 
 def _add_torquer(group: Element, platform: Platform, torquer: Torquer) -> None:
@@ -292,7 +278,7 @@ def _inertial(platform: Platform, sensors: Sequence[Sensor]) -> dict[str, list[s
 
 
 def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
-    group = Element("sensor")
+    group = SubElement(top, "sensor")
     joints = {angle: ("jointpos", angle) for angle in platform.angle_names}
     joints |= {gimbal_rate(angle): ("jointvel", angle) for angle in platform.angle_names}
     for sensor in platform.sensors:
@@ -309,8 +295,6 @@ def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
     for gimbal in inertial_bodies(platform):
         SubElement(group, "gyro", name=_line(f"{gimbal}_Omega"), site=_line(gimbal))
         SubElement(group, "framequat", name=_line(f"{gimbal}_attitude"), objtype="site", objname=_line(gimbal))
-    if len(group):
-        top.append(group)
 
 
 def _notes(platform: Platform, root: Root) -> tuple[str, ...]:

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.robots import robot as robots
-from platform_ctrl.export.robots.sdf import SHOWN, SensorReader
 from platform_ctrl.plant.fields import SMALLEST
 from platform_ctrl.plant.gimbals import Body
 from platform_ctrl.plant.mistakes import given, one_line
@@ -30,8 +29,8 @@ _READ_OF_MJCF = """mujoco model compiler default worldbody actuator sensor equal
     armature actuatorfrcrange actuatorfrclimited solreflimit site camera motor position velocity intvelocity general
     jointinparent gear ctrllimited ctrlrange forcelimited forcerange kp kv dampratio dyntype dynprm gaintype gainprm
     biastype biasprm timeconst gyro jointpos jointvel noise connect weld active"""
-_SHOWN = f"""{SHOWN} hardwareInterface sensor mujoco option size statistic asset contact keyframe custom geom mesh pair
-    group user solimplimit solreffriction solimpfriction margin meshdir texturedir assetdir strippath
+_SHOWN = f"""{robots.SHOWN} hardwareInterface sensor mujoco option size statistic asset contact keyframe custom geom
+    mesh pair group user solimplimit solreffriction solimpfriction margin meshdir texturedir assetdir strippath
     discardvisual fusestatic coordinate convexhull usethread saveinertial alignfree fitaabb align rgba fovy ipd
     resolution focal sensorsize principal mode fromto inheritrange actrange actlimited anchor relpose body1 body2
     joint1 joint2 polycoef solref solimp"""
@@ -53,7 +52,7 @@ def read_spec(file: Path, label: str, top: Element) -> _Spec:
         mujoco.set_mju_user_warning(before)
 
 
-class _Spec(SensorReader):
+class _Spec(robots.Reader):
     """What URDF and MJCF have in common: bodies and joints of a specification that is not compiled."""
 
     read = ""
@@ -118,7 +117,7 @@ class _Spec(SensorReader):
         pose, own = self.poses[body.name], self.body(body)
         moved = (pose @ robots.Pose(np.eye(3), own.centre)).body(own.mass, own.inertia)
         carrier = "" if body.parent is None else body.parent.name
-        about: dict[str, Any] = {"pivot": pose.at, "axis": np.zeros(3), "keys": {}}
+        about: dict[str, Any] = {"pivot": pose.at}
         if joints := list(body.joints):
             about["joint"], kinds = joints[0].name, self.mujoco.mjtJoint
             known = {kinds.mjJNT_HINGE: "hinge", kinds.mjJNT_BALL: "ball", kinds.mjJNT_FREE: "free"}
@@ -290,12 +289,10 @@ class _Mjcf(_Spec):
                 self.gyro(sensor.name or f"{body}_Omega", body, turn, [noise] * 3)
             elif sensor.type in kinds:
                 name = {"name": robots.plain(sensor.name)} if sensor.name else {}
-                self.parts.append(robots.RobotPart(kind=kinds[sensor.type], on=sensor.objname, keys=name | noise))
+                self.parts.append(robots.RobotPart(kinds[sensor.type], sensor.objname, name | noise))
         for camera in spec.cameras:
             along = -(self.poses[camera.parent.name] @ self.placed(camera)).turn[:, 2]
-            self.parts.append(
-                robots.RobotPart(kind="camera", on=camera.parent.name, keys={"name": camera.name}, axis=along)
-            )
+            self.parts.append(robots.RobotPart("camera", camera.parent.name, {"name": camera.name}, along))
         for one in spec.equalities:
             # The first of two joints follows the other.
             names = (one.name1,) if one.type == enums.mjtEq.mjEQ_JOINT else (one.name1, one.name2)
@@ -335,5 +332,5 @@ class _Mjcf(_Spec):
             self.notes.append(f"{where}: its limits differ to both sides: the smaller ones are taken")
         if limits:
             keys["limit"] = float(f"{np.min(limits):.15g}")
-        self.parts.append(robots.RobotPart(kind="torquer", on=joint.name, keys=keys))
+        self.parts.append(robots.RobotPart("torquer", joint.name, keys))
         self.gears[joint.name] = gear if abs(gear) > SMALLEST else 1.0

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import field
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import InputError
@@ -34,6 +36,13 @@ _HINTS = {
     "actuator": "[[torquer]] with root_axis turns the root; other forces are added by hand",
     "safety_controller": "limits of the controller belong to the job",
 }
+_READ_OF_SENSORS = """name type pose relative_to degrees rotation_format imu update_rate angular_velocity x y z noise
+    stddev bias_mean"""
+# Shapes, and settings of simulators and displays.
+SHOWN = """visual collision light material self_collide selfCollide enable_wind allow_auto_disable scene physics gui
+    atmosphere magnetic_field wind spherical_coordinates must_be_base_link velocity_decay always_on visualize topic
+    camera mean limit/stiffness dissipation mu1 mu2 kp kd disableFixedJointLumping preserveFixedJoint static
+    world/gravity"""
 
 
 class Pose(NamedTuple):
@@ -63,15 +72,15 @@ class Link:
     # kind: "hinge", "fixed", "ball", "free", or what else its joint is, in words
     kind: str = "fixed"
     # axis, pivot: (3,), (3,): unit vector, and a point of the joint, m
-    axis: FloatArray
-    pivot: FloatArray
+    axis: FloatArray = field(default_factory=lambda: np.zeros(3))
+    pivot: FloatArray = field(default_factory=lambda: np.zeros(3))
     armature: float = 0.0  # kg m²
-    keys: Mapping[str, Any]  # Of its table [[gimbal]], or [[rotor]] if it turns at a speed of its own
+    # Of its table [[gimbal]], or [[rotor]] if it turns at a speed of its own
+    keys: Mapping[str, Any] = field(default_factory=dict)
     spins: bool = False
 
 
-@value
-class RobotPart:
+class RobotPart(NamedTuple):
     """A table of the plant file on a joint, or, with an axis in the model's axes, on a link."""
 
     kind: str
@@ -110,6 +119,40 @@ class Reader:
             raise self.error(f"{where} must be {count} number{'s' * (count > 1)}, got {given(text)}; correct it")
         return found
 
+    def pose(self, element: Element | None, where: str) -> Pose:
+        """Return the pose that an element has."""
+        if element is None or not (element.text or "").strip():
+            return Pose()
+        quaternion = element.get("rotation_format") == "quat_xyzw"
+        found = self.numbers(element.text, 7 if quaternion else 6, f"pose of {where}")
+        if quaternion and found[3:].any():
+            return Pose(Rotation.from_quat(found[3:]).as_matrix(), found[:3])
+        angles = np.radians(found[3:6]) if element.get("degrees") == "true" else found[3:6]
+        return Pose(Rotation.from_euler("xyz", angles).as_matrix(), found[:3])
+
+    def number(self, element: Element | None, path: str, default: float, where: str) -> float:
+        """Return the number in an element further in."""
+        text = None if element is None else element.findtext(path)
+        return default if text is None else float(self.numbers(text, 1, f"{where}: {path}")[0])
+
+    def sensor(self, link: str, sensor: Element, turn: FloatArray) -> None:
+        """Add what a plant has of a sensor with the axes `turn`: the gyro of an IMU, the direction of a camera."""
+        name, kind = sensor.get("name", ""), sensor.get("type", "")
+        where, keys = f"sensor {given(name)} of {given(link)}", []
+        if kind == "camera":
+            self.parts.append(RobotPart(kind, link, {"name": name}, turn[:, 0]))
+        elif kind != "imu":
+            self.notes.append(no_counterpart(f"{where}: {kind}", "sensor"))
+            return
+        self.notes += [f"link {given(link)}: {one}" for one in unread(sensor, _READ_OF_SENSORS, SHOWN)]
+        band = 0.5 * self.number(sensor, "update_rate", 0.0, where)
+        for axis in ("x", "y", "z") if kind == "imu" else ():
+            noise = sensor.find(f"imu/angular_velocity/{axis}/noise")
+            rms, bias = (self.number(noise, key, 0.0, where) for key in ("stddev", "bias_mean"))
+            own = {"noise_rms": rms, "noise_bandwidth_hz": band * bool(rms), "bias": bias}
+            keys.append({key: item for key, item in own.items() if item})
+        self.gyro(name, link, turn, keys)
+
     def add(self, link: Link) -> None:
         """Add a link, whose carrier is there already."""
         numbers = (*link.body, *link.pose, link.axis, link.pivot)
@@ -123,9 +166,7 @@ class Reader:
         """Add friction and spring of a joint."""
         friction = {key: item for key, item in (("viscous", viscous), ("coulomb", dry)) if item}
         spring = {"stiffness": stiffness, "rest": rest} if stiffness else {}
-        self.parts += [
-            RobotPart(kind=k, on=joint, keys=own) for k, own in (("friction", friction), ("spring", spring)) if own
-        ]
+        self.parts += [RobotPart(kind, joint, own) for kind, own in (("friction", friction), ("spring", spring)) if own]
 
     def stops(self, joint: str, lower: float, upper: float) -> dict[str, Any]:
         """Return the keys of a gimbal with these limits of its angle, rad."""
@@ -145,13 +186,12 @@ class Reader:
         limited = 0.0 < effort < math.inf
         if not limited:
             self.notes.append(f"joint {given(joint)}: no effort limit: give its torquer a limit, or remove it")
-        self.parts.append(RobotPart(kind="torquer", on=joint, keys={"limit": effort} if limited else {}))
+        self.parts.append(RobotPart("torquer", joint, {"limit": effort} if limited else {}))
 
     def gyro(self, name: str, link: str, turn: FloatArray, keys: Iterable[Mapping[str, Any]]) -> None:
         """Add three rate sensors about the axes `turn`, with the keys of each."""
         for k, own in enumerate(keys):
-            table = {"name": f"{plain(name)}{k + 1}", **own}
-            self.parts.append(RobotPart(kind="rate_sensor", on=link, keys=table, axis=turn[:, k]))
+            self.parts.append(RobotPart("rate_sensor", link, {"name": f"{plain(name)}{k + 1}", **own}, turn[:, k]))
 
     def assume_gravity(self) -> None:
         """Say that the file has none."""

@@ -7,10 +7,9 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.export.robots.robot import NO_BODY, WORLD, Link, Pose, Reader, RobotPart, no_counterpart, unread
+from platform_ctrl.export.robots.robot import NO_BODY, SHOWN, WORLD, Link, Pose, Reader, unread
 from platform_ctrl.plant.gimbals import Body
 from platform_ctrl.plant.mistakes import given
 
@@ -20,54 +19,9 @@ _READ = """sdf version model world name canonical_link pose link joint frame att
     rotation_format inertial mass inertia ixx ixy ixz iyy iyz izz type parent child axis xyz expressed_in
     use_parent_model_frame limit lower upper effort velocity dynamics damping friction spring_stiffness
     spring_reference"""
-_READ_OF_SENSORS = """name type pose relative_to degrees rotation_format imu update_rate angular_velocity x y z noise
-    stddev bias_mean"""
-# Shapes, and settings of simulators and displays.
-SHOWN = """visual collision light material self_collide selfCollide enable_wind allow_auto_disable scene physics gui
-    atmosphere magnetic_field wind spherical_coordinates must_be_base_link velocity_decay always_on visualize topic
-    camera mean limit/stiffness dissipation mu1 mu2 kp kd disableFixedJointLumping preserveFixedJoint static
-    world/gravity"""
 
 
-class SensorReader(Reader):
-    """What SDF and the tags of Gazebo in URDF have in common."""
-
-    def pose(self, element: Element | None, where: str) -> Pose:
-        """Return the pose that an element has."""
-        if element is None or not (element.text or "").strip():
-            return Pose()
-        quaternion = element.get("rotation_format") == "quat_xyzw"
-        found = self.numbers(element.text, 7 if quaternion else 6, f"pose of {where}")
-        if quaternion and found[3:].any():
-            return Pose(Rotation.from_quat(found[3:]).as_matrix(), found[:3])
-        angles = np.radians(found[3:6]) if element.get("degrees") == "true" else found[3:6]
-        return Pose(Rotation.from_euler("xyz", angles).as_matrix(), found[:3])
-
-    def number(self, element: Element | None, path: str, default: float, where: str) -> float:
-        """Return the number in an element further in."""
-        text = None if element is None else element.findtext(path)
-        return default if text is None else float(self.numbers(text, 1, f"{where}: {path}")[0])
-
-    def sensor(self, link: str, sensor: Element, turn: FloatArray) -> None:
-        """Add what a plant has of a sensor with the axes `turn`: the gyro of an IMU, the direction of a camera."""
-        name, kind = sensor.get("name", ""), sensor.get("type", "")
-        where, keys = f"sensor {given(name)} of {given(link)}", []
-        if kind == "camera":
-            self.parts.append(RobotPart(kind=kind, on=link, keys={"name": name}, axis=turn[:, 0]))
-        elif kind != "imu":
-            self.notes.append(no_counterpart(f"{where}: {kind}", "sensor"))
-            return
-        self.notes += [f"link {given(link)}: {one}" for one in unread(sensor, _READ_OF_SENSORS, SHOWN)]
-        band = 0.5 * self.number(sensor, "update_rate", 0.0, where)
-        for axis in ("x", "y", "z") if kind == "imu" else ():
-            noise = sensor.find(f"imu/angular_velocity/{axis}/noise")
-            rms, bias = (self.number(noise, key, 0.0, where) for key in ("stddev", "bias_mean"))
-            own = {"noise_rms": rms, "noise_bandwidth_hz": band * bool(rms), "bias": bias}
-            keys.append({key: item for key, item in own.items() if item})
-        self.gyro(name, link, turn, keys)
-
-
-class Sdf(SensorReader):
+class Sdf(Reader):
     """A file in SDF; files that it includes are not read."""
 
     format = "SDF"
@@ -90,8 +44,7 @@ class Sdf(SensorReader):
         on = {child: (name, parent) for name, (parent, child) in ends.items()}
         static = all(one.findtext("static", "").strip() in ("true", "1") for one in models)
         if static or any(parent == WORLD for parent, _ in ends.values()):
-            nothing = np.zeros(3)
-            self.add(Link(name=WORLD, carrier="", pose=Pose(), body=NO_BODY, axis=nothing, pivot=nothing, keys={}))
+            self.add(Link(name=WORLD, carrier="", pose=Pose(), body=NO_BODY))
         for name in self.ordered(ends, self.elements):
             self._add(name, *on.get(name, ("", WORLD if static else "")), joints)
         if (gravity := top.findtext("world/gravity")) is None:
@@ -148,11 +101,11 @@ class Sdf(SensorReader):
         for sensor in element.findall("sensor"):
             self._place(f"{name}/", sensor, name, name[: name.rfind("::") + 2] if "::" in name else "")
             self.sensor(name, sensor, self._frame(f"{name}/").turn)
-        about: dict[str, Any] = {"kind": "fixed", "pivot": pose.at, "axis": np.zeros(3), "keys": {}}
+        about: dict[str, Any] = {"pivot": pose.at}
         if joint:
             scope, one = joints[joint]
             kind = one.get("type", "")
-            about |= {"kind": _KINDS.get(kind, kind), "pivot": self._frame(joint).at}
+            about = {"kind": _KINDS.get(kind, kind), "pivot": self._frame(joint).at}
             if about["kind"] == "hinge":
                 about |= self._hinge(joint, one) | {"axis": self._axis(joint, scope, one.find("axis"))}
         body = self._body(element, pose, given(name))
