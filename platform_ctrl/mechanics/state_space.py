@@ -308,24 +308,15 @@ def free_system(
     q_dot, omega = to_rates[:n], to_rates[n:]
     turn = cross_matrix(model.Omega0)
     # Root rows: δp = P − G_Omegaᵀ q, and d(δp)/dt + Omega0 × δp + ω × p0 = δM.
-    root_rates = G_Omega.T @ q_dot - turn @ np.eye(3, n + 3, n)
-    root_rates += cross_matrix(model.root_momentum) @ omega
-    A = np.zeros((2 * n + 3, 2 * n + 3))
-    A[:n, n:] = q_dot
-    A[n : 2 * n, :n] = -stiffness
-    A[n : 2 * n, n:] = -damping @ q_dot - G_Omega @ omega
-    A[2 * n :, :n] = turn @ G_Omega.T + np.pad(model.M_angle[:, rows], ((0, 0), (0, n - len(rows))))
-    A[2 * n :, n:] = root_rates
-    if model.terms == "paper":
-        # J Omega Omega is dropped with G_A: the root's momentum P turns no further.
-        A[2 * n :, n:] += turn @ np.eye(3, n + 3, n)
-    B = np.zeros((2 * n + 3, len(torquers) + 6))
-    B[n : 2 * n, : len(torquers)] = torque_map
-    B[2 * n :, len(torquers) : -3] = np.eye(3)
-    B[n:, -3:] = np.vstack([Q_force, model.M_force])
-    C = np.zeros((len(rows) + 3, 2 * n + 3))
-    C[: len(rows)] = np.eye(len(rows), 2 * n + 3)
-    C[len(rows) :, n:] = omega
+    root_rates = G_Omega.T @ q_dot + cross_matrix(model.root_momentum) @ omega
+    if model.terms == "exact":  # else J Omega Omega is dropped with G_A: the root's momentum P turns no further
+        root_rates -= turn @ np.eye(3, n + 3, n)
+    root_angles = turn @ G_Omega.T + np.pad(model.M_angle[:, rows], ((0, 0), (0, n - len(rows))))
+    gimbal_rates = -damping @ q_dot - G_Omega @ omega
+    A = np.block([[np.zeros((n, n)), q_dot], [-stiffness, gimbal_rates], [root_angles, root_rates]])
+    still, m = np.zeros((n, 3)), len(torquers)
+    B = np.block([[np.zeros((n, m + 6))], [torque_map, still, Q_force], [np.zeros((3, m)), np.eye(3), model.M_force]])
+    C = np.vstack([np.eye(len(rows), 2 * n + 3), np.pad(omega, ((0, 0), (n, 0)))])
     states = [*names, *(f"p_{name}" for name in names), *ROOT_MOMENTA]
     falling = tilting(B, model.platform)
     if isolated or falling.any():

@@ -186,6 +186,17 @@ def numbers(item: object, count: int, judge: Callable[[object], float] = number)
     return out
 
 
+def _rows(item: list[Any], count: int) -> list[list[float]]:
+    """Return rows of `count` numbers."""
+    out = []
+    for k, row in enumerate(item, 1):
+        try:
+            out.append(numbers(row, count))
+        except Unfit as error:
+            raise Unfit(f"row {k} {error or 'is no list'}") from None
+    return out
+
+
 def _list(least: int, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[object], tuple[float, ...]]:
     """Return the judge of `least` numbers or more that fit together."""
 
@@ -273,13 +284,7 @@ def inertia(item: object) -> FloatArray:
     if isinstance(item, list) and item and all(isinstance(row, list) for row in item):
         if len(item) != 3:
             raise Unfit(f"has {len(item)} row{'' if len(item) == 1 else 's'}")
-        rows = []
-        for k, row in enumerate(item):
-            try:
-                rows.append(numbers(row, 3))
-            except Unfit as error:
-                raise Unfit(f"row {k + 1} {error}") from None
-        matrix = np.array(rows)
+        matrix = np.array(_rows(item, 3))
         # A singular matrix has eigenvalues of rounding size, not zero.
         zero = 1e-12
     else:
@@ -345,14 +350,10 @@ def rows(*fits: Callable[[float], bool]) -> Callable[[object], FloatArray]:
     def judge(item: object) -> FloatArray:
         if not isinstance(item, list) or not item:
             raise Unfit
-        found = []
-        for k, row in enumerate(item, 1):
-            try:
-                found.append(numbers(row, len(fits)))
-            except Unfit as error:
-                raise Unfit(f"row {k} {error or 'is no list'}") from None
-            if not all(fit(x) for fit, x in zip(fits, found[-1], strict=True)):
-                raise Unfit(f"row {k} is {given(row)}")
+        found = _rows(item, len(fits))
+        for k, row in enumerate(found):
+            if not all(fit(x) for fit, x in zip(fits, row, strict=True)):
+                raise Unfit(f"row {k + 1} is {given(item[k])}")
         return read_only(found)
 
     return judge

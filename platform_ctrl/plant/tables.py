@@ -11,7 +11,7 @@ import math
 import types
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import Annotated, Any, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -216,31 +216,20 @@ def read_table(table: Shape, data: dict[str, Any]) -> tuple[dict[str, Any], list
 
 
 @dataclass(frozen=True, eq=False)
-class _Table:
-    """A table that is read: its record is made once nothing in the whole file is wrong."""
+class _Later:
+    """What is made, of the fields before it, once nothing in the whole file is wrong: a record, or by another key."""
 
-    make: Callable[..., Any]
-    arguments: dict[str, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class _Other:
-    """The value of another key, of which the field is made."""
-
-    instead: Instead
-    item: Any
+    make: Callable[[Mapping[str, Any]], Any]
 
 
 def made(arguments: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments with the records within made of theirs: once nothing is wrong with the file."""
     out = dict(arguments)
     for name, item in arguments.items():
-        if isinstance(item, _Table):
-            out[name] = item.make(**made(item.arguments))
+        if isinstance(item, _Later):
+            out[name] = item.make(out)
         elif isinstance(item, tuple):
-            out[name] = tuple(one.make(**made(one.arguments)) if isinstance(one, _Table) else one for one in item)
-        elif isinstance(item, _Other):  # of fields before it
-            out[name] = item.instead.value(item.item, out)
+            out[name] = tuple(one.make(out) if isinstance(one, _Later) else one for one in item)
     return out
 
 
@@ -325,7 +314,7 @@ def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake
         elif isinstance(key.holds, Shape) and key.holds.make is None:
             arguments |= found
         else:
-            arguments[key.field] = found if key.instead is None else _Other(key.instead, found)
+            arguments[key.field] = found if key.instead is None else _Later(partial(key.instead.value, found))
     return arguments
 
 
@@ -412,7 +401,8 @@ def _value(holds: Expected | Shape, item: Any, path: Path, mistakes: list[Mistak
     arguments = _read(holds, item, path, mistakes)
     if len(mistakes) == before:
         mistakes += at(path, holds.misfits(item))
-    return arguments if holds.make is None else _Table(holds.make, arguments)
+    make = holds.make
+    return arguments if make is None else _Later(lambda before: make(**made(arguments)))
 
 
 def _wrong(path: Path, item: object, words: str, reason: str = "") -> Mistake:
