@@ -160,7 +160,7 @@ class TimeTable:
     def pieces(self) -> FloatArray:
         """Coefficients (k − 1, 3, 4) of each piece in powers 0 to 3 of the time since its first point.
 
-        SI units, unscaled.
+        SI units, unscaled. A table of one point is one piece.
         """
         if self.smooth:
             from scipy.interpolate import CubicSpline
@@ -168,9 +168,9 @@ class TimeTable:
             # SciPy's order: highest power first, (power, piece, component).
             spline = CubicSpline(self.t, self.values, bc_type="natural")
             return np.ascontiguousarray(spline.c[::-1].transpose(1, 2, 0))
-        out = np.zeros((len(self.t) - 1, 3, 4))
-        out[:, :, 0] = self.values[:-1]
-        out[:, :, 1] = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
+        out = np.zeros((max(len(self.t) - 1, 1), 3, 4))
+        out[:, :, 0] = self.values[: len(out)]
+        out[: len(self.t) - 1, :, 1] = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
         return out
 
     def at(self, t: ArrayLike) -> FloatArray:
@@ -187,9 +187,7 @@ class TimeTable:
             In the units of `values`, scaled.
         """
         times = np.clip(real_numbers("TimeTable.at: t", t), self.t[0], self.t[-1])
-        if len(self.t) == 1:
-            return self.scale * np.broadcast_to(self.values[0], (*times.shape, 3))
-        piece = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
+        piece = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, max(len(self.t) - 2, 0))
         c, s = self.scale * self.pieces[piece], (times - self.t[piece])[..., None]
         return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
 

@@ -172,6 +172,12 @@ class Platform(GimbalTree):
         return heavy or bool(self.unbalances)
 
     @property
+    def targets(self) -> tuple[int, ...]:
+        """Index into [M, Q] of what each of the `torquers` acts on."""
+        on_root = ((t.root_axis, t.gimbal) for t in self.torquers)
+        return tuple(3 + self.gimbal(str(gimbal)) if axis is None else axis - 1 for axis, gimbal in on_root)
+
+    @property
     def root_torquers(self) -> tuple[str, ...]:
         """Names of the torquers that act on the root, in the file's order."""
         return tuple(one.name for one in self.torquers if one.root_axis is not None)

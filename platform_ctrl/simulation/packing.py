@@ -206,9 +206,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
         sensors=tuple(terms[:many]),
         sight=tuple(terms[many:]),
         turned=any(turns <= index < modes for one in terms for index, _ in one),
-        targets=tuple(
-            t.root_axis - 1 if t.root_axis is not None else 3 + gimbal(str(t.gimbal)) for t in platform.torquers
-        ),
+        targets=platform.targets,
         stops=any(g.stops is not None for g in platform.gimbals),
     )
 

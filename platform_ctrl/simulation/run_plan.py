@@ -212,9 +212,6 @@ def _shared(
     knots, pieces = np.zeros(0), np.zeros((0, 3, 4))
     if table is not None:
         knots, pieces = np.array(table.t), np.array(table.pieces)
-        if len(knots) == 1:
-            pieces = np.zeros((1, 3, 4))
-            pieces[0, :, 0] = table.values[0]
     if scenario.gimbal_torques:
         knots, pieces = _with_gimbals(scenario, knots, pieces)
     sums = (*shape.sensors, *shape.sight)

@@ -325,8 +325,7 @@ def equilibrium_torques(scenario: Scenario) -> FloatArray:
     free = 0 if scenario.mode == "stabilised" else 3
     forces[:free] = 0.0
     out = np.zeros(len(platform.torquers))
-    for k, torquer in enumerate(platform.torquers):
-        place = torquer.root_axis - 1 if torquer.root_axis is not None else 3 + platform.gimbal(str(torquer.gimbal))
+    for k, place in enumerate(platform.targets):
         out[k], forces[place] = -forces[place], 0.0
     scale = float(np.abs(out).max(initial=0.0))
     for place in np.flatnonzero(np.abs(forces) > 1e-9 * max(scale, 1e-9)).tolist():
