@@ -138,13 +138,9 @@ class BudgetLoop:
         Outputs behind the readings: rates of the line of sight and of the gimbals, deflections of bristles.
         """
         added = dict(zip((one.gimbal for one in self.dry), map(float, gains.viscous), strict=True))
-        frictions = [
-            dataclasses.replace(one, viscous=one.viscous + added[one.gimbal], coulomb=(0.0, 0.0), breakaway=(0.0, 0.0))
-            if one.gimbal in added
-            else one
-            for one in self.job.platform.frictions
-        ]
-        platform = dataclasses.replace(self.job.platform, frictions=tuple(frictions))
+        own = self.job.platform.frictions
+        frictions = tuple(one.linear(added[one.gimbal]) if one.gimbal in added else one for one in own)
+        platform = dataclasses.replace(self.job.platform, frictions=frictions)
         model = linearise(platform, q=q)
         system = (free_system if self.free else linear_system)(model, specific_force=True, currents=True)
         shown = observed_system(system, platform, [*self.sensors, *LOS_RATES], model.q0, model.Omega0)

@@ -21,7 +21,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics
 from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS, NamedMatrices
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
-from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, gimbal_rate
+from platform_ctrl.plant.sensors import LOWPASS, Sensor, body_rates, body_rotations, gimbal_rate
 
 if TYPE_CHECKING:
     import control
@@ -177,10 +177,8 @@ def _with_filters(
     C[:, : n + k] = rows[:, : n + k]
     states = [*system.state_labels, *(f"integral_{j + 1}" for j in range(k))]
     for j, i in enumerate(slow):
-        # In units in which both states are readings: x1' = w x2, x2' = w (u − x1 − √2 x2).
         at, w = n + k + 2 * j, 2.0 * np.pi * float(sensors[i].bandwidth_hz or 0.0)  # type: ignore[union-attr]
-        A[at, at + 1] = w
-        A[at + 1, at : at + 2] = -w, -np.sqrt(2.0) * w
+        A[at : at + 2, at : at + 2] = w * LOWPASS
         A[at + 1, : n + k], B[at + 1] = w * C[i, : n + k], w * D[i]
         C[i], D[i] = np.eye(1, size, at)[0], 0.0
         states += [f"{names[i]}_filtered", f"{names[i]}_filter_rate"]

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from platform_ctrl.common.values import input_value
+from platform_ctrl.common.values import input_value, replaced
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Refers
 from platform_ctrl.plant.mistakes import Misfit, given, useless, wrong
@@ -113,6 +113,10 @@ class Friction:
         if math.isfinite(self.stribeck_rate):
             raised = (max(self.breakaway[0], self.coulomb[0]), max(self.breakaway[1], self.coulomb[1]))
         object.__setattr__(self, "breakaway", raised)
+
+    def linear(self, viscous: float) -> Friction:
+        """Return the friction with more viscous friction, N m s, in the place of its dry part."""
+        return replaced(self, {"viscous": self.viscous + viscous, "coulomb": (0.0, 0.0), "breakaway": (0.0, 0.0)})
 
     @property
     def law(self) -> Literal["viscous", "sticking", "smooth", "bristles", "elastoplastic"]:

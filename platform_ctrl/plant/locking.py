@@ -111,12 +111,7 @@ def with_stuck_bristles(platform: Platform) -> Platform:
     stuck = [one for one in platform.frictions if one.bristle_stiffness]
     if not stuck:
         return platform
-    frictions = [
-        replaced(one, {"viscous": one.viscous + one.bristle_damping, "coulomb": (0.0, 0.0), "breakaway": (0.0, 0.0)})
-        if one in stuck
-        else one
-        for one in platform.frictions
-    ]
+    frictions = [one.linear(one.bristle_damping) if one in stuck else one for one in platform.frictions]
     springs = (*platform.springs, *(Spring(gimbal=one.gimbal, stiffness=one.bristle_stiffness) for one in stuck))
     return replaced(platform, {"frictions": tuple(frictions), "springs": springs})
 

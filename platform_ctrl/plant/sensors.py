@@ -34,6 +34,8 @@ from platform_ctrl.plant.tables import Instead
 
 Frame = Literal["inertial", "parent"]
 
+# A sensor's low-pass of bandwidth w: x' = w (LOWPASS x + [0, u]), x the reading and its rate over w.
+LOWPASS = np.array([[0.0, 1.0], [-1.0, -math.sqrt(2.0)]])
 _BANDWIDTH = 1000.0
 # Sample periods that a reading may be old in a linear model, which has a state for each.
 _MOST_LATE = 1000

@@ -16,7 +16,7 @@ from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
 from platform_ctrl.job.scenario import Command, Scenario, Sine, Vibration
 from platform_ctrl.mechanics.forces import resting_forces, specific_force_at
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.plant.sensors import Sensor
+from platform_ctrl.plant.sensors import LOWPASS, Sensor
 from platform_ctrl.simulation.added_states import initial_spins, servo_rotors, with_added_states
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.packing import Packed, Skeleton
@@ -240,13 +240,12 @@ def put_lowpasses(plants: Plants, rows: FloatArray, period: float) -> None:
 
 
 def _lowpass(angle: float) -> FloatArray:
-    """Transition (2, 2), and effect of the input before and now (2 each): x'' = a² (u − x) − √2 a x' in samples."""
+    """Transition (2, 2), and effect of the input before and now (2 each), over a sample of `angle` = w period."""
     from scipy.linalg import expm
 
-    # With the states x, x' go u and its change over the sample.
+    # With the states go u and its change over the sample.
     A = np.zeros((4, 4))
-    A[0, 1], A[2, 3] = 1.0, 1.0
-    A[1, :3] = -(angle**2), -math.sqrt(2.0) * angle, angle**2
+    A[:2, :2], A[1, 2], A[2, 3] = angle * LOWPASS, angle, 1.0
     step = expm(A)
     before, now = step[:2, 2] - step[:2, 3], step[:2, 3]
     return np.concatenate([step[:2, :2].ravel(), before, now])
