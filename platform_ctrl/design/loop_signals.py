@@ -19,11 +19,11 @@ from platform_ctrl.job.resolve import Resolver, resolver
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.mechanics.outputs import observed_system
-from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS, NamedMatrices, free_system, linear_system
+from platform_ctrl.mechanics.state_space import NamedMatrices, free_system, linear_system
 from platform_ctrl.plant.drives import Torquer
 from platform_ctrl.plant.locking import with_rigid_drives
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
-from platform_ctrl.plant.sensors import LOS_RATES, Sensor
+from platform_ctrl.plant.sensors import LOS_RATES, ROOT_ROTATIONS, Sensor
 
 # Share of their effect at zero angles below which torquers are near a keyhole: 1/cos of the elevation is 10 there.
 _KEYHOLE = 0.1

@@ -19,9 +19,9 @@ from platform_ctrl.common.arguments import distinct, real_array
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics
-from platform_ctrl.mechanics.state_space import ROOT_ROTATIONS, NamedMatrices
+from platform_ctrl.mechanics.state_space import NamedMatrices
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
-from platform_ctrl.plant.sensors import LOWPASS, Sensor, body_rates, body_rotations, gimbal_rate
+from platform_ctrl.plant.sensors import LOWPASS, ROOT_ROTATIONS, Sensor, body_rates, body_rotations, gimbal_rate
 
 if TYPE_CHECKING:
     import control

@@ -38,6 +38,7 @@ from platform_ctrl.mechanics.linearisation import (
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.plant.drives import ROOT_TORQUE_NAMES
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
+from platform_ctrl.plant.sensors import ROOT_ROTATIONS
 
 if TYPE_CHECKING:
     import control
@@ -47,8 +48,6 @@ __all__ = ["state_space", "subsystems"]
 
 # States of a free root: its momenta.
 ROOT_MOMENTA = ("P1", "P2", "P3")
-# Its small rotations against inertial space, where they are states.
-ROOT_ROTATIONS = ("theta1", "theta2", "theta3")
 
 ComplexArray = NDArray[np.complex128]
 # A, B, C and the names of the states.

@@ -404,6 +404,8 @@ class LineOfSight:
         }
 
 
+# The small rotations of the root against inertial space, which are states of models in which it moves under gravity.
+ROOT_ROTATIONS = ("theta1", "theta2", "theta3")
 LOS_RATES = ("los_rate1", "los_rate2", "los_roll_rate")
 LOS_ANGLES = ("los_angle1", "los_angle2", "los_roll")
 
@@ -429,7 +431,7 @@ def body_rates(platform: GimbalTree, body: int) -> tuple[str, ...]:
 def body_rotations(platform: GimbalTree, body: int) -> tuple[str, ...]:
     """Return the signals of a body's small rotation against inertial space, in its own axes."""
     owner = f"{platform.gimbal_names[body - 1]}_" if body else ""
-    return tuple(f"{owner}theta{k}" for k in (1, 2, 3))
+    return tuple(f"{owner}{name}" for name in ROOT_ROTATIONS)
 
 
 @cache
