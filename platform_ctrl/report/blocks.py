@@ -225,6 +225,18 @@ def made(title: str, make: Callable[[], Block | Sequence[Block] | None]) -> tupl
     return tuple(found) if isinstance(found, Sequence) else (found,)
 
 
+def section(
+    name: str,
+    title: str,
+    make: Callable[[], Block | Sequence[Block] | None],
+    verdict: tuple[str, bool] = ("", True),
+) -> list[PageSection]:
+    """Return a section of the blocks that `make` returns, with the verdict on it; none where there are no blocks."""
+    words, passed = verdict
+    blocks = made(title or name, make)
+    return [PageSection(name=name, title=title, blocks=blocks, verdict=words, passed=passed)] if blocks else []
+
+
 def drawn(
     title: str, draw: Callable[[], Figure | None], caption: str | Callable[[], str], *, small: bool = False
 ) -> tuple[Block, ...]:

@@ -28,57 +28,65 @@ def campaign_document(
 ) -> page.PageContent:
     """Return the content of the page; `command` made the campaign, `again` and a run's number repeat that run."""
     job = summary.plan.job
+
+    def last() -> tuple[page.Block, ...]:
+        return (
+            page.Paragraph(text="This page was made by"),
+            page.Listing(text=command),
+            drawn_part(summary),
+            folded_facts("Versions and digests", {**report_versions(), **identity(summary.plan)}),
+            record_part(job),
+        )
+
     with style.settings():
-        sections = campaign_sections(summary, again)
-    last = (
-        page.Paragraph(text="This page was made by"),
-        page.Listing(text=command),
-        drawn_part(summary),
-        folded_facts("Versions and digests", {**report_versions(), **identity(summary.plan)}),
-        record_part(job),
-    )
+        sections = (*campaign_sections(summary, again), *page.section("again", "Inputs and versions", last))
     return page.PageContent(
         kicker=f"platform_ctrl: campaign of {count(summary.plan.runs, 'simulated run')}",
         title=job.name,
         source=". ".join(filter(None, [job.platform.name, job.platform.source])),
         passed=summary.statistics.passed,
         verdict=tables.verdict(summary)[0],
-        sections=(*sections, page.PageSection(name="again", title="Inputs and versions", blocks=last)),
+        sections=sections,
     )
 
 
 def campaign_sections(summary: Summary, again: str) -> list[page.PageSection]:
     """Return the results of a campaign, its inputs apart; the first section has no title."""
-    words, assumed = tables.verdict(summary)
-    banner = page.Verdict(
-        passed=summary.statistics.passed,
-        words=page.sentence(words),
-        lines=tuple(page.sentence(line) for line in tables.verdict_lines(summary)),
-        aside=page.sentence(f"{assumed}.") if assumed else "",
-    )
-    bounds = page.Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet")
-    sections = [page.PageSection(name="summary", title="", blocks=(banner,))]
-    common = _influences(summary)
-    if common:
-        title = (
-            "What violating runs have in common" if summary.statistics.violation.events > 1 else "What drives the runs"
-        )
-        sections.append(page.PageSection(name="common", title=title, blocks=common))
-    sections += _worst_trace(summary)
-    shown = (probability_table(summary), bounds)
-    sections.append(page.PageSection(name="probabilities", title="Probability of a violation", blocks=shown))
-    found, caption = summary.statistics, sentences("campaign_histogram")
-    each = [(metric.name.capitalize(), with_limit(found, name)) for name, metric in RUN_METRICS.items()]
-    plates = tuple(block for title, of in each if of for block in page.drawn(title, partial(histograms, of), caption))
-    if plates:
-        sections.append(page.PageSection(name="figures", title="Figures", blocks=plates))
-    ended = [(words, f"{runs:,}", tables.chance(runs / found.runs)) for words, runs in found.endings.items()]
-    endings = page.table("ended|runs|share", ended, numbers="runs|share", form="narrow")
+    several = summary.statistics.violation.events > 1
+    common = "What violating runs have in common" if several else "What drives the runs"
     return [
-        *sections,
-        page.PageSection(name="worst", title="Worst runs", blocks=_worst(summary, again)),
-        page.PageSection(name="ended", title="How runs ended", blocks=(endings,)),
+        *page.section("summary", "", lambda: _banner(summary)),
+        *page.section("common", common, lambda: _influences(summary)),
+        *page.section("trace", "The worst run", lambda: _worst_trace(summary)),
+        *page.section("probabilities", "Probability of a violation", lambda: _probabilities(summary)),
+        *page.section("figures", "Figures", lambda: _histograms(summary)),
+        *page.section("worst", "Worst runs", lambda: _worst(summary, again)),
+        *page.section("ended", "How runs ended", lambda: _endings(summary)),
     ]
+
+
+def _banner(summary: Summary) -> page.Verdict:
+    words, assumed = tables.verdict(summary)
+    lines = tuple(page.sentence(line) for line in tables.verdict_lines(summary))
+    aside = page.sentence(f"{assumed}.") if assumed else ""
+    return page.Verdict(passed=summary.statistics.passed, words=page.sentence(words), lines=lines, aside=aside)
+
+
+def _probabilities(summary: Summary) -> tuple[page.Block, ...]:
+    bounds = page.Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet")
+    return probability_table(summary), bounds
+
+
+def _histograms(summary: Summary) -> tuple[page.Block, ...]:
+    caption = sentences("campaign_histogram")
+    each = [(one.name.capitalize(), with_limit(summary.statistics, name)) for name, one in RUN_METRICS.items()]
+    return tuple(block for title, of in each if of for block in page.drawn(title, partial(histograms, of), caption))
+
+
+def _endings(summary: Summary) -> page.Table:
+    found = summary.statistics
+    ended = [(words, f"{runs:,}", tables.chance(runs / found.runs)) for words, runs in found.endings.items()]
+    return page.table("ended|runs|share", ended, numbers="runs|share", form="narrow")
 
 
 def drawn_part(summary: Summary) -> page.Subsection:
@@ -167,26 +175,25 @@ def _worst(summary: Summary, again: str) -> tuple[page.Block, ...]:
     return (page.Paragraph(text=words), page.Listing(text=f"{again} {found[0][0].run}"), worst)
 
 
-def _worst_trace(summary: Summary) -> list[page.PageSection]:
+def _worst_trace(summary: Summary) -> tuple[page.Block, ...]:
     """Return the run that comes nearest to its limits or furthest beyond them, simulated again and drawn over time."""
     if not summary.statistics.worst:
-        return []
+        return ()
     worst = summary.statistics.worst[0]
     try:
         found = rerun(summary.plan, worst.run)
     except PlatformCtrlError:  # the list of the worst runs says why it was not simulated
-        return []
+        return ()
     if not found.run.trajectory.t.size:
-        return []
+        return ()
     name = f"run {worst.run}, {worst.manoeuvre}"
     if not math.isclose(found.metrics[worst.requirement], worst.value, rel_tol=ROUNDING):
         words = f"{page.sentence(name)} is not drawn: simulated again, it gives another value than the table holds."
-        return [page.PageSection(name="trace", title="The worst run", blocks=(page.Paragraph(text=words, tone="bad"),))]
+        return (page.Paragraph(text=words, tone="bad"),)
     [(_, (requirement, number, limit, _, inputs))] = tables.worst_rows(summary, [worst], tables.all_drivers(summary))
     shown = {"requirement": requirement, "number": number, "limit": limit, "inputs": inputs}
     caption = sentences("campaign_trace", worst=worst, runs=summary.statistics.simulated, **shown)
-    blocks = page.drawn(name, lambda: time_run(found.run, found.job.platform), caption)
-    return [page.PageSection(name="trace", title="The worst run", blocks=blocks)]
+    return page.drawn(name, lambda: time_run(found.run, found.job.platform), caption)
 
 
 def campaign_blocks(summary: Summary, result: JobResult, again: str) -> tuple[page.Block, ...]:

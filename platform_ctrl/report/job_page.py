@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,6 @@ from platform_ctrl.campaign.store import identity
 from platform_ctrl.common.arguments import instance
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.design.loop import LoopOutcome
-from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.modes import nutates
 from platform_ctrl.mechanics.state_space import coupled_while_changing
@@ -106,29 +105,30 @@ def prepared(
     if isinstance(result, page.PageContent):
         return result
     job, palette = instance("result", result, JobResult).job, curves.palette_of(result.loops)
-    together = [one for one in result.requirements if one.subject == ALL_LOOPS]
+    required, of = result.requirements, section_verdict
+    together = [one for one in required if one.subject == ALL_LOOPS]
     of_runs = [one for run in result.runs for one in run.results]
     again = again or f"platform-ctrl simulate {shlex.quote(file)} --run"
     with style.settings():
         sections = (
-            *_section("summary", "", lambda: _first(result, campaign)),
-            *_section("requirements", "Requirements", lambda: tables.requirement_table(result), result.requirements),
-            *_section("plant", "Plant and modes", lambda: _plant(result)),
+            *page.section("summary", "", lambda: _first(result, campaign)),
+            *page.section("requirements", "Requirements", lambda: tables.requirement_table(result), of(required)),
+            *page.section("plant", "Plant and modes", lambda: _plant(result)),
             *(
                 section
                 for k, one in enumerate(result.loops, 1)
-                for section in _section(
+                for section in page.section(
                     f"loop-{k}",
                     page.sentence(one.spec.name),
                     partial(_loop, result, one, palette),
-                    own_results(result, one),
+                    of(own_results(result, one)),
                 )
             ),
-            *_section("coupled", "Coupled system", lambda: _coupled(result), together),
-            *_section("budget", "Line-of-sight budget", lambda: budget_blocks(result)),
-            *_section("runs", "Simulated runs", lambda: _runs(result), of_runs),
-            *_section("campaign", "Campaign", lambda: _campaign(result, campaign, file, again)),
-            *_section("again", "Inputs and versions", lambda: _again(result, command, campaign)),
+            *page.section("coupled", "Coupled system", lambda: _coupled(result), of(together)),
+            *page.section("budget", "Line-of-sight budget", lambda: budget_blocks(result)),
+            *page.section("runs", "Simulated runs", lambda: _runs(result), of(of_runs)),
+            *page.section("campaign", "Campaign", lambda: _campaign(result, campaign, file, again)),
+            *page.section("again", "Inputs and versions", lambda: _again(result, command, campaign)),
         )
     passed, verdict = tables.verdict(result, campaign)
     return page.PageContent(
@@ -139,17 +139,6 @@ def prepared(
         verdict=verdict,
         sections=sections,
     )
-
-
-def _section(
-    name: str,
-    title: str,
-    make: Callable[[], page.Block | Sequence[page.Block] | None],
-    results: Sequence[CheckResult] = (),
-) -> list[page.PageSection]:
-    """Return a section with the blocks that `make` returns, and the verdict on its results; none without blocks."""
-    blocks, (verdict, passed) = page.made(title or "Summary", make), section_verdict(results)
-    return [page.PageSection(name=name, title=title, blocks=blocks, verdict=verdict, passed=passed)] if blocks else []
 
 
 def _first(result: JobResult, campaign: Summary | None) -> tuple[page.Block, ...]:
