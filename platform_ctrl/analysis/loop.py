@@ -1,14 +1,5 @@
 """The closed loops that one controller makes with every plant of a set, and their largest gains.
 
-The parts of a closed loop are named by where they begin and end:
-
-    [torque, Omega, noise] → [torque, angle, sight]        u = K (y + noise),  y = P (u + torque) + P_Omega Omega
-
-"angle" is what is measured and kept at zero or at commands, of rate loops rates; "sight" are the rates of the line of
-sight. Readings that help a loop beside these, in other units perhaps, are "helping", each by itself with all others
-closed. A controller may also have inputs for commands, behind those for what is measured: "command" enters there, with
-the other sign, and without them as noise.
-
 The largest gain over frequency is taken on the set's grid and at the closed-loop poles that are narrower than the
 grid's spacing (`Loop.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`Loop.peak`).
 """
@@ -17,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from functools import cached_property
-from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +21,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, Index, System
 from platform_ctrl.analysis.time_responses import step_responses
+from platform_ctrl.analysis.transfers import SENSITIVITIES, UNDISTURBED, Parts, Responses, Transfer, maps_of
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import ArgumentError
 
@@ -44,34 +35,6 @@ _ROUNDING = 1e-8
 _GROWING = 5.0
 # Relative distance above a bandwidth at which S is seen to reach its level.
 _ABOVE = 1e-7
-
-
-class Transfer(NamedTuple):
-    """A part of the closed loop: from `source` to `target`, and `direct` times the identity.
-
-    From torque to torque the closed loop is −T = S − I at the plants' input, from noise to angle at their output, from
-    helping to helping at one of the further readings.
-    With `of_limit` every torque is taken by itself, over its torquer's limit, for platform rates over the set's Omega.
-    """
-
-    source: Literal["torque", "Omega", "noise", "command", "helping"]
-    target: Literal["torque", "angle", "sight", "helping"]
-    direct: float = 0.0
-    of_limit: bool = False
-
-
-S_OUTPUT, S_INPUT = Transfer("noise", "angle", 1.0), Transfer("torque", "torque", 1.0)
-FOLLOWING = Transfer("command", "angle", 1.0)  # from a command to its error
-# What counts in peaks of S, of T, and of (S − T)/2 = S − I/2.
-OF_S, OF_T, OF_HALF = (
-    tuple(Transfer(*ends, direct) for ends in (("noise", "angle"), ("torque", "torque"), ("helping", "helping")))
-    for direct in (1.0, 0.0, 0.5)
-)
-ANGLE_PER_OMEGA, ANGLE_PER_TORQUE = Transfer("Omega", "angle"), Transfer("torque", "angle")
-SIGHT_PER_OMEGA = Transfer("Omega", "sight")
-TORQUE_SHARE = Transfer("Omega", "torque", of_limit=True)
-SENSITIVITIES = (S_OUTPUT, S_INPUT)
-Parts = tuple[Transfer, ...]
 
 
 Indices = NDArray[np.intp]
@@ -102,19 +65,14 @@ class Loop:
         m, p = self.m, self.p
         whole = self.plants.whole.part(slice(p + len(self.plants.sight)), slice(None))
         closed = whole.feedback(self.controller, range(m), range(p))
-        if self._feeds_torque:
+        feedforward = self.plants.feedforward
+        if feedforward is not None and feedforward.into == "torque":
             # The torque is what the controller sets and what feedforward adds, whose states are the plants' last.
-            assert self.plants.feedforward is not None
-            fed = self.plants.feedforward.from_rate
+            fed = feedforward.from_rate
             n, f = self.plants.A.shape[-1], len(fed.A)
             closed.C[..., :m, n - f : n] += fed.C
             closed.D[..., :m, m : m + 3] += fed.D
         return closed
-
-    @property
-    def _feeds_torque(self) -> bool:
-        """Whether feedforward adds to the controller's torques."""
-        return self.plants.feedforward is not None and self.plants.feedforward.into == "torque"
 
     @cached_property
     def own_arrays(self) -> System:
@@ -340,41 +298,41 @@ class Loop:
             found += [largest_singular_values(one[0]) for part in continuous for one in alone.responses(part, first)]
         return np.asarray(np.max(found, axis=0))
 
+    def fed(self, frequency: FloatArray) -> ComplexArray:
+        """Return the torques of feedforward per platform rate, (F, m, 3), at frequencies (F,), rad/s."""
+        fed = self.plants.feedforward
+        if fed is None or fed.into != "torque":
+            return np.zeros((len(frequency), self.m, 3), dtype=np.complex128)
+        return fed.response(frequency)
+
+    def at(self, members: Indices, disturbed: bool, cut: slice = slice(None)) -> Responses:
+        """Return what maps are made of, of some plants on a part of the grid, (k, F, ...)."""
+        plants, w = self.plants, self.plants.frequency[cut]
+        size = len(members), len(w), self.m
+        return Responses(
+            plants.response[members, cut],
+            np.broadcast_to(self.K[cut], (*size, self.p)),
+            self.S_output[members, cut],
+            self.S_input[members, cut],
+            np.broadcast_to(self.fed(w), (*size, 3)),
+            *((one[members, cut] for one in self._disturbed) if disturbed else UNDISTURBED),
+        )
+
     def responses(self, transfer: Transfer, members: Indices) -> list[ComplexArray]:
         """Return the responses of a part of some closed loops on the grid, (k, F, ...), which may be several."""
-        plants, k, S = self.plants, self.kept, self.S_output[members]
-        if transfer.target == "helping":
-            return [S[..., i : i + 1, i : i + 1] - (1.0 - transfer.direct) for i in range(k, self.p)]
+        plants, k = self.plants, self.kept
         if transfer.target == "sight" and not plants.sight:
             raise ArgumentError(
                 "attenuation: the loop moves no line of sight; give the plant a [line_of_sight] that the loop turns"
             )
         if transfer.source == "command" and self.two_degrees is not None:
-            H = frequency_response(self.two_degrees, plants.frequency, -3)[..., self.p :]
+            H, S = frequency_response(self.two_degrees, plants.frequency, -3)[..., self.p :], self.S_output[members]
             return [transfer.direct * np.eye(k) - S[..., :k, :] @ plants.response[members] @ H]
-        if transfer.source == "command" and plants.commanded is not None:
-            return [S[..., :k, :] @ plants.commanded - (1.0 - transfer.direct) * np.eye(k)]
-        if (transfer.source, transfer.target) in (("command", "angle"), ("noise", "angle"), ("torque", "torque")):
-            S = self.S_input[members] if transfer.source == "torque" else S[..., :k, :k]
-            return [S - (1.0 - transfer.direct) * np.eye(S.shape[-1])]
-        if transfer.source == "noise":
-            return [self.K @ S]
-        if not self.between(transfer):
-            return [S[..., :k, :] @ plants.response[members]]
-        m = self.m
-        columns = slice(-3, None) if transfer.source == "Omega" else slice(m, 2 * m)
-        read, angle, sight = (one[members] for one in self._disturbed)
-        torque = self.K @ S @ read[..., columns]
-        if transfer.target != "torque":
-            seen = angle if transfer.target == "angle" else sight
-            return [seen[..., columns] + seen[..., :m] @ torque]
-        if self._feeds_torque:
-            assert plants.feedforward is not None
-            torque = torque + plants.feedforward.response(plants.frequency)
-        if not transfer.of_limit:
-            return [torque]
-        share = torque * (plants.Omega / plants.torque_limit[:, None])
-        return [share[..., j : j + 1, :] for j in range(m)]
+        maps = maps_of(transfer, plants)
+        at = self.at(members, any(one.disturbed for one in maps))
+        if transfer.of_limit and not maps:  # no torquer has a limit
+            return [np.zeros((*at.P.shape[:2], 1, 3), dtype=np.complex128)]
+        return [one.response(at) for one in maps]
 
     def grid_peaks(self, parts: Parts, band: norms.Band, members: Indices) -> FloatArray:
         """Return the largest gain of the parts of some plants within `band`, (k,); infinite of an unstable loop."""

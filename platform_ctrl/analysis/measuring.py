@@ -12,12 +12,13 @@ from typing import Protocol
 
 import numpy as np
 
-from platform_ctrl.analysis.loop import SENSITIVITIES, Indices, Loop, Parts
+from platform_ctrl.analysis.loop import Indices, Loop
 from platform_ctrl.analysis.margins import margins_of_channel
 from platform_ctrl.analysis.norms import LEVEL, WHOLE, Band, bandwidth_of_response, drifting_rms, gains, noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, poles, resonances
 from platform_ctrl.analysis.sight import contrast_of
 from platform_ctrl.analysis.system import System
+from platform_ctrl.analysis.transfers import SENSITIVITIES, Parts
 from platform_ctrl.common.values import FloatArray, value
 
 

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis import loop, measuring
+from platform_ctrl.analysis import measuring, transfers
 from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
 from platform_ctrl.analysis.time_responses import overshoot, ramp_error, settling_time, steady_error
 from platform_ctrl.common.values import FloatArray, value
@@ -124,7 +124,7 @@ METRICS: dict[str, Metric] = {
         sense="at least",
         meaning="1/‖(S − T)/2‖∞, the smaller of input and output. Unstructured: all channels at once, "
         "cross-talk included",
-        measure=measuring.Peak(transfers=loop.OF_HALF, reciprocal=True),
+        measure=measuring.Peak(transfers=transfers.OF_HALF, reciprocal=True),
         scopes=("", "worst_case", "faults"),
         best=2.0,
     ),
@@ -153,14 +153,14 @@ METRICS: dict[str, Metric] = {
         name="sensitivity peak",
         key="sensitivity_peak",
         meaning="‖S‖∞, the larger of input and output",
-        measure=measuring.Peak(transfers=loop.OF_S),
+        measure=measuring.Peak(transfers=transfers.OF_S),
         scopes=("", "worst_case"),
     ),
     "complementary sensitivity peak": Metric(
         name="complementary sensitivity peak",
         key="complementary_sensitivity_peak",
         meaning="‖T‖∞, the larger of input and output",
-        measure=measuring.Peak(transfers=loop.OF_T),
+        measure=measuring.Peak(transfers=transfers.OF_T),
         scopes=("", "worst_case"),
     ),
     "damping": Metric(
@@ -186,7 +186,7 @@ METRICS: dict[str, Metric] = {
         key="tracking",
         meaning="the largest singular value of S at the plant's output up to this frequency; of a design with "
         "`command` of the transfer from commands to their errors",
-        measure=measuring.Peak(transfers=(loop.FOLLOWING,), banded=True),
+        measure=measuring.Peak(transfers=(transfers.FOLLOWING,), banded=True),
         needs_frequency=True,
     ),
     "overshoot": Metric(
@@ -224,7 +224,7 @@ METRICS: dict[str, Metric] = {
         key="Omega_rejection",
         unit="rad/(rad/s)",
         meaning="peak gain from the platform's rate to the angles",
-        measure=measuring.Peak(transfers=(loop.ANGLE_PER_OMEGA,)),
+        measure=measuring.Peak(transfers=(transfers.ANGLE_PER_OMEGA,)),
     ),
     "attenuation": Metric(
         name="attenuation of base motion",
@@ -234,7 +234,7 @@ METRICS: dict[str, Metric] = {
         sense="at least",
         meaning="the platform's rate over the rate of the line of sight that it causes, in the worst direction, up to "
         "this frequency; of the axes across the line of sight that the loop's torquers move",
-        measure=measuring.Peak(transfers=(loop.SIGHT_PER_OMEGA,), banded=True, reciprocal=True),
+        measure=measuring.Peak(transfers=(transfers.SIGHT_PER_OMEGA,), banded=True, reciprocal=True),
         scopes=("", "worst_case"),
         needs_frequency=True,
     ),
@@ -243,7 +243,7 @@ METRICS: dict[str, Metric] = {
         key="torque_rejection",
         unit="rad/(N m)",
         meaning="peak gain from torques that add to the torquers' to the angles",
-        measure=measuring.Peak(transfers=(loop.ANGLE_PER_TORQUE,)),
+        measure=measuring.Peak(transfers=(transfers.ANGLE_PER_TORQUE,)),
     ),
     "torque noise": Metric(
         name="torque noise, rms",
@@ -259,7 +259,7 @@ METRICS: dict[str, Metric] = {
         meaning="commanded torque over the torquer's limit (1: just at it), worst torquer, for sinusoidal platform "
         "rates in the ellipsoid with half-axes `Omega`, up to this frequency or of any frequency. Torquers without "
         "a limit do not count",
-        measure=measuring.Peak(transfers=(loop.TORQUE_SHARE,), banded=True),
+        measure=measuring.Peak(transfers=(transfers.TORQUE_SHARE,), banded=True),
     ),
     "fastest controller pole": Metric(
         name="fastest pole of the controller",

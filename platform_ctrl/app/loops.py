@@ -15,7 +15,7 @@ import numpy as np
 
 from platform_ctrl.analysis.feedback import commanded_loop, sensitivities_of_plants, with_error_alone
 from platform_ctrl.analysis.interconnection import COMMAND, interconnected
-from platform_ctrl.analysis.loop import Loop, Transfer
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
 from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
@@ -24,6 +24,7 @@ from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, following_grid, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.system import ComplexArray, Index, StateSpace, System
+from platform_ctrl.analysis.transfers import Transfer
 from platform_ctrl.app import curves as drawn
 from platform_ctrl.app.excitation import SampledInput, caged_excitation, drive, settling, step_size
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Margins, Measured, TimeResponse

@@ -11,7 +11,7 @@ import numpy as np
 
 from platform_ctrl.analysis.curves import Curve, Curves, Level, loop_phase, refined_loop
 from platform_ctrl.analysis.feedback import channel_transfers, each_alone
-from platform_ctrl.analysis.loop import ANGLE_PER_OMEGA, FOLLOWING, S_OUTPUT, Loop
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import gains
@@ -19,6 +19,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, following_grid
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray
+from platform_ctrl.analysis.transfers import ANGLE_PER_OMEGA, FOLLOWING, S_OUTPUT
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Design, LoopOutcome, closed_loop_poles, sampled_plant
 from platform_ctrl.design.sections import gain

@@ -11,20 +11,14 @@ import pytest
 
 from design import test_sight as sight
 from platform_ctrl import analysis, design
-from platform_ctrl.analysis import loop as closed
+from platform_ctrl.analysis import transfers as closed
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.sight import blur_of, contrast_of
 from platform_ctrl.analysis.system import System
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.fixed_structure.descent import finer, pieces
 from platform_ctrl.design.fixed_structure.loops import LoopGradients
-from platform_ctrl.design.fixed_structure.maps import (
-    CONTROLLER,
-    at_least,
-    helping_maps,
-    map_of,
-    torque_per_Omega,
-)
+from platform_ctrl.design.fixed_structure.maps import at_least
 from platform_ctrl.design.fixed_structure.norm import AugmentedLoop, WorstNorm, augmented
 from platform_ctrl.design.fixed_structure.sections import Sections
 from platform_ctrl.design.fixed_structure.structures import Parametrised, Structure, Units
@@ -107,9 +101,9 @@ MAPS = {
     "angle per Omega": closed.ANGLE_PER_OMEGA,
     "torque per noise": closed.Transfer("noise", "torque"),
     "torque per rate": closed.Transfer("Omega", "torque"),
-    "controller": lambda plants: CONTROLLER,
-    "torque per Omega": lambda plants: torque_per_Omega(1, plants),
-    "S at a further reading": lambda plants: helping_maps(1.0, plants)[0],
+    "controller": None,
+    "torque per Omega": closed.TORQUE_SHARE,
+    "S at a further reading": closed.OF_S[2],
 }
 
 
@@ -143,7 +137,7 @@ def test_singular_values_have_the_slopes_of_differences(cases, which, kept):
     elif which == "S at a further reading":
         return
     of = MAPS[which]
-    of = map_of(of, plants) if isinstance(of, closed.Transfer) else of(plants)
+    of = closed.CONTROLLER if of is None else closed.maps_of(of, plants)[-1]
     for frequency in (90.0, 420.0, 3000.0):
         for k in range(3):
             ours, theirs = slopes(

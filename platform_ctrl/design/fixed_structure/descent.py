@@ -25,13 +25,13 @@ on regular plants, in which they decay slowly; its result is checked exactly on 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.loop import Loop, Transfer
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.measuring import ControllerGain, Peak, Sight
 from platform_ctrl.analysis.norms import LEVEL
@@ -39,6 +39,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import tuning_grid
 from platform_ctrl.analysis.sight import blur_of
 from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.analysis.transfers import CONTROLLER, maps_of
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure import maps as transfers
 from platform_ctrl.design.fixed_structure.loops import LoopGradients
@@ -381,15 +382,15 @@ def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.
         below, factor = (floor / limit, limit) if measure.reciprocal else (floor * limit, 1.0 / limit)
         edges = [w for w in (requirement.lowest, requirement.frequency) if w]
         band = (requirement.lowest, requirement.frequency or np.inf)
-        maps = [of for transfer in measure.transfers for of in _maps(transfer, plants)]
+        maps = [of for transfer in measure.transfers for of in maps_of(transfer, plants)]
         found = [loops.peaks(of, below, members, band) for of in maps]
         found += [loops.edge(of, edge, members) for of in maps for edge in edges]
         return transfers.joined([loops.none(), *found]).times(factor)
     if isinstance(measure, ControllerGain):
         nominal = np.zeros(1, dtype=np.intp)
         low = 0.1 * plants.nutation if requirement.frequency is None else requirement.frequency
-        inside = loops.peaks(transfers.CONTROLLER, floor * limit, nominal, (low, np.inf))
-        return transfers.joined([inside, loops.edge(transfers.CONTROLLER, low, nominal)]).times(1.0 / limit)
+        inside = loops.peaks(CONTROLLER, floor * limit, nominal, (low, np.inf))
+        return transfers.joined([inside, loops.edge(CONTROLLER, low, nominal)]).times(1.0 / limit)
     if isinstance(measure, Sight):
         forms = (plants.sight_forms or {}).get(measure.key, ())
         return loops.sight(forms, blur_of(limit) if measure.worst == 0.0 else limit) if forms else loops.none()
@@ -407,14 +408,3 @@ def pieces(loops: LoopGradients, requirement: LoopRequirement, floor: float = 0.
         case "fastest controller pole":
             return loops.controller_poles(floor, limit)
     return loops.none()
-
-
-def _maps(transfer: Transfer, plants: PlantSet) -> Iterator[transfers.Map]:
-    if transfer.target == "helping":
-        yield from transfers.helping_maps(transfer.direct, plants)
-        return
-    if not transfer.of_limit:
-        yield transfers.map_of(transfer, plants)
-        return
-    for k in np.flatnonzero(np.isfinite(plants.torque_limit)):
-        yield transfers.torque_per_Omega(int(k), plants)

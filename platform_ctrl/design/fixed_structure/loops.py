@@ -11,15 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.between_samples import Disturbed, response_at
+from platform_ctrl.analysis.between_samples import response_at
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
-from platform_ctrl.analysis.loop import SENSITIVITIES, Loop
+from platform_ctrl.analysis.loop import Loop
 from platform_ctrl.analysis.norms import LEVEL, stationary_covariance
 from platform_ctrl.analysis.plant_set import REGULAR, PlantSet
 from platform_ctrl.analysis.poles import SPLIT, continuous_poles
 from platform_ctrl.analysis.sight import MeanSquare
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.system import ComplexArray, System, block
+from platform_ctrl.analysis.transfers import SENSITIVITIES, UNDISTURBED, Map, Responses, column_of, maps_of, row_of
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.fixed_structure import maps
 from platform_ctrl.design.sections import gain
@@ -38,7 +39,6 @@ _NEARLY = 0.1
 _SLOPE_STEP = 1e-4
 # A gain below this counts as zero: a balanced gimbal without friction transmits nothing.
 _NOTHING = 1e-200
-_UNDISTURBED = Disturbed(*(np.zeros((0, 0, 0), dtype=np.complex128),) * 3)
 # Resonances of less damping may hide between two points of the grid.
 _HIDDEN = 0.02
 
@@ -53,21 +53,21 @@ class Points:
         z = np.exp(1j * frequency * plants.period)
         P = response_at(plants.arrays, frequency, plant)
         K, self._left, self._right = loops.controller_response(z)
-        found = plants.disturbed_at(frequency, plant) if disturbed else _UNDISTURBED
-        self.responses = maps.Responses(P, K, *sensitivities_of_plants(P, K), loops.fed(frequency), *found)
+        found = plants.disturbed_at(frequency, plant) if disturbed else UNDISTURBED
+        self.responses = Responses(P, K, *sensitivities_of_plants(P, K), loops.loop.fed(frequency), *found)
 
-    def singular(self, of: maps.Map, only: int | None = None) -> maps.Singular:
+    def singular(self, of: Map, only: int | None = None) -> maps.Singular:
         """Return the largest singular value of a map at every point as smooth pieces; with `only`, of one point."""
         X = of.response(self.responses)
         found = maps.singular(X if only is None else X[only : only + 1])
         return found._replace(at=found.at + (only or 0))
 
-    def differential(self, of: maps.Map, found: maps.Singular) -> FloatArray:
+    def differential(self, of: Map, found: maps.Singular) -> FloatArray:
         """Return the gradients of `found`."""
-        responses = maps.Responses(*(item[found.at] if len(item) else item for item in self.responses))
+        responses = Responses(*(item[found.at] if len(item) else item for item in self.responses))
         a, b = of.differential(responses, found.u, found.v)
-        row = np.concatenate([maps.row_of(a, self._left[found.at]), a], axis=1)
-        column = np.concatenate([maps.column_of(self._right[found.at], b), b], axis=1)
+        row = np.concatenate([row_of(a, self._left[found.at]), a], axis=1)
+        column = np.concatenate([column_of(self._right[found.at], b), b], axis=1)
         return np.asarray(np.real(row[:, :, None] * column[:, None, :]))
 
 
@@ -77,12 +77,18 @@ class LoopGradients:
     def __init__(self, plants: PlantSet, controller: System, regular: bool = False) -> None:
         # Whether angles that drift decay slowly in `plants`, which gives closed loops poles that they do not have.
         self.regular = regular
-        self.plants = plants
+        self.plants, self.controller = plants, controller
         self.A_K, self.B_K, self.C_K, self.D_K, _ = controller
         self.M = np.block([[self.A_K, self.B_K], [self.C_K, self.D_K]])
         self.order = len(self.A_K)
-        self.loop = Loop(plants, controller)  # what needs no derivative
-        self.p, self.m = self.loop.p, self.loop.m
+        self.p, self.m = plants.C.shape[-2], plants.B.shape[-1]
+
+    @cached_property
+    def loop(self) -> Loop:
+        """What needs no derivative; the controller's response on the grid is computed as at single points."""
+        out = Loop(self.plants, self.controller)
+        out.K = self.controller_response(np.exp(1j * self.plants.frequency * self.plants.period))[0]
+        return out
 
     def unstable(self) -> maps.Numbers:
         """Return the plants whose loops are not stable, the fastest growing first."""
@@ -94,13 +100,6 @@ class LoopGradients:
         R = np.linalg.inv(z[:, None, None] * np.eye(self.order) - self.A_K)
         right = R @ self.B_K
         return self.C_K @ right + self.D_K, self.C_K @ R, right
-
-    def fed(self, frequency: FloatArray) -> ComplexArray:
-        """Return the torques of feedforward per platform rate, (k, m, 3), at frequencies (k,), rad/s."""
-        fed = self.plants.feedforward
-        if fed is None or fed.into != "torque":
-            return np.zeros((len(frequency), self.m, 3), dtype=np.complex128)
-        return fed.response(frequency)
 
     def none(self) -> maps.Pieces:
         """Return no pieces."""
@@ -114,7 +113,7 @@ class LoopGradients:
 
     def peaks(
         self,
-        of: maps.Map,
+        of: Map,
         floor: float,
         members: maps.Numbers,
         band: tuple[float, float] = (0.0, np.inf),
@@ -129,14 +128,7 @@ class LoopGradients:
         if not len(inside):
             return self.none()
         cut = slice(int(inside[0]), int(inside[-1]) + 1)
-        response = maps.Responses(
-            self.plants.response[members, cut],
-            np.broadcast_to(self.loop.K[cut], (len(members), len(inside), self.m, self.p)),
-            self.loop.S_output[members, cut],
-            self.loop.S_input[members, cut],
-            np.broadcast_to(self.fed(w[cut]), (len(members), len(inside), self.m, 3)),
-            *((one[members, cut] for one in self.plants.disturbed_on_grid()) if of.disturbed else _UNDISTURBED),
-        )
+        response = self.loop.at(members, of.disturbed, cut)
         sizes = _sizes(of.response(response), floor)
         padded = np.pad(sizes, ((0, 0), (1, 1)), constant_values=-np.inf if ends else np.inf)
         chosen = (sizes >= padded[:, :-2]) & (sizes > padded[:, 2:]) & (sizes >= floor)
@@ -160,7 +152,7 @@ class LoopGradients:
         found = self._pieces(of, members[row], np.exp(x))
         return maps.joined([found, hidden]) if len(hidden.ratio) else found
 
-    def _hidden(self, of: maps.Map, floor: float, members: maps.Numbers, band: tuple[float, float]) -> maps.Pieces:
+    def _hidden(self, of: Map, floor: float, members: maps.Numbers, band: tuple[float, float]) -> maps.Pieces:
         """Return a map's largest singular value at resonances narrower than the grid or below it, from `floor` on."""
         s = self.poles.s[members]
         narrow = (
@@ -176,7 +168,7 @@ class LoopGradients:
         high = found.ratio >= floor
         return maps.Pieces(ratio=found.ratio[high], gradient=found.gradient[high], plant=found.plant[high])
 
-    def _pieces(self, of: maps.Map, plant: maps.Numbers, frequency: FloatArray) -> maps.Pieces:
+    def _pieces(self, of: Map, plant: maps.Numbers, frequency: FloatArray) -> maps.Pieces:
         at = Points(self, plant, frequency, of.disturbed)
         found = at.singular(of)
         return maps.Pieces(ratio=found.size, gradient=at.differential(of, found), plant=plant[found.at])
@@ -195,7 +187,7 @@ class LoopGradients:
             ratio=np.array(ratios), gradient=np.array(gradients), plant=np.zeros(len(ratios), dtype=np.intp)
         )
 
-    def edge(self, of: maps.Map, frequency: float, members: maps.Numbers) -> maps.Pieces:
+    def edge(self, of: Map, frequency: float, members: maps.Numbers) -> maps.Pieces:
         """Return a map's largest singular value at one frequency."""
         at = np.full(len(members), min(frequency, float(self.plants.frequency[-1])))
         return self._pieces(of, members, at)
@@ -210,7 +202,7 @@ class LoopGradients:
         around = w * np.exp(_SLOPE_STEP * np.array([0.0, 1.0, -1.0]))
         at = Points(self, np.zeros(3, dtype=np.intp), around)
         parts, slopes = [], []
-        for of in (maps.map_of(part, self.plants) for part in SENSITIVITIES):
+        for of in (one for part in SENSITIVITIES for one in maps_of(part, self.plants)):
             tops = self.peaks(of, floor * LEVEL, nominal, (0.0, w), ends=False)
             found = at.singular(of, only=0)
             X = of.response(at.responses)

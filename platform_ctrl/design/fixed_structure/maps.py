@@ -1,40 +1,15 @@
-"""Maps of a closed loop at single frequencies with their differentials by the controller, and smooth pieces of them."""
+"""Smooth pieces of the largest singular values of a closed loop's maps, and of other measures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.loop import Transfer
-from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
-
-
-class Responses(NamedTuple):
-    """Plant, controller, sensitivities, and what disturbances do to what is measured, to it and the sight between.
-
-    Each complex (..., rows, columns); the last three as in `between_samples.Disturbed`. `fed`: platform rate → torques
-    that feedforward adds, where it does.
-    """
-
-    P: ComplexArray
-    K: ComplexArray
-    S_output: ComplexArray
-    S_input: ComplexArray
-    fed: ComplexArray
-    read: ComplexArray
-    angle: ComplexArray
-    sight: ComplexArray
-
-    def columns(self, source: str) -> slice:
-        """Return the columns of a continuous disturbance."""
-        m = self.P.shape[-1]
-        return slice(-3, None) if source == "Omega" else slice(m, 2 * m)
-
 
 # A second singular value above this share of the first counts as near it.
 _CLOSE = 0.9
@@ -44,120 +19,6 @@ _DIRECTIONS = [np.array([0.0, 1.0], dtype=np.complex128)] + [
     for height, shift in ((np.sqrt(0.2), 0), (-np.sqrt(0.2), 1))
     for k in range(5)
 ]
-
-# Singular vectors u, v → a (k, m), b (k, p) with d(uᴴ X v) = a dK b.
-Differential = Callable[[Responses, ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]
-
-
-class Map(NamedTuple):
-    """A map of the closed loop: its response, its differential, and whether it is from a continuous disturbance."""
-
-    response: Callable[[Responses], ComplexArray]
-    differential: Differential
-    disturbed: bool = False
-
-
-def row_of(left: ComplexArray, *factors: ComplexArray) -> ComplexArray:
-    """Return the rows (k, n) times the matrices (k, n, ...), in this order."""
-    out = left[:, None, :]
-    for factor in factors:
-        out = out @ factor
-    return out[:, 0, :]
-
-
-def column_of(*factors: ComplexArray) -> ComplexArray:
-    """Return the matrices (k, ..., n) times the columns (k, n), which come last."""
-    out = factors[-1][:, :, None]
-    for factor in factors[-2::-1]:
-        out = factor @ out
-    return out[:, :, 0]
-
-
-def _plus(S: ComplexArray, factor: float) -> ComplexArray:
-    return S if factor == 0.0 else S + factor * np.eye(S.shape[-1])
-
-
-def _at_output(direct: float, part: slice, commanded: FloatArray | None = None) -> Map:
-    """Return S at some outputs, or from their commands, less the identity, and `direct` times that."""
-
-    def right(r: Responses) -> ComplexArray:
-        return r.S_output[..., part] if commanded is None else np.asarray(r.S_output @ commanded)
-
-    return Map(
-        lambda r: _plus(right(r)[..., part, :], direct - 1.0),
-        lambda r, u, v: (row_of(u, r.S_output[..., part, :], r.P), column_of(right(r), v)),
-    )
-
-
-def _at_input(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    return row_of(u, r.S_input), column_of(r.P, r.S_input, v)
-
-
-CONTROLLER = Map(lambda r: r.K, lambda r, u, v: (u, v))
-
-
-def map_of(transfer: Transfer, plants: PlantSet) -> Map:
-    """Return the map of a part of the closed loop; of torques over their limits see `torque_per_Omega`."""
-    direct, kept = transfer.direct, slice(plants.kept)
-    match transfer.source, transfer.target:
-        case "noise", "angle":
-            return _at_output(direct, kept)
-        case "command", "angle":
-            return _at_output(direct, kept, plants.commanded)
-        case "torque", "torque":
-            return Map(lambda r: _plus(r.S_input, direct - 1.0), _at_input)
-        case "noise", "torque":
-            return Map(lambda r: r.K @ r.S_output, lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, v)))
-        case "Omega", "torque":
-            return Map(
-                _torque_per_Omega,
-                lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, r.read[..., -3:], v)),
-                True,
-            )
-    return _between(transfer.source, transfer.target, kept)
-
-
-def helping_maps(direct: float, plants: PlantSet) -> list[Map]:
-    """Return S at each of the readings that help the loop, with all others closed."""
-    return [_at_output(direct, slice(i, i + 1)) for i in range(plants.kept, len(plants.angles))]
-
-
-def _torque_per_Omega(r: Responses) -> ComplexArray:
-    return r.K @ r.S_output @ r.read[..., -3:] + r.fed
-
-
-def _between(source: str, target: str, kept: slice) -> Map:
-    """Return the map from a continuous disturbance to what is measured or to the line of sight, between samples.
-
-    Of commands in place of torques at the samples.
-    """
-
-    def sampled(r: Responses) -> bool:
-        return source == "torque" and r.read.shape[-1] != 2 * r.P.shape[-1] + 3
-
-    def response(r: Responses) -> ComplexArray:
-        if sampled(r):
-            return r.P[..., kept, :] @ r.S_input
-        at, seen, m = r.columns(source), getattr(r, target), r.P.shape[-1]
-        return np.asarray(seen[..., at] + seen[..., :m] @ (r.K @ r.S_output @ r.read[..., at]))
-
-    def differential(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        if sampled(r):
-            return _at_input(r, row_of(u, r.P[..., kept, :]), v)
-        at, seen, m = r.columns(source), getattr(r, target), r.P.shape[-1]
-        return row_of(u, seen[..., :m], r.S_input), column_of(r.S_output, r.read[..., at], v)
-
-    return Map(response, differential, True)
-
-
-def torque_per_Omega(k: int, plants: PlantSet) -> Map:
-    """Return the map from the platform's rate, in units of the set's Omega, to torque `k` over its limit."""
-    weight = plants.Omega / plants.torque_limit[k]
-
-    def differential(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        return u * r.S_input[:, k, :], column_of(r.S_output, r.read[..., -3:], weight * v)
-
-    return Map(lambda r: _torque_per_Omega(r)[..., k : k + 1, :] * weight, differential, True)
 
 
 class Singular(NamedTuple):

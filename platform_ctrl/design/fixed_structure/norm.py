@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.singular_values import hamiltonian_crossings
 from platform_ctrl.analysis.system import ComplexArray, scaled
+from platform_ctrl.analysis.transfers import column_of, row_of
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.fixed_structure.maps import column_of, row_of, singular
+from platform_ctrl.design.fixed_structure.maps import singular
 from platform_ctrl.design.fixed_structure.minimax import Evaluation
 from platform_ctrl.design.fixed_structure.structures import Parametrised
 from platform_ctrl.design.partition import Partition
