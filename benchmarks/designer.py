@@ -53,7 +53,7 @@ def times(bench: Backend) -> bool:
     for loop in (one.name for one in bench.read.loops):
         settings = bench.start(loop)
         first = bench.picture(settings)
-        plants = len(first.plants)
+        plants = len(bench.choices(settings)["plant"])
         print(f"{loop}: {plants} plants, band on; first picture {1e3 * first.elapsed:.0f} ms")
         print(f"  {'move':24} {'median':>9} {'largest':>9} {'processor':>10} {'limit':>9}")
         rows = [(slider.name, slider) for slider in bench.sliders(settings) if not slider.background]

@@ -212,7 +212,7 @@ class Backend:
         try:
             with np.errstate(all="ignore"):
                 curves, notes = self.loops.curves(settings)
-                drawing = curves.drawing(self.loops.plants.labels(spec))
+                drawing = curves.drawing()
                 if settings.overlays:
                     overlays, more = self.loops.overlays(settings, spec)
                     drawing, notes = dataclasses.replace(drawing, overlays=overlays), (*notes, *more)

@@ -199,7 +199,7 @@ class ClosedLoops:
                 with np.errstate(all="ignore"):
                     curves, lines = self.curves(own, over=True)
                     # The picture below one of the free platform has the lines about the other loops.
-                    return curves.drawing(()), lines if spec.has_plants else ()
+                    return curves.drawing(), lines if spec.has_plants else ()
 
             depends = self.shown_key(own, spec)
             try:
@@ -294,12 +294,10 @@ class ClosedLoops:
 
     def coupled(self, settings: Settings) -> CoupledCheck:
         """Return the check of all loops together, as `check` does it."""
-
-        def make() -> CoupledCheck:
-            controllers = self.controllers(settings)
-            return coupled_check(self.job(settings), self.plants.model, controllers)
-
-        return self._coupled.get(self.whole_key(settings), make)
+        return self._coupled.get(
+            self.whole_key(settings),
+            lambda: coupled_check(self.job(settings), self.plants.model, self.controllers(settings)),
+        )
 
     def metrics(
         self, settings: Settings, loop: CagedLoop, whole: Loop | None = None, quick: bool = False

@@ -189,13 +189,12 @@ class LoopCurves(ABC):
         P, K = (frequency_response(one, self.frequency, -3) for one in (self.plant, self.controller))
         return LoopTransfers(P, K, sensitivities_of_plants(P, K)[1])
 
-    def drawing(self, labels: tuple[str, ...]) -> Drawing:
-        """Return the curves; `labels` are those of all plants that may be shown."""
+    def drawing(self) -> Drawing:
+        """Return the curves."""
         response = channel_response(self.own.S, self.index)
         locus, others = self.locus(), self.other_poles.ravel()
         return Drawing(
             settings=self.settings,
-            plants=labels,
             bode=self._bode(response),
             closed=self._closed_loop(),
             locus=locus,

@@ -139,7 +139,7 @@ class Margins:
 
 @value
 class Drawing:
-    """The data of the plots of a page for `settings`; `plants` are the labels of all plants that may be shown.
+    """The data of the plots of a page for `settings`.
 
     `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
     `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
@@ -149,7 +149,6 @@ class Drawing:
     """
 
     settings: Settings
-    plants: tuple[str, ...]
     bode: Bode
     closed: ClosedLoop
     locus: RootLocus

@@ -102,11 +102,8 @@ class PageServer:
     @property
     def address(self) -> str:
         """Address of the page with its token: what is opened in a browser."""
-        name = self.hosts.listening
-        if not is_loopback(name):
-            name = sorted(self.hosts.names)[0]
-        elif ":" in name:
-            name = f"[{name.strip('[]')}]"
+        listening = self.hosts.listening
+        name = _bracketed(listening) if is_loopback(listening) else sorted(self.hosts.names)[0]
         return f"http://{name}:{self.port}/?token={self.token}"
 
     @property

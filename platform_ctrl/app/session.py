@@ -106,7 +106,7 @@ class Session:
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Change the settings and show them; it replaces a waiting change of the same key."""
         self._tasks.cancel(name="tune")
-        self._tasks.give_up()
+        self._tasks.measuring.cancel("measure")
         self._no_rest()
         self._add(key, Task(count=count, change=change, gesture=object() if gesture is None else gesture))
 
@@ -206,9 +206,7 @@ class Session:
             if self._view == "budget":
                 state = self.backend.budget(settings)
                 if state is not None:
-                    self._sent.clear()
-                    self.connection.later(lambda: self._show_budget(state, self._sent.set))
-                    self._sent.wait(_SENDING)
+                    self._send(partial(self._show_budget, state))
             picture = self.backend.picture(settings, self._drawn)
         except DesignPending as error:
             line, awaits = str(error), True
@@ -221,12 +219,21 @@ class Session:
         count = max(task.count for task in tasks)
         self.connection.later(partial(self._show, settings, gesture, picture, line, awaits, count))
 
-    def _show_budget(self, state: BudgetState, shown: Callable[[], None] = lambda: None) -> None:
+    def _send(self, show: Callable[[], None]) -> None:
+        """Have something shown, and wait until it is sent; called in a thread.
+
+        Computing would keep it from being sent, for milliseconds at each message: the browser paints meanwhile.
+        """
+        self._sent.clear()
+        self.connection.later(show)
+        self.connection.later(self._sent.set)
+        self._sent.wait(_SENDING)
+
+    def _show_budget(self, state: BudgetState) -> None:
         if state.found is not None:
             self.plots.show_budget(state.found)
             self.connection.answer(html=self._headings())
         self.connection.answer(html={"budget": fragments.budget(state, self.backend.read.budget)})
-        self.connection.later(shown)
 
     def parts_measured(self) -> None:
         """Show what has become known of the parts of the job."""
@@ -240,19 +247,10 @@ class Session:
         if self.plots.over_frequency:
             for one in (drawing, *drawing.overlays):
                 one.Omega_gain()
-        if self._view != "loop":
-            return
-        self._sent.clear()
-        self._drawing = drawing
-        self.connection.later(lambda: self._draw(drawing))
-        # Measuring would keep it from being sent, for milliseconds at each message: the browser paints meanwhile.
-        self._sent.wait(_SENDING)
-
-    def _draw(self, drawing: Drawing) -> None:
-        # A newer one may be waiting already.
-        if drawing is self._drawing:
-            self.plots.show(drawing)
-            self.connection.later(self._sent.set)
+        if self._view == "loop":
+            self._drawing = drawing
+            # A newer one may be waiting already when it is its turn.
+            self._send(lambda: self.plots.show(drawing) if drawing is self._drawing else None)
 
     def _show(
         self, settings: Settings, gesture: object, picture: Picture | None, line: str | None, awaits: bool, count: int
@@ -392,10 +390,8 @@ class Pages:
         """Fill a new document with a page, which ends with the document's session."""
         backend = self.backend
         context: Any = document.session_context
-        request = None if context is None else context.request
-        given: Any = {} if request is None else request.arguments
-        texts = given.get("state") or [b""]
-        session = Session(self, document, bytes(texts[0]).decode("utf-8", "replace"))
+        state: bytes = context.request.arguments.get("state", [b""])[0]
+        session = Session(self, document, state.decode("utf-8", "replace"))
         with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
             for root in (*session.plots.layout.values(), session.connection.model):
                 document.add_root(root)

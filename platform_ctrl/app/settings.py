@@ -33,22 +33,19 @@ def of_loop(limits: Limits, loop: str) -> Limits:
 def stated_limits(job: Job) -> dict[str, float]:
     """Return all limits that a job states."""
     tables: dict[str, Any] = {f"{one.name}.{of}": getattr(one, of) for one in job.loops for of in ("limits", "soft")}
-    tables["coupled"] = _fields(job.coupled)
+    tables["coupled"] = dataclasses.asdict(job.coupled)
     if job.budget is not None:
-        tables["budget.limits"] = _fields(job.budget.limits)
+        tables["budget.limits"] = dataclasses.asdict(job.budget.limits)
         tables |= {f"budget.{one.name}": {"limit": one.limit} for one in job.budget.sources}
     return {f"{table}.{key}": float(x) for table, keys in tables.items() for key, x in keys.items() if x is not None}
-
-
-def _fields(record: Any) -> dict[str, Any]:
-    return {one.name: getattr(record, one.name) for one in dataclasses.fields(record)}
 
 
 def with_limits(job: Job, limits: Limits) -> Job:
     """Return the job with other numbers of limits that it states."""
 
     def put(record: Any, table: str) -> Any:
-        changes = {key: limits[f"{table}.{key}"] for key in _fields(record) if f"{table}.{key}" in limits}
+        keys = [one.name for one in dataclasses.fields(record)]
+        changes = {key: limits[f"{table}.{key}"] for key in keys if f"{table}.{key}" in limits}
         return dataclasses.replace(record, **changes) if changes else record
 
     loops = tuple(_limited(spec, limits) for spec in job.loops)

@@ -9,7 +9,6 @@ import os
 import re
 import shlex
 import threading
-import time
 import zlib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -117,10 +116,6 @@ def target(folder: Path, name: str) -> Path:
     return folder / f"{stem}.toml"
 
 
-# Least seconds between two lines about the progress of a task.
-PROGRESS_INTERVAL = 0.15
-# Milliseconds after which a simulation says what takes it so long.
-LONG = 1000
 _log = logging.getLogger(__name__)
 
 
@@ -142,22 +137,18 @@ class LongTasks:
 
     def __init__(self, page: Any, backend: Backend, connection: Connection) -> None:
         self.page, self.backend, self.connection = page, backend, connection
-        self._measuring = Requests("page task")
+        self.measuring = Requests("page task")
         # Which task the page can cancel, and the event that says so: one at a time.
         self._running: tuple[str, threading.Event] | None = None
 
     def close(self) -> None:
         """Cancel everything without a word."""
-        self._measuring.end()
+        self.measuring.end()
         self.backend.requests.cancel(id(self))
 
     def measure(self, settings: Settings) -> None:
         """Compute what each slider does to each requirement of these settings, then the other parts of the job."""
-        self._measuring.add("measure", partial(self._measured, settings))
-
-    def give_up(self) -> None:
-        """Do not go on measuring: the settings change."""
-        self._measuring.cancel("measure")
+        self.measuring.add("measure", partial(self._measured, settings))
 
     def _measured(self, settings: Settings, over: threading.Event) -> None:
         def go_on() -> None:
@@ -190,15 +181,11 @@ class LongTasks:
 
     def tune(self, count: int) -> None:
         """Tune the sliders that are not fixed."""
-        settings, last = self.page.settings, 0.0
+        settings = self.page.settings
 
         def tuned(over: threading.Event) -> Callable[[], None]:
             def progress(line: str) -> None:
-                nonlocal last
-                now = time.monotonic()
-                if now - last >= PROGRESS_INTERVAL:
-                    last = now
-                    self.connection.later(lambda: self._show_busy(over, f"Tuning the rest: {line}"))
+                self.connection.later(partial(self._show_busy, over, f"Tuning the rest: {line}"))
 
             new = self.backend.tune(settings, progress, over.is_set)
             if new.options == settings.options:
@@ -246,9 +233,9 @@ class LongTasks:
         if manoeuvre:
             known_name("manoeuvre", manoeuvre, every)
         names = (manoeuvre,) if manoeuvre else every
-        long = f"Simulating {names[0] if len(names) == 1 else f'{len(names)} runs'}"
+        words = f"Simulating {names[0] if len(names) == 1 else f'{len(names)} runs'}"
         if not self.backend.has_simulated:
-            long += ": the first run loads its equations, or compiles them once on this machine"
+            words += ": the first run loads its equations, or compiles them once on this machine"
 
         def simulated(over: threading.Event) -> Callable[[], None]:
             for k, name in enumerate(names):
@@ -259,17 +246,13 @@ class LongTasks:
                 self.connection.later(self.page.parts_measured)
             return lambda: self.connection.answer(run=run_data(trajectory))
 
-        over = self._begin("simulate", "Simulating", count, simulated)
-        if over is not None and self.connection.document is not None:
-            self.connection.document.add_timeout_callback(lambda: self._show_busy(over, long), LONG)
+        self._begin("simulate", words, count, simulated)
 
-    def _begin(
-        self, name: str, words: str, count: int, work: Callable[[threading.Event], Callable[[], None]]
-    ) -> threading.Event | None:
-        """Have `work` done and show what it returns unless it was cancelled; None where another task is running."""
+    def _begin(self, name: str, words: str, count: int, work: Callable[[threading.Event], Callable[[], None]]) -> None:
+        """Have `work` done and show what it returns unless it was cancelled, or another task is running."""
         if self._running is not None:
             self.connection.say(f"{_RUNNING[self._running[0]]}; Esc ends that.", count=count)
-            return None
+            return
 
         def done(over: threading.Event) -> None:
             try:
@@ -281,7 +264,6 @@ class LongTasks:
         over = self.backend.requests.add(id(self), done, urgent=True)
         self._running = name, over
         self.connection.answer(count, line=["", "quiet"], busy=words)
-        return over
 
     def _show_busy(self, over: threading.Event, words: str) -> None:
         if self._running is not None and self._running[1] is over:

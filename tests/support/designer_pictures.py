@@ -141,7 +141,6 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             ),
             requirements=(asked,),
         ),
-        plants=("nominal",),
         stable=True,
         all_stable=True,
         elapsed=0.01,

@@ -58,6 +58,8 @@ _GLYPHS: dict[str, tuple[Any, tuple[str, ...], tuple[str, ...], Row]] = {
     "words": (models.Text, (*_PLACE, "text", "text_color", "text_align", "text_baseline", "x_offset", "y_offset"),
               (), {"text_font_size": value("10px"), "text_font": value(views.FONT)}),
 }  # fmt: skip
+# Pixels up to which a frame is none, as it is where its panel is not shown.
+_LEAST_SIZE = 10
 # Points of a short line; how far a limit is shaded, in multiples of it.
 _FEW = 4
 _BEYOND = 1e4
@@ -158,9 +160,12 @@ class Figure:
         self.xaxis, self.yaxis = self.plot.xaxis[0], self.plot.yaxis[0]
         for axis, grid in ((self.xaxis, self.plot.xgrid[0]), (self.yaxis, self.plot.ygrid[0])):
             axis.major_label_policy, grid.ticker = self._theme.apart[type(axis)], axis.ticker
+        self.xaxis.minor_tick_out = 2
         self.sources: dict[str, models.ColumnDataSource] = {}
-        for name in ("inner_width", "inner_height"):
-            self.plot.on_change(name, lambda attr, old, new: self._resized())
+        # Of the frame, pixels: a guess before the browser has sent it.
+        self._size: dict[str, float] = {"inner_width": 320.0, "inner_height": 240.0}
+        self.plot.on_change("inner_width", self._resized)
+        self.plot.on_change("inner_height", self._resized)
         # Each model that comes later has Bokeh look through all of them.
         for name in parts.split():
             self._source(name, {one: [] for one in _columns(name)})
@@ -241,7 +246,7 @@ class Figure:
         rows["strips"] = [{"y0": y, "y1": y * _BEYOND or _BEYOND, "fill_color": colours["beyond"]} for y in far]
         for at, role, _ in shown.verticals:
             rows["verticals"].append({"x": at, **stroke(*_UPRIGHT.get(role, ((), 1.2)), role)})
-        height = views.inner_size(self.plot)[1]
+        height = self._size["inner_height"]
         words = [one for one in shown.words if math.isfinite(one.y) and one.least <= height]
         rows["words"] = [_word(one, scale, colours[one.role]) for one in words]
         for name, each in rows.items():
@@ -294,14 +299,16 @@ class Figure:
         if self.message is not None:
             views.assign(self.message, text=text, visible=bool(text))
 
-    def _resized(self) -> None:
+    def _resized(self, name: str, old: object, new: float) -> None:
+        if new > _LEAST_SIZE:
+            self._size[name] = float(new)
         self._ticks()
         if self._shown is not None and any(one.least for one in self._shown.words):
             self._draw(self._shown)
 
     def _ticks(self) -> None:
         """Let the figure have as many ticks as there is room for on the screen."""
-        width, height = views.inner_size(self.plot)
+        width, height = self._size.values()
         # The unit of a low figure is longer than its axis.
         low = _LOW if len(self.yaxis.axis_label or "") <= _SHORT else _LOW_OF_LONG
         views.assign(self.yaxis, axis_label_text_font_size=views.SMALL if height >= low else "9px")

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from bokeh import models
-from bokeh.core.property.descriptors import UnsetValueError
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
@@ -108,19 +107,6 @@ class Unit:
         if unit in _PREFIXED and 0.0 < size < 0.5:
             scale, prefix = next((one for one in _PREFIXES if size >= 0.5 * one[0]), _PREFIXES[-1])
             self.scale, self.name = 1.0 / scale, f"{prefix}{unit}"
-
-
-def inner_size(plot: Any) -> tuple[float, float]:
-    """Return width and height of the figure's frame, pixels; a guess before the browser has sent them."""
-    return _pixels(plot, "inner_width", 320.0), _pixels(plot, "inner_height", 240.0)
-
-
-def _pixels(plot: Any, name: str, guess: float) -> float:
-    try:
-        number = getattr(plot, name)
-    except UnsetValueError:
-        return guess
-    return float(number) if isinstance(number, int | float) and number > 10 else guess
 
 
 Bounds = Callable[[float, float], tuple[float, float]]
