@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import operator
 import threading
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -45,6 +46,13 @@ _ROOM = 64
 PAUSE = 0.6
 
 
+Named = TypeVar("Named", LoopSpec, DesignSpec)
+
+
+def _named(what: str, every: Sequence[Named], name: str) -> Named:
+    return every[known_name(what, name, [one.name for one in every])]
+
+
 class ClosedLoops:
     """The loops of a job, closed as settings say."""
 
@@ -62,7 +70,6 @@ class ClosedLoops:
         # By loop, design and options: made here, and read from a file, which no method could make again.
         self._made: Bounded[Design] = Bounded(_ROOM)
         self._given: dict[Hashable, Design] = {}
-        self._specs = {spec.name: spec for spec in job.loops}
         self._limited: Bounded[Job] = Bounded(4)
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._around: Bounded[tuple[PlantSet, Channels]] = Bounded(6)
@@ -79,7 +86,7 @@ class ClosedLoops:
         start = self.options.start
         for made in given:
             loop, design = made.loop, made.name
-            known = next((d for d in self._specs[loop].designs if d.name == design), None)
+            known = next((d for d in self.read.loop(loop).designs if d.name == design), None)
             if known is None:
                 continue
             if made.method == known.method and METHODS[made.method].tunes and known.tune:
@@ -108,25 +115,19 @@ class ClosedLoops:
 
     def is_available(self, settings: Settings, spec: LoopSpec, name: str) -> bool:
         """Return whether a design of a loop is available for these settings."""
-        return built_directly(self._named_design(spec, name)) or self.found(settings, spec.name, name) is not None
+        return built_directly(_named("design", spec.designs, name)) or self.found(settings, spec.name, name) is not None
 
     def spec(self, name: str) -> LoopSpec:
         """Return a loop of the job."""
-        known_name("loop", name, tuple(self._specs))
-        return self._specs[name]
+        return _named("loop", self.read.loops, name)
 
     def design(self, settings: Settings) -> tuple[LoopSpec, DesignSpec]:
         """Return the loop and the design that are selected."""
-        known_name("loop", settings.loop, tuple(self._specs))
-        spec = self._with_limits(settings.limits).loop(settings.loop)
-        return spec, self._named_design(spec, settings.design)
+        spec = _named("loop", self._with_limits(settings.limits).loops, settings.loop)
+        return spec, _named("design", spec.designs, settings.design)
 
     def _with_limits(self, limits: Limits) -> Job:
         return self._limited.get(tuple(sorted(limits.items())), lambda: with_limits(self.read, limits))
-
-    @staticmethod
-    def _named_design(spec: LoopSpec, name: str) -> DesignSpec:
-        return spec.designs[known_name("design", name, [d.name for d in spec.designs])]
 
     def job(self, settings: Settings) -> Job:
         """Return the job with these settings."""
@@ -335,7 +336,7 @@ class ClosedLoops:
 
         Until it is designed it is another one, unless `strict`.
         """
-        design, note = self._named_design(spec, self.closed(settings)[spec.name]), ""
+        design, note = _named("design", spec.designs, self.closed(settings)[spec.name]), ""
         try:
             K = self.caging(settings, spec, design)
         except DesignError:
@@ -348,7 +349,7 @@ class ClosedLoops:
 
     def _closed(self, settings: Settings, spec: LoopSpec, strict: bool) -> tuple[Design, str]:
         if not spec.has_plants:
-            design = self._named_design(spec, self.closed(settings)[spec.name])
+            design = _named("design", spec.designs, self.closed(settings)[spec.name])
             mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
             made = designed(LoopProblem(job=self.read, spec=spec, design=mine, model=self.plants.model))
             return dataclasses.replace(made, options=dict(mine.options)), ""

@@ -185,7 +185,6 @@ class JobPlants:
 
     def __init__(self, job: Job) -> None:
         self.read = job
-        self._loops = {spec.name: spec for spec in job.loops}
         self._plants: Bounded[PlantSet] = Bounded(64)
         self._channels: Bounded[Channels] = Bounded(64)
         self._free: Bounded[FreePlants] = Bounded(6)
@@ -197,7 +196,7 @@ class JobPlants:
 
     def inside(self, spec: LoopSpec) -> LoopSpec:
         """Return the rate loop that a tracking loop commands, of other loops the loop itself."""
-        return self._loops[spec.around] if spec.around is not None else spec
+        return self.read.loop(spec.around) if spec.around is not None else spec
 
     def loading_axis(self, spec: LoopSpec, axis: int) -> int:
         """Return the axis about which a turn loads the gimbals of a loop: `axis` where it does, else that of most.

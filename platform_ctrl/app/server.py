@@ -106,11 +106,6 @@ class PageServer:
         name = _bracketed(listening) if is_loopback(listening) else sorted(self.hosts.names)[0]
         return f"http://{name}:{self.port}/?token={self.token}"
 
-    @property
-    def sessions(self) -> int:
-        """Number of sessions: pages that are open, or were a moment ago."""
-        return 0 if self.application is None else len(self.application.get_sessions("/"))
-
     def run(self, ready: Callable[[], None] | None = None, check: Callable[[], None] | None = None) -> None:
         """Respond to requests until `end` is called or `check` raises."""
         # What the libraries say about invalid requests is not for the terminal.

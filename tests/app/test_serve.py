@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from browser import served
+from browser import served, sessions
 from plain_web import OpenPage, asked, token
 from platform_ctrl.app.server import AllowedHosts
 from platform_ctrl.errors import InputError
@@ -60,12 +60,12 @@ def test_a_page_comes_with_its_token_alone_and_headers_that_keep_it_to_itself(se
     assert addresses
     assert all(one.startswith("/") and not one.startswith("//") for one in addresses)
     # Another user of this machine does not know the printed link.
-    before = server.sessions
+    before = sessions(server)
     for path in ("/", "/?token=", f"/?token={server.token}x", f"/?token={server.token[:-1]}", "/?token=%C3%A9"):
         status, _, body = asked(server, path)
         assert status == 403
         assert body == "refused: not the link of this server; open the one that platform-ctrl serve prints\n"
-    assert server.sessions == before
+    assert sessions(server) == before
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_a_page_comes_with_its_token_alone_and_headers_that_keep_it_to_itself(se
     ],
 )
 def test_other_pages_and_hosts_are_refused_in_one_line(headers: dict[str, str], words: str, server: PageServer) -> None:
-    before = server.sessions
+    before = sessions(server)
     for path in ("", "/ws", "/autoload.js", "/metadata"):
         status, answered, body = asked(server, path, **headers)
         assert status == 403
@@ -91,7 +91,7 @@ def test_other_pages_and_hosts_are_refused_in_one_line(headers: dict[str, str], 
         assert words in body
         assert body.count("\n") == 1
         assert answered["X-Content-Type-Options"] == "nosniff"
-    assert server.sessions == before
+    assert sessions(server) == before
     with pytest.raises(HTTPClientError, match="403"), OpenPage(server, "x", **headers):
         pass
     assert answers(server)
@@ -133,13 +133,13 @@ def test_no_other_file_is_sent(path: str, server: PageServer) -> None:
 
 @pytest.mark.parametrize("given", ["x", "a.b", "A" * 3000, "e30.e30"])
 def test_a_websocket_without_a_pages_token_is_ended(given: str, server: PageServer) -> None:
-    before = server.sessions
+    before = sessions(server)
     try:
         with OpenPage(server, given) as page:
             assert page.part() is None
     except (HTTPClientError, WebSocketError):
         pass
-    assert server.sessions == before
+    assert sessions(server) == before
     assert answers(server)
 
 
@@ -153,9 +153,9 @@ def test_too_many_pages_are_refused_until_there_is_room(monkeypatch: pytest.Monk
                 stack.enter_context(OpenPage(server)).part()
             status, _, body = asked(server)
             assert (status, body) == (503, "3 pages are open already; close one and try again\n")
-            assert server.sessions == 3
+            assert sessions(server) == 3
         late = time.monotonic() + 60.0
-        while server.sessions:
+        while sessions(server):
             assert time.monotonic() < late
             time.sleep(0.02)
         assert asked(server)[0] == 200

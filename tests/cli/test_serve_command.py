@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import platform_ctrl as pc
-from browser import chromium, screen, served_job
+from browser import chromium, screen, served_job, sessions
 from plain_web import OpenPage
 from platform_ctrl.cli import main
 from refused_command import refused
@@ -116,9 +116,9 @@ def test_pages_are_apart_load_nothing_from_elsewhere_and_leave_nothing(job: Path
             for shown in (one, two):
                 shown.page.get_by_text("limits are met").first.wait_for()
                 shown.page.locator("#panel-tree text").first.wait_for(state="attached")
-            assert server.sessions == 2
+            assert sessions(server) == 2
             for shown in (one, two):
                 assert shown.hosts() == {f"127.0.0.1:{server.port}"}
                 assert shown.complaints == []
-        until(lambda: server.sessions == 0)
+        until(lambda: sessions(server) == 0)
         until(lambda: gc.collect() >= 0 and not any(document() for document in made))

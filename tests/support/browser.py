@@ -135,3 +135,8 @@ def served(fill: Callable[[Any], None], port: int = 0) -> Iterator[PageServer]:
         server.end()
         running.join(120.0)
         assert not running.is_alive(), "the server did not end"
+
+
+def sessions(server: PageServer) -> int:
+    """Return the number of pages that are open, or were a moment ago."""
+    return 0 if server.application is None else len(server.application.get_sessions("/"))

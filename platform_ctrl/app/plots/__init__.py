@@ -28,10 +28,6 @@ _ROWS = 6
 _LEAST_SHARE = 1e-4
 
 
-def _rising(low: float, high: float) -> tuple[float, float]:
-    return 0.0, max(round_bounds(0.0, high)[1], 1e-6)
-
-
 class CumulativePanel(Panel):
     """The rms of an axis up to a frequency, of all sources and of the largest."""
 
@@ -40,7 +36,7 @@ class CumulativePanel(Panel):
         self._budget, self._axis = budget, axis
         self.add(
             Axis(frequency, "frequency, Hz", "up to", "{0.[000]} Hz", "mouse", False),
-            View(0.0, 1.0, _rising),
+            View(0.0, 1.0, lambda low, high: (0.0, max(round_bounds(0.0, high)[1], 1e-6))),
             "{0.[00]} µrad",
             "levels lines",
         )
@@ -65,12 +61,9 @@ class CumulativePanel(Panel):
             for name, k, one in every
         ]
         limit, total = self._budget.limits.jitter_per_axis, MICRO * float(found.total[self._axis])
-        levels = [] if limit is None else [Level(y=MICRO * limit, text="limit")]
-        near = [one for one in levels if one.y < 2.5 * total]
+        near = () if limit is None or MICRO * limit >= 2.5 * total else (Level(y=MICRO * limit, text="limit"),)
         view = (0.0, max(total, *(one.y for one in near), 0.0))
-        self.put(
-            {0: Curves(curves=tuple(curves), quantity="µrad", levels=tuple(near), view=view)}, found.axes[self._axis]
-        )
+        self.put({0: Curves(curves=tuple(curves), quantity="µrad", levels=near, view=view)}, found.axes[self._axis])
 
 
 class WaterfallPanel(Panel):
@@ -150,8 +143,8 @@ class Plots:
     def __init__(self, budget: BudgetSpec | None = None) -> None:
         self._theme = Theme()
         self._subject: tuple[object, ...] = ()
-        # One view for all that is over frequency: zooming one zooms all.
-        view = View(0.1, 1000.0, _frequencies, logarithmic=True)
+        # One view for all that is over frequency, with the ends of the data: zooming one zooms all.
+        view = View(0.1, 1000.0, lambda low, high: (low, high if high > low else 10.0 * low), logarithmic=True)
         frequency = Axis(view, "frequency, Hz", "frequency", "{0.[000]} Hz")
         self._loop = (
             BodePanel(self._theme, frequency),
@@ -209,8 +202,3 @@ class Plots:
             panel.show_budget(found, self._largest)
         for fall, one in zip(self._falls, falls, strict=True):
             fall.show_budget(one, self._largest, room)
-
-
-def _frequencies(low: float, high: float) -> tuple[float, float]:
-    """Return the ends of the data as those of a logarithmic axis."""
-    return low, high if high > low else 10.0 * low

@@ -72,9 +72,7 @@ def finite(*columns: Column) -> tuple[Column, ...]:
 
 def thinned(number: int, most: int) -> NDArray[np.intp]:
     """Return the indices of at most `most` of `number` points, evenly spaced, with both ends."""
-    if number <= most:
-        return np.arange(number)
-    return np.unique(np.linspace(0, number - 1, most).round().astype(np.intp))
+    return np.unique(np.linspace(0, number - 1, min(number, most)).round().astype(np.intp))
 
 
 def extent(columns: Sequence[Any]) -> tuple[float, float] | None:
