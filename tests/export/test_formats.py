@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import tomllib
@@ -10,7 +11,6 @@ from typing import Any
 
 import control
 import numpy as np
-import pandas
 import pytest
 import scipy.io
 
@@ -148,7 +148,7 @@ def test_mat_that_is_no_plain_linear_system_is_refused_in_one_line(tmp_path: Pat
         export.read_mat(tmp_path / "missing.mat")
 
 
-def test_responses_are_read_by_read_measurement_and_by_pandas(
+def test_responses_are_read_by_read_measurement_and_as_columns_below_comments(
     job: Any, controllers: list[control.StateSpace], folder: Path, tmp_path: Path
 ) -> None:
     names = ["plant_caging_9-10", "controller_caging_9-10", "loop_caging_9-10_at_Q9", "loop_caging_9-10_at_Q10"]
@@ -160,9 +160,9 @@ def test_responses_are_read_by_read_measurement_and_by_pandas(
         back = design.read_measurement(path, period=job.sampling.period)
         assert np.allclose(back.frdata, response.frdata, rtol=1e-13)
         assert (back.input_labels, back.output_labels) == (K.input_labels, K.output_labels)
-        frame = pandas.read_csv(path, comment="#")
-        assert list(frame.columns[:3]) == ["frequency_hz", *(f"Q9/alpha9 {part}" for part in parts)]
-        assert len(frame) == len(back.omega)
+        head, *rows = csv.reader(line for line in path.read_text().splitlines() if not line.startswith("#"))
+        assert head[:3] == ["frequency_hz", *(f"Q9/alpha9 {part}" for part in parts)]
+        assert len(rows) == len(back.omega)
 
 
 def test_the_loop_of_a_torquer_is_the_return_ratio(job: Any, folder: Path) -> None:
