@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from app.test_saving import LOOP, TWO
-from camera_job import camera_job
+from camera_job import camera_job, tracking_loop
 from commanded_gimbal import RATE_HZ, commanded_job
 from platform_ctrl import design, read_job, verification
 from platform_ctrl.analysis.system import System
@@ -32,15 +32,7 @@ from platform_ctrl.verification.controllers import outcomes_from, read_controlle
 from platform_ctrl.verification.coupled import coupled_check
 
 RATE_LIMITS = {"overshoot": 0.5, "settling_time": 9.0}
-TRACKING = {
-    "name": "track",
-    "kind": "tracking",
-    "around": "loop",
-    "sensors": ["heading"],
-    "use": "own",
-    "limits": {"disk_margin": 0.5, "settling_time": 9.0},
-    "design": [{"name": "own", "method": "pi"}],
-}
+TRACKING = tracking_loop({"disk_margin": 0.5, "settling_time": 9.0}, "loop", "heading", name="own")
 
 
 def job_of(*loops: dict[str, Any], reading: str = "gyro", **rate_design: Any) -> dict[str, Any]:

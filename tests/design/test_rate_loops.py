@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop, camera_plant
+from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop, camera_plant, tracking_loop
 from given_controllers import outcomes
 from platform_ctrl import analysis, design
 from platform_ctrl.errors import InputError
@@ -168,23 +168,14 @@ def test_parallel_axes_are_named_as_such(gimbal, gyro, words):
     assert words in str(caught.value)
 
 
-TRACKING = {
-    "name": "track",
-    "kind": "tracking",
-    "around": "rate",
-    "sensors": ["yaw_error", "pitch_error"],
-    "use": "pi",
-    "limits": {"disk_margin": 0.4},
-    "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0}],
-}
-
-
 @pytest.fixture(scope="module")
 def tracked():
     data = camera_plant()
     for sensor in data["attitude_sensor"]:
         sensor["delay"] = 0.01
-    job = pc.read_job(camera_job(plant=data, loop=[*camera_loop(), TRACKING]))
+    job = pc.read_job(
+        camera_job(plant=data, loop=[*camera_loop(), tracking_loop({"disk_margin": 0.4}, crossover_hz=2.0)])
+    )
     made = design.loops(job)
     return job, made, check_job(job, made)
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from camera_job import tracking_loop
 from commanded_gimbal import commanded_job
 from platform_ctrl import analysis, read_job
 from platform_ctrl.design import loops
@@ -17,16 +18,8 @@ DELAY = 0.005
 def job_of(method: str, **rate_design: Any) -> dict[str, Any]:
     job = commanded_job([], **rate_design) | {"manoeuvre": []}
     job["plant"]["attitude_sensor"][0]["delay"] = DELAY
-    tracking = {
-        "name": "track",
-        "kind": "tracking",
-        "around": "loop",
-        "sensors": ["heading"],
-        "use": "own",
-        "limits": {"disk_margin": 0.5, "steady_error": 1e-6},
-        "design": [{"name": "own", "method": method}],
-    }
-    job["loop"].append(tracking)
+    limits = {"disk_margin": 0.5, "steady_error": 1e-6}
+    job["loop"].append(tracking_loop(limits, "loop", "heading", name="own", method=method))
     return job
 
 

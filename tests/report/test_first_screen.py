@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.test_disk_pairs import inside
-from camera_job import camera_job
+from camera_job import camera_job, tracking_loop
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.job.quantities import compared, disk_words
@@ -128,17 +128,7 @@ def test_at_most_five_changes_follow_the_first_screen_with_gain_and_conflict(
 def test_a_tracking_loop_around_a_rate_loop_is_reported_in_its_own_words() -> None:
     data = camera_job()
     data["loop"][0]["limits"] = {"disk_margin": 0.5, "attenuation_db": 20, "attenuation_hz": 5}
-    data["loop"].append(
-        {
-            "name": "track",
-            "kind": "tracking",
-            "around": "rate",
-            "sensors": ["yaw_error", "pitch_error"],
-            "use": "pi",
-            "limits": {"disk_margin": 0.5, "torque_noise": 0.1},
-            "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0}],
-        }
-    )
+    data["loop"].append(tracking_loop({"disk_margin": 0.5, "torque_noise": 0.1}, crossover_hz=2.0))
     sections = {one.title: one for one in prepared(checked(data)).sections}
     track, rate = (
         {one.title: one.caption for one in sections[title].blocks if isinstance(one, Plate)}

@@ -65,3 +65,10 @@ def camera_loop(kind: str = "rate", method: str = "pi", **changes: Any) -> list[
     if kind == "pointing":
         loop["sensors"] = ["yaw_error", "pitch_error"]
     return [loop | changes]
+
+
+def tracking_loop(limits: dict[str, float], around: str = "rate", *sensors: str, **design: Any) -> dict[str, Any]:
+    """Return a loop around a rate loop that it commands, by the trackers of the camera or by these sensors."""
+    own, read = {"name": "pi", "method": "pi"} | design, [*(sensors or ("yaw_error", "pitch_error"))]
+    loop = {"name": "track", "kind": "tracking", "around": around, "sensors": read, "use": own["name"]}
+    return loop | {"limits": limits, "design": [own]}

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import platform_ctrl as pc
-from camera_job import camera_job
+from camera_job import camera_job, tracking_loop
 from design import test_sight as sight
 from one_axis import job_of, loop_of, one_axis
 from platform_ctrl import design
@@ -28,15 +28,7 @@ BASE = {
     "frequencies_hz": [1.0, 10.0, 100.0],
     "densities": [1e-7, 1e-7, 1e-8],
 }
-TRACK = {
-    "name": "track",
-    "kind": "tracking",
-    "around": "rate",
-    "sensors": ["yaw_error", "pitch_error"],
-    "use": "pi",
-    "limits": {"disk_margin": 1.6},
-    "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0, "integral_hz": 0.3}],
-}
+TRACK = tracking_loop({"disk_margin": 1.6}, crossover_hz=2.0, integral_hz=0.3)
 
 
 def camera(limits: dict[str, Any], *loops: dict[str, Any], budget: dict[str, float] | None = None) -> dict[str, Any]:

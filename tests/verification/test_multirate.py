@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
+from camera_job import tracking_loop
 from commanded_gimbal import RATE_HZ, commanded_job
 from generated_c import Machine, compiled
 from given_controllers import verdict
@@ -33,15 +34,7 @@ def tracking_job(slow: int | None = SLOW, inner: int = 1, **sensor: Any) -> dict
     """A tracking loop at every `slow`-th sample around a rate loop, on one axis; None: without the key."""
     job = commanded_job(STEP)
     job["plant"]["attitude_sensor"][0] |= {"delay": 0.004} | sensor
-    tracking = {
-        "name": "track",
-        "kind": "tracking",
-        "around": "loop",
-        "sensors": ["heading"],
-        "use": "own",
-        "limits": {"disk_margin": 0.5},
-        "design": [{"name": "own", "method": "pi", "crossover_hz": 1.0}],
-    }
+    tracking = tracking_loop({"disk_margin": 0.5}, "loop", "heading", name="own", crossover_hz=1.0)
     job["loop"].append(tracking | ({} if slow is None else {"rate_hz": RATE_HZ / slow}))
     job["loop"][0] |= {"rate_hz": RATE_HZ / inner} if inner > 1 else {}
     return job
