@@ -57,7 +57,7 @@ def main() -> None:
     jobs = {"linear plant": made_linear(job), "as shipped": job, "without drives": dataclasses.replace(job, drives=())}
     for words, one in jobs.items():
         began = time.process_time()
-        found = simulated_budget(one, controllers, given.runs, time=given.time, threads=os.cpu_count() or 1)
+        found = simulated_budget(one, controllers, given.runs, time=given.time)
         taken = time.process_time() - began
         print(f"{words}: {given.runs} runs of seed {found.seed}, {given.time:g} s each, {taken:.0f} s of CPU time")
         for k in (0, 1):

@@ -90,14 +90,10 @@ def _simulated(
         return None
     if runs < 2 or (seed is not None and seed < 0):
         raise InputError("--simulate: give at least 2 runs, and a seed of 0 or more")
-    import os
-
     from platform_ctrl.verification.simulated import simulated_budget
 
     say(f"budget: {runs} runs of the non-linear plant")
-    return simulated_budget(
-        job, controllers, runs, seed=job.seed if seed is None else seed, threads=os.cpu_count() or 1
-    )
+    return simulated_budget(job, controllers, runs, seed=job.seed if seed is None else seed)
 
 
 def _others(

@@ -266,16 +266,16 @@ def varied_scenario(
     scenario: Scenario,
     drawn: Sequence[tuple[RunParameter, float, bool]],
     *,
-    faults: tuple[Fault, ...] | None = None,
-    seed: int | None,
-    run: int = 0,
+    faults: tuple[Fault, ...],
+    seed: int,
+    run: int,
 ) -> Scenario:
     """Return the run with drawn numbers in their places; `scenario` stays as it is.
 
     `drawn`: parameters with their numbers, and whether these multiply what is there.
     """
-    own: dict[str, Any] = {"seed": scenario.seed if seed is None else seed, "run": run}
-    scenario = scenario if faults is None else replaced(scenario, {"faults": faults})
+    own: dict[str, Any] = {"seed": seed, "run": run}
+    scenario = replaced(scenario, {"faults": faults})
     changes: dict[str | int, Any] = {}
     weak: list[Fault] = []
     moments: dict[str, FloatArray] = {}

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.metrics import RUN_METRICS, run_metrics
 from platform_ctrl.analysis.system import StateSpace
 from platform_ctrl.common.arguments import positive, whole
+from platform_ctrl.common.processes import processors
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import moves_freely
 from platform_ctrl.errors import SimulationError
@@ -236,9 +237,8 @@ def simulated_budget(
     *,
     seed: int = 0,
     time: float | None = None,
-    threads: int = 1,
 ) -> SimulatedBudget:
-    """Simulate the sources of a job's budget on the non-linear plant.
+    """Simulate the sources of a job's budget on the non-linear plant, on all processors.
 
     Parameters
     ----------
@@ -254,8 +254,6 @@ def simulated_budget(
         Length over which each run is observed, s; before that the motion rises
         and the loop settles for as long. Default: a period of the budget's
         lowest frequency.
-    threads
-        Number of threads that share the runs.
 
     Returns
     -------
@@ -305,7 +303,7 @@ def simulated_budget(
     )
     at_rest = dataclasses.replace(job, budget=same, angles={})
     linear = line_of_sight_budget(at_rest, controllers).windows[0].about_mean
-    found = simulate_batch(scenarios, controllers, period=job.sampling.period, threads=threads)
+    found = simulate_batch(scenarios, controllers, period=job.sampling.period, threads=processors())
     if not found.completed.all():
         k = int(np.argmin(found.completed))
         raise SimulationError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 
 from platform_ctrl.common.arguments import instance
@@ -142,7 +141,7 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress, prove: bo
             unjudged = reason(error)
         if shaken and budget is not None:
             say(f"budget: {shaken} runs of the non-linear plant")
-            simulated = simulated_budget(job, controllers, shaken, seed=job.seed, threads=os.cpu_count() or 1)
+            simulated = simulated_budget(job, controllers, shaken, seed=job.seed)
             budget = replaced(budget, {"results": budgets.by_simulation(budget.results, simulated)})
     for manoeuvre in job.manoeuvres if complete else ():
         say(f"simulated run: {manoeuvre.name}")

@@ -218,7 +218,9 @@ def varied(path: str, number: float, relative: bool, manoeuvre: int = 0) -> tupl
     nominal = planned().nominal
     faults = job().fault_events
     base = dataclasses.replace(nominal[manoeuvre], faults=faults)
-    return base, varied_scenario(base, [(parameters(nominal, faults)[path], number, relative)], seed=7)
+    return base, varied_scenario(
+        base, [(parameters(nominal, faults)[path], number, relative)], faults=base.faults, seed=7, run=0
+    )
 
 
 P = ".platform"
@@ -401,7 +403,7 @@ def test_a_campaign_varies_a_mode(key: str, size: float) -> None:
     one = uncertain_modes.job({"mode_frequency": 0.1}, manoeuvre=[once])
     scenario = one.scenario(one.manoeuvres[0])
     known = parameters([scenario], ())
-    varied = varied_scenario(scenario, [(known[f"mode.arm.{key}"], 1.1, True)], seed=None)
+    varied = varied_scenario(scenario, [(known[f"mode.arm.{key}"], 1.1, True)], faults=(), seed=0, run=0)
     assert getattr(varied.platform.modes[0], key) == pytest.approx(1.1 * size)
-    varied = varied_scenario(scenario, [(known["mode.arm.participation"], 1.1, True)], seed=None)
+    varied = varied_scenario(scenario, [(known["mode.arm.participation"], 1.1, True)], faults=(), seed=0, run=0)
     assert dict(varied.platform.modes[0].participation) == pytest.approx({"Q": 1.65, "gyro": -1.32})
