@@ -84,7 +84,6 @@ UNIT_ROUNDING = 1e-15
 # No platform has numbers beyond these, and products of a few of them neither overflow nor vanish.
 SMALLEST, LARGEST = 1e-50, 1e50
 
-
 # Largest angle that is taken for one in rad, with rounding: a turn. Beyond it degrees may be meant.
 TURN = 2.0 * math.pi * (1.0 + ROUNDING)
 
@@ -171,30 +170,29 @@ def integer(lowest: int, highest: int) -> Callable[[object], int]:
     return judge
 
 
+def _each(items: list[Any], judge: Callable[[Any], Any], words: Callable[[int, Any, str], str]) -> list[Any]:
+    """Return what a judge makes of every item; `words` of the number, from 1 on, and of the item say which is wrong."""
+    out = []
+    for k, item in enumerate(items, 1):
+        try:
+            out.append(judge(item))
+        except Unfit as error:
+            raise Unfit(words(k, item, str(error))) from None
+    return out
+
+
 def numbers(item: object, count: int, judge: Callable[[object], float] = number) -> list[float]:
     """Return `count` floats that a judge accepts."""
     if not isinstance(item, list):
         raise Unfit
     if len(item) != count:
         raise Unfit(f"has {len(item)} element{'' if len(item) == 1 else 's'}")
-    out = []
-    for k, entry in enumerate(item):
-        try:
-            out.append(judge(entry))
-        except Unfit as error:
-            raise Unfit(f"element {k + 1}, {given(entry)}, is {str(error) or 'not a number'}") from None
-    return out
+    return _each(item, judge, lambda k, entry, why: f"element {k}, {given(entry)}, is {why or 'not a number'}")
 
 
 def _rows(item: list[Any], count: int) -> list[list[float]]:
     """Return rows of `count` numbers."""
-    out = []
-    for k, row in enumerate(item, 1):
-        try:
-            out.append(numbers(row, count))
-        except Unfit as error:
-            raise Unfit(f"row {k} {error or 'is no list'}") from None
-    return out
+    return _each(item, lambda row: numbers(row, count), lambda k, row, why: f"row {k} {why or 'is no list'}")
 
 
 def _list(least: int, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[object], tuple[float, ...]]:
