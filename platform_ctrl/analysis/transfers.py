@@ -67,11 +67,6 @@ class Responses(NamedTuple):
     angle: ComplexArray
     sight: ComplexArray
 
-    def columns(self, source: str) -> slice:
-        """Return the columns of a continuous disturbance."""
-        m = self.P.shape[-1]
-        return slice(-3, None) if source == "Omega" else slice(m, 2 * m)
-
 
 UNDISTURBED = Disturbed(*(np.zeros((0, 0, 0), dtype=np.complex128),) * 3)
 
@@ -167,17 +162,23 @@ def _between(source: str, target: str, kept: slice) -> Map:
     def sampled(r: Responses) -> bool:
         return source == "torque" and r.read.shape[-1] != 2 * r.P.shape[-1] + 3
 
+    def parts(r: Responses) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return what the inputs and the disturbance do to what is seen, and the latter to what is read."""
+        seen, m = getattr(r, target), r.P.shape[-1]
+        columns = slice(-3, None) if source == "Omega" else slice(m, 2 * m)
+        return seen[..., :m], seen[..., columns], r.read[..., columns]
+
     def response(r: Responses) -> ComplexArray:
         if sampled(r):
             return r.P[..., kept, :] @ r.S_input
-        at, seen, m = r.columns(source), getattr(r, target), r.P.shape[-1]
-        return np.asarray(seen[..., at] + seen[..., :m] @ (r.K @ r.S_output @ r.read[..., at]))
+        of_inputs, direct, read = parts(r)
+        return np.asarray(direct + of_inputs @ (r.K @ r.S_output @ read))
 
     def differential(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         if sampled(r):
             return _at_input(r, row_of(u, r.P[..., kept, :]), v)
-        at, seen, m = r.columns(source), getattr(r, target), r.P.shape[-1]
-        return row_of(u, seen[..., :m], r.S_input), column_of(r.S_output, r.read[..., at], v)
+        of_inputs, _, read = parts(r)
+        return row_of(u, of_inputs, r.S_input), column_of(r.S_output, read, v)
 
     return Map(response, differential, True)
 

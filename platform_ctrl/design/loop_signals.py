@@ -283,13 +283,13 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float, any_s
     )
 
 
-def following(model: LinearModel, signals: LoopSignals, period: float) -> FloatArray | None:
+def following(platform: Platform, signals: LoopSignals, period: float) -> FloatArray | None:
     """Return where readings are while those that the loop keeps rest at commands, (p, kept); None: it keeps all."""
     k = signals.kept
     if k == len(signals.readings):
         return None
-    effect, rest = _effect(*_tied(model, signals), period), np.array(signals.orders) == signals.order
-    effect = signals.turning(model.q0) @ effect
+    model, rest = linearise(platform), np.array(signals.orders) == signals.order
+    effect = signals.turning(model.q0) @ _effect(*_tied(model, signals), period)
     return np.vstack([np.eye(k), rest[k : len(effect), None] * (effect[k:] @ np.linalg.pinv(effect[:k]))])
 
 

@@ -195,7 +195,7 @@ def sampled_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str
         torques=torques,
         angles=names,
         nutation=nutation,
-        commanded=following(linearise(job.platform), signals, period),
+        commanded=following(job.platform, signals, period),
         noise=np.array([s.sampled_noise(sampling.period, often[s.name]) for s in signals.sensors]),
         groups=tuple(one.group for one in linear.cases),
         Omega=job.Omega,

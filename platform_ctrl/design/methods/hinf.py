@@ -67,14 +67,14 @@ class WeightedPlant:
         return between(channel.turned(len(self.weight.D)), K, channel.basis.T * self.torque_unit)
 
 
-def signal_names(size: int, further: int = 0) -> tuple[list[str], list[str]]:
+def signal_names(size: int, further: int) -> tuple[list[str], list[str]]:
     """Return the names of a weighted plant's inputs and outputs, for `size` channels and so many further readings."""
     inputs = [f"n{k + 1}" for k in range(size + further)] + [f"{kind}{k + 1}" for kind in "du" for k in range(size)]
     outputs = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque") for k in range(size)]
     return inputs, outputs + [f"measured{k + 1}" for k in range(size + further)]
 
 
-def error_weight(gain: FloatArray, rate: FloatArray, further: int = 0) -> System:
+def error_weight(gain: FloatArray, rate: FloatArray, further: int) -> System:
     """Return W_e = gain + rate/s, channel by channel, (size,) each; further readings are not weighted."""
     size = len(rate)
     D, rest = np.diag(np.append(gain, np.ones(further))), np.zeros((further, size))
@@ -97,7 +97,7 @@ def mixed_sensitivity(
     gain: FloatArray,
     rate: FloatArray,
     constant: tuple[FloatArray, ...],
-    noise: FloatArray | None = None,
+    noise: FloatArray,
 ) -> System:
     """Return the weighted plant from [n, d, u] to [z1, z2, z3, measurement], states those of the plant and of W_e.
 
@@ -106,8 +106,7 @@ def mixed_sensitivity(
     """
     (A, B, C, D, _), k = plant, len(rate)
     B_d, D_d, (angle, torque) = disturbed.B, disturbed.D, constant
-    more = np.diag(np.zeros(0) if noise is None else noise)
-    n = np.eye(k, k + len(more))
+    n, more = np.eye(k, k + len(noise)), np.diag(noise)
     error: list[FloatArray | Literal[0]] = [
         gain[:, None] * C[:k],
         np.diag(rate),
@@ -121,7 +120,7 @@ def mixed_sensitivity(
             [angle @ C[:k], 0, 0, angle @ D_d[:k], angle @ D[:k]],
             [0, 0, 0, 0, torque],
             error,
-            [C[k:], 0, np.hstack([np.zeros((len(more), k)), more]), D_d[k:], D[k:]],
+            [C[k:], 0, np.hstack([np.zeros((len(noise), k)), more]), D_d[k:], D[k:]],
         ]
     )
     return System.split(whole, len(A) + k, 0.0)
