@@ -1,4 +1,4 @@
-"""Processes beside this one, which end with it."""
+"""Processes beside this one, which end with it, and work that Ctrl-C interrupts."""
 
 from __future__ import annotations
 
@@ -78,3 +78,28 @@ def collect_seldom() -> None:
     """
     gc.set_threshold(50_000, 20, 100)
     atexit.register(gc.freeze)
+
+
+def run_interruptibly(work: Callable[[], object]) -> None:
+    """Do `work` beside the main thread, which waits for it and handles signals; what it raises is raised here.
+
+    After an interrupt no caller waits. Compiled code cannot be ended from outside: its thread goes on until it is
+    done or the process ends, which does not wait for it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        work()  # signals are the main thread's
+        return
+    raised: list[BaseException] = []
+
+    def done() -> None:
+        try:
+            work()
+        except BaseException as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=done, daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(0.2)  # with a limit: where there is none, some systems do not wake up for a signal
+    if raised:
+        raise raised[0]

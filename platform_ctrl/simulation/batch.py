@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.interconnection import COMMAND, interconnected_by_sample
 from platform_ctrl.analysis.metrics import RUN_METRICS, attenuation_db
 from platform_ctrl.common.arguments import whole
+from platform_ctrl.common.processes import run_interruptibly
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Scenario
@@ -429,28 +429,3 @@ def is_compiled() -> bool:
     what this is for. A test fails when the name changes.
     """
     return any((Path(__file__).parent / "kernel" / "__pycache__").glob("loop.simulate_groups*.nbi"))
-
-
-def run_interruptibly(work: Callable[[], object]) -> None:
-    """Do `work` beside the main thread, which waits for it and handles signals; what it raises is raised here.
-
-    After an interrupt no caller waits. Compiled code cannot be ended from outside: its thread goes on until it is
-    done or the process ends, which does not wait for it.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        work()  # signals are the main thread's
-        return
-    raised: list[BaseException] = []
-
-    def done() -> None:
-        try:
-            work()
-        except BaseException as error:
-            raised.append(error)
-
-    thread = threading.Thread(target=done, daemon=True)
-    thread.start()
-    while thread.is_alive():
-        thread.join(0.2)  # with a limit: where there is none, some systems do not wake up for a signal
-    if raised:
-        raise raised[0]
