@@ -318,10 +318,12 @@ def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake
     return arguments
 
 
-def _converted(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake]) -> dict[str, Any]:
-    """Return a table whose numbers are all in SI."""
+def _converted(
+    table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake]
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return a table whose numbers are all in SI, and the keys of the file with other units, each with what it is."""
     if table.others is not None:
-        return data
+        return data, {}
     out, units = {}, dict[str, str]()
     for name, item in data.items():
         found = None if name in table.keys else base_key(name, table.keys, getattr(table.make, "unit", ""))
@@ -339,7 +341,7 @@ def _converted(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mi
             continue
         units[name] = base
         out[base] = in_si(item, suffix)
-    return out
+    return out, units
 
 
 def _choice(one_of: OneOf, data: dict[str, Any], path: Path) -> Iterator[Mistake]:
@@ -396,13 +398,21 @@ def _value(holds: Expected | Shape, item: Any, path: Path, mistakes: list[Mistak
     if not isinstance(item, dict):
         mistakes.append(_wrong(path, item, "must be a table"))
         return {}
-    before = len(mistakes)
-    item = _converted(holds, item, path, mistakes)
-    arguments = _read(holds, item, path, mistakes)
+    before, (in_units, units) = len(mistakes), _converted(holds, item, path, mistakes)
+    arguments = _read(holds, in_units, path, mistakes)
     if len(mistakes) == before:
-        mistakes += at(path, holds.misfits(item))
+        mistakes += at(path, holds.misfits(in_units))
+    for name, base in units.items():
+        for k, one in enumerate(mistakes[before:], before):
+            if one.path == (*path, base):
+                mistakes[k] = _as_in_file(one, name, item[name])
     make = holds.make
     return arguments if make is None else _Later(lambda before: make(**made(arguments)))
+
+
+def _as_in_file(one: Mistake, name: str, item: object) -> Mistake:
+    """Return a mistake about a number in SI with the key and the number that the file has."""
+    return Mistake((*one.path[:-1], name), lambda: f"{one.words}; the file has {name} = {given(item)}")
 
 
 def _wrong(path: Path, item: object, words: str, reason: str = "") -> Mistake:
