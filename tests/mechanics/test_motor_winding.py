@@ -68,7 +68,7 @@ def test_a_motor_turns_as_dcmotor_of_mujoco_with_bristles_and_cogging():
     mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
     from scipy.integrate import solve_ivp
 
-    inertia, torque, rate, seconds = 1e-3, 0.02, 3.0, 2.0
+    inertia, torque, rate, seconds = 1e-3, 0.02, 3.0, 10.0
     stiffness, damping, viscous, coulomb, breakaway, stribeck = 20.0, 0.05, 1e-3, 0.01, 0.015, 0.1
     # Without gains the loop leaves the winding shorted; a torque on the joint turns it, over the teeth.
     data = drive({"proportional": 1e-12, "integral": 0.0, "rate_hz": 1e4}, cogging=[[7.0, 0.004, 0.3]])
@@ -105,7 +105,7 @@ def test_a_motor_turns_as_dcmotor_of_mujoco_with_bristles_and_cogging():
     begin = [0.0, rate, coulomb / stiffness, 0.0]
     whole = solve_ivp(slope, (0.0, seconds), begin, method="LSODA", rtol=1e-10, atol=1e-13)
     assert out.q[0, 0] == pytest.approx(whole.y[0, -1], abs=1e-6)
-    assert out.q[0, 0] > 8.0
+    assert out.q[0, 0] > 30.0
 
 
 def test_a_job_with_a_winding_passes_and_says_what_current_its_motor_bears():
