@@ -14,6 +14,7 @@ import typer
 
 from platform_ctrl.cli.exits import interruptible, noted
 from platform_ctrl.cli.job_arguments import Controllers, JobFile, Json, Quiet, job_of
+from platform_ctrl.common.processes import collect_often
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -95,6 +96,7 @@ def serve(
             ) from None
         AllowedHosts.of(host, allow or ())  # no work for what would be refused
         backend = Backend(job, controllers)
+        collect_often()  # every move leaves megabytes of curves
         pages = Pages(backend)
         server = PageServer(pages.fill, host=host, allow=allow or (), port=port)
 

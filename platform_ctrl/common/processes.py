@@ -80,6 +80,12 @@ def collect_seldom() -> None:
     atexit.register(gc.freeze)
 
 
+def collect_often() -> None:
+    """Look for garbage often, but not in what is loaded by now: said by a process that goes on for hours."""
+    gc.freeze()
+    gc.set_threshold(5_000, 10, 5)
+
+
 def run_interruptibly(work: Callable[[], object]) -> None:
     """Do `work` beside the main thread, which waits for it and handles signals; what it raises is raised here.
 
