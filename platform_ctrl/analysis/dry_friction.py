@@ -3,19 +3,10 @@
 A friction torque f(v) of a Gaussian rate v with the rms σ is replaced by b v + r, with b = E[f(v) v]/σ² and a remainder
 r that is not correlated with v (Booton; Gelb and Vander Velde, Multiple-Input Describing Functions, 1968, ch. 7). For
 f = F sign(v), b = √(2/π) F/σ and the remainder has 60 % of F: it is no small quantity, and acts like a torque from
-outside (`friction_noise`). How much it is, and for how much of the time the bearing hardly slides, is part of every
-result.
+outside (`friction_noise`). How much it is, and how long the bearing hardly slides, is part of every result.
 
 What a drive feeds forward against friction, g(w) of the rate w that it finds, is replaced in the same way by c w and a
 remainder: v and w are Gaussian together, so that both remainders are uncorrelated with all rates of the loop.
-
-The remainder is a noise with a spectrum: r is uncorrelated with v at all lags (Bussgang, 1952). In Hermite polynomials
-f(σ x) = Σ f_n He_n(x)/√n! the correlation of f is Σ f_n² ρ(τ)^n with ρ that of v (Price, IRE Trans. Information Theory
-4, 1958), and r has the terms but n = 0 and 1: for a sign, (2/π) F² (asin ρ − ρ). Of what a drive feeds forward the
-remainder s follows r as w follows v, late and filtered: the correlation of f(v) with g(w) is Σ f_n g_n ρ_vw(τ)^n with
-that of the rates, and r − s has
-
-    Σ over n ≥ 2 of f_n² ρ_vv(τ)^n + g_n² ρ_ww(τ)^n − f_n g_n (ρ_vw(τ)^n + ρ_vw(−τ)^n).
 
 Bristles (LuGre), ż = v − σ0 |v| z/F, have a state: they are replaced by ż = κ v − λ z with the gains of h = σ0 |v| z/F
 at Gaussian v and z, λ = E[∂h/∂z] and 1 − κ = E[∂h/∂v] (Atalik and Utku, Earthquake Eng. Struct. Dyn. 4, 1976). For
@@ -172,8 +163,7 @@ def describing_function(friction: DryTorque, rms: float) -> Describing:
     near = friction.coulomb_rate
     rms = max(positive("describing function: rms", rms, zero=True), 0.0 if near else _LEAST_RATE)
     if rms <= 1e-7 * near:
-        slope = 0.5 * sum(friction.breakaway) / near
-        return Describing(0.0, slope, 0.0)
+        return Describing(0.0, 0.5 * sum(friction.breakaway) / near, 0.0)
     x, weight = gaussian([near / rms, friction.stribeck_rate / rms])
     values = torques(friction, rms, x)
     mean, viscous, square = (float(weight @ one) for one in (values, values * x / rms, values**2))

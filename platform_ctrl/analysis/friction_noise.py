@@ -1,6 +1,14 @@
 """The part of dry friction that is in no proportion to a rate: a noise with a spectrum.
 
 See `platform_ctrl.analysis.dry_friction` for what it belongs to, and the sources.
+
+The remainder is a noise with a spectrum: r is uncorrelated with v at all lags (Bussgang, 1952). In Hermite polynomials
+f(σ x) = Σ f_n He_n(x)/√n! the correlation of f is Σ f_n² ρ(τ)^n with ρ that of v (Price, IRE Trans. Information Theory
+4, 1958), and r has the terms but n = 0 and 1: for a sign, (2/π) F² (asin ρ − ρ). Of what a drive feeds forward the
+remainder s follows r as w follows v, late and filtered: the correlation of f(v) with g(w) is Σ f_n g_n ρ_vw(τ)^n with
+that of the rates, and r − s has
+
+    Σ over n ≥ 2 of f_n² ρ_vv(τ)^n + g_n² ρ_ww(τ)^n − f_n g_n (ρ_vw(τ)^n + ρ_vw(−τ)^n).
 """
 
 from __future__ import annotations
