@@ -386,16 +386,16 @@ RUN_METRICS: dict[str, RunMetric] = {
             name="largest error behind a commanded angle",
             key="angle_following_error",
             unit="rad",
-            meaning="largest magnitude of an angle that is read, without the sensor's bias and scale error, less its "
-            "command after `settle`",
+            meaning="largest magnitude of an angle that is read, without the sensor's bias, scale error and faults, "
+            "less its command after `settle`",
             commanded=True,
         ),
         RunMetric(
             name="largest error behind a commanded rate",
             key="rate_following_error",
             unit="rad/s",
-            meaning="largest magnitude of a rate that is read, without the sensor's bias and scale error, less its "
-            "command after `settle`",
+            meaning="largest magnitude of a rate that is read, without the sensor's bias, scale error and faults, "
+            "less its command after `settle`",
             commanded=True,
         ),
         RunMetric(

@@ -65,8 +65,8 @@ class BatchResult:
         Line of sight: mean, and rms about it, of ``los_rate1``, ``los_rate2``, ``los_roll_rate``, rad/s, and of
         ``los_angle1``, ``los_angle2``, ``los_roll``, rad.
     following_error : (N, readings)
-        Largest |reading − command| from `settle` on, without the sensor's bias and scale error, rad or rad/s; 0 where
-        nothing is commanded.
+        Largest |reading − command| from `settle` on, without the sensor's bias, scale error and faults, rad or rad/s; 0
+        where nothing is commanded.
     units
         Units of the readings by their names, in the order of these columns.
     requested : (N,)

@@ -67,3 +67,31 @@ def test_commands_need_a_controller_that_takes_them() -> None:
     (K,) = controllers(read_job(commanded_job([]) | {"manoeuvre": []}))
     with pytest.raises(ArgumentError, match="no controller takes a command of 'gyro'"):
         simulate(scenario, [K], period=PERIOD)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"kind": "pick-off drift", "rate": 0.5},
+        {"kind": "pick-off stuck"},
+        {"kind": "pick-off dropout", "probability": 0.9},
+        {"kind": "pick-off dead", "until": 0.8},
+    ],
+    ids=lambda fault: fault["kind"],
+)
+@pytest.mark.parametrize("resolved", [False, True])
+def test_what_fails_of_a_sensor_is_no_part_of_what_follows_a_command(fault: dict[str, Any], resolved: bool) -> None:
+    """The loop follows what the sensor says; the error is that of the gimbal."""
+    reading = "q_yaw_resolved_rate" if resolved else "gyro"
+    data = commanded_job([{"reading": reading, "amplitude": 0.05, "frequency_hz": 7.0}])
+    data["loop"][0] |= {"resolve": True} if resolved else {}
+    data["fault"] = [{"name": "fails", "part": "gyro", "at": 0.5} | fault]
+    data["manoeuvre"][0] |= {"faults": ["fails"]}
+    job = read_job(data)
+    scenario = dataclasses.replace(job.scenario(job.manoeuvres[0]), settle=0.6)
+    run = simulate(scenario, controllers(job), period=PERIOD, noise=False)
+    settled = run.t >= 0.6 - 1e-9
+    said = run.reading[:, run.pickoff_names.index(reading)]
+    error, seen = (np.abs(rate - run.reading_command[:, 0])[settled].max() for rate in (run.rate[:, 0], said))
+    assert run.following_error == pytest.approx([error], rel=1e-9)
+    assert seen != pytest.approx(error, rel=1e-3)

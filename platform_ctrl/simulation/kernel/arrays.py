@@ -20,9 +20,9 @@ ACTIONS = {name.strip(): action for action, name in enumerate(_NAMES.split(","))
 # Columns of `Shared.sensors`, a row for each sensor: begin and end of its terms; row of its low-pass, or -1; samples
 # that it is late, and where in `Layout.late` the last ones are; samples from one reading to the next.
 BEGIN_TERMS, END_TERMS, FILTERED, LATE, KEPT, EVERY = range(6)
-# Slots of a sensor: rms of a sample, quantisation, scale, bias; the last reading. Of a command: its path; what the
-# controllers get of it.
-RMS, QUANTISATION, SENSOR_SCALE, BIAS, LAST, SENSOR = 0, 1, 2, 3, 4, 5
+# Slots of a sensor: rms of a sample, quantisation, scale, bias; the last reading, and how much of it is a fault's. Of a
+# command: its path; what the controllers get of it.
+RMS, QUANTISATION, SENSOR_SCALE, BIAS, LAST, FAILED, SENSOR = 0, 1, 2, 3, 4, 5, 6
 PATH = 0
 # Slots of a low-pass: x of the next sample is TRANSITION x + BEFORE u + NOW u of the next sample; u; x.
 TRANSITION, BEFORE, NOW, INPUT, LAGGING, LOWPASS = 0, 4, 6, 8, 9, 11

@@ -152,16 +152,24 @@ def read(shared: Shared, keys: Keys, mem: FloatArray, at: At, layout: Layout, k:
                 normals(keys, mem, k, PICKOFF + i // 2, layout.random)
                 drawn = i
             value = value + rms * load(mem, layout.random + i % 2)
+        sound = _in_steps(mem, slot, value)
         for f in range(shared.faults.shape[0]):
             if shared.faults[f, 0] == arrays.PICKOFF_DRIFT and shared.faults[f, 1] == i:
                 fault = layout.fault + f * arrays.FAULT
                 drift = load(mem, fault + arrays.FIRST) * (t - load(mem, fault + arrays.BEGIN))
                 value = choose(acts(mem, fault, t), value + drift, value)
-        step = load(mem, slot + arrays.QUANTISATION)
-        fine = step > 0.0
-        unit = choose(fine, step, 0.0 * step + 1.0)
-        value = choose(fine, unit * whole(value / unit + 0.5), value)
-        store(mem, slot + arrays.LAST, _faulty(shared, keys, mem, layout, i, k, t, value))
+        value = _faulty(shared, keys, mem, layout, i, k, t, _in_steps(mem, slot, value))
+        store(mem, slot + arrays.LAST, value)
+        store(mem, slot + arrays.FAILED, value - sound)
+
+
+@inlined
+def _in_steps(mem: FloatArray, slot: int, value: Number) -> Number:
+    """Return a value in steps of a sensor's quantisation."""
+    step = load(mem, slot + arrays.QUANTISATION)
+    fine = step > 0.0
+    unit = choose(fine, step, 0.0 * step + 1.0)
+    return choose(fine, unit * whole(value / unit + 0.5), value)
 
 
 @inlined
@@ -222,12 +230,9 @@ def update_metrics(shared: Shared, mem: FloatArray, at: At, layout: Layout, k: i
     end = layout.states + nu + layout.drives + 1
     for j in range(layout.commands):
         slot, sensor = layout.following + j, layout.sensor + shared.first[end + j] * arrays.SENSOR
-        # Errors of the sensor are no motion of the loop.
-        scale = load(mem, sensor + arrays.SENSOR_SCALE)
-        scale = choose((scale < 0.0) | (scale > 0.0), scale, 0.0 * scale + 1.0)
-        error = (load(mem, sensor + arrays.LAST) - load(mem, sensor + arrays.BIAS)) / scale
-        error = error - load(mem, layout.sensor + (layout.readings + j) * arrays.SENSOR + arrays.PATH)
-        _keep_largest(mem, slot, settled, error)
+        # Errors and faults of the sensor are no motion of the loop.
+        path = load(mem, layout.sensor + (layout.readings + j) * arrays.SENSOR + arrays.PATH)
+        _keep_largest(mem, slot, settled, _without_errors(mem, sensor) - path)
 
 
 @internal
@@ -337,10 +342,17 @@ def _weights(shared: Shared, k: int) -> Vector:
 
 @internal
 def _reading_and_error(mem: FloatArray, slot: int) -> tuple[Number, Number]:
-    """Return the last reading of a sensor, and how much of it is its bias and its scale error."""
-    reading, scale = load(mem, slot + arrays.LAST), load(mem, slot + arrays.SENSOR_SCALE)
+    """Return the last reading of a sensor, and how much of it is its bias, its scale error and its faults."""
+    reading = load(mem, slot + arrays.LAST)
+    return reading, reading - _without_errors(mem, slot)
+
+
+@inlined
+def _without_errors(mem: FloatArray, slot: int) -> Number:
+    """Return what a sensor without bias, scale error and faults would have read last."""
+    scale = load(mem, slot + arrays.SENSOR_SCALE)
     scale = choose((scale < 0.0) | (scale > 0.0), scale, 0.0 * scale + 1.0)
-    return reading, reading - (reading - load(mem, slot + arrays.BIAS)) / scale
+    return (load(mem, slot + arrays.LAST) - load(mem, slot + arrays.FAILED) - load(mem, slot + arrays.BIAS)) / scale
 
 
 @internal
