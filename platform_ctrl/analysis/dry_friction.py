@@ -400,12 +400,12 @@ def friction_balance(
         deflection = deflected**0.4 * deflection**0.6
         # E[z ż] = 0.
         new[plain:] = of_bristles[1] / of_bristles[0] * deflected**2 / np.maximum(new[elastic], _LEAST_RATE)
-        if np.all(np.abs(new - rate) <= tolerance * np.maximum(new, 1e-9 * near)):
+        if _settled(rate, new, near, tolerance):
             break
         x, y = (np.log(np.maximum(one, 1e-20 * near)) for one in (rate, new))
         rate, before = np.exp(_stepped(x, y, before, round_ < _SECANTS)), (x, y)
     else:
-        words = f"no rates found in {_ITERATIONS} loops, the last were {short(rate.tolist())}"
+        words = f"no rates found in {_ITERATIONS} loops, the last were {short([float(f'{one:.3g}') for one in rate])}"
         raise NotFoundError(f"friction balance: {words}; start from other rates, or simulate")
     bristles = np.array([[0.0], [0.0], [1.0], [0.0]]) * np.ones(J)
     bristles[:, elastic] = *of_bristles, math.sqrt(2.0 / math.pi) * deflected / slid
@@ -424,6 +424,14 @@ def friction_balance(
         turning=means,
         bristles=bristles,
     )
+
+
+def _settled(assumed: FloatArray, found: FloatArray, near: FloatArray, tolerance: float) -> bool:
+    """Return whether the rates that are found are those that were assumed, by a relative tolerance."""
+    # Slower than this a bearing is at rest: its damping no longer grows, and what is found of its rate is round-off.
+    still = np.maximum(1e-9 * near, _LEAST_RATE)
+    assumed, found = np.maximum(assumed, still), np.maximum(found, still)
+    return bool(np.all(np.abs(found - assumed) <= tolerance * found))
 
 
 def _stepped(x: FloatArray, y: FloatArray, before: tuple[FloatArray, FloatArray] | None, secants: bool) -> FloatArray:

@@ -143,6 +143,20 @@ def test_friction_that_sticks_is_described_by_its_sign_and_judged_by_what_it_hol
         assert ("it sticks" in balance.statement[0]) is not valid
 
 
+def test_a_bearing_at_rest_is_found_though_its_rate_is_round_off() -> None:
+    # Beside a bearing that slides, what is left of the other's rate is noise of the computation.
+    stuck, slides = (Friction(gimbal=name, coulomb=(0.02, 0.02)) for name in ("pan", "tilt"))
+    noise = np.random.default_rng(1)
+
+    def rates(gains: FrictionGains) -> np.ndarray:
+        at_rest = 1e-3 / (1.0 + 100.0 * gains.viscous[0]) + 1e-13 * noise.random()
+        return np.array([at_rest, np.sqrt(1.0 / (2.0 * 0.01 * (gains.viscous[1] + 0.1)))])
+
+    found = friction_balance([stuck, slides], rates, tolerance=1e-4)
+    assert found.valid.tolist() == [False, True]
+    assert "it sticks, 100 %" in found.statement[0]
+
+
 def test_a_bearing_that_turns_all_the_time_has_the_slope_of_its_friction_there_and_no_noise() -> None:
     bearing = Friction(gimbal="pitch", coulomb=(0.02, 0.02), breakaway=(0.03, 0.03), stribeck_rate=0.1)
     found = friction_balance([bearing], lambda gains: np.full(1, 1e-4), turning=[0.05])
