@@ -88,7 +88,10 @@ def _operation(job: Job) -> Iterator[Misfit]:
     yield from too_large("Omega", job.Omega, "base-rate")
     for name, values in job.angles.items():
         if name not in platform.angle_names:
-            yield ("angles", name), f"{name} is no angle of the plant; {suggestion(name, platform.angle_names)}"
+            of_gimbal = dict(zip(platform.gimbal_names, platform.angle_names, strict=True)).get(name)
+            known = suggestion(name, platform.angle_names)
+            hint = known if of_gimbal is None else f'that of gimbal "{name}" is "{of_gimbal}"'
+            yield ("angles", name), f"{name} is no angle of the plant; {hint}"
             continue
         for words in _beyond(name, values, platform):
             yield ("angles", name), words

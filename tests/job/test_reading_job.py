@@ -158,6 +158,14 @@ def test_names_that_are_no_bare_keys_stand_in_quotes() -> None:
     assert again.angles == {name: (0.1, 0.2)}
 
 
+def test_a_gimbal_in_the_place_of_its_angle_is_told_the_angle() -> None:
+    data = small_job()
+    gimbal = data["plant"]["gimbal"][0]
+    gimbal["angle"] = "theta"
+    data["operation"]["angles"] = {gimbal["name"]: [0.1]}
+    assert refusal(read_job, data).endswith(f'that of gimbal "{gimbal["name"]}" is "theta"')
+
+
 def test_a_plant_is_found_beside_the_job_or_in_the_folder_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
