@@ -240,6 +240,21 @@ def test_many_runs_are_those_of_one_and_errors_of_sensors_are_no_errors_of_follo
         assert run.following_error[0] == pytest.approx(error, rel=1e-9)
 
 
+def test_an_encoder_that_fails_is_no_part_of_what_follows_a_command() -> None:
+    """Readings are turned by what it says; the error is that of the joint."""
+    data = resolved_job()
+    data["manoeuvre"][0] |= {"sine": [], "command": [{"reading": "yaw_resolved_rate", "step": 0.1}], "faults": ["dead"]}
+    data["fault"] = [{"name": "dead", "kind": "pick-off dead", "part": "pitch", "at": 0.0}]
+    job = read_job(data)
+    D = np.hstack([-2.0 * np.eye(2), 2.0 * np.eye(2)[:, :1]])
+    inputs = [*READ, "yaw_resolved_rate_command"]
+    K = control.ss([], [], [], D, 1.0 / RATE_HZ, inputs=inputs, outputs=["Qouter", "Qinner"])
+    run = simulate(run_at(job, [0.0, -1.0], settle=0.1), [K], period=1.0 / RATE_HZ, noise=False)
+    error = np.abs(run.rate[run.t >= 0.1 - 1e-9, 0] - 0.1).max()
+    assert error > 0.05
+    assert run.following_error[0] == pytest.approx(error, rel=1e-9)
+
+
 def test_at_80_degrees_down_the_linear_loop_is_what_the_simulation_does() -> None:
     """The base yaws a little at 5 Hz: what the loop reads, by the linear plants and in the non-linear run."""
     w, size, q = 10.0 * np.pi, 1e-3, np.array([0.0, 0.0, -1.396])

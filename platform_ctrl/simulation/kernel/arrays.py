@@ -35,8 +35,8 @@ LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, EQUILIBRIUM, STALL, B
 )  # fmt: skip
 # Slots of a drive: friction that is fed forward, 1 over the rate from which on all of it acts.
 DRIVE_FRICTION, PER_DRIVE_RATE, DRIVEN = 0, 1, 2
-# Slots in which readings are turned to joint axes: J, row by row; the readings, and their errors.
-JACOBIAN, TO_TURN, ERRORS, TURNED = 0, 9, 12, 15
+# Slots in which readings are turned to joint axes: J, row by row; the readings.
+JACOBIAN, TO_TURN, TURNED = 0, 9, 12
 # Slots of a stop: low, high, restitution; whether the gimbal lies on it; when and at which rate it last bounced off.
 LOW, HIGH, RESTITUTION, TOUCHING, WHEN, AWAY, STOP = 0, 1, 2, 3, 4, 5, 6
 # Slots of a fault: begin, end, its two numbers; what is stuck.

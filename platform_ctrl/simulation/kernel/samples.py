@@ -290,48 +290,56 @@ def resolve(shared: Shared, mem: FloatArray, layout: Layout) -> None:
     """Put resolved readings behind those of the sensors."""
     part = layout.states + shared.targets.shape[0] + 2 * layout.drives + 1 + layout.commands
     number, out = shared.signals.shape[0], layout.sensor + layout.sensors * arrays.SENSOR
-    zero = 0.0 * load(mem, layout.start)
     for _ in range(layout.resolvers):
-        size, base, least = shared.first[part], shared.first[part + 1], zero + shared.weights[number]
-        of_base, shown = part + 2, number + 1
-        part, number = of_base + base, shown + 3 * base
-        for i in range(3):
-            # Rows and columns that are not there are those of the unit matrix.
-            row = layout.turned + arrays.JACOBIAN + 3 * i
-            put(mem, row, (zero, zero, zero))
-            store(mem, row + i, zero + (1.0 if i >= size else 0.0))
-            store(mem, layout.turned + arrays.TO_TURN + i, zero)
-            store(mem, layout.turned + arrays.ERRORS + i, zero)
+        size = shared.first[part]
+        # What sound sensors and encoders would have given comes last: it leaves where the next one begins.
+        _turn_to_joints(shared, mem, layout, part, number, False)
         for i in range(size):
-            slot, steps = layout.sensor + shared.first[part] * arrays.SENSOR, shared.first[part + 1]
-            part += 2
-            reading, error = _reading_and_error(mem, slot)
-            axis = plus((zero, zero, zero), _weights(shared, number))
-            number += 3
-            for _ in range(steps):
-                own, column, encoder = _weights(shared, number), shared.first[part], shared.first[part + 1]
-                along = dot(own, axis)
-                part, number = part + 2, number + 3
-                if column >= 0:
-                    store(mem, layout.turned + arrays.JACOBIAN + 3 * i + column, along)
-                if encoder >= 0:
-                    angle = load(mem, layout.sensor + encoder * arrays.SENSOR + arrays.LAST)
-                    cosine, sine = cosine_and_sine(angle)
-                    turning = plus(scaled(cosine, axis), scaled(sine, cross(own, axis)))
-                    axis = plus(turning, scaled((1.0 - cosine) * along, own))
-            for k in range(base):
-                share = dot(_weights(shared, shown + 3 * k), axis)
-                of_root, off = _reading_and_error(mem, layout.sensor + shared.first[of_base + k] * arrays.SENSOR)
-                reading = reading - share * of_root
-                error = error - share * off
-            store(mem, layout.turned + arrays.TO_TURN + i, reading)
-            store(mem, layout.turned + arrays.ERRORS + i, error)
-        _solve(mem, layout.turned, least, layout.turned + arrays.TO_TURN)
-        _solve(mem, layout.turned, least, layout.turned + arrays.ERRORS)
+            store(mem, out + i * arrays.SENSOR + arrays.LAST, load(mem, layout.turned + arrays.TO_TURN + i))
+        part, number = _turn_to_joints(shared, mem, layout, part, number, True)
         for i in range(size):
-            store(mem, out + arrays.LAST, load(mem, layout.turned + arrays.TO_TURN + i))
-            store(mem, out + arrays.BIAS, load(mem, layout.turned + arrays.ERRORS + i))
-            out += arrays.SENSOR
+            slot = out + i * arrays.SENSOR
+            off = load(mem, slot + arrays.LAST) - load(mem, layout.turned + arrays.TO_TURN + i)
+            store(mem, slot + arrays.BIAS, off)
+        out += size * arrays.SENSOR
+
+
+@internal
+def _turn_to_joints(
+    shared: Shared, mem: FloatArray, layout: Layout, part: int, number: int, sound: bool
+) -> tuple[int, int]:
+    """Put the resolved readings of one loop into TO_TURN, or those of sound sensors; return where its numbers end."""
+    zero = 0.0 * load(mem, layout.start)
+    size, base, least = shared.first[part], shared.first[part + 1], zero + shared.weights[number]
+    of_base, shown = part + 2, number + 1
+    part, number = of_base + base, shown + 3 * base
+    for i in range(3):
+        # Rows and columns that are not there are those of the unit matrix.
+        row = layout.turned + arrays.JACOBIAN + 3 * i
+        put(mem, row, (zero, zero, zero))
+        store(mem, row + i, zero + (1.0 if i >= size else 0.0))
+        store(mem, layout.turned + arrays.TO_TURN + i, zero)
+    for i in range(size):
+        steps, reading = shared.first[part + 1], _reading(mem, layout, shared.first[part], sound)
+        part += 2
+        axis = plus((zero, zero, zero), _weights(shared, number))
+        number += 3
+        for _ in range(steps):
+            own, column, encoder = _weights(shared, number), shared.first[part], shared.first[part + 1]
+            along = dot(own, axis)
+            part, number = part + 2, number + 3
+            if column >= 0:
+                store(mem, layout.turned + arrays.JACOBIAN + 3 * i + column, along)
+            if encoder >= 0:
+                cosine, sine = cosine_and_sine(_reading(mem, layout, encoder, sound))
+                turning = plus(scaled(cosine, axis), scaled(sine, cross(own, axis)))
+                axis = plus(turning, scaled((1.0 - cosine) * along, own))
+        for k in range(base):
+            share = dot(_weights(shared, shown + 3 * k), axis)
+            reading = reading - share * _reading(mem, layout, shared.first[of_base + k], sound)
+        store(mem, layout.turned + arrays.TO_TURN + i, reading)
+    _solve(mem, layout.turned, least, layout.turned + arrays.TO_TURN)
+    return part, number
 
 
 @inlined
@@ -340,11 +348,11 @@ def _weights(shared: Shared, k: int) -> Vector:
     return shared.weights[k], shared.weights[k + 1], shared.weights[k + 2]
 
 
-@internal
-def _reading_and_error(mem: FloatArray, slot: int) -> tuple[Number, Number]:
-    """Return the last reading of a sensor, and how much of it is its bias, its scale error and its faults."""
-    reading = load(mem, slot + arrays.LAST)
-    return reading, reading - _without_errors(mem, slot)
+@inlined
+def _reading(mem: FloatArray, layout: Layout, i: int, sound: bool) -> Number:
+    """Return the last reading of sensor i, or what it would have been of a sound one."""
+    slot = layout.sensor + i * arrays.SENSOR
+    return _without_errors(mem, slot) if sound else load(mem, slot + arrays.LAST)
 
 
 @inlined
