@@ -220,8 +220,14 @@ def h2_norm(system: StateSystem) -> float:
     s = pole.continuous_poles(pole.poles(A), dt)
     if pole.spectral_abscissa(s) >= 0.0:
         raise ArgumentError(f"h2_norm: the system must be stable, it has a pole at s = {s[np.argmax(s.real)]:.6g}")
+    close = ArgumentError(
+        f"h2_norm: a pole at s = {s[np.argmax(s.real)]:.6g} is stable by no more than rounding; "
+        "poles must be farther from the imaginary axis"
+    )
     if dt > 0.0:
         X = stationary_covariance(A, B)
+        if not np.isfinite(X).all():
+            raise close
     else:
         from scipy.linalg import solve_continuous_lyapunov
 
@@ -230,10 +236,7 @@ def h2_norm(system: StateSystem) -> float:
             try:
                 X = np.asarray(solve_continuous_lyapunov(A, -B @ B.T), dtype=np.float64)
             except (RuntimeWarning, np.linalg.LinAlgError):
-                raise ArgumentError(
-                    f"h2_norm: a pole at s = {s[np.argmax(s.real)]:.6g} is stable by no more than rounding; "
-                    "poles must be farther from the imaginary axis"
-                ) from None
+                raise close from None
     return math.sqrt(max(0.0, float(np.trace(C @ X @ C.T) + np.sum(D * D))))
 
 
@@ -283,15 +286,16 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
     X[~stable] = np.inf
     power = np.array(np.broadcast_to(A, (*batch, *A.shape[-2:])))[stable]
     inside = X[stable]
-    for _ in range(64):
-        more = power @ inside @ np.swapaxes(power, -1, -2)
-        inside = inside + more
-        if not np.any(
-            np.abs(more).max(axis=(-2, -1), initial=0.0) > 1e-17 * np.abs(inside).max(axis=(-2, -1), initial=0.0)
-        ):
-            break
-        power = power @ power
-    X[stable] = inside
+    with np.errstate(over="ignore", invalid="ignore"):  # where only rounding has a pole inside the unit circle
+        for _ in range(64):
+            more = power @ inside @ np.swapaxes(power, -1, -2)
+            inside = inside + more
+            if not np.any(
+                np.abs(more).max(axis=(-2, -1), initial=0.0) > 1e-17 * np.abs(inside).max(axis=(-2, -1), initial=0.0)
+            ):
+                break
+            power = power @ power
+    X[stable] = np.where(np.isfinite(inside).all(axis=(-2, -1), keepdims=True), inside, np.inf)
     return X
 
 
