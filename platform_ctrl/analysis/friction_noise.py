@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.dry_friction import DryTorque, FedFriction, gaussian, torques
+from platform_ctrl.analysis.dry_friction import gaussian, torques
+from platform_ctrl.analysis.dry_torques import DryTorque, FedFriction
 from platform_ctrl.analysis.hybrid_plant import Density
 from platform_ctrl.analysis.system import ComplexArray
 from platform_ctrl.common.values import FloatArray, value

@@ -13,12 +13,11 @@ import numpy as np
 
 from platform_ctrl.analysis.budget_integrals import BudgetResult
 from platform_ctrl.analysis.dry_friction import (
-    FedFriction,
     FrictionBalance,
     FrictionGains,
-    about_mean,
     friction_balance,
 )
+from platform_ctrl.analysis.dry_torques import FedFriction, about_mean
 from platform_ctrl.analysis.friction_noise import FoundRate, friction_noise
 from platform_ctrl.analysis.hybrid_plant import Density, HybridPlant, RandomDisturbance
 from platform_ctrl.analysis.interconnection import MultiRate

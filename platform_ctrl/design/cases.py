@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.dry_friction import FedFriction
+from platform_ctrl.analysis.dry_torques import FedFriction
 from platform_ctrl.analysis.plant_set import Group
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, replaced, value

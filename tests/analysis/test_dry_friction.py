@@ -12,7 +12,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import erf
 
-from platform_ctrl.analysis.dry_friction import FedFriction, FrictionGains, describing_function, friction_balance
+from platform_ctrl.analysis.dry_friction import FrictionGains, describing_function, friction_balance
+from platform_ctrl.analysis.dry_torques import FedFriction
 from platform_ctrl.analysis.friction_noise import friction_noise
 from platform_ctrl.errors import NotFoundError
 from platform_ctrl.plant.force_elements import Friction
