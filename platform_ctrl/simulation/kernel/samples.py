@@ -152,15 +152,16 @@ def read(shared: Shared, keys: Keys, mem: FloatArray, at: At, layout: Layout, k:
                 normals(keys, mem, k, PICKOFF + i // 2, layout.random)
                 drawn = i
             value = value + rms * load(mem, layout.random + i % 2)
-        sound = _in_steps(mem, slot, value)
+        sound = reading = _in_steps(mem, slot, value)
         for f in range(shared.faults.shape[0]):
             if shared.faults[f, 0] == arrays.PICKOFF_DRIFT and shared.faults[f, 1] == i:
                 fault = layout.fault + f * arrays.FAULT
                 drift = load(mem, fault + arrays.FIRST) * (t - load(mem, fault + arrays.BEGIN))
                 value = choose(acts(mem, fault, t), value + drift, value)
-        value = _faulty(shared, keys, mem, layout, i, k, t, _in_steps(mem, slot, value))
-        store(mem, slot + arrays.LAST, value)
-        store(mem, slot + arrays.FAILED, value - sound)
+                reading = _in_steps(mem, slot, value)
+        reading = _faulty(shared, keys, mem, layout, i, k, t, reading)
+        store(mem, slot + arrays.LAST, reading)
+        store(mem, slot + arrays.FAILED, reading - sound)
 
 
 @inlined
@@ -292,16 +293,16 @@ def resolve(shared: Shared, mem: FloatArray, layout: Layout) -> None:
     number, out = shared.signals.shape[0], layout.sensor + layout.sensors * arrays.SENSOR
     for _ in range(layout.resolvers):
         size = shared.first[part]
-        # What sound sensors and encoders would have given comes last: it leaves where the next one begins.
-        _turn_to_joints(shared, mem, layout, part, number, False)
+        after, following = _turn_to_joints(shared, mem, layout, part, number, False)
         for i in range(size):
             store(mem, out + i * arrays.SENSOR + arrays.LAST, load(mem, layout.turned + arrays.TO_TURN + i))
-        part, number = _turn_to_joints(shared, mem, layout, part, number, True)
-        for i in range(size):
-            slot = out + i * arrays.SENSOR
-            off = load(mem, slot + arrays.LAST) - load(mem, layout.turned + arrays.TO_TURN + i)
-            store(mem, slot + arrays.BIAS, off)
-        out += size * arrays.SENSOR
+        if layout.commands > 0:  # what sound sensors and encoders would have given decides on errors behind commands
+            _turn_to_joints(shared, mem, layout, part, number, True)
+            for i in range(size):
+                slot = out + i * arrays.SENSOR
+                off = load(mem, slot + arrays.LAST) - load(mem, layout.turned + arrays.TO_TURN + i)
+                store(mem, slot + arrays.BIAS, off)
+        part, number, out = after, following, out + size * arrays.SENSOR
 
 
 @internal
